@@ -125,7 +125,7 @@ def add_monitor(commands: Any) -> None:
         nargs="+",
         metavar="FILE",
         help="RINEX 2, 3 or 4: OBS NAV [NAV ...]; or a receiver's log [NAV ...]: u-blox LOG.ubx (or"
-        " PX4's LOG.ulg), Septentrio LOG.sbf",
+        " PX4's LOG.ulg, ArduPilot's LOG.bin), Septentrio LOG.sbf",
     )
     parser.add_argument("--imu", metavar="CSV", help="IMU samples to go with --rinex")
     parser.add_argument("--schedule", metavar="FILE", help="faults to put into the --rinex file")

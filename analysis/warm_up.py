@@ -2,6 +2,8 @@
 
 Short flights, searches and reports run in a folder that is thrown away: what they call is what
 users call, so no list of kernels has to be kept. A wheel's build runs this too (`hatch_build.py`).
+With SOURCE_DATE_EPOCH set, the sign of builds that are to be alike byte by byte, everything is then
+compiled once more in a fixed order, which takes twice the time.
 """
 
 import argparse
@@ -12,11 +14,13 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from analysis import commands
 from mavproxy_fault.documents.errors import ConfigError
@@ -30,7 +34,7 @@ ATTITUDE = "attitude: {estimators: [ekf, complementary, mahony, inverse-model]}"
 # The two differ in what has kernels of its own: the kind of vehicle, raw ranges or a receiver's
 # position, air data or vision.
 SCENARIOS = {
-    "fixedwing.yaml": f"""
+    "fixedwing": f"""
 duration_s: 6
 start: {{height_m: 100}}
 mission: [{{shape: eight}}]
@@ -44,7 +48,7 @@ schedule:
     - {{fault: bias, target: HIL_SENSOR.xgyro, value: 1, at_s: 4, for_s: 1}}
 monitor: {{{ATTITUDE}, fusion: {{compare: true}}}}
 """,
-    "multirotor.yaml": f"""
+    "multirotor": f"""
 duration_s: 4
 start: {{height_m: 30}}
 vehicle: {{kind: multirotor, parameters: iris}}
@@ -66,6 +70,13 @@ faults:
 ESTIMATORS = ("ekf", "complementary", "mahony", "inverse-model")
 
 
+class Step(NamedTuple):
+    """A part of the work, and what it is called where it is told how long it took."""
+
+    name: str
+    work: Callable[[], None]
+
+
 def add_warm_up(subparsers: Any) -> None:
     """`warm-up`: compile now what commands would compile at first use."""
     parser = subparsers.add_parser("warm-up", help="make all machine code now, once")
@@ -80,22 +91,25 @@ def main(args: argparse.Namespace) -> int:
     if args.portable is None:
         _warm_up()
         return 0
+    if "SOURCE_DATE_EPOCH" not in os.environ:
+        _aim_at_baseline(args.portable)
+        _warm_up()
+        return 0
     with TemporaryDirectory(prefix="mavproxy-fault-") as draft:
         _aim_at_baseline(draft)
         _warm_up()
-        print(f"the same in a fixed order {_seconds(lambda: _again(draft, args.portable)):5.0f} s")
+        _carry_out_chain([Step("all in a fixed order", partial(_again, draft, args.portable))])
     return 0
 
 
 def _warm_up() -> None:
-    """Call all that is compiled."""
-    from mavproxy_fault.compiled import object_file
-
-    print(f"the proxy's machine code {_seconds(object_file.make):5.0f} s", flush=True)
+    """Call all that is compiled, by as many processes at once as there are processors."""
     with TemporaryDirectory(prefix="mavproxy-fault-") as folder:
-        for words in _commands(Path(folder)):
-            print(f"{words[0]:8} {Path(words[-1]).name:15}", end=" ", flush=True)
-            print(f"{_seconds(partial(_carry_out, words)):5.0f} s", flush=True)
+        chains = _chains(Path(folder))
+        # Whichever comes second to a function waits for the other, and loads it.
+        workers = min(len(chains), os.cpu_count() or 1)
+        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+            list(pool.map(_carry_out_chain, chains))
 
 
 def _again(draft: str, folder: str) -> None:
@@ -123,21 +137,43 @@ def _aim_at_baseline(folder: str) -> None:
     }
 
 
-def _commands(folder: Path) -> Iterator[list[str]]:
-    """The command lines, between them all that calls compiled code; the last word names them."""
+def _chains(folder: Path) -> list[list[Step]]:
+    """What calls compiled code, all of it between them: each chain is to go in its order."""
     for name, text in SCENARIOS.items():
-        (folder / name).write_text(text)
-        flight = folder / name.removesuffix(".yaml")
-        yield ["run", "--zenoh", "off", "--out", str(flight), str(folder / name)]
-    # It is there by now: the flight above was carried out before this generator went on.
+        (folder / f"{name}.yaml").write_text(text)
+    for name in ESTIMATORS:
+        (folder / f"{name}.yaml").write_text(SEARCH.format(estimator=name))
     log = folder / "fixedwing" / "received.tlog"
-    yield ["monitor", "--zenoh", "off", "--out", str(folder / "monitor"), "--log", str(log)]
-    yield ["report", "--out", str(folder / "report"), str(log)]
-    for estimator in ESTIMATORS:
-        file = folder / f"{estimator}.yaml"
-        file.write_text(SEARCH.format(estimator=estimator))
-        out = folder / f"search-{estimator}"
-        yield ["search", "--budget", "8", "--workers", "1", "--out", str(out), str(file)]
+    longest = [
+        _step("fixedwing", folder, "run", "--zenoh", "off"),
+        _step("monitor", folder, "monitor", "--zenoh", "off", "--log", str(log), file=False),
+        _step("report", folder, "report", str(log), file=False),
+    ]
+    searches = [
+        _step(name, folder, "search", "--budget", "8", "--workers", "1") for name in ESTIMATORS
+    ]
+    other = [_step("multirotor", folder, "run", "--zenoh", "off")]
+    return [longest, searches, other, [Step("the proxy's machine code", _make_object_file)]]
+
+
+def _step(name: str, folder: Path, *words: str, file: bool = True) -> Step:
+    """A command that writes into a folder of its name, of a file of its name if it takes one."""
+    line = [*words, "--out", str(folder / name), *([str(folder / f"{name}.yaml")] if file else [])]
+    return Step(f"{words[0]} {name}" if file else name, partial(_carry_out, line))
+
+
+def _make_object_file() -> None:
+    from mavproxy_fault.compiled import object_file
+
+    object_file.make()
+
+
+def _carry_out_chain(chain: Sequence[Step]) -> None:
+    """Run steps one after the other, and tell how long each took."""
+    for step in chain:
+        begun_s = time.monotonic()
+        step.work()
+        print(f"{step.name:24} {time.monotonic() - begun_s:5.0f} s", flush=True)
 
 
 def _carry_out(words: list[str]) -> None:
@@ -151,12 +187,6 @@ def _carry_out(words: list[str]) -> None:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         if args.main(args) == 2:  # a verdict of so short a flight says nothing
             raise ConfigError(f"{' '.join(words)}: failed; the command alone tells why")
-
-
-def _seconds(work: Callable[[], None]) -> float:
-    begun_s = time.monotonic()
-    work()
-    return time.monotonic() - begun_s
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ Run by hand: `python benchmarks/gnss_sets.py SETS.yaml [TRIALS]`. SETS.yaml list
 
 Paths count from the list's folder; `truth` is what `monitor --truth` takes. Every fault is put into
 the observation file by the proxy's engine (`replay`), so that anybody gets the same files. An epoch
-is right where exactly the faulty satellites are left out beside those that are without the fault;
-RTKLIB's where its position is within 1 m of its own without the fault.
+is right where exactly the faulty satellites are left out beside those that are without the fault,
+and near where its position is within 1 m of its own without the fault; RTKLIB's is right where it
+is near. The last two columns are a Stanford diagram's counts, clean or of all trials: see
+`stanford`.
 """
 
 import subprocess
@@ -27,6 +29,7 @@ from analysis.recordings.position_reference import PositionReference, read_refer
 from analysis.recordings.recordings import read_rinex
 from analysis.results import Decision, FusedState
 from analysis.samples.block import EPOCH, pieces
+from analysis.scoring.integrity import ALERT_LIMITS_M, ERROR, LEVEL, Integrity
 from analysis.scoring.position_scores import PositionScores
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.yaml_document import read_document
@@ -41,6 +44,7 @@ FAULTS: dict[str, tuple[int, str, float]] = {  # how many satellites, fault, val
     "20 m step": (1, "bias", 20.0),
     "0.5 m/s ramp": (1, "drift", 0.5),
     "50 m on two": (2, "bias", 50.0),
+    "50 m on three": (3, "bias", 50.0),
 }
 SYSTEMS = {"G": 1, "E": 8, "R": 4, "C": 32}  # RTKLIB's bits
 Places = dict[int, Any]
@@ -65,6 +69,7 @@ class Found(NamedTuple):
     filtered: Places
     alarms: int
     scores: PositionScores
+    integrity: Integrity
 
 
 def recordings(path: Path) -> Iterable[Recording]:
@@ -84,10 +89,12 @@ def judged(recording: Recording, lines: list[str]) -> Found:
     references, fusion = References(config), Fusion(FusionConfig(), config)
     detecting, fusing = references.new_state(), fusion.new_state()
     excluded, filtered, alarms, scores = {}, {}, 0, PositionScores()
+    integrity = Integrity(recording.truth)
     counts: dict[str, int] = {}
     for piece in pieces(read_rinex(recording.obs, recording.nav, None, lines)):
         results, detecting = references.step_piece(piece, detecting)
         fused, fusing = fusion.step_piece(piece, results, detecting.detector.core, fusing)
+        integrity.add(results)
         for result in (*results, *fused):
             if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:
                 continue
@@ -102,7 +109,24 @@ def judged(recording: Recording, lines: list[str]) -> Found:
                 where = result.position_ecef_m, result.position_sigma_m, true_m
                 scores.add(name, *where)
     often = sorted(name for name, count in counts.items() if count > 0.9 * len(filtered))
-    return Found(often, excluded, filtered, alarms, scores)
+    return Found(often, excluded, filtered, alarms, scores, integrity)
+
+
+def stanford(trials: Iterable[Integrity]) -> str:
+    """Two cells, horizontal and vertical: errors above their level of the epochs with both, the
+    largest error over its level, and how many levels are within the alert limit, with an error
+    above that limit."""
+    kept, cells = list(trials), []
+    for direction, limit_m in ALERT_LIMITS_M.items():
+        table = np.vstack([each.table(direction) for each in kept])
+        error, level = table[:, ERROR], table[:, LEVEL]
+        within = level <= limit_m
+        most = f"{(error / level).max():.2f}" if len(table) else "-"
+        cells.append(
+            f"{(error > level).sum()} of {len(table)}, {most}; {within.sum()} within"
+            f" {limit_m:.0f} m, {(error[within] > limit_m).sum()} of them hazardous"
+        )
+    return " | ".join(cells)
 
 
 def rtklib(recording: Recording, lines: list[str], stamps: list[int]) -> Places:
@@ -149,7 +173,8 @@ def row(recording: Recording, trials: int) -> None:
         f" {len(clean.filtered)} tested, {clean.alarms} alarms ({per_hour:.0f} an hour)"
         f" | {ours.get('horizontal_50_m')} / {ours.get('horizontal_95_m')}"
         f" | {_percentiles(rtk)} | {_ratio(clean.scores)}"
-        f" | {ours.get('over_sigma_50')} / {ours.get('over_sigma_95')} |",
+        f" | {ours.get('over_sigma_50')} / {ours.get('over_sigma_95')}"
+        f" | {stanford([clean.integrity])} |",
         flush=True,
     )
     span_s = (stamps[-1] - stamps[0]) * 1e-6
@@ -157,7 +182,8 @@ def row(recording: Recording, trials: int) -> None:
         return
     rng = np.random.default_rng(1)
     for title, (count, fault, value) in FAULTS.items():
-        right, our_total, their_right, their_total, ratios = 0, 0, 0, 0, []
+        right, near, our_total, their_right, their_total, ratios = 0, 0, 0, 0, 0, []
+        levels: list[Integrity] = []
         for _ in range(trials):
             names = rng.choice(clean.often, count, replace=False).tolist()
             at_s = float(np.floor(rng.uniform(EDGE_S, span_s - FAULT_S - EDGE_S)))
@@ -172,17 +198,26 @@ def row(recording: Recording, trials: int) -> None:
                 if t_us in clean.excluded:
                     our_total += 1
                     right += found.excluded.get(t_us) == clean.excluded[t_us] | wanted
+                    near += _near(found.filtered.get(t_us), clean.filtered[t_us])
                 if t_us in theirs:
                     their_total += 1
-                    place = rtk_found.get(t_us)
-                    near = place is not None and np.linalg.norm(place - theirs[t_us]) < NEAR_M
-                    their_right += bool(near)
+                    their_right += _near(rtk_found.get(t_us), theirs[t_us])
             ratios.append(_ratio(found.scores))
-        cells = f"{100 * right / max(our_total, 1):.0f} %"
+            levels.append(found.integrity)
+        shares = 100 * np.array([right, near]) / max(our_total, 1)
+        cells = f"{shares[0]:.0f} %, near {shares[1]:.0f} %"
         other = f"{100 * their_right / max(their_total, 1):.0f} %"
         known = [ratio for ratio in ratios if ratio is not None]
         worst = f"{np.median(known):.2f}, most {max(known):.2f}" if known else "-"
-        print(f"| | {title} | {trials} trials | {cells} | {other} | {worst} | |", flush=True)
+        print(
+            f"| | {title} | {trials} trials | {cells} | {other} | {worst} | | {stanford(levels)} |",
+            flush=True,
+        )
+
+
+def _near(place: Any, clean: Any) -> bool:
+    """Whether a position is where it is without the fault."""
+    return place is not None and bool(np.linalg.norm(np.subtract(place, clean)) < NEAR_M)
 
 
 def _percentiles(scores: PositionScores) -> str:
@@ -200,8 +235,9 @@ if __name__ == "__main__":
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 10
     print(
         "| recording, systems | fault | | epochs right; clean: horizontal error 50 / 95 %, m"
-        " | RTKLIB the same | fused / filter | error over sigma 50 / 95 % |"
+        " | RTKLIB the same | fused / filter | error over sigma 50 / 95 % | errors above their"
+        " level, horizontal | vertical |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---" * 9 + "|")
     for each in recordings(Path(sys.argv[1])):
         row(each, number)

@@ -21,6 +21,7 @@ from analysis.detection.detector import Detector, run
 from analysis.recordings.recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
+from mavproxy_fault.documents.errors import ConfigError
 
 OUTSIDE = 3.0
 
@@ -31,12 +32,14 @@ def row(recording: Recording) -> str:
     stamps = [s.t_us for s in samples if isinstance(s, Epoch)]
     middle_us = (stamps[0] + stamps[-1]) // 2
     config = DetectorConfig(systems=recording.systems)
-    found = calibrate(part(samples, 0, middle_us), config)
-    fitted = replace(config, sigma=found.sigma)
-    cells = [
-        judged(recording, samples, config),
-        judged(recording, part(samples, middle_us, stamps[-1] + 1), fitted),
-    ]
+    cells = [judged(recording, samples, config)]
+    try:
+        found = calibrate(part(samples, 0, middle_us), config)
+    except ConfigError:  # too few epochs
+        cells.append("- | - | - | - | -")
+    else:
+        fitted = replace(config, sigma=found.sigma)
+        cells.append(judged(recording, part(samples, middle_us, stamps[-1] + 1), fitted))
     return f"| {recording.name}, {recording.systems} | {len(stamps)} | {' | '.join(cells)} |"
 
 

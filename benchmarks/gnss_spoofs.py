@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from gnss_sets import Recording, recordings
+from gnss_sets import Recording, recordings, stanford
 
 from analysis.detection import DetectorConfig
 from analysis.detection.sensors.jamming_watch import JammingWatch
@@ -19,6 +19,7 @@ from analysis.detection.sensors.sensor_tests import References
 from analysis.recordings.recordings import read_rinex
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import pieces
+from analysis.scoring.integrity import Integrity
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.schedule.entries import parse_schedule
 
@@ -60,14 +61,15 @@ SPOOFS: dict[str, list[dict[str, Any]]] = {
 
 class Answer(NamedTuple):
     """Seconds to the first alarm, what was said most while an alarm held (with its exclusions), the
-    largest error while a sigma bounded it and while none did, and epochs during the fault with a
-    position."""
+    largest error while a sigma bounded it and while none did, epochs during the fault with a
+    position, and the counts of levels during the fault."""
 
     alarm_s: float | None
     verdict: str
     bounded_m: float
     unbounded_m: float
     share: float
+    levels: str
 
 
 def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> Answer:
@@ -97,6 +99,8 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
         if decision.position_ecef_m is not None and true_m is not None:
             error_m = float(np.linalg.norm(np.array(decision.position_ecef_m) - true_m))
             (unbounded if decision.position_sigma_m is None else bounded).append(error_m)
+    integrity = Integrity(recording.truth)
+    integrity.add(acting)
     placed = sum(decision.position_ecef_m is not None for decision in acting)
     return Answer(
         (alarms[0] - begin_us) * 1e-6 if alarms else None,
@@ -104,6 +108,7 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
         max(bounded),
         max(unbounded),
         placed / max(len(acting), 1),
+        stanford([integrity]),
     )
 
 
@@ -129,8 +134,11 @@ def main(path: Path) -> None:
         span_s = (epochs[-1].t_us - epochs[0].t_us) * 1e-6
         at_s = min(AT_S, span_s / 3.0)
         print(f"\n## {recording.name}, {recording.systems}\n")
-        print("| spoof | alarm, s | epochs by verdict | error with sigma, m | without | position |")
-        print("|---|---|---|---|---|---|")
+        print(
+            "| spoof | alarm, s | epochs by verdict | error with sigma, m | without | position"
+            " | errors above their level, horizontal | vertical |"
+        )
+        print("|---" * 8 + "|")
         for title, faults in SPOOFS.items():
             one = next(name for name in epochs[0].satellites if name[0] in "GE")
             named = [{k: _with(v, one) for k, v in fault.items()} for fault in faults]
@@ -138,7 +146,7 @@ def main(path: Path) -> None:
             alarm = "-" if found.alarm_s is None else f"{found.alarm_s:.0f}"
             print(
                 f"| {title} | {alarm} | {found.verdict} | {found.bounded_m:.1f}"
-                f" | {found.unbounded_m:.1f} | {100.0 * found.share:.0f} % |",
+                f" | {found.unbounded_m:.1f} | {100.0 * found.share:.0f} % | {found.levels} |",
                 flush=True,
             )
 

@@ -40,6 +40,8 @@ class ArduPilotRequests:
         A plane's way to the ground, where its version has no mode that lands.
     """
 
+    awaiting = False  # its answers are the vehicle's own
+
     def __init__(self, modes: Modes, landing: Sequence[Waypoint] = ()) -> None:
         self._modes, self._landing = modes, landing
         self._asked_mode = -1

@@ -15,13 +15,15 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from analysis.autopilots import ardupilot_program, px4_program
 from analysis.autopilots.flight_operator import Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
-from analysis.autopilots.program import Program, Start
+from analysis.autopilots.program import Program, Start, Unhurried
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.proxied_flight import GROUND, Flight, session
 from analysis.run.run_command import EXIT_CODES, report, tell_idle
@@ -29,6 +31,7 @@ from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
+from analysis.scoring.criteria import Check
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
@@ -131,12 +134,21 @@ def main(args: argparse.Namespace) -> int:
         labels = flown.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     tell_idle(summary, setup.schedule, labels)
+    if reason:
+        tell_early_end(summary, reason)
     summary["autopilot"] = flown.account(reason)
     write_summary(folder, summary)
     if args.report:
         report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
+
+
+def tell_early_end(summary: dict[str, Any], reason: str) -> None:
+    """Put into a summary that the flight was not flown to its end: whatever was seen, it fails."""
+    check = Check(name="flown to the landing", limit="landed", value=reason, passed=False)
+    summary["criteria"].append(msgspec.structs.asdict(check))
+    summary["verdict"] = "FAIL"
 
 
 def check_vehicle(scenario: Scenario) -> None:
@@ -200,6 +212,7 @@ class AutopilotRun:
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.tape)
+        self._unhurried = Unhurried()
         self._recorded_us = self._operator_us = 0
         self._scheduled = False
         self._progress = Progress(time.monotonic())
@@ -216,6 +229,7 @@ class AutopilotRun:
     ) -> str:
         """Fly to the landing; why it did not come to it, or nothing."""
         simulation = self.flight.simulation
+        self._requests = requests
         self._operator = Operator(flight_plan(simulation), requests)
         mav_type, mix = airframe(simulation)
         with program as flying:
@@ -252,6 +266,8 @@ class AutopilotRun:
                 reason = f"{wrong}{flying.last_words()}"
         outward.hear_all()
         self._close()
+        if reason and simulation.truth.battery_remaining <= 0.0:
+            reason += "; the simulated battery was empty"
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
         return reason
@@ -285,6 +301,7 @@ class AutopilotRun:
             self._onlookers.serve()
         t_us = self.flight.vehicle_us
         self._start.hold(t_us)
+        self._unhurried.hold(t_us, awaiting=self._requests.awaiting)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_US

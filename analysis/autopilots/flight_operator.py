@@ -24,11 +24,16 @@ AGAIN_US = 1_000_000
 SETTLED_US = 10_000_000
 REACHED = 0.9  # of the height, where the take-off is over
 OFF_THE_GROUND_M = 1.0
+KINDS = {1: "fixedwing"} | dict.fromkeys((2, 3, 4, 13, 14, 15), "multirotor")  # by MAV_TYPE_
 LYING_S = 30.0  # on the ground with motors on, after which nothing more will come of a flight
 
 
 class Requests(Protocol):
     """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
+
+    @property
+    def awaiting(self) -> bool:
+        """Whether somebody is at work on a request who lives on the wall clock."""
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
         """Give it the mission."""
@@ -113,6 +118,12 @@ class Operator:
             self._armed = bool(int(frame.number("base_mode")) & ARMED)
             if self._armed:
                 self._note("arming")
+            flown = KINDS.get(int(frame.number("type")), "")
+            if flown and self._plan.kind not in ("", flown):
+                self.gave_up = (
+                    f"the autopilot says it flies a {flown}, the scenario's vehicle is a "
+                    f"{self._plan.kind}; give another --binary"
+                )
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
             flags = int(frame.number("flags"))
             # PX4 sets the second flag of every vehicle on the ground
@@ -139,6 +150,8 @@ class Operator:
         Before the program has `started` all of its parts, it is not armed.
         """
         self._t_us, self._started = t_us, started
+        if not started:
+            self._since_us = t_us  # patience is with the vehicle, not with a busy machine
         self._note("first-stamp")
         if not on_ground or "take-off" not in self.moments_us:
             self._aloft_us = t_us

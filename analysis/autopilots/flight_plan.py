@@ -30,12 +30,14 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What is flown: up, along the corners (or nowhere), and after `duration_s` down."""
+    """What is flown: up, along the corners (or nowhere), and after `duration_s` down; by what kind
+    of vehicle, where it is to be checked."""
 
     height_m: float
     duration_s: float  # from leaving the ground
     waypoints: tuple[Waypoint, ...] = ()
     landing: tuple[Waypoint, ...] = ()  # a plane's way to the ground
+    kind: str = ""
 
 
 def flight_plan(simulation: Simulation) -> FlightPlan:
@@ -45,7 +47,7 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
     height_m = HEIGHTS_M[kind]
     landing = runway(simulation, height_m) if kind == "fixedwing" else ()
     if not scenario.mission:
-        return FlightPlan(height_m, scenario.duration_s, landing=landing)
+        return FlightPlan(height_m, scenario.duration_s, landing=landing, kind=kind)
     track = simulation.controller.track
     assert isinstance(track, PathTrack)  # as a scenario with a mission has
     path = track.path
@@ -60,7 +62,7 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
     )
     if not landing:
         height_m = waypoints[0].height_m
-    return FlightPlan(height_m, scenario.duration_s, waypoints, landing)
+    return FlightPlan(height_m, scenario.duration_s, waypoints, landing, kind)
 
 
 def corners(path: Path, longest_m: float, chord_m: float) -> list[int]:

@@ -51,6 +51,12 @@ class MavsdkRequests:
         self._mission: Any = None
         self._under_way: set[str] = set()
         self._granted: set[str] = set()
+        self._sought = False  # no vehicle was found yet when something was to be asked
+
+    @property
+    def awaiting(self) -> bool:
+        """Whether MAVSDK is at a request, or still to find the vehicle for one."""
+        return self._sought or bool(self._under_way)
 
     def close(self) -> None:
         """End MAVSDK."""
@@ -113,6 +119,7 @@ class MavsdkRequests:
         """Ask, unless MAVSDK has not found the vehicle or is at it already."""
         if self._action is None:
             systems = [system for system in self._mavsdk.get_systems() if system.has_autopilot()]
+            self._sought = not systems
             if not systems:
                 return
             self._action, self._mission = Action(systems[0]), MissionRaw(systems[0])

@@ -10,6 +10,7 @@ from pathlib import Path
 from analysis.autopilots.hil_exchange import Ending, StepMessage
 from mavproxy_fault.ardupilot.child_process import ending
 from mavproxy_fault.links.link import Link
+from simvehicle.app.pace import Pace
 
 HOLD_S = 0.02  # wall time by which the flight may be ahead of its pace
 PACE = 4.0  # times real time: slower the flight waits for the start, faster it holds it up
@@ -69,6 +70,27 @@ class Start:
         told = self._program.started in self._program.log.read_text(errors="replace")
         # Another version may use other words.
         self.over = told or time.monotonic() - self._began_s > MOST_START_S
+
+
+class Unhurried:
+    """Keeps a flight to real time while an answer is awaited that runs on the wall clock.
+
+    A flight stands before whatever else runs, the threads of its own operator too: on a busy
+    machine PX4 would have disarmed itself before it heard of the take-off.
+    """
+
+    def __init__(self) -> None:
+        self._pace: Pace | None = None
+
+    def hold(self, t_us: int, *, awaiting: bool) -> None:
+        """Wait until the wall clock is as far as the flight since the question."""
+        if not awaiting:
+            self._pace = None
+            return
+        self._pace = self._pace or Pace(1.0)
+        wait_s = self._pace.wait_s(t_us, time.monotonic())
+        if wait_s >= HOLD_S:
+            time.sleep(wait_s)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.isolation.chi_square import chi_square, p_value
-from analysis.detection.isolation.whole_receiver import LEAPT
+from analysis.detection.isolation.whole_receiver import FOLLOWED, LEAPT
 from analysis.detection.protection import WORST_M, Bounds
 from analysis.detection.sensors.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
@@ -58,10 +58,11 @@ def decision(
 
 def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decision:
     """The decision on the epoch the filter started with."""
-    motion, leapt = begun.motion, core.leapt_m is not None
+    motion = begun.motion
+    unbounded = LEAPT if core.leapt_m is not None else FOLLOWED if core.unbounded else ""
     assert motion is not None
     few = "" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little"
-    bounds = None if leapt else begun.bounds
+    bounds = None if unbounded else begun.bounds
     return Decision(
         t_us=epoch.t_us,
         statistic=begun.statistic,
@@ -73,12 +74,12 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
-        position_sigma_m=None if leapt else _sigma(motion, bounds),
+        position_sigma_m=None if unbounded else _sigma(motion, bounds),
         hpl_m=_level(bounds.hpl_m) if bounds else None,
         vpl_m=_level(bounds.vpl_m) if bounds else None,
         mode="start",
         # One degree of freedom finds a fault, but not whose it is.
-        reason=LEAPT if leapt else few,
+        reason=unbounded or few,
     )
 
 
@@ -100,7 +101,7 @@ def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision
 def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[Result]:
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
     silent = outcome.gap_s > config.gap_s
-    faulty = silent or outcome.imu_blamed
+    faulty = silent or (outcome.imu_blamed and outcome.hypothesis == "imu")
     # Silence is told even without rates to test.
     if not outcome.was_inertial or (outcome.rate is None and not faulty):
         return []

@@ -181,8 +181,7 @@ class Detector:
         history: tuple[Record, ...],
     ) -> tuple[list[Result], Core]:
         config = self.config
-        run_before = history[-1].run if history else None
-        outcome = judge_epoch(epoch.t_us, observed, run, core, config, run_before)
+        outcome = judge_epoch(epoch.t_us, observed, run, core, config, history)
         # One in, one out: the history stays as long as `history_s`.
         if history and history[0].t_us < epoch.t_us - config.history_s * 1e6:
             history = history[1:]
@@ -239,9 +238,8 @@ class Detector:
             if core.motion is None:
                 break
             t_us, observed, run = record.t_us, record.observed, record.run
-            run_before = replayed[-1].run if replayed else None
+            again_found = judge_epoch(t_us, observed, run, core, self.config, replayed)
             replayed.append(Record(t_us, core, observed, run))
-            again_found = judge_epoch(t_us, observed, run, core, self.config, run_before)
             core, bounds = again_found.core, again_found.bounds
         # What the replay found wins over what was known.
         excluded = {**outcome.core.excluded, **core.excluded}
@@ -258,7 +256,14 @@ def run(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 def _forgotten(core: Core) -> Core:
     """The core without its filter."""
     return core._replace(
-        motion=None, excluded={}, frozen=NOTHING_FROZEN, ramps=None, history=(), leapt_m=None
+        motion=None,
+        excluded={},
+        frozen=NOTHING_FROZEN,
+        ramps=None,
+        history=(),
+        leapt_m=None,
+        carried=None,
+        unbounded=False,
     )
 
 
@@ -272,13 +277,14 @@ def _fed_us(core: Core) -> int:
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
     """The core after a gap too long to bridge: its place and its exclusions are still known."""
-    excluded, leapt_m = {}, None
+    excluded, leapt_m, unbounded = {}, None, False
     if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
-        leapt_m = core.leapt_m
+        leapt_m, unbounded = core.leapt_m, core.unbounded
         excluded = {
             name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
         }
-    return _forgotten(core)._replace(excluded=excluded, leapt_m=leapt_m, before=core.motion)
+    known = _forgotten(core)._replace(leapt_m=leapt_m, unbounded=unbounded)
+    return known._replace(excluded=excluded, before=core.motion)
 
 
 def _spaced(core: Core, gap_us: int) -> Core:

@@ -6,6 +6,7 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
 from analysis.detection.isolation.ramp_test import SlowVerdict
 from analysis.detection.protection import Bounds
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.values import Value
 
 
@@ -50,14 +51,15 @@ class Outcome(Value, frozen=True):
 
 def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
     """The hypothesis of the epoch; an isolation holds until it is taken back."""
+    accused = UNDECIDED if core.unbounded else "imu"
     if imu:
-        return "imu"
+        return accused
     if hypothesis != "none":
         return hypothesis
     if leapt:
         return "clock"
     if core.imu_bad_until_us is not None:
-        return "imu"
+        return accused
     if core.leapt_m is not None:
         return "gps"
     return "satellites" if core.excluded else "none"

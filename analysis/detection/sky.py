@@ -30,20 +30,28 @@ STILL = np.zeros(3)
 Dilution = tuple[float | None, float | None]
 
 
-def with_sky(block: Block, results: Sequence[Result], config: DetectorConfig) -> list[Result]:
-    """The results of a whole recording, its decisions with the sky above their position."""
-    samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
-    epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
-    orbits, chosen = orbits_of(block), None
-    found: list[Result] = []
-    for result in results:
-        epoch = epochs.get(result.t_us)
-        if isinstance(result, Decision) and epoch is not None and result.position_ecef_m:
-            if chosen is None or not chosen.serves(epoch):
-                chosen = choose(epoch, orbits, config.systems)
-            result = _seen(result, epoch, chosen)
-        found.append(result)
-    return found
+class RecordedSky:
+    """The sky of a whole recording, for its results in whatever parts they come."""
+
+    def __init__(self, block: Block, config: DetectorConfig) -> None:
+        samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
+        self._epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
+        self._orbits, self._systems = orbits_of(block), config.systems
+        self._chosen: Chosen | None = None
+
+    def above(self, results: Sequence[Result]) -> list[Result]:
+        """The results, decisions with the sky above their position."""
+        return [
+            self._seen(result) if isinstance(result, Decision) else result for result in results
+        ]
+
+    def _seen(self, decision: Decision) -> Decision:
+        epoch = self._epochs.get(decision.t_us)
+        if epoch is None or not decision.position_ecef_m:
+            return decision
+        if self._chosen is None or not self._chosen.serves(epoch):
+            self._chosen = choose(epoch, self._orbits, self._systems)
+        return _seen(decision, epoch, self._chosen)
 
 
 def orbits_of(block: Block) -> dict[str, tuple[Stored, ...]]:

@@ -6,7 +6,8 @@ as when taking a satellite's past back leaves the window underdetermined, the fi
 
 Most of the position's error lasts for minutes and is in both. Where they differ by much less than
 that, neither is known to be nearer, and the filter's position is told: a graph that is not told
-apart cannot be worse.
+apart cannot be worse. Where nothing ties the graph's epochs but a model of motion it is told, too:
+a graph believes ranges less than the filter does, so that it would lag in every turn.
 """
 
 import math
@@ -53,13 +54,15 @@ def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> s
     return ""
 
 
-def told_apart(fused: FusedState, decision: Decision) -> FusedState:
-    """The fused state with the filter's position where the two are not told apart, smoothly the
-    graph's where they are; the weights say how much of it is the filter's."""
+def told_apart(fused: FusedState, decision: Decision, tied: bool = True) -> FusedState:
+    """The fused state with the filter's position where the two are not told apart or nothing `tied`
+    the epoch to the last, smoothly the graph's where they are; the weights say how much of it is
+    the filter's."""
     if decision.position_ecef_m is None or decision.position_sigma_m is None:
         return fused
     ours, theirs = np.array(fused.position_ecef_m), np.array(decision.position_ecef_m)
-    share = weight(math.dist(ours, theirs) / math.hypot(*decision.position_sigma_m), SAME, APART)
+    off = math.dist(ours, theirs) / math.hypot(*decision.position_sigma_m)
+    share = weight(off, SAME, APART) if tied else 1.0
     x, y, z = (ours + share * (theirs - ours)).tolist()
     return msgspec.structs.replace(
         fused, position_ecef_m=(x, y, z), weights=fused.weights | {FILTER: share}

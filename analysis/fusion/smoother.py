@@ -110,7 +110,7 @@ class Fusion:
         if self.config.decide:
             if _unbounded(sample, decision):
                 return [], state
-            fused = told_apart(fused, decision)
+            fused = told_apart(fused, decision, _tied(fused, state))
         state.last = fused
         return [fused], state
 
@@ -216,7 +216,7 @@ class Fusion:
             self._drop_outliers(graph)
         state.excluded = excluded
         state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
-        weights = used | dict.fromkeys(excluded, 0.0)
+        weights = used | dict.fromkeys(sorted(excluded), 0.0)
         fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
         return fused
@@ -366,6 +366,17 @@ def _unbounded(sample: Sample, decision: Decision) -> bool:
     """Whether the filter follows ranges that nothing bounds: what is made of them is told by it."""
     placed = decision.position_ecef_m is not None
     return isinstance(sample, Epoch) and placed and decision.position_sigma_m is None
+
+
+def _tied(fused: FusedState, state: FusionState) -> bool:
+    """Whether something measured what happened since the last epoch, or another sensor sees it."""
+    graph = state.graph
+    ranges = graph.epochs[graph.node.epoch].ranges if graph is not None else None
+    if ranges is None or ranges.tell_motion:
+        return True
+    return any(
+        share > 0.0 and name not in ranges.satellites for name, share in fused.weights.items()
+    )
 
 
 def _first_line(error: Exception) -> str:

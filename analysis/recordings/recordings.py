@@ -77,7 +77,7 @@ def read_rinex(
     if not epochs:
         raise ConfigError(f"{observations}: has no epoch with a pseudorange that can be read")
     broadcast += [sample for path in files for sample in read_navigation(path)]
-    _check_orbits(observations, files or [observations], epochs, broadcast)
+    _check_orbits(observations, files, epochs, broadcast)
     parts = [] if imu is None else [_read_imu(imu)]
     for part in parts:
         _check_overlap(imu, part, epochs)
@@ -102,10 +102,12 @@ def _check_orbits(
     broadcast: Sequence[EphemerisSample | IonosphereSample],
 ) -> None:
     """Refuse navigation files without an orbit that holds within the observations."""
-    named = ", ".join(str(path) for path in files)
+    named = ", ".join(str(path) for path in files or [observations])
     orbits = [s.ephemeris for s in broadcast if isinstance(s, EphemerisSample)]
     if not orbits:
-        raise ConfigError(f"{named}: no ephemeris that can be read; GPS, Galileo and others can")
+        # A receiver's own log may come without, if it was not asked for what the satellites sent.
+        beside = "GPS, Galileo and others can" if files else "give a navigation file of that day"
+        raise ConfigError(f"{named}: no ephemeris that can be read; {beside}")
     begin_s, end_s = (epochs[i].t_us * 1e-6 for i in (0, -1))
     if any(
         begin_s - orbit.fit_half_s <= orbit.week * WEEK_S + orbit.toe_s <= end_s + orbit.fit_half_s

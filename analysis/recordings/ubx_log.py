@@ -94,7 +94,7 @@ def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
         raise ConfigError(
             f"{path}: has no whole UBX-RXM-RAWX; let the receiver send it, and UBX-RXM-SFRBX"
         )
-    found = (_epoch(payload) for payload in payloads[RAWX])
+    found = (rawx_epoch(payload) for payload in payloads[RAWX])
     epochs = [epoch for epoch in found if epoch is not None]
     near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
     return epochs, list(_broadcasts(payloads[SFRBX], near_s))
@@ -151,8 +151,9 @@ def _checksum(body: bytes) -> bytes:
     return bytes([int(values.sum()) & 255, int(values @ weights) & 255])
 
 
-def _epoch(payload: bytes) -> Epoch | None:
-    """An epoch; None before the receiver knows the time, and without a range that it trusts."""
+def rawx_epoch(payload: bytes) -> Epoch | None:
+    """The epoch of a RAWX message; None before the receiver knows the time, and without a range
+    that it trusts."""
     count = (len(payload) - HEAD.itemsize) // RANGE.itemsize
     if count < 0:
         return None

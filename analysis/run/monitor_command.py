@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from analysis.detection.sky import with_sky
+from analysis.detection.sky import RecordedSky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
@@ -21,6 +21,7 @@ from analysis.recordings.receiver_logs import is_receiver_log
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
+from analysis.run.run_progress import RunProgress
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
@@ -32,9 +33,10 @@ from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.schedule.entries import read_schedule
+from mavproxy_fault.schedule.entries import never_acted, read_schedule
 from mavproxy_fault.wire.label import Label, newest, read_labels
 
+PART_ROWS = 500  # of a recording at once: a stop is looked for between two
 # NO VERDICT is no failure: nothing was asked, or nothing could be judged.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
@@ -57,6 +59,7 @@ def main(args: argparse.Namespace) -> int:
     # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:
         read_known(args.labels)  # a wrong name is told before the work, not after
+    recorded = None if args.rinex is None else rinex_block(args)  # refused before there is a folder
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     started_s = time.monotonic()
@@ -75,12 +78,20 @@ def main(args: argparse.Namespace) -> int:
             if watch is not None:
                 watch.show(results)
 
-        injected = _feed(args, monitor, deliver, stack.enter_context(stop_requests()))
+        stop = stack.enter_context(stop_requests())
+        injected = None if recorded is None else recorded[1]
+        if recorded is not None:
+            watch_recording(recorded[0], monitor, deliver, stop)
+        else:
+            _feed(args, monitor, deliver, stop)
     # Read at the end again: by now the proxy has written its labels.
     labels = read_known(args.labels) if injected is None else newest(injected)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    if injected is not None:
+        faults = read_schedule(args.schedule)
+        summary["never_acted"] = never_acted(faults, {label.id for label in injected})
     if reference is not None:
         summary["integrity"] = integrity.summary()
     if folder is not None:
@@ -136,22 +147,28 @@ def read_known(path: str | None) -> list[Label] | None:
     return None if path is None else read_labels(Path(path))
 
 
-def _feed(
-    args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop
-) -> list[Label] | None:
-    """Watch the source to its end; the labels of the faults that were put into it, if any were."""
+def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
+    """Watch a link or a log to its end."""
     if args.link is not None:
         watch_link(args.link, monitor, deliver, args.for_s, stop)
-        return None
-    if args.rinex is not None:
-        block, labels = rinex_block(args)
-        deliver(with_sky(block, monitor.push(block), monitor.detector))
-        return labels
+        return
     for block in read_log(args.log):
         deliver(monitor.push(block))
         if stop():
             break
-    return None
+
+
+def watch_recording(block: Block, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
+    """Feed the monitor from a whole recording, some rows at a time: a day takes a minute."""
+    sky, count = RecordedSky(block, monitor.detector), len(block.kind)
+    spans_s = (block.t_us - block.t_us[0]) * 1e-6
+    with RunProgress(float(spans_s[-1]), "judging") as progress:
+        for begin in range(0, count, PART_ROWS):
+            end = min(begin + PART_ROWS, count)
+            deliver(sky.above(monitor.push(block.between(begin, end))))
+            progress.show(float(spans_s[end - 1]))
+            if stop():
+                break
 
 
 def blocks_of(args: argparse.Namespace) -> Iterator[Block]:

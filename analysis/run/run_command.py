@@ -29,6 +29,7 @@ from mavproxy_fault.live.session import Live
 from mavproxy_fault.schedule.entries import Schedule, never_acted
 from mavproxy_fault.wire.label import Label, read_labels
 from mavproxy_fault.wire.tlog import Columns, read_columns
+from simvehicle.app.battery_watch import BatteryWatch
 from simvehicle.app.pace import Pace, parse_speed
 
 RECORD_US = 200_000  # simulated time between writes to the logs
@@ -116,6 +117,7 @@ def fly(
     """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
+        battery = BatteryWatch(progress.say)
         with stop_requests() as stop:
             # A stop is looked for between two steps: logs stay whole.
             while not (flight.over or stop()):
@@ -138,12 +140,14 @@ def fly(
                 if flight.t_us - recorded_us >= RECORD_US:
                     recorded_us = flight.t_us
                     labels = flight.drain_labels()
+                    battery.look(flight.simulation.truth)
                     recorder.write(flight.tape, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     # Somebody may watch: results must not wait for a full batch.
                     if together or math.isfinite(pace.speed):
                         deliver(monitor.feed(b"", now=True))
-                    progress.show(flight.t_us * 1e-6, flight.engine.active)
+                    acting = ", ".join(flight.engine.active) or "no fault"
+                    progress.show(flight.t_us * 1e-6, acting)
         # After the loop too: a stop ends the faults as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.tape, flight.drain_labels())

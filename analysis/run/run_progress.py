@@ -1,8 +1,7 @@
-"""Progress of a run on the terminal: simulated time, speed and the faults that act."""
+"""Progress on the terminal: time flown or judged, speed, and the faults that act."""
 
 import sys
 import time
-from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -14,8 +13,8 @@ REDRAW_S = 0.2
 class RunProgress:
     """A bar on a terminal; into a file or a pipe, a line every tenth of the way."""
 
-    def __init__(self, total_s: float) -> None:
-        self._total_s = total_s
+    def __init__(self, total_s: float, doing: str = "flying") -> None:
+        self._total_s, self._doing = total_s, doing
         self._start_s = time.monotonic()
         self._next_s = 0.0
         self._tenth = 0
@@ -28,7 +27,7 @@ class RunProgress:
             console=self._console,
             disable=not self._console.is_terminal,
         )
-        self._task = self._bar.add_task("flying", total=total_s, status="")
+        self._task = self._bar.add_task(doing, total=total_s, status="")
 
     def __enter__(self) -> "RunProgress":
         self._bar.start()
@@ -47,15 +46,19 @@ class RunProgress:
         """Wall time since the start."""
         return time.monotonic() - self._start_s
 
-    def show(self, sim_s: float, active: Sequence[str]) -> None:
-        """Draw the state of the run, at most a few times a second."""
+    def say(self, text: str) -> None:
+        """A line of its own, above the bar."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def show(self, sim_s: float, beside: str = "") -> None:
+        """Draw how far it is, and what stands beside it, at most a few times a second."""
         now_s = self.elapsed_s
         # Drawing takes longer than a step of the flight.
         if now_s < self._next_s:
             return
         self._next_s = now_s + REDRAW_S
         speed = sim_s / now_s if now_s > 0 else 0.0
-        status = f"{sim_s:6.1f} s  x{speed:.1f}  {', '.join(active) or 'no fault'}"
+        status = f"{sim_s:6.1f} s  x{speed:.1f}  {beside}"
         if self._console.is_terminal:
             self._bar.update(self._task, completed=sim_s, status=status)
             return
@@ -63,4 +66,4 @@ class RunProgress:
         tenth = int(10 * sim_s / self._total_s) if self._total_s else 0
         if tenth > self._tenth:
             self._tenth = tenth
-            print(f"flying {status}", file=sys.stderr, flush=True)
+            print(f"{self._doing} {status}", file=sys.stderr, flush=True)

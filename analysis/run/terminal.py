@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
+MANY = 20.0  # alarms an hour; noise as assumed brings at most 1 at 1 Hz, 8 at 10 Hz
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
@@ -26,26 +27,14 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(f"attitude RMSE   {axes} degrees")
     if summary["position_rmse_m"] is not None:
         console.print(f"position RMSE   {summary['position_rmse_m']:.2f} m")
-    for name, row in summary.get("position_error", {}).items():
-        console.print(
-            f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
-            f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
-            f"{row['vertical_95_m']:.2f} m vertical; over its sigma {row['over_sigma_50']}, "
-            f"{row['over_sigma_95']}",
-            soft_wrap=True,
-        )
-    for name, row in summary.get("integrity", {}).items():
-        console.print(
-            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
-            f" in {row['misleading']} of {row['with_level']} epochs (most"
-            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
-            f" in {100 * row['available_share']:.1f} %",
-            soft_wrap=True,
-        )
+    _print_errors(console, summary)
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
-        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}"
+        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
+        soft_wrap=True,
     )
+    for reason, count in summary["untestable_reasons"].items():
+        console.print(f"untestable      {count} times: {reason}", soft_wrap=True)
     for limit in _limits(summary):
         console.print(f"cannot tell     {limit}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():
@@ -71,6 +60,26 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     console.print(f"verdict         {_coloured(summary['verdict'])}")
     if folder is not None and (folder / "report.html").is_file():
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
+    """Print errors against the truth, and protection levels."""
+    for name, row in summary.get("position_error", {}).items():
+        console.print(
+            f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
+            f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
+            f"{row['vertical_95_m']:.2f} m vertical; over its sigma {row['over_sigma_50']}, "
+            f"{row['over_sigma_95']}",
+            soft_wrap=True,
+        )
+    for name, row in summary.get("integrity", {}).items():
+        console.print(
+            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
+            f" in {row['misleading']} of {row['with_level']} epochs (most"
+            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
+            f" in {100 * row['available_share']:.1f} %",
+            soft_wrap=True,
+        )
 
 
 def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -105,6 +114,12 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
     # With an IMU the first seconds have none yet: its attitude is being found.
     if 2 * summary["epochs_without_imu"] > epochs:
         found.append("without an IMU satellites that are carried off all together are believed")
+        # Nobody knows which alarms are false, and a plain antenna on the ground has a hundred.
+        if summary["false_alarms"] is None and summary["alarms"] * 3600.0 > MANY * summary["sim_s"]:
+            found.append(
+                "satellites that are at fault from a receiver noisier than assumed:"
+                " --calibrate fits the noise to a recording that is sound"
+            )
     if summary["unbounded_epochs"]:
         found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
     return found

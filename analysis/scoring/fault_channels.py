@@ -91,6 +91,10 @@ LOSSES = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     "sequence-gap",
 )
+HARMLESS = {  # nobody has anything to say of them
+    "command": "a command to the vehicle falsifies nothing",
+    "duplicate": "what comes twice is as it was",
+}
 IN_RECEIVER = re.compile(
     r"receiver_off|(cn0_drop_db|pseudorange_m|range_rate_mps|satellite_lost|spoof_\w+)\[\w+\]"
 )
@@ -100,10 +104,8 @@ def sight(label: Label) -> Sight:
     """Who can see the fault of a label."""
     if label.fault == "gps-spoof":
         return RECEIVER_SIGHT
-    if label.fault == "command":
-        return Sight(frozenset(), reason="a command to the vehicle falsifies nothing")
-    if label.fault == "duplicate":
-        return Sight(frozenset(), reason="what comes twice is as it was")
+    if label.fault in HARMLESS:
+        return Sight(frozenset(), reason=HARMLESS[label.fault])
     if not label.targets:
         return _of_link(label.fault)
     found = [

@@ -13,7 +13,7 @@ import msgspec
 
 from analysis.results import EITHER
 from analysis.scoring.alarm_windows import Window, without
-from analysis.scoring.fault_channels import RECEIVER, Sight, sight
+from analysis.scoring.fault_channels import HARMLESS, RECEIVER, Sight, sight
 from mavproxy_fault.wire.label import Label
 
 RECOVERY_S = 10.0  # alarms so long after the first epoch behind a fault are its echo
@@ -107,7 +107,8 @@ def _watch(label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset())
     # The first sound fix after a receiver's fault shows no more than the way back.
     of_receiver = any(culprits >= RECEIVER for culprits in seen.culprits)
     until_us = end_us if of_receiver else end_us + epoch_us
-    return _Watch(label, seen, until_us, echo_us, witnesses)
+    asked = frozenset[str]() if label.fault in HARMLESS else witnesses
+    return _Watch(label, seen, until_us, echo_us, asked)
 
 
 def _outcome(

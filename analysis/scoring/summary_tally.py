@@ -2,6 +2,7 @@
 and of a few numbers an epoch.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,7 @@ from mavproxy_fault.wire.label import Label
 
 Placed = Decision | FusedState  # results that tell a position
 FILTER = "filter"  # the detector's own position among the solutions
+SHOWN_REASONS = 3  # the most frequent
 EPOCH_US = 1_000_000  # between epochs, where too few came to tell
 
 
@@ -31,7 +33,7 @@ class Tally:
 
     def __init__(self, reference: PositionReference | None = None, *, link: bool = True) -> None:
         self.epochs = 0
-        self.untestable = 0
+        self.untestable: Counter[str] = Counter()  # epochs by the reason
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
@@ -99,7 +101,8 @@ class Tally:
         first_us = self._epochs_us[0] if self.epochs else result.t_us
         self._epochs_us = first_us, result.t_us
         self.epochs += 1
-        self.untestable += result.hypothesis == "untestable"
+        if result.hypothesis == "untestable":
+            self.untestable[result.reason] += 1
         self.unexplained += result.hypothesis == "multiple-unknown"
         self.without_imu += result.mode in ("free", "start")
         placed = result.position_ecef_m is not None
@@ -160,7 +163,8 @@ class Tally:
             "false_alarms": None if false is None else sum(r.outside + r.inside for r in false),
             "false_by_channel": None if false is None else msgspec.to_builtins(false),
             "alarms": len(windows),
-            "untestable_epochs": self.untestable,
+            "untestable_epochs": self.untestable.total(),
+            "untestable_reasons": dict(self.untestable.most_common(SHOWN_REASONS)),
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "unexplained_epochs": self.unexplained,
             "epochs_without_imu": self.without_imu,

@@ -5,6 +5,7 @@ import contextlib
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
@@ -174,9 +175,11 @@ def main(args: argparse.Namespace) -> int:
     offer = Offer(args.allow_commands, Path(args.sequences) if args.sequences else None)
     server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config, offer)
     print(f"page: {address}", flush=True)
+    begun_s = time.monotonic()
     try:
         with contextlib.suppress(KeyboardInterrupt):
             server.run([bound])
     finally:
         source.close()
+    print(f"stopped after {time.monotonic() - begun_s:.0f} s", flush=True)
     return 0

@@ -117,8 +117,9 @@ def curves(entry: Entry, seed: int) -> list[Curve]:
         return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
     elements = getattr(entry.fault, "elements", {})
     if elements:
-        number, places = next(iter(elements.items()))
         # The first message stands for all of the target.
+        number, first = next(iter(elements.items()))
+        places = [(one.name, one.item) for one in first]
         return _field_curves(engine, known(number).name, places, begin_s, end_s)
     if entry.targets and entry.targets[0].startswith(("PLANT.", "PSEUDORANGE.")):
         return _plant_curves(engine, begin_s, end_s)

@@ -87,36 +87,47 @@ class Recorder:
         # Labels and edits are few and wait for better times; frames are too many.
         self._labels += labels
         self._edits += edits
-        data = {
-            RECEIVED: drained.received,
-            RECEIVED_OTHER: drained.received_other,
-            INDEX: drained.index,
-            SENT: drained.sent,
-            SENT_OTHER: drained.sent_other,
-            LABELS: encoded(self._labels) if self._labels else b"",
-            EDITS: encoded(self._edits) if self._edits else b"",
-        }
         try:
+            data = {
+                RECEIVED: drained.received,
+                RECEIVED_OTHER: drained.received_other,
+                INDEX: drained.index,
+                SENT: drained.sent,
+                SENT_OTHER: drained.sent_other,
+                LABELS: encoded(self._labels) if self._labels else b"",
+                EDITS: encoded(self._edits) if self._edits else b"",
+            }
             if self._is_gone():
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
                 # New files begin with this tape: the index counts from their start.
                 before = tape.start_again(tape.count - before)
             self._append(data)
-        except OSError as error:
-            # The index must fit the files: what was not written has not come.
-            self.lost += tape.count - before
-            tape.start_again(before)
-            self._edits = [edit.at_record(before) for edit in self._edits]
-            # Said once, not each second.
-            if self.failing is None:
-                LOG.warning("recording stops, forwarding goes on: %s", error)
-            self.failing = str(error)
+        except (OSError, MemoryError) as error:
+            self._note_loss(tape, before, str(error) or "no memory")
             return
         self._labels, self._edits = [], []
         if self.failing is not None:
             LOG.warning("recording goes on; %d records are missing", self.lost)
             self.failing = None
+
+    def skip(self, tape: Tape, why: str, more: int = 0) -> None:
+        """Empty a tape without writing it down, and so many records more that never came to it."""
+        before = tape.drained
+        tape.clear()
+        self.lost += more
+        self._note_loss(tape, before, why)
+
+    def _note_loss(self, tape: Tape, before: int, why: str) -> None:
+        """Count a tape that was not written; `before` are the records that are in the files."""
+        # The index must fit the files: what was not written has not come.
+        self.lost += tape.count - before
+        tape.start_again(before)
+        self._edits = [edit.at_record(before) for edit in self._edits]
+        # Said once, not each second.
+        if self.failing is None:
+            LOG.warning("recording stops, forwarding goes on: %s", why)
+        self.failing = why
 
     def _is_gone(self) -> bool:
         """Whether somebody removed the files."""
@@ -128,7 +139,7 @@ class Recorder:
         try:
             for name, added in data.items():
                 _write_whole(self._files[name], added)
-        except OSError:
+        except (OSError, MemoryError):
             for name, size in self._sizes.items():
                 with contextlib.suppress(OSError):
                     # Half a record would make the rest of the file unreadable by its index.

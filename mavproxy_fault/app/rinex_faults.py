@@ -1,6 +1,7 @@
 """Faults on a RINEX observation file: the schedule's engine on its epochs, one after the other."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rinex.rinex_text import PACKED, header_of, read_rinex_text
 from mavproxy_fault.rinex.signal_change import Sky, needs_sky, signal_changes
 from mavproxy_fault.rinex.signal_fields import write_change
-from mavproxy_fault.schedule.entries import Entry, Schedule, read_schedule
+from mavproxy_fault.schedule.entries import Entry, Schedule, never_acted, read_schedule
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.plant_names import SIGNALS
 
@@ -50,6 +51,8 @@ def replay_rinex(args: argparse.Namespace) -> int:
     beside = out.with_suffix(out.suffix + ".labels.jsonl")
     beside.write_bytes(encoded(labels))
     print(f"{out}\n{beside}")
+    for word in never_acted(schedule, {label.id for label in labels}):
+        print(f"never acted: {word}: it met nothing that it names", file=sys.stderr)
     return 0
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 TEND_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
+RESERVE = 8 << 20  # bytes given back to the system when it has no more for us
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
@@ -67,6 +68,8 @@ class Server:
         self._wake: int | None = None
         self.live: Live | None = None
         self.coming: Future[Live] | None = None  # live control that is still being opened
+        self.sheds = 0  # how often the system gave no more memory
+        self._reserve: bytearray | None = bytearray(RESERVE)
 
     def now_us(self) -> int:
         """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
@@ -84,13 +87,45 @@ class Server:
         self._wake = None if wake is None else wake.fileno()
         try:
             while not self._stopping:
-                if self._forwarder is not None:
-                    self._step_compiled(self._forwarder)
-                else:
-                    self._step_interpreted()
-                self._keep_time()
+                try:
+                    self._step()
+                except MemoryError:
+                    self._shed()
         finally:
+            self._reserve = None  # the end needs some memory, too
             self._finish()
+
+    def _step(self) -> None:
+        """Wait for whatever comes next, pass it on, and do what the clock asks for."""
+        if self._forwarder is not None:
+            self._step_compiled(self._forwarder)
+        else:
+            self._step_interpreted()
+        self._keep_time()
+
+    def _shed(self) -> None:
+        """Go on with less where the system gives no more memory: without recording, at first.
+
+        What was in hand at that moment is lost.
+        """
+        self._reserve = None
+        if not self.sheds:
+            LOG.warning("no memory: what was in hand is lost, forwarding goes on")
+        self.sheds += 1
+        self._give_up_tape("no memory")
+
+    def _give_up_tape(self, why: str) -> None:
+        """Let go of what waits to be recorded, and count it."""
+        more = 0 if self._forwarder is None else self._forwarder.drop_tape()
+        if self.recorder is not None and self.tape is not None:
+            self.recorder.skip(self.tape, why, more)
+
+    def _has_memory(self) -> bool:
+        """Whether the reserve is there, or could be had again."""
+        if self._reserve is None:
+            with suppress(MemoryError):
+                self._reserve = bytearray(RESERVE)
+        return self._reserve is not None
 
     def _waited(self) -> list[int]:
         """Descriptors to wait on besides the links."""
@@ -215,7 +250,10 @@ class Server:
         count = 0
         for stream, data in link.read():
             count += 1
-            self._carry_out(core.received(number, data, now_us, stream=stream))
+            try:
+                self._carry_out(core.received(number, data, now_us, stream=stream))
+            except MemoryError:  # here, so that the others of the batch are not lost with it
+                self._shed()
         if count:
             self.latencies[number].add(time.monotonic_ns() - started_ns, count)
 
@@ -270,6 +308,9 @@ class Server:
         """Write and publish what has been gathered since the last time."""
         # Labels then stay where they are: whoever uses the core drains them.
         if self.recorder is None and self.live is None:
+            return
+        if not self._has_memory() and not self._stopping:
+            self._give_up_tape("no memory")
             return
         labels = self.core.drain_labels()
         if self.recorder is not None and self.tape is not None:

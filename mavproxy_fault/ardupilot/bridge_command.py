@@ -35,7 +35,8 @@ class FlightEndError(RuntimeError):
 
 
 def main(args: argparse.Namespace) -> int:
-    """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed."""
+    """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed, or the
+    program by a failure of its own."""
     check_lines(args)
     words = [] if args.command is None else check_command(args.command)
     own = checked_parameters(args.parameters)
@@ -54,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
             Exchange(link, autopilot, say).run(hello(args.vehicle))
         except FlightEndError as end:
             say(str(end))
-            return int(autopilot.armed)
+            return int(autopilot.armed or bool(autopilot.poll()))
         except KeyboardInterrupt:
             say("stopped")
     return 0

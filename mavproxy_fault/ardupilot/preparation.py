@@ -4,7 +4,7 @@ Devices that SITL has never seen must be calibrated before arming. Both calibrat
 vehicle at rest: the simple one of the accelerometer, and the compass' from a known heading.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mavproxy_fault.ardupilot.hil_readings import TrueState
@@ -15,7 +15,12 @@ from mavproxy_fault.wire.frame import Frame, build
 
 COMMAND_LONG, PARAM_REQUEST_READ = known("COMMAND_LONG"), known("PARAM_REQUEST_READ")
 PREFLIGHT_CALIBRATION, SET_MESSAGE_INTERVAL, FIXED_MAG_CAL_YAW = 241, 511, 42006  # MAV_CMD_
-OUTPUTS_US = 10_000.0  # 100 Hz of SERVO_OUTPUT_RAW are 5 kB/s
+STREAMS_US = {  # of a board, which tells nothing by itself: 6 kB/s
+    "SERVO_OUTPUT_RAW": 10_000.0,
+    "GLOBAL_POSITION_INT": 200_000.0,
+    "ATTITUDE": 100_000.0,
+    "EKF_STATUS_REPORT": 500_000.0,
+}
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
 AGAIN_US = 1_000_000
@@ -39,13 +44,12 @@ class Preparation:
     ----------
     at_rest : TrueState
         Where the vehicle stands and which way it points.
-    first : Request, optional
+    first : sequence of Request
         What is asked before all.
     """
 
-    def __init__(self, at_rest: TrueState, first: Request | None = None) -> None:
-        self._pending = [] if first is None else [first]
-        self._pending += [*map(_read_back, REQUIRED), _accelerometer(), _compass(at_rest)]
+    def __init__(self, at_rest: TrueState, first: Sequence[Request] = ()) -> None:
+        self._pending = [*first, *map(_read_back, REQUIRED), _accelerometer(), _compass(at_rest)]
         self._again_us = 0
 
     @property
@@ -93,10 +97,16 @@ def _read_back(name: str) -> Request:
     return Request(name, build(PARAM_REQUEST_READ, values, component=COMPONENT), answered)
 
 
-def servo_outputs() -> Request:
-    """SERVO_OUTPUT_RAW as a stream, for a board whose outputs come no other way."""
-    values = {"param1": float(known("SERVO_OUTPUT_RAW").id), "param2": OUTPUTS_US}
-    return _command("stream of outputs", SET_MESSAGE_INTERVAL, values)
+def streams() -> list[Request]:
+    """Outputs, which a board has no other way to tell, and what conditions and reports look at."""
+    return [
+        _command(
+            f"stream of {name}",
+            SET_MESSAGE_INTERVAL,
+            {"param1": float(known(name).id), "param2": interval_us},
+        )
+        for name, interval_us in STREAMS_US.items()
+    ]
 
 
 def _accelerometer() -> Request:

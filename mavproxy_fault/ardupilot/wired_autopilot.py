@@ -15,7 +15,7 @@ from mavproxy_fault.ardupilot.observation import Observation, Seen
 from mavproxy_fault.ardupilot.outputs import CHANNELS as OUTPUTS
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, actuator_frame
 from mavproxy_fault.ardupilot.parameters import Kind
-from mavproxy_fault.ardupilot.preparation import Preparation, servo_outputs
+from mavproxy_fault.ardupilot.preparation import Preparation, streams
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link, LinkCounters
 from mavproxy_fault.wire.frame import Frame
@@ -96,7 +96,7 @@ class WiredAutopilot:
         self._seen = seen
         self._feed = SensorFeed(seen.home)
         self._companion = CompanionFeed()
-        self._preparation = Preparation(seen.home, servo_outputs())
+        self._preparation = Preparation(seen.home, streams())
         self._say(f"feeding the board, {seen.fitted.rate_hz:g} steps a second")
 
     def _end_step(self, seen: Seen) -> None:

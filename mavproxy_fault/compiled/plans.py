@@ -3,30 +3,33 @@
 The first frame that a fault changes, and with it the label, goes the interpreted way, as do the
 drawing of segments and the value that is frozen; its rows say what to do with the next ones. Noise
 is drawn ahead in blocks; before the interpreted way may draw again, its generator is set back to
-where the compiled form stopped, so that both give the same bytes.
+where the compiled form stopped, so that both give the same bytes. numpy is not loaded for this: it
+would hold up the first frame on which a fault acts.
 """
 
 import itertools
 import math
+from array import array
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
-from mavproxy_fault.faults.elements import Element
 from mavproxy_fault.faults.freeze import Freeze
 from mavproxy_fault.faults.noise_fault import Noise
 from mavproxy_fault.faults.value_fault import each
 from mavproxy_fault.proxy.active_entry import Running
-from mavproxy_fault.wire.dialect import Field, Layout
+from mavproxy_fault.wire.dialect import Layout
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
 WAYS = {"to-vehicle": 0, "from-vehicle": 1}
 CODES = "bBhHiIfd"  # 64-bit integers do not fit the kernel's arithmetic
 KINDS = (Bias, Scale, Constant, Drift, Noise, Freeze)
-Values = Sequence[float]
+Plan = list[int]  # a row, as it is made
+Numbers = list[list[float]]  # VALUE and LIMIT of each element
 
 
 class Planned(NamedTuple):
@@ -48,12 +51,13 @@ class Plans:
     """The rows of all planned faults, and the random numbers drawn ahead for them."""
 
     def __init__(self) -> None:
-        self.rows = np.zeros((k.MOST_PLANS, k.PLAN_SIZE), np.int64)
-        self.numbers = np.zeros((k.MOST_PLANS, 2))
-        self.hits = np.zeros((k.MOST_PLANS, 4), np.int64)
-        self.steps = np.full(k.MOST_PLANS, -1.0)
-        self.segments = np.zeros((k.MOST_SEGMENTS, 4))
-        self.draws = np.zeros(k.MOST_DRAWN * k.BLOCK)
+        self.rows = k.table("q", k.MOST_PLANS, k.PLAN_SIZE)
+        self.numbers = k.table("d", k.MOST_PLANS, 2)
+        self.hits = k.table("q", k.MOST_PLANS, 4)
+        self.steps = k.table("d", k.MOST_PLANS)
+        self.steps[:] = array("d", [-1.0]) * k.MOST_PLANS
+        self.segments = k.table("d", k.MOST_SEGMENTS, 4)
+        self.draws = k.table("d", k.MOST_DRAWN * k.BLOCK)
         self._planned: list[Planned] = []
         self._states: list[Any] = []  # of the generators, where their blocks begin
         self._rows_used = self._segments_used = self._blocks_used = 0
@@ -99,53 +103,50 @@ class Plans:
 
     def _entangled(self, rows: Sequence[int]) -> bool:
         """Whether a fault that has changed nothing yet shares an element with another one."""
-        places = [{int(o) for o in self.rows[r : r + self.rows[r, k.ROWS], k.OFFSET]} for r in rows]
+        places = [
+            {self.rows[row, k.OFFSET] for row in range(first, first + self.rows[first, k.ROWS])}
+            for first in rows
+        ]
         shared = len(set().union(*places)) < sum(len(one) for one in places)
         return shared and any(self.rows[row, k.WAITS] > 0 for row in rows)
 
     def _one(self, layout: Layout, running: Running) -> Planned:
         """Write a fault's rows, where it can be carried out there."""
         fault, where = running.fault, running.entry.where
-        places = fault.elements.get(layout.id, ())
-        fields = [layout.fields[name] for name, _ in places]
+        elements = fault.elements.get(layout.id, ())
         first = self._rows_used
         none = Planned(-1, running, fault, stage(running))
         if (
             running.entry.probability < 1
             or layout.id in fault.factors  # its values are in another message's unit
-            or first + len(places) > k.MOST_PLANS
-            or any(field.code not in CODES for field in fields)
+            or first + len(elements) > k.MOST_PLANS
+            or any(one.code not in CODES for one in elements)
         ):
             return none
-        plan = self.rows[first]
-        plan[:] = -1
-        plan[k.ROWS], plan[k.START] = len(places), running.start_us
+        plan = [-1] * k.PLAN_SIZE
+        plan[k.ROWS], plan[k.START] = len(elements), running.start_us
         plan[k.WAITS] = running.first_us is None or running.unannounced
         plan[k.SYSTEM : k.DIRECTION + 1] = [
             -1 if one is None else one
             for one in (where.system, where.component, WAYS.get(where.direction or ""))
         ]
-        block = self._source(layout, running, plan, places)
+        numbers: Numbers = [[0.0, 0.0] for _ in elements]
+        block = self._source(layout, running, plan, numbers)
         if plan[k.SOURCE] < 0:
             return none
-        self._elements(first, fields, places)
-        self.hits[first], self.steps[first] = 0, -1.0
-        self._rows_used += len(places)
+        _write(self.rows, first, [plan])
+        _write(self.numbers, first, numbers)
+        for row, one in enumerate(elements, first):
+            self.rows[row, k.OFFSET], self.rows[row, k.CODE] = one.start, ord(one.code)
+        self._forget_hits(first)
+        self._rows_used += len(elements)
         return none._replace(first=first, block=block)
-
-    def _elements(self, first: int, fields: list[Field], places: tuple[Element, ...]) -> None:
-        for n, (field, (_, index)) in enumerate(zip(fields, places, strict=True)):
-            self.rows[first + n, k.OFFSET] = field.offset + index * field.size
-            self.rows[first + n, k.CODE] = ord(field.code)
 
     # What meets the healthy value
 
-    def _source(
-        self, layout: Layout, running: Running, plan: Any, places: tuple[Element, ...]
-    ) -> int | None:
+    def _source(self, layout: Layout, running: Running, plan: Plan, numbers: Numbers) -> int | None:
         """Fill in mode, source and numbers; the source stays -1 if the fault cannot be planned."""
-        fault, first, count = running.fault, self._rows_used, len(places)
-        numbers = self.numbers[first : first + count]
+        fault, count = running.fault, len(numbers)
         plan[k.MODE] = k.ADD
         if isinstance(fault, Freeze):
             self._frozen(layout, running, plan, numbers)
@@ -153,16 +154,16 @@ class Plans:
             return self._noise(fault, plan, numbers)
         elif isinstance(fault, Drift):
             plan[k.SOURCE] = k.GROWS
-            numbers[:, k.VALUE] = each(fault.value, count)
-            numbers[:, k.LIMIT] = math.inf if fault.limit is None else fault.limit
+            _fill(numbers, k.VALUE, each(fault.value, count))
+            _fill(numbers, k.LIMIT, [math.inf if fault.limit is None else fault.limit] * count)
         elif fault.profile is None:
             plan[k.MODE], plan[k.SOURCE] = MODES[fault.mode], k.NUMBER
-            numbers[:, k.VALUE] = each(fault.value, count)
+            _fill(numbers, k.VALUE, each(fault.value, count))
         elif fault.profile.segments is not None:
             self._segments(fault, running, plan, numbers)
         return None
 
-    def _known(self, running: Running, plan: Any) -> Any:
+    def _known(self, running: Running, plan: Plan) -> Any:
         """The fault's state if it has only one; frames of the other direction are handed over."""
         if len(running.states) != 1:
             return None
@@ -170,21 +171,21 @@ class Plans:
         plan[k.KNOWN_WAY] = WAYS[way]
         return state.inner
 
-    def _segments(self, fault: Driven, running: Running, plan: Any, numbers: Any) -> None:
+    def _segments(self, fault: Driven, running: Running, plan: Plan, numbers: Numbers) -> None:
         drawn = self._known(running, plan)
         end = self._segments_used + len(drawn or ())
         if not drawn or end > k.MOST_SEGMENTS:
             return
         assert fault.profile is not None
-        self.segments[self._segments_used : end] = drawn
+        _write(self.segments, self._segments_used, drawn)
         plan[k.SEGMENTS_FROM], plan[k.SEGMENTS_TO] = self._segments_used, end
         plan[k.OPEN_LEFT] = fault.profile.compat is not None
         plan[k.MODE], plan[k.SOURCE] = MODES[fault.profile.mode or fault.mode], k.SEGMENTS
         otherwise = fault.profile.otherwise
-        numbers[:, k.LIMIT] = math.nan if otherwise is None else otherwise
+        _fill(numbers, k.LIMIT, [math.nan if otherwise is None else otherwise] * len(numbers))
         self._segments_used = end
 
-    def _frozen(self, layout: Layout, running: Running, plan: Any, numbers: Any) -> None:
+    def _frozen(self, layout: Layout, running: Running, plan: Plan, numbers: Numbers) -> None:
         """Frozen values of one sender; other senders are handed over."""
         frozen = self._known(running, plan)
         mine = {key: values for key, values in (frozen or {}).items() if key[2] == layout.id}
@@ -200,14 +201,14 @@ class Plans:
             plan[k.INSTANCE] = instance
         plan[k.KNOWN_SENDER] = system << 8 | component
         plan[k.MODE], plan[k.SOURCE] = k.REPLACE, k.NUMBER
-        numbers[:, k.VALUE] = values
+        _fill(numbers, k.VALUE, values)
 
-    def _noise(self, fault: Noise, plan: Any, numbers: Any) -> int | None:
+    def _noise(self, fault: Noise, plan: Plan, numbers: Numbers) -> int | None:
         block = self._blocks_used
         if block == k.MOST_DRAWN or len(fault.elements) > 1:  # messages share one generator
             return None
         plan[k.SOURCE], plan[k.DRAWS_FROM] = k.DRAWN, block * k.BLOCK
-        numbers[:, k.VALUE] = each(fault.value, len(numbers))
+        _fill(numbers, k.VALUE, each(fault.value, len(numbers)))
         self._blocks_used += 1
         return block
 
@@ -229,17 +230,35 @@ class Plans:
         for first, running, fault, _, block in self._planned:
             if first < 0:
                 continue
-            frames, saturated, last_us, used = (int(n) for n in self.hits[first])
+            frames, saturated, last_us, used = (self.hits[first, n] for n in range(4))
             if frames:
-                running.credit(frames, saturated, last_us, float(self.steps[first]))
+                running.credit(frames, saturated, last_us, self.steps[first])
             if block is not None:
                 running.rng.bit_generator.state = next(states)
                 _drawn(fault, running.rng, used)
-            self.hits[first], self.steps[first] = 0, -1.0
+            self._forget_hits(first)
         self._states = []
 
+    def _forget_hits(self, first: int) -> None:
+        for column in range(4):
+            self.hits[first, column] = 0
+        self.steps[first] = -1.0
 
-def _drawn(fault: Noise, rng: np.random.Generator, count: int) -> Any:
+
+def _write(table: Any, first: int, rows: Sequence[Sequence[float]]) -> None:
+    """Put rows into a table from one of its rows on."""
+    for row, values in enumerate(rows, first):
+        for column, value in enumerate(values):
+            table[row, column] = value
+
+
+def _fill(numbers: Numbers, column: int, values: Sequence[float]) -> None:
+    """Set a number of each element."""
+    for row, value in zip(numbers, values, strict=True):
+        row[column] = value
+
+
+def _drawn(fault: Noise, rng: "Generator", count: int) -> Any:
     """So many of a noise fault's numbers, before they are scaled; the same one by one."""
     if fault.distribution == "gaussian":
         return rng.standard_normal(count)

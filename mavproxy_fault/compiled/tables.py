@@ -12,7 +12,7 @@ from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.object_file import load
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.routing import target_places
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.tape import INDEX, Tape
 from mavproxy_fault.proxy.vehicle_clock import stamp_place
 from mavproxy_fault.wire.dialect import Layout, layout
 
@@ -39,12 +39,12 @@ class Tables:
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
         self._seen: tuple[Any, ...] = ()
-        self._tie()
+        self._tie(None)
 
-    def _tie(self) -> None:
+    def _tie(self, plans: "Plans | None") -> None:
         """Give the machine code the addresses of all arrays."""
-        if self._plans is not None:
-            self._arrays |= self._plans.arrays
+        if plans is not None:
+            self._arrays |= plans.arrays
         self._addresses = (c_void_p * len(k.Shared._fields))(
             *(
                 k.address(self._arrays[name]) if name in self._arrays else None
@@ -83,11 +83,11 @@ class Tables:
             seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (plans is not None and plans.changed):
-            self._seen = seen
             if plans is not None:
                 plans.clear()
             for number in self._learned:
                 self._classify(number)
+            self._seen = seen  # only now: what fails for want of memory is done again
 
     def _classify(self, number: int) -> None:
         """Say how a message goes."""
@@ -115,8 +115,9 @@ class Tables:
         if self._plans is None:
             from mavproxy_fault.compiled.plans import Plans
 
-            self._plans = Plans()
-            self._tie()
+            plans = Plans()
+            self._tie(plans)
+            self._plans = plans
         return self._plans
 
     # What was done
@@ -135,4 +136,11 @@ class Tables:
             self._tape.received += received[: loop[k.RECEIVED_AT]]
             self._tape.sent += sent[: loop[k.SENT_AT]]
             self._tape.index += index[: loop[k.INDEX_AT]]
-            loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = 0
+            self.drop_tape()
+
+    def drop_tape(self) -> int:
+        """Forget what the machine code has written down of what passed; how many records."""
+        loop = self.loop
+        records = int(loop[k.INDEX_AT]) // INDEX.size
+        loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = 0
+        return records

@@ -1,16 +1,13 @@
 """Faults of the representation: flipped bits, not-a-number, flags cleared."""
 
 import math
-import struct
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.elements import changed, places_of, values_at
-from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault, ValueState
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, Number
+from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.wire.dialect import PACKERS, known
+from mavproxy_fault.wire.frame import Number
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -32,20 +29,21 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "bit-flip"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
     draws: ClassVar[bool] = True
+    on_wire: ClassVar[bool] = True
+    by_sender: ClassVar[bool] = True  # the message tells the types of the elements
 
     value: Annotated[int, Meta(ge=1, le=64)] = 1
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
 
-    def apply(
-        self, frame: Frame, t_us: int, state: ValueState, rng: "Generator"
-    ) -> tuple[list[Outgoing], ValueState]:
+    def after(
+        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
+    ) -> tuple[list[Number], Any]:
         """Flip in each element of one frame."""
-        places = places_of(frame.id, self.elements[frame.id])
-        before = values_at(frame, places)
-        after = [self._flipped(x, p.packer, rng) for x, p in zip(before, places, strict=True)]
-        return [changed(frame, t_us, places, before, after)], state
+        elements = self.elements[key[2]]
+        return [self._flipped(x, elements[n].code, rng) for n, x in enumerate(before)], None
 
-    def _flipped(self, value: Number, packer: struct.Struct, rng: "Generator") -> Number:
+    def _flipped(self, value: Number, code: str, rng: "Generator") -> Number:
+        packer = PACKERS[code]
         width = 8 * packer.size
         if self.bit is None:
             # `replace=False`: the same bit flipped twice would be no fault.
@@ -72,12 +70,11 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         # An integer field would be saturated at zero instead, which is another fault.
-        for number, places in self.elements.items():
-            described = known(number)
-            for name, _ in places:
-                if described.fields[name].code not in "fd":
+        for number, elements in self.elements.items():
+            for one in elements:
+                if one.code not in "fd":
                     raise ValueError(
-                        f"{described.name}.{name} is an integer; it holds no {self.value}"
+                        f"{known(number).name}.{one.name} is an integer; it holds no {self.value}"
                     )
 
     def after(
@@ -100,10 +97,12 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.value and not self.groups:
             raise ValueError("clears nothing; give value (a mask) or groups")
-        for number, places in self.elements.items():
-            for name, _ in places:
-                if known(number).fields[name].code in "fd":
-                    raise ValueError(f"{known(number).name}.{name} is no integer; it has no flags")
+        for number, elements in self.elements.items():
+            for one in elements:
+                if one.code in "fd":
+                    raise ValueError(
+                        f"{known(number).name}.{one.name} is no integer; it has no flags"
+                    )
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any

@@ -95,8 +95,9 @@ class Drift(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Add rate times time."""
-        grown = [rate * t_s for rate in each(self.value, len(before))]
+        rates = each(self.value, len(before))
         # The error is limited, not the value: a drift that has run its course stays.
         if self.limit is not None:
-            grown = [max(-self.limit, min(self.limit, error)) for error in grown]
-        return [x + error for x, error in zip(before, grown, strict=True)], None
+            grown = [max(-self.limit, min(self.limit, rate * t_s)) for rate in rates]
+            return [x + grown[n] for n, x in enumerate(before)], None
+        return [x + rates[n] * t_s for n, x in enumerate(before)], None

@@ -36,6 +36,8 @@ class Outgoing(msgspec.Struct, frozen=True):
 class Fault(Protocol):
     """The contract; `state` is whatever `new_state` returned.
 
+    A value fault (`value_fault.ValueFault`) has the rule `after` in the place of `apply`.
+
     `acts_on` says what `target` names: fields of messages (handed over as `elements`), whole
     frames, satellites or plant parameters (handed over as `names`).
 

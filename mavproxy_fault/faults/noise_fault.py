@@ -23,12 +23,14 @@ class Noise(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Add one draw to each element."""
-        if self.distribution == "gaussian":
-            errors = rng.standard_normal(len(before))
+        count = len(before)
+        sigma = each(self.value, count)
+        if self.distribution == "uniform":
+            draws = rng.uniform(-1.0, 1.0, count).tolist()
         else:
-            errors = rng.uniform(-1.0, 1.0, len(before))
-        errors = errors * each(self.value, len(before))
-        return [x + float(error) for x, error in zip(before, errors, strict=True)], None
+            # The usual single one is the same number without an array.
+            draws = rng.standard_normal(count).tolist() if count > 1 else [rng.standard_normal()]
+        return [x + draws[n] * sigma[n] for n, x in enumerate(before)], None
 
 
 class RandomWalk(ValueFault, frozen=True, kw_only=True):

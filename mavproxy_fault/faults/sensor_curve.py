@@ -54,7 +54,8 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """The nearest value within the range."""
         low, high = self._range()
-        return [min(max(x, low), high) for x in before], None
+        # NaN is neither within nor beyond, and passes.
+        return [x if low <= x <= high else min(max(x, low), high) for x in before], None
 
 
 class DeadBand(ValueFault, frozen=True, kw_only=True):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.elements import rewritten
+from mavproxy_fault.faults.draft import rewritten
 from mavproxy_fault.faults.fault import ActsOn, Outgoing
 from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.faults.spoofed_messages import MOVERS, Move, Three

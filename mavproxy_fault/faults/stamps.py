@@ -6,7 +6,7 @@ Every field that holds the sender's time is changed, whatever its unit: `time_us
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mavproxy_fault.faults.elements import rewritten
+from mavproxy_fault.faults.draft import rewritten
 from mavproxy_fault.faults.fault import LinkFault, Outgoing
 from mavproxy_fault.faults.profile import Positive
 from mavproxy_fault.wire.dialect import Layout

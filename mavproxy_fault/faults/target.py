@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.elements import Element
+from mavproxy_fault.faults.elements import Element, element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
 from mavproxy_fault.wire.plant_names import SATELLITE_NAME, SATELLITES, check_plant_name
 
@@ -62,10 +62,10 @@ def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:
     field = described.fields[parts[1]]
     if parts[2] is None:
         # A whole array stands for all its elements.
-        return tuple((field.name, i) for i in range(max(field.count, 1)))
+        return tuple(element(described, field.name, i) for i in range(max(field.count, 1)))
     if int(parts[2]) >= max(field.count, 1):
         raise ValueError(f"{target} is out of range; {field.name} has {max(field.count, 1)}")
-    return ((field.name, int(parts[2])),)
+    return (element(described, field.name, int(parts[2])),)
 
 
 def messages(targets: Iterable[str]) -> frozenset[int]:

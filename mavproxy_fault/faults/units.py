@@ -33,11 +33,11 @@ def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
     """
     first: dict[str, float] = {}
     found: dict[int, tuple[float, ...]] = {}
-    for number, places in elements.items():
+    for number, listed in elements.items():
         described = known(number)
         row = []
-        for name, _ in places:
-            quantity, size = SIZES.get(described.fields[name].unit, ("", 1.0))
+        for one in listed:
+            quantity, size = SIZES.get(described.fields[one.name].unit, ("", 1.0))
             # The first target of a quantity sets the unit; a field of no known quantity is its own.
             row.append(size / first.setdefault(quantity, size) if quantity else 1.0)
         # A message without factors costs nothing per frame.

@@ -1,18 +1,18 @@
-"""Value faults: they change elements of a frame in place and say how much and whether it fitted."""
+"""Value faults: rules that turn the healthy values of some elements into faulty ones.
+
+The rule knows numbers alone. `proxy/value_entry.py` carries it out on a frame, together with the
+others that act there, and counts what it changed.
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.elements import Element, changed, places_of, values_at
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.faults.elements import Element
+from mavproxy_fault.faults.fault import ActsOn
 from mavproxy_fault.faults.units import Factors
-from mavproxy_fault.wire.frame import Frame, Number
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
+from mavproxy_fault.wire.frame import Number
 
 GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
@@ -34,6 +34,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
 
     acts_on: ClassVar[ActsOn] = "fields"
     by_sender: ClassVar[bool] = False
+    on_wire: ClassVar[bool] = False  # whether it acts on the numbers as sent, in whatever unit
     draws: ClassVar[bool] = False  # whether `after` uses its generator
     elements: Mapping[int, tuple[Element, ...]] = {}
     factors: Factors = {}
@@ -42,30 +43,12 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         value = getattr(self, "value", None)
         # One number or a list of one for each element, in every message of the target.
         if isinstance(value, tuple):
-            for places in self.elements.values():
-                each(value, len(places))
+            for elements in self.elements.values():
+                each(value, len(elements))
 
     def new_state(self, start_us: int) -> ValueState:
         """The state when the fault becomes active."""
         return ValueState(start_us, None)
-
-    def apply(
-        self, frame: Frame, t_us: int, state: ValueState, rng: "Generator"
-    ) -> tuple[list[Outgoing], ValueState]:
-        """Change the elements of one frame."""
-        places = places_of(frame.id, self.elements[frame.id])
-        before = values_at(frame, places)
-        factors = self.factors.get(frame.id)
-        # Targets may have other units (mG, cm/s); the fault thinks in that of the first.
-        seen = before if factors is None else [x / f for x, f in zip(before, factors, strict=True)]
-        key = sender(frame) if self.by_sender else ()
-        after, inner = self.after(seen, key, (t_us - state.start_us) / 1e6, state.inner, rng)
-        # Most faults keep nothing: no new tuple for each frame.
-        if inner is not state.inner:
-            state = ValueState(state.start_us, inner)
-        if factors is not None:
-            after = [y * f for y, f in zip(after, factors, strict=True)]
-        return [changed(frame, t_us, places, before, after)], state
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
@@ -86,14 +69,6 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
             The entry's own stream.
         """
         raise NotImplementedError
-
-
-def sender(frame: Frame) -> tuple[int, ...]:
-    """Who sent a frame: system, component, message id and instance."""
-    # Two sensors of one vehicle send the same message; the instance tells them apart.
-    name = frame.layout.instance or ("id" if "id" in frame.layout.fields else "")
-    value = frame.read(name) if name else 0
-    return (frame.system, frame.component, frame.id, value if isinstance(value, int) else 0)
 
 
 def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:

@@ -102,7 +102,8 @@ def open_link(spec: str | LinkSpec, *, bare_udp: Literal["udpin", "udpout"] = "u
     try:
         return _open(spec)
     except OSError as error:
-        reason = error.strerror or str(error)
+        # Where Python itself adds the address, it would stand there twice.
+        reason = (error.strerror or str(error)).partition(" (while attempting")[0]
         hint = open_hint(spec.kind, spec.host, spec.port, error)
         raise ConfigError(f"{spec.text}: cannot be opened: {reason}; {hint}") from error
 

@@ -78,9 +78,15 @@ class TcpServer:
                 stream.abandon()
                 sock.close()
                 del self._peers[descriptor]
+                self._tell_left()
                 # Empty bytes end the stream: its half frame will never be completed.
                 chunks.append((number, b""))
         return chunks
+
+    def _tell_left(self) -> None:
+        # Whoever flies should know; somebody who only looked whether the port is open is not told.
+        if not self._peers and self.counters.bytes_in:
+            LOG.warning("%s: the other side closed the connection; nobody is left", self.name)
 
     def _accept(self) -> None:
         while True:

@@ -20,7 +20,7 @@ from mavproxy_fault.live.failure_command import (
     MESSAGES,
     TYPES,
     UNITS,
-    Extent,
+    extent_of,
     faults_for,
     name_of,
 )
@@ -99,15 +99,14 @@ class Control:
         unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
         # NaN is "not given", which means all.
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
-        # 0 stands for "not given" too: what does not fill a field leaves it 0.
-        given = [one if math.isfinite(one) and one > 0.0 else None for one in parameters[3:]]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
         self.engine.tell_time(t_us)
         if kind == "ok":
             return self._clear(unit, instance)
         try:
-            entries = faults_for(unit, kind, instance, self._passed, Extent(*given))
+            extent = extent_of(kind, parameters[3:])
+            entries = faults_for(unit, kind, instance, self._passed, extent)
         except ValueError:
             return UNSUPPORTED  # no such instance, for example the seventeenth motor
         if not entries:

@@ -11,11 +11,13 @@ References
 .. [1] MAVLink common message set, MAV_CMD_INJECT_FAILURE, FAILURE_UNIT, FAILURE_TYPE.
 """
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.wire.dialect import known
 
 UNITS = {
     0: "gyro", 1: "accel", 2: "mag", 3: "baro", 4: "gps", 5: "optical-flow", 6: "vio",
@@ -27,6 +29,7 @@ TYPES = {
     7: "intermittent", 8: "drift",
 }  # fmt: skip
 
+SIGNED = ("wrong", "drift")
 SLOW_S = 1.0  # a slow sensor renews its values this often
 DELAY_S = 0.5
 LINK_HZ = 10.0  # of a slow link
@@ -43,7 +46,8 @@ class Part:
 
     `fields` come with the field's counts per unit of the magnitudes; `group` is the unit's group of
     bits in `fields_updated`; `shared` says that the message carries other things too; `instance` is
-    the number of the unit whose message it is, 0 where an id or an index tells.
+    the number of the unit whose message it is, 0 where an id or an index tells; of an `indexed`
+    part the elements are the units after the first `skipped` ones.
     """
 
     message: str
@@ -52,6 +56,14 @@ class Part:
     shared: bool = False
     instance: int = 0
     indexed: bool = False
+    skipped: int = 0
+
+    def has(self, instance: int) -> bool:
+        """Whether it tells of this instance; 0 is all of them."""
+        if self.indexed and instance:
+            elements = [known(self.message).fields[name].count for name, _ in self.fields]
+            return 0 < instance - self.skipped <= min(elements)
+        return not self.instance or instance in (0, self.instance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +141,9 @@ WHAT: dict[str, Unit] = {
     ), 200.0, 100.0, 20.0),
     "mavlink": Unit(()),  # the link itself: every message
     "esc": Unit((
-        Part("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),)),
-        Part("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),)),
+        Part("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),), "", True, indexed=True),
+        Part("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),), "", True, indexed=True, skipped=4),
+        Part("HIL_ACTUATOR_CONTROLS", (("controls", 1e-4),), "", True, indexed=True),  # 10,000 rpm
     ), 1000.0, 500.0, 50.0),
     "traffic": Unit((
         Part("ADSB_VEHICLE", (*POSITION[:2], ("altitude", 1000.0))),
@@ -154,6 +167,20 @@ class Extent:
     def of(self, usual: float) -> float:
         """The magnitude, or the usual one."""
         return usual if self.magnitude is None else self.magnitude
+
+
+def extent_of(kind: str, given: Sequence[float]) -> Extent:
+    """Magnitude and duration as params 4 and 5 give them.
+
+    0 stands for "not given" as NaN does: what does not fill a field leaves it 0. Only an offset and
+    a drift have a sign.
+    """
+    magnitude, for_s = [
+        one if math.isfinite(one) and one != 0.0 else None for one in (*given, 0.0, 0.0)[:2]
+    ]
+    if magnitude is not None and kind not in SIGNED:
+        magnitude = abs(magnitude)
+    return Extent(magnitude, for_s if for_s is not None and for_s > 0.0 else None)
 
 
 def faults_for(
@@ -180,12 +207,8 @@ def faults_for(
     if unit == "mavlink":
         whole = {"id": f"{name_of(unit, instance)}.1", **_of_the_link(kind, extent)}
         return [_lasting(whole, extent)] if passed else []
-    chosen = [
-        part
-        for part in WHAT[unit].parts
-        # A part of one instance is left alone when another instance is meant.
-        if part.message in passed and (not part.instance or instance in (0, part.instance))
-    ]
+    # A part of one instance is left alone when another instance is meant.
+    chosen = [p for p in WHAT[unit].parts if p.message in passed and p.has(instance)]
     entries = []
     for number, part in enumerate(chosen, 1):
         entry = _lasting(_of_a_part(WHAT[unit], part, kind, instance, extent), extent)
@@ -260,7 +283,7 @@ def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
     found: list[str] = []
     scales: list[float] = []
     for name, scale in part.fields:
-        chosen = f"[{instance - 1}]" if part.indexed and instance else ""
+        chosen = f"[{instance - 1 - part.skipped}]" if part.indexed and instance else ""
         found.append(f"{part.message}.{name}{chosen}")
         # One number per element: an array field has as many.
         (elements,) = fields([found[-1]]).values()

@@ -2,7 +2,6 @@
 
 import logging
 import math
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast, get_type_hints
 from zlib import crc32
 
@@ -80,6 +79,7 @@ class Running:
         self.last_us = 0
         self.direction = ""
         self.states: dict[str, Any] = {}
+        self.rng = cast("Generator", Chance(seed, entry.id))
         self.live: tuple[float, int] | None = None  # newest streamed value and when it came
         self.latency_us: int | None = None
         self.value: float | None = None  # given live, constant or streamed
@@ -91,7 +91,7 @@ class Running:
         where = entry.where
         # In a tuple: read for each frame that passes.
         self._where = (where.system, where.component, where.direction, where.id)
-        self._anything = self._where == (None, None, None, None)
+        self.anything = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.buffers = hasattr(entry.fault, "release")  # `Buffering`; asking for that is slow
@@ -103,11 +103,6 @@ class Running:
         """The messages that it looks at besides those it acts on."""
         conditions = (self.condition, self.entry.moment)
         return {number for one in conditions if one is not None for number in one.ids}
-
-    @cached_property
-    def rng(self) -> "Generator":
-        """The entry's own chance."""
-        return cast("Generator", Chance(self.seed, self.entry.id))
 
     def _end(self) -> int:
         for_s = self.entry.for_s
@@ -193,7 +188,7 @@ class Running:
 
     def takes(self, frame: Frame, direction: str) -> bool:
         """Whether `where` lets the frame through to the fault."""
-        if self._anything:
+        if self.anything:
             return True
         system, component, way, instance = self._where
         if system is not None and frame.system != system:
@@ -220,44 +215,52 @@ class Running:
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Put a frame through the fault and count what it did."""
-        # No draw without a probability: the stream stays that of the fault.
-        if self.entry.probability < 1.0 and self.rng.random() >= self.entry.probability:
+        if self.spares():
             return [Outgoing(t_us, frame)]
         try:
             sends = self._apply(frame, direction, t_us)
         except Exception as error:  # others write faults too: theirs must not end the forwarding
-            if not self.failures:
-                LOG.exception("fault %s failed; the frame passes as it came", self.entry.id)
-            self.failures += 1
-            self.failure = repr(error)
+            self.note_failure(error)
             return [Outgoing(t_us, frame)]
         # Untouched and on time: nothing was done.
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
             return sends
         # What was kept back and leaves as it came was not touched; what changed has a magnitude.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
-        if not touched:
-            return sends
-        self.frames += touched
-        self.total_frames += touched
-        self.last_us = t_us
+        if touched:
+            self.note_touch(direction, t_us)
+            sizes = [out.magnitude for out in sends if out.magnitude is not None]
+            # NaN and infinity would stick in the maximum for ever.
+            largest = max((size for size in sizes if math.isfinite(size)), default=-1.0)
+            self.credit(touched, sum(out.saturated for out in sends), t_us, largest)
+        return sends
+
+    def spares(self) -> bool:
+        """Whether chance lets this frame pass by the fault."""
+        # No draw without a probability: the stream stays that of the fault.
+        chance = self.entry.probability
+        return chance < 1.0 and bool(self.rng.random() >= chance)
+
+    def note_failure(self, error: Exception) -> None:
+        """Count a frame that passes because the fault failed; the first time it is logged."""
+        if not self.failures:
+            LOG.exception("fault %s failed; the frame passes as it came", self.entry.id)
+        self.failures += 1
+        self.failure = repr(error)
+
+    def note_touch(self, direction: str, t_us: int) -> None:
+        """Note that a frame of this direction was touched."""
         if self.first_us is None:
             self.first_us = t_us
             self.direction = direction
         elif self.direction != direction:
             self.direction = BOTH
-        for out in sends:
-            self._measure(out)
-        return sends
 
     def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What the fault makes of a frame, its state of that direction brought up to date."""
         state = self.states.get(direction)
-        # A new direction starts with a fresh state, also where the value was given live.
         if state is None and direction not in self.states:
-            state = self.fault.new_state(self.start_us)
-            if self.live is not None:
-                state = self.fault.fed(state, *self.live)
+            state = self.fresh_state(direction)
         sends: list[Outgoing]
         sends, state = self.fault.apply(frame, t_us, state, self.rng)
         self.states[direction] = state
@@ -265,21 +268,22 @@ class Running:
             self.end_us = t_us
         return sends
 
+    def fresh_state(self, direction: str) -> Any:
+        """The state with which a direction starts, also where the value was given live."""
+        state = self.fault.new_state(self.start_us)
+        if self.live is not None:
+            state = self.fault.fed(state, *self.live)
+        self.states[direction] = state
+        return state
+
     def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
-        """Count what was done elsewhere in this fault's name; a negative magnitude is none."""
+        """Count what was done in this fault's name; a negative magnitude is none."""
         self.frames += frames
         self.total_frames += frames
         self.saturated += saturated
         self.last_us = last_us
-        if magnitude >= 0.0:
-            self.magnitude = max(self.magnitude or 0.0, magnitude)
-
-    def _measure(self, out: Outgoing) -> None:
-        self.saturated += out.saturated
-        size = out.magnitude
-        # NaN and infinity would stick in the maximum for ever.
-        if size is not None and math.isfinite(size):
-            self.magnitude = size if self.magnitude is None else max(self.magnitude, size)
+        if magnitude >= 0.0 and (self.magnitude is None or magnitude > self.magnitude):
+            self.magnitude = magnitude
 
     def release_us(self) -> int:
         """When the fault must let go of the oldest frame it keeps."""
@@ -342,10 +346,12 @@ class Running:
 
     def close(self, t_us: int) -> Label | None:
         """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
-        # A stretch in which nothing was touched has no label.
-        label = self.label(t_us) if self.first_us is not None else None
+        # A stretch in which nothing was touched has no label. What ends one may bear an older
+        # stamp than its first frame: an answer without a stamp of its own, say.
+        label = None if self.first_us is None else self.label(max(t_us, self.first_us))
         self.frames = self.saturated = 0
         self.magnitude = self.first_us = self.changed_us = None
+        self.direction = ""
         return label
 
     def feed(self, value: float, t_us: int, latency_us: int | None) -> None:

@@ -152,9 +152,10 @@ class Core:
         while self._pending or self.engine is not None:
             engine_us = self._engine_due_us()
             pending_us = self._pending[0][0] if self._pending else NEVER_US
-            when_us = min(engine_us, pending_us)
-            if when_us > now_us:
+            if min(engine_us, pending_us) > now_us:
                 break
+            # A clock that leapt ahead would let what is kept leave long before it came.
+            when_us = max(min(engine_us, pending_us), self.departed_us)
             self.departed_us = when_us
             if pending_us <= engine_us:
                 _, _, mask, raw = heapq.heappop(self._pending)
@@ -241,7 +242,7 @@ class Core:
         if not self._admit(frame, arrival):
             state.loops += 1
             return
-        t_us = self._time(frame, arrival.now_us, state)
+        t_us = self._time(frame, arrival.now_us, state, departures)
         control = self.control
         if control is not None and frame.id in control.wanted:
             replies = control.consume(frame, t_us)
@@ -294,7 +295,7 @@ class Core:
             self.senders[SPEAKER] = system
         return True
 
-    def _time(self, frame: Frame, now_us: int, state: LinkState) -> int:
+    def _time(self, frame: Frame, now_us: int, state: LinkState, departures: Departures) -> int:
         senders = self.senders
         t_us = self.clock.read(frame, now_us)
         if senders[DOUBTED] != self._doubted:
@@ -308,6 +309,7 @@ class Core:
             if self.engine is not None:
                 senders[LEAD] = now_us - t_us
                 self.engine.restart(t_us)
+                self._announce(self.engine.drain_labels(), now_us, departures)
         senders[LEAD] = now_us - t_us
         return t_us
 
@@ -325,7 +327,7 @@ class Core:
         """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
-        if origin is not None and frame is not origin and source_of(raw) != source_of(origin.raw):
+        if origin is not None and frame is not origin and source_of(frame) != source_of(origin):
             # What goes back reaches where its cause came from, whoever else signs as it does there.
             mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
@@ -388,7 +390,7 @@ class Core:
 
     def _links_of_pending(self, frame: Frame | bytes) -> int:
         """Where a frame goes that was kept since some earlier time, by its sender's home link."""
-        home = self._routes.home.get(source_of(frame if isinstance(frame, bytes) else frame.raw))
+        home = self._routes.home.get(source_of(frame))
         if home is None:
             return self._routes.everywhere
         if isinstance(frame, Frame):

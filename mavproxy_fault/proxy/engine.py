@@ -13,8 +13,10 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.faults.draft import Draft
 from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
+from mavproxy_fault.proxy.value_entry import RunningValueFault, at_work
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
 from mavproxy_fault.schedule.saving import as_yaml
 from mavproxy_fault.schedule.triggers import Telemetry
@@ -83,7 +85,7 @@ class Engine:
 
     def _run(self, entry: Entry, base_us: int) -> Running:
         assert self.t0_us is not None
-        return Running(entry, self.seed, base_us, self.t0_us)
+        return at_work(entry, self.seed, base_us, self.t0_us)
 
     def tell_time(self, t_us: int) -> None:
         """Let edits count from this stamp, whatever frame was seen last."""
@@ -219,18 +221,22 @@ class Engine:
             self._watch(frame, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
+        draft: Draft | None = None
         sends: list[Outgoing] | None = None
         for running in self._by_id.get(frame.id, self._any):
-            if not running.takes(frame, direction):
+            if not running.anything and not running.takes(frame, direction):
                 continue
             if sealed and not running.takes_sealed:
                 running.sealed += 1
                 continue
             known = running.first_us
-            if sends is None:
-                sends = running.act(frame, direction, t_us)
-            else:
+            if sends is not None:
                 sends = _through(running, sends, direction, t_us)
+            elif isinstance(running, RunningValueFault):
+                draft = draft or Draft(frame)
+                running.edit(draft, direction, t_us)
+            else:
+                sends = running.act(draft.sealed() if draft else frame, direction, t_us)
             if running.ends_itself and running.end_us <= t_us:
                 self._edge_us = t_us  # with the next frame
             if known is None and running.first_us is not None:
@@ -238,7 +244,7 @@ class Engine:
             elif running.unannounced and (news := running.news(t_us)) is not None:
                 self._labels.append(news)
         if sends is None:
-            sends = [Outgoing(t_us, frame)]
+            sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
         if self._kept:
             sends, self._kept = self._kept + sends, []
         return sends
@@ -304,7 +310,7 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                running = Running(one, self.seed, self.now_us, self.t0_us, injected=True)
+                running = at_work(one, self.seed, self.now_us, self.t0_us, injected=True)
                 self._all.append(running)
             self._advance(self.now_us)
             self._forget()

@@ -3,14 +3,16 @@
 import itertools
 
 from mavproxy_fault.proxy.announcements import COMPONENT
-from mavproxy_fault.wire.frame import STX_V1, STX_V2
+from mavproxy_fault.wire.frame import STX_V1, STX_V2, Frame
 
 LARGEST_DATAGRAM = 65_507  # bytes of payload of an IPv4 datagram
 Departures = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
 
 
-def source_of(raw: bytes) -> tuple[int, int]:
+def source_of(raw: Frame | bytes) -> tuple[int, int]:
     """System and component by the header, (0, 0) where there is none."""
+    if isinstance(raw, Frame):
+        return raw.system, raw.component
     if len(raw) > 6 and raw[0] == STX_V2:
         return raw[5], raw[6]
     if len(raw) > 4 and raw[0] == STX_V1:

@@ -68,12 +68,19 @@ class Tape:
 
     def drain(self) -> TapeContents:
         """What came together since the last call."""
-        self.drained = self.count
-        parts = (self.received, self.received_other, self.index, self.sent, self.sent_other)
-        contents = TapeContents(*(bytes(part) for part in parts))
-        for part in parts:
-            part.clear()
+        contents = TapeContents(*(bytes(part) for part in self._parts))
+        self.clear()
         return contents
+
+    def clear(self) -> None:
+        """Empty it; what it held counts as handed over."""
+        self.drained = self.count
+        for part in self._parts:
+            part.clear()
+
+    @property
+    def _parts(self) -> tuple[bytearray, ...]:
+        return self.received, self.received_other, self.index, self.sent, self.sent_other
 
 
 def framed(raw: bytes) -> bool:

@@ -52,7 +52,9 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
         if not names:
             raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
         elements = targets.fields(names)
-        given = {"elements": elements, "factors": factors_of(elements)}
+        # What a fault does to the bits on the wire is the same in every unit.
+        factors = {} if getattr(kind, "on_wire", False) else factors_of(elements)
+        given = {"elements": elements, "factors": factors}
         return Aim(given, frozenset(elements))
     # Without a target: the messages that the fault itself names, if it does.
     ids = targets.messages(names) or targets.messages(getattr(kind, "messages", ()))

@@ -133,7 +133,8 @@ class Frame:
             if start + field.size > len(payload):
                 # Only as many bytes as are no trailing zeros, but all that lie inside the payload.
                 data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
-                payload.extend(bytes(max(start + len(data) - len(payload), 0)))
+                if data:  # a zero among zeros that were cut needs no byte
+                    payload.extend(bytes(start + len(data) - len(payload)))
             payload[start : start + len(data)] = data
         return self.with_payload(bytes(payload))
 

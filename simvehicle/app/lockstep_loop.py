@@ -6,6 +6,7 @@ from typing import Protocol
 
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
+from simvehicle.app.battery_watch import BatteryWatch
 from simvehicle.app.pace import Pace
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
@@ -18,7 +19,12 @@ RESTART = (
     "it, or the proxy before it, may have died; start simulator, proxy and autopilot anew "
     "together, for PX4 does not connect a second time"
 )
+FLOWN_BEFORE = (
+    "an autopilot that flew before this simulator was started has to be started anew, and a proxy "
+    "with it: its clock does not go back"
+)
 FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
+FIRST_ANSWER_S = 15.0  # after which it is told that none comes; PX4 needs three, a busy machine ten
 
 
 class Simulated(Plant, Protocol):
@@ -85,12 +91,14 @@ class LockstepLoop:
         self._hil = hil
         self._inbox = inbox
         self._changes = PlantChanges(simulation, progress.say)
+        self._battery = BatteryWatch(progress.say)
         self._mix = mix
         self._progress = progress
         self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
         self._speed = speed
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
+        self._answer_due_s: float | None = None  # the first; None where no more has to be told
 
     @property
     def armed(self) -> bool:
@@ -128,14 +136,19 @@ class LockstepLoop:
             if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
                 break
         self._progress.say(f"{link.name}: connected")
+        self._answer_due_s = time.monotonic() + FIRST_ANSWER_S
 
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
+        self._battery.look(truth)
         # Sent in one piece: an autopilot must not be woken by half a step.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         self._await_answer()
+        if self._answer_due_s is not None and not self._locked and now_s > self._answer_due_s:
+            self._answer_due_s = None
+            self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {FLOWN_BEFORE}")
         self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
 
     def _await_answer(self) -> None:
@@ -170,6 +183,9 @@ class LockstepLoop:
         stamp_s = (self.t_us + self._hil.start_us) * 1e-6
         if locked:
             self._progress.say(f"in lockstep from {stamp_s:.3f} s")
+            if self._answer_due_s is not None and self.armed:
+                self._progress.say(f"its motors are on already; {FLOWN_BEFORE}")
+            self._answer_due_s = None
         else:
             self._progress.say(
                 f"no answer to the step at {stamp_s:.3f} s; going on in real time on the last "

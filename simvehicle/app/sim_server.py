@@ -17,6 +17,7 @@ from mavproxy_fault.links.descriptors import wait_on
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
+from simvehicle.app.battery_watch import BatteryWatch
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.pace import Pace, parse_speed
 from simvehicle.app.real_time_loop import RealTimeLoop
@@ -168,6 +169,7 @@ class FreeLoop:
         self._simulation = simulation
         self._hil = Inbox(hil) if hil else None
         self._changes = PlantChanges(simulation, progress.say)
+        self._battery = BatteryWatch(progress.say)
         self._packer = Hil(mav_type=airframe(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None
         self._services: AutopilotLink | None = None
@@ -195,6 +197,7 @@ class FreeLoop:
         # Until a ground station commands, the scenario's own controller flies.
         controls = pilot.controls() if pilot and pilot.flight.flown else None
         self.t_us, truth, readings = self._simulation.step(controls)
+        self._battery.look(truth)
         if self._hil:
             for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -53,9 +54,16 @@ def _attitudes(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def make_flight(
-    seconds: float, seed: int = 1, with_fix: bool = False, epoch_steps: int = EPOCH_STEPS
+    seconds: float,
+    seed: int = 1,
+    with_fix: bool = False,
+    epoch_steps: int = EPOCH_STEPS,
+    away: Callable[[float], tuple[float, float]] = lambda t_s: (0.0, 0.0),
 ) -> list[Sample]:
-    """IMU at 200 Hz, pseudoranges at 5 Hz, or every so many steps, and the truth of a flight."""
+    """IMU at 200 Hz, pseudoranges at 5 Hz, or every so many steps, and the truth of a flight.
+
+    A spoofer of all signals leads the receiver `away`: m and m/s to the north, by the time in s.
+    """
     rng = np.random.default_rng(seed)
     gnss = gnss_sensor(GnssConfig(rate_hz=1e6 / STEP_US / epoch_steps), LAT, LON)
     state = gnss.new_state(rng)
@@ -83,12 +91,26 @@ def make_flight(
             lat, lon, height = geodetic(r[k])
             here = ned_axes(lat, lon)
             truth = _truth(k * STEP_US, lat, lon, height, here @ v[k], here @ rot[k])
-            readings, state = gnss.sample(truth, state, rng)
+            readings, state = gnss.sample(_led(truth, *away(float(t[k]))), state, rng)
             for reading in readings:
                 samples += _samples(reading, with_fix)
             place = math.degrees(lat), math.degrees(lon), height
             samples.append(TruthSample(truth.t_us, truth.q_nb, gyro[k], *place, here @ v[k]))
     return samples
+
+
+def _led(truth: Truth, north_m: float, north_mps: float) -> Truth:
+    """The truth as a receiver has it that a spoofer leads away."""
+    if not north_m and not north_mps:
+        return truth
+    lat, lon, height = geodetic(
+        ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
+        + north_m * ned_axes(truth.lat_rad, truth.lon_rad)[0]
+    )
+    v_ned_mps = truth.v_ned_mps + np.array([north_mps, 0.0, 0.0])
+    return msgspec.structs.replace(
+        truth, lat_rad=lat, lon_rad=lon, height_m=height, v_ned_mps=v_ned_mps
+    )
 
 
 def _truth(t_us, lat, lon, height, v_ned, rot_nb) -> Truth:

@@ -4,6 +4,7 @@ import argparse
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,13 +16,30 @@ from simvehicle.scenario.scenario_file import read_scenario
 
 
 def test_every_flight_and_search_is_a_right_file(tmp_path: Path) -> None:
-    lines = list(warm_up._commands(tmp_path))
+    works = [step.work for chain in warm_up._chains(tmp_path) for step in chain]
+    lines = [words for work in works if isinstance(work, partial) for words in work.args]
     assert {words[0] for words in lines} == {"run", "monitor", "report", "search"}
     for words in lines:
         if words[0] == "run":
             read_scenario(words[-1])
         elif words[0] == "search":
             read_test(words[-1])
+
+
+@pytest.mark.parametrize("epoch", [None, "0"])
+def test_only_builds_that_are_to_be_alike_compile_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epoch: str | None
+) -> None:
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    if epoch is not None:
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
+    aims, again = [], []
+    monkeypatch.setattr(warm_up, "_aim_at_baseline", aims.append)
+    monkeypatch.setattr(warm_up, "_warm_up", lambda: None)
+    monkeypatch.setattr(warm_up, "_again", lambda draft, folder: again.append((draft, folder)))
+    assert warm_up.main(argparse.Namespace(portable=str(tmp_path))) == 0
+    assert again == ([] if epoch is None else [(aims[0], str(tmp_path))])
+    assert (aims == [str(tmp_path)]) == (epoch is None)
 
 
 def test_a_command_that_fails_is_named(tmp_path: Path) -> None:

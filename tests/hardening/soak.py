@@ -3,10 +3,10 @@
     python -m tests.hardening.soak --minutes 240 --rate 20000 --page
 
 Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its
-frames are, and with `--page` what a browser (Debian's Chromium), its frames at the end of the row's
-time, and the page's server take. Edits
-are counted row by row. Ctrl-C or SIGTERM end it with a last row and what the proxy itself counted;
-SIGSTOP pauses it: traffic goes on where it was.
+frames are, what the kernel dropped on the way (at the proxy, at the station, or in the queue of
+either processor), and with `--page` what a browser (Debian's Chromium), its frames at the end of
+the row's time, and the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM end it
+with a last row and what the proxy itself counted; SIGSTOP pauses it: traffic goes on where it was.
 """
 
 import argparse
@@ -27,6 +27,7 @@ import numpy as np
 from fastcrc.crc16 import mcrf4xx
 
 from mavproxy_fault.api.proxy_handle import LiveFault, Proxy
+from mavproxy_fault.compiled import object_file
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import enlarge_buffers
@@ -43,7 +44,8 @@ FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
 )  # fmt: skip
 COLUMNS = (
-    "min", "sent/s", "came/s", "edits", "unanswered", "marks missing", "proxy, of a core",
+    "min", "sent/s", "came/s", "edits", "unanswered", "marks missing", "lost before proxy",
+    "before station", "between", "proxy, of a core",
     "proxy MB", "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB",
     "script s/s", "heap MB", *FRAME_COLUMNS,
 )  # fmt: skip
@@ -128,6 +130,16 @@ def usage(pid: int) -> tuple[float, float, int]:
     return cpu_s, memory_mb, len(os.listdir(f"/proc/{pid}/fd"))
 
 
+def lost(*ports: int) -> list[int]:
+    """What the kernel has dropped for want of room: before each UDP port, and before any."""
+    before = {}
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        words = line.split()
+        before[int(words[1].rpartition(":")[2], 16)] = int(words[-1])
+    queues = Path("/proc/net/softnet_stat").read_text().splitlines()
+    return [*(before[port] for port in ports), sum(int(one.split()[1], 16) for one in queues)]
+
+
 @contextlib.contextmanager
 def command(*words: str) -> Iterator[tuple[int, str]]:
     """A command of ours in its own process: its number and its first line."""
@@ -176,12 +188,13 @@ def edit(proxy: Proxy, faults: list[LiveFault], until_s: float) -> tuple[int, in
 
 
 def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: str,
-          page: PageWatcher | None) -> None:  # fmt: skip
+          page: PageWatcher | None, ports: tuple[int, int]) -> None:  # fmt: skip
     """Edit a fault every second, and add a row after each `--every` minutes, also the last."""
     rows = Rows(args.csv)
     begin_s = time.monotonic()
     end_s = begin_s + 60 * args.minutes
     stopped = False
+    between = lost()[0]
     with Proxy.attach(router) as proxy:
         faults = [
             proxy.fault("bias", id=name, target=f"HIL_SENSOR.{name}", value=0.1) for name in FIELDS
@@ -204,7 +217,8 @@ def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: s
             row = [f"{(time.monotonic() - begin_s) / 60:.1f}",
                    f"{(traffic.sent - from_sent) / span_s:.0f}",
                    f"{(traffic.came - from_came) / span_s:.0f}", edits, unanswered,
-                   traffic.missing(), share[0], f"{used[0][1]:.1f}", used[0][2],
+                   traffic.missing(), *lost(*ports)[:2], lost()[0] - between,
+                   share[0], f"{used[0][1]:.1f}", used[0][2],
                    *traffic.latencies()]  # fmt: skip
             if page:
                 script_now_s, heap_mb = page.usage()
@@ -222,6 +236,8 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="watch the page in a browser, too")
     parser.add_argument("--csv", help="file for the rows, besides the printed table")
     args = parser.parse_args()
+    if object_file.load() is None:  # ten faults at this rate are too much without it
+        object_file.make()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     traffic = Traffic(args.rate)
     station = traffic.station.getsockname()[1]
@@ -230,7 +246,8 @@ def main() -> None:
         links = ("--master", "udpin:127.0.0.1:0", "--to", f"udpout:127.0.0.1:{station}")
         pid, ready = stack.enter_context(command("proxy", *links, "--zenoh", router))
         pids, page = [pid], None
-        traffic.vehicle.connect(("127.0.0.1", int(ready.split()[1].rpartition(":")[2])))
+        port = int(ready.split()[1].rpartition(":")[2])
+        traffic.vehicle.connect(("127.0.0.1", port))
         for work in (traffic.receive, traffic.send):
             thread = threading.Thread(target=work)
             thread.start()
@@ -241,7 +258,7 @@ def main() -> None:
             pids.append(server)
             address = "http://" + line.partition("http://")[2].strip()
             page = stack.enter_context(watched_page(address))
-        watch(args, traffic, pids, router, page)
+        watch(args, traffic, pids, router, page, (port, station))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,18 @@
 """Few descriptors, little memory, nothing that can be written: it says so and forwards."""
 
 import contextlib
+import itertools
+import json
+import os
+import resource
 import socket
 from pathlib import Path
 
 import pytest
 
-from tests.hardening.proxy_process import driven
+from mavproxy_fault.app.playback import split
+from mavproxy_fault.links.link import enlarge_buffers
+from tests.hardening.proxy_process import driven, numbered
 
 
 @pytest.mark.parametrize(
@@ -75,3 +81,72 @@ def test_without_a_home_or_a_folder_to_write_to_it_is_controlled_all_the_same(
             proxy.pass_frame()
         _, told = proxy.end()
     assert told == ""
+
+
+def _memory_of(process: int) -> int:
+    """Bytes of address space that a process has."""
+    status = Path(f"/proc/{process}/status").read_text()
+    return int(status.split("VmSize:")[1].split()[0]) * 1024
+
+
+def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_path: Path) -> None:
+    with driven("--zenoh", "off", "--logdir", str(tmp_path)) as proxy:
+        assert proxy.process.stderr is not None
+        enlarge_buffers(proxy.station)
+        number = proxy.process.pid
+        for _ in range(100):  # by then all has been loaded
+            proxy.pass_frame()
+        _, highest = resource.prlimit(number, resource.RLIMIT_AS)
+        resource.prlimit(number, resource.RLIMIT_AS, (_memory_of(number), highest))
+        many, told = numbered(0) * 256, ""
+        while "recording stops" not in told:
+            for _ in range(10):
+                proxy.vehicle.send(many)
+            proxy.pass_frame()
+            told += _read(proxy.process.stderr.fileno())
+        resource.prlimit(number, resource.RLIMIT_AS, (highest, highest))
+        while "recording goes on" not in told:
+            proxy.pass_frame()
+            told += _read(proxy.process.stderr.fileno())
+        came = proxy.end()[0].split("\n")[1].split()[2]
+    lost = json.loads((tmp_path / "session.json").read_text())["lost_records"]
+    recorded = len(list(split((tmp_path / "received.tlog").read_bytes())))
+    assert lost > 0
+    assert recorded + lost == int(came)
+
+
+def _read(descriptor: int) -> str:
+    """What a process has told by now, without waiting for it."""
+    os.set_blocking(descriptor, False)
+    with contextlib.suppress(BlockingIOError):
+        return os.read(descriptor, 65_536).decode()
+    return ""
+
+
+def _next_descriptor(process: int) -> int:
+    """The number that the next descriptor of a process gets."""
+    held = {int(name) for name in os.listdir(f"/proc/{process}/fd")}
+    return next(number for number in itertools.count() if number not in held)
+
+
+def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_frame(
+    tmp_path: Path,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as place:
+        port = place.getsockname()[1]
+    options = ("--zenoh", "off", "--to", f"tcpin:127.0.0.1:{port}", "--logdir", str(tmp_path))
+    with driven(*options) as proxy, socket.create_connection(("127.0.0.1", port)) as early:
+        proxy.pass_frame()
+        assert early.recv(1)  # let in
+        number = proxy.process.pid
+        _, highest = resource.prlimit(number, resource.RLIMIT_NOFILE)
+        resource.prlimit(number, resource.RLIMIT_NOFILE, (_next_descriptor(number), highest))
+        with socket.create_connection(("127.0.0.1", port)) as late:
+            assert late.recv(1) == b""
+        for _ in range(100):
+            proxy.pass_frame()
+        printed, told = proxy.end()
+    assert "no descriptor for a further peer; allow more (ulimit -n)" in told
+    assert printed.split("\n")[1].split()[2] == str(proxy.sent)
+    recorded = list(split((tmp_path / "received.tlog").read_bytes()))
+    assert len(recorded) == proxy.sent

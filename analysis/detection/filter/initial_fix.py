@@ -141,6 +141,13 @@ def _repaired(
     several = len(found.subset) > 1
     if several and any(whole.cost - found.cost < TELLING for whole in wholes):
         return Start(None, CONTRADICTION, (), q, len(u) - unknowns)
+    # Three wrong of eight look like two others: those left must vouch for each other.
+    vouching = len(u) - len(found.subset) - unknowns
+    if several and vouching < TRUSTED_DOF:
+        reason = (
+            f"{len(found.subset)} of {len(u)} satellites contradict the others, which are too few"
+        )
+        return Start(None, reason, (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
     faulty = tuple(observed.satellites[i] for i in found.subset)

@@ -1,11 +1,12 @@
 """One GNSS epoch against the filter: assess it, isolate where a test trips, commit the rest."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core
+from analysis.detection.detector_state import Core, Record
 from analysis.detection.epoch_outcome import Outcome, imu_bad_until_us, shown
 from analysis.detection.filter.alignment import find_attitude
 from analysis.detection.filter.epoch_update import Step, absorb, commit
@@ -20,6 +21,14 @@ from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, parity_
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.constellations import CONTRADICTION
 from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
+from analysis.detection.isolation.imu_or_satellites import (
+    Blame,
+    Moment,
+    accused,
+    by_whom,
+    coasts,
+    led_off,
+)
 from analysis.detection.isolation.quiet_epoch import quiet_epoch
 from analysis.detection.isolation.ramp_test import (
     RampBank,
@@ -37,6 +46,8 @@ from analysis.detection.isolation.range_test import (
 )
 from analysis.detection.isolation.rate_test import RatesTested, check_rates, freed_by
 from analysis.detection.isolation.whole_receiver import (
+    ALONE,
+    FOLLOWED,
     LEAPT,
     after_leap,
     distrusted,
@@ -46,6 +57,8 @@ from analysis.detection.isolation.whole_receiver import (
     rates_beyond_imu,
 )
 from analysis.detection.protection import Bounds, bounds
+from analysis.detection.receiver.carry_off import Carried
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 
@@ -55,8 +68,8 @@ UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the pre
 
 class Judged(NamedTuple):
     """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
-    seen, whether the clock leapt, the verdicts of rates and ranges, and how far (3,) the satellites
-    leapt together."""
+    seen, whether the clock leapt, the verdicts of rates and ranges, how far (3,) the satellites
+    leapt together, who is at fault where the IMU seems to be, and how all satellites lie."""
 
     core: Core
     part: Segment
@@ -66,6 +79,8 @@ class Judged(NamedTuple):
     rates: RatesTested
     tested: Tested
     leap_m: Vector | None = None
+    accused: str = "imu"
+    carried: Carried | None = None
 
 
 def judge_epoch(
@@ -74,10 +89,10 @@ def judge_epoch(
     run: ImuRun,
     core: Core,
     config: DetectorConfig,
-    run_before: ImuRun | None = None,
+    past: Sequence[Record] = (),
 ) -> Outcome:
     """Predict, test, isolate, update: the core after an epoch and what it showed; `run` is what the
-    IMU gave since the last, `run_before` what it gave before that."""
+    IMU gave since the last, `past` are the epochs before."""
     before = core.motion
     assert before is not None
     # The fast way first: it returns None wherever there is anything to decide.
@@ -96,38 +111,59 @@ def judge_epoch(
         core = freeze(core, t_us, config)
         return Outcome(core._replace(motion=motion, ramps=None), reason)
     rates = check_rates(motion, sight.used, sight.tests, config)
-    rates = rates_beyond_imu(rates, core, motion, sight.used, (run_before, run))
+    rates = rates_beyond_imu(rates, core, motion, sight.used, (past[-1].run if past else None, run))
     tested = _tested(core, motion, sight, rates.hypothesis, config)
     tested = ranges_beyond_imu(tested, rates, core, motion, sight.used)
     since_s = (t_us - before.t_us) * 1e-6
+    moment = Moment(motion, phi, since_s, sight.used, part)
+    blame = Blame(rates, tested)
+    if before.inertial and motion.inertial:
+        blame = by_whom(core, past, moment, rates, tested, config)
+    rates, tested = blame.rates, blame.tested
     leap = leap_m(tested, motion, sight.used, sight.tests, since_s, config.p_false_alarm)
     if leap is not None:
         tested = followed(tested, motion, sight.used)
-    judged = Judged(core, part, motion, sight, leapt, rates, tested, leap)
+    judged = Judged(core, part, motion, sight, leapt, rates, tested, leap, *blame[2:])
     undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
     # Ramp tests need one unbroken filter: what was freed or leapt has no response to follow.
     if undisturbed and before.inertial == tested.motion.inertial:
-        ramps = ready(
-            core.ramps or new_ramps(before.t_us),
-            t_us,
-            observed.satellites,
-            sight.names,
-            tested.part.variance,
-            config,
-        )
-        step = Step(phi, (t_us - before.t_us) * 1e-6, t_us, tested.motion.inertial)
-        moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
-        slow = judge_slow(ramps, found, config)
-        whole = _whole_system(judged, config) if slow.hypothesis == "satellites" else None
-        if whole is None:
-            return _concluded(judged, before, moved, ramps, slow, config)
-        tested, judged = whole, judged._replace(tested=whole)
+        outcome, judged = _by_windows(judged, before, moment, past, observed.satellites, config)
+        if outcome is not None:
+            return outcome
     # The windows end here; what they had learnt of offsets lives on, frozen.
-    moved = absorb(tested.motion, tested.part, rates.fit)
+    moved = absorb(judged.tested.motion, judged.tested.part, rates.fit)
     # What is learnt while a system moves is the system's shift, and no offset of satellites.
     if not judged.tested.whole:
         judged = judged._replace(core=freeze(core, t_us, config))
     return _concluded(judged, before, moved, None, None, config)
+
+
+def _by_windows(
+    judged: Judged,
+    before: Motion,
+    moment: Moment,
+    past: Sequence[Record],
+    among: tuple[str, ...],
+    config: DetectorConfig,
+) -> tuple[Outcome | None, Judged]:
+    """What the tests with memory say of an epoch that passes, whose satellites are `among`; no
+    outcome where its ranges are to be used otherwise, as is then judged."""
+    core, tested, rates, t_us = judged.core, judged.tested, judged.rates, moment.motion.t_us
+    names, variance = judged.sight.names, tested.part.variance
+    ramps = ready(core.ramps or new_ramps(before.t_us), t_us, among, names, variance, config)
+    step = Step(moment.phi, moment.dt_s, t_us, tested.motion.inertial)
+    moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
+    slow = judge_slow(ramps, found, config)
+    if before.inertial and slow.hypothesis == "imu":
+        who, led = accused(past, moment, config)
+        judged = judged._replace(accused=who)
+        if led is not None:
+            judged = judged._replace(**led_off(led, moment, rates, tested)._asdict())
+            return _concluded(judged, before, judged.tested.motion, None, None, config), judged
+    whole = _whole_system(judged, config) if slow.hypothesis == "satellites" else None
+    if whole is None:
+        return _concluded(judged, before, moved, ramps, slow, config), judged
+    return None, judged._replace(tested=whole)
 
 
 def _whole_system(judged: Judged, config: DetectorConfig) -> Tested | None:
@@ -152,6 +188,8 @@ def _concluded(
     verdicts = (judged.rates.hypothesis, tested.hypothesis, slow.hypothesis if slow else "none")
     # Without an inertial prediction its failure is a manoeuvre, not a fault of the IMU.
     imu_blamed = before.inertial and "imu" in verdicts
+    undecided = imu_blamed and judged.accused == UNDECIDED
+    told_apart = imu_blamed and not undecided  # then it was the IMU before, too
     if imu_blamed and moved.inertial:
         moved = free_position(moved)
     sight = judged.sight
@@ -166,6 +204,8 @@ def _concluded(
         unknown_since_us=_unknown_since_us(core, judged, t_us),
         distrusted=distrusted(core, judged.rates, tested) if judged.leap_m is None else "",
         leapt_m=after_leap(core.leapt_m, judged.leap_m),
+        carried=judged.carried if tested.hypothesis == "gps" and judged.leap_m is None else None,
+        unbounded=(core.unbounded or undecided) and not told_apart,
         rates_off=_rates_off(judged),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
@@ -173,10 +213,7 @@ def _concluded(
     if ramps is not None and moved.inertial and not before.inertial:
         ramps = ramps.without_accelerations()
     core = core._replace(motion=moved, ramps=ramps)
-    unknown_us = core.unknown_since_us
-    # Nothing has explained the ranges for too long: the filter itself is wrong, start anew.
-    if unknown_us is not None and (t_us - unknown_us) * 1e-6 >= config.reset_s:
-        core = core._replace(motion=None, ramps=None, unknown_since_us=None, distrusted="")
+    core = _given_up(core, t_us, config)
     # Silence of the IMU is shown like its fault: the prediction lacks it either way.
     silent = before.inertial and part.gap_s > config.gap_s
     shown_now = shown(core, tested.hypothesis, imu_blamed or silent, judged.leapt)
@@ -195,11 +232,32 @@ def _concluded(
     )
 
 
+def _given_up(core: Core, t_us: int, config: DetectorConfig) -> Core:
+    """The core without its filter where nothing has explained the ranges for too long."""
+    unknown_us = core.unknown_since_us
+    if unknown_us is None or (t_us - unknown_us) * 1e-6 < config.reset_s:
+        return core
+    # Whoever was distrusted is followed from here on, as nothing else tells a place.
+    lying = core.unbounded or core.distrusted != ""
+    return core._replace(
+        motion=None,
+        ramps=None,
+        unknown_since_us=None,
+        distrusted="",
+        carried=None,
+        unbounded=lying,
+    )
+
+
 def _unbounded(judged: Judged, core: Core) -> str:
     """Why nothing bounds the position; empty where something does."""
     if judged.tested.whole and judged.tested.hypothesis == "multiple-unknown":
         return CONTRADICTION
-    return LEAPT if core.leapt_m is not None else ""
+    if judged.carried is not None and coasts(judged.predicted, judged.sight.used):
+        return ALONE
+    if core.leapt_m is not None:
+        return LEAPT
+    return FOLLOWED if core.unbounded else ""
 
 
 def _rates_off(judged: Judged) -> dict[str, int]:

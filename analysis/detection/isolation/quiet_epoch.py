@@ -136,6 +136,8 @@ def _is_rare(core: Core, motion: Motion, config: DetectorConfig) -> bool:
     """Excluded satellites, a leap, an alignment under way and a lever arm need the long way."""
     if core.excluded or core.distrusted or core.leapt_m is not None or motion.alignment is not None:
         return True
+    if core.unbounded:
+        return True
     return motion.inertial and config.antenna is not None
 
 

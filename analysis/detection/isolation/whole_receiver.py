@@ -32,6 +32,8 @@ LEAP_M, LEAP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity is 
 LEAP_SIGMAS = 5.0  # of the prediction
 AGREEING_DOF = 3  # that the satellites must agree by
 LEAPT = "all satellites leapt together, and nothing tells which place is right"
+ALONE = "all satellites are left out: the IMU alone carries the position, and nothing bounds it"
+FOLLOWED = "all satellites or the IMU are wrong: the position is the satellites', without a bound"
 
 
 def rates_beyond_imu(
@@ -91,6 +93,11 @@ def ranges_beyond_imu(
         shift_m = np.linalg.norm(_shift(columns, used.v_m, used.variance))
         if shift_m < LEAST_M and not core.distrusted:
             return tested
+    return by_all(motion, tested)
+
+
+def by_all(motion: Motion, tested: Tested) -> Tested:
+    """The ranges' verdict where all satellites lie: nothing of the epoch is used."""
     return Tested(
         motion, "gps", True, (), tested.statistic, tested.threshold, tested.probabilities, NO_ROWS,
         True,

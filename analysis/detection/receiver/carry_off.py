@@ -25,15 +25,16 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import ERRORS, V
+from analysis.detection.filter.inertial import ERRORS, PSI, V
 from analysis.detection.filter.information import Indices, move
 from analysis.detection.receiver.position_test import Check, Measured
 from analysis.samples.sample import Vector
 
 WINDOW_COUNT = 20
 STRIDE_US = 180_000  # a window begins with every fix, where those do not come faster
-CARRIED, ACCELERATED = slice(0, 3), slice(3, 6)  # a window's responses, along north, east, down
-EACH = 6
+# A window's responses, along or about north, east and down; the last three where they are asked.
+CARRIED, ACCELERATED, TURNED = slice(0, 3), slice(3, 6), slice(6, 9)
+EACH, WITH_TURNS = 6, 9
 # What a sound receiver's velocity and a sound IMU's acceleration are off by for seconds
 NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
 BETTER = 10.0  # by which a carry-off or its rival must explain more than the other
@@ -41,6 +42,7 @@ SETTLED_US = 10_000_000  # in which the filter follows what was a blow or a wron
 MEMORY_S = 30.0  # of the level of the innovations
 FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
 LEAST_LEVEL = 0.1
+NOWHERE = np.zeros(3)
 MOST_SQUARE = 9.0  # one outlier says little of the level
 
 
@@ -58,11 +60,11 @@ class Fitted(NamedTuple):
 class Carry(NamedTuple):
     """The windows over a flight.
 
-    `starts_us` (w,) is when each began (0: not yet), the next does at `due_us`; `d` (20, 6 w) are
-    the responses, `c` (w, 6) and `j` (w, 6, 6) the sums, `levels` (w,) those of the innovations
-    when a window began. `squares` (6,) are the normalised innovations' mean squares now, of
-    `fixes`. At `doubt_us` something was seen that no spoofer is needed for, at `blown_us` something
-    that neither a spoofer nor a wrong IMU is.
+    `starts_us` (w,) is when each began (0: not yet), the next does at `due_us`; `d` (20, s w) are
+    the responses to s = 6 or 9 signatures, `c` (w, s) and `j` (w, s, s) the sums, `levels` (w,)
+    those of the innovations when a window began. `squares` (6,) are the normalised innovations'
+    mean squares now, of `fixes`. At `doubt_us` something was seen that no spoofer is needed for, at
+    `blown_us` something that neither a spoofer nor a wrong IMU is.
     """
 
     due_us: int
@@ -78,10 +80,12 @@ class Carry(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """A receiver carried off since `onset_us` with a velocity (3,)."""
+    """A receiver carried off since `onset_us` with a velocity (3,), from a place that had leapt by
+    some metres (3,)."""
 
     onset_us: int
     u_ned_mps: Vector
+    leapt_ned_m: Vector = NOWHERE
 
 
 class Found(NamedTuple):
@@ -92,12 +96,12 @@ class Found(NamedTuple):
     covariance: Vector
 
 
-def new_carry(t_us: int) -> Carry:
-    """Windows that begin one after the other from `t_us`."""
+def new_carry(t_us: int, each: int = EACH) -> Carry:
+    """Windows that begin one after the other from `t_us`; `each` with wrong rates or without."""
     w = WINDOW_COUNT
-    table, sums, squares = np.zeros((ERRORS, w * EACH)), np.zeros((w, EACH)), np.ones(6)
+    table, sums, squares = np.zeros((ERRORS, w * each)), np.zeros((w, each)), np.ones(6)
     starts_us = np.zeros(w, np.int64)
-    return Carry(t_us, starts_us, table, sums, np.zeros((w, EACH, EACH)), np.ones(w), squares)
+    return Carry(t_us, starts_us, table, sums, np.zeros((w, each, each)), np.ones(w), squares)
 
 
 def fitted(measured: Measured, position: Check, velocity: Check, p: Vector) -> Fitted:
@@ -113,16 +117,18 @@ def fitted(measured: Measured, position: Check, velocity: Check, p: Vector) -> F
 def extended(carry: Carry, t_us: int, dt_s: float, phi: Vector, axes: Vector, fix: Fitted) -> Carry:
     """One fix more, `dt_s` after the last, with the transition phi (20, 20) between them; `axes`
     (3, 3) are north, east and down in ECEF."""
-    d = phi @ carry.d
-    by_window, begun = d.reshape(ERRORS, WINDOW_COUNT, EACH), carry.starts_us > 0
+    d, count = phi @ carry.d, carry.c.shape[1]
+    by_window, begun = d.reshape(ERRORS, WINDOW_COUNT, count), carry.starts_us > 0
     by_window[0:3, begun, ACCELERATED] += 0.5 * dt_s**2 * axes.T[:, None]
     by_window[V : V + 3, begun, ACCELERATED] += dt_s * axes.T[:, None]
-    e = np.zeros((6, WINDOW_COUNT, EACH))
+    if count == WITH_TURNS:
+        by_window[PSI : PSI + 3, begun, TURNED] += dt_s * axes.T[:, None]
+    e = np.zeros((6, WINDOW_COUNT, count))
     ages_s = np.where(begun, (t_us - carry.starts_us) * 1e-6, 0.0)
     for axis in range(3):
         e[axis, :, axis], e[3 + axis, :, axis] = ages_s, begun
     g = e.reshape(6, -1)[fix.rows] - fix.h @ d
-    each = g.reshape(-1, WINDOW_COUNT, EACH)
+    each = g.reshape(-1, WINDOW_COUNT, count)
     weighted = np.einsum("ijk,il->ljk", each, fix.m)
     c = carry.c + np.einsum("ljk,l->jk", weighted, fix.v)
     j = carry.j + np.einsum("ljk,ljm->jkm", weighted, each)
@@ -145,9 +151,9 @@ def renewed(carry: Carry, t_us: int) -> Carry:
         return carry
     oldest = int(carry.starts_us.argmin())
     starts_us, levels = carry.starts_us.copy(), carry.levels.copy()
-    d, c, j = carry.d.copy(), carry.c.copy(), carry.j.copy()
+    d, c, j, each = carry.d.copy(), carry.c.copy(), carry.j.copy(), carry.c.shape[1]
     starts_us[oldest], levels[oldest] = t_us, max(float(carry.squares.max()), LEAST_LEVEL)
-    d[:, oldest * EACH : (oldest + 1) * EACH] = 0.0
+    d[:, oldest * each : (oldest + 1) * each] = 0.0
     c[oldest], j[oldest] = 0.0, 0.0
     due_us = t_us + STRIDE_US
     return carry._replace(due_us=due_us, starts_us=starts_us, d=d, c=c, j=j, levels=levels)
@@ -177,11 +183,26 @@ def searched(
     # Nobody is blamed before the filter has settled and all windows have begun behind that.
     if not clear or carry.starts_us[oldest] < carry.doubt_us + SETTLED_US:
         return carry, None, wrong_mps2
-    covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED])
-    d = carry.d[:, window * EACH : window * EACH + 3]
+    return carry, _found(carry, int(window)), None
+
+
+def compared(carry: Carry) -> tuple[float, float, Found | None]:
+    """The likelihood ratios of a carry-off and of an IMU that is wrong, and the carry-off."""
+    begun = np.flatnonzero(carry.starts_us)
+    if not len(begun):
+        return 0.0, 0.0, None
+    ratio, force, rate = (_ratios(carry, begun, part) for part in (CARRIED, ACCELERATED, TURNED))
+    rival = max(float(force.max()), float(rate.max()))
+    return float(ratio.max()), rival, _found(carry, int(begun[ratio.argmax()]))
+
+
+def _found(carry: Carry, window: int) -> Found:
+    """The carry-off that a window shows."""
+    covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED] + 1e-9 * np.eye(3))
+    each = carry.c.shape[1]
+    d = carry.d[:, window * each : window * each + 3]
     u = covariance @ carry.c[window, CARRIED]
-    found = Found(Carried(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
-    return carry, found, None
+    return Found(Carried(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
 
 
 def _accelerated(carry: Carry, window: int, threshold: float) -> Vector | None:
@@ -212,5 +233,6 @@ def nearer_to_carried(carried: Carried, t_us: int, fix: Fitted) -> bool:
     """Whether a fix lies where it would have been carried to by now rather than where the filter
     is, which without a receiver grows unsure."""
     age_s = (t_us - carried.onset_us) * 1e-6
-    v = fix.v - np.concatenate((carried.u_ned_mps * age_s, carried.u_ned_mps))[fix.rows]
+    away_m = carried.leapt_ned_m + carried.u_ned_mps * age_s
+    v = fix.v - np.concatenate((away_m, carried.u_ned_mps))[fix.rows]
     return float(v @ fix.m @ v) < float(fix.v @ fix.m @ fix.v)

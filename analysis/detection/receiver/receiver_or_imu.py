@@ -48,6 +48,16 @@ def mean_force(part: Segment) -> Vector | None:
     return rows[:, 0] @ rows[:, FORCE] / total_s if total_s > 0.0 else None
 
 
+def unexplained(v_mps: Vector, sigma_mps: Vector, changed_mps: Vector, intervals: int) -> float:
+    """What a force that changed by what makes `changed_mps` (n,) of velocity an interval, within
+    some intervals, leaves of a difference of velocities (n,): squared over its sigma (n,)."""
+    size = float(changed_mps @ changed_mps)
+    # A fault that began in these intervals has acted for none to all of their time.
+    times = min(max(-float(v_mps @ changed_mps) / size, 0.0), intervals) if size > 0.0 else 0.0
+    remaining = (v_mps + times * changed_mps) / sigma_mps
+    return float(remaining @ remaining)
+
+
 def culprit(
     last: LastFix | None,
     measured: Measured,
@@ -70,11 +80,8 @@ def culprit(
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
     for since, before in enumerate(last.forces_b_mps2[:INTERVALS], start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
-        size = float(changed_mps @ changed_mps)
-        # A fault that began in these intervals has acted for none to all of their time.
-        times = min(max(-float(velocity.v @ changed_mps) / size, 0.0), since) if size > 0.0 else 0.0
-        remaining = (velocity.v + times * changed_mps) / sigma_mps
-        if float(remaining @ remaining) <= chi_square(len(remaining), config.p_other):
+        remaining = unexplained(velocity.v, sigma_mps, changed_mps, since)
+        if remaining <= chi_square(len(sigma_mps), config.p_other):
             return "imu"
     grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
     most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))

@@ -2,7 +2,8 @@
 
 Each satellite's C/N0 is held against its own mean of the last minute, so that satellites that rise
 and set count for nothing. A jammer is noise at the receiver's antenna and takes the same from every
-signal of a band; what stands in the way takes more from some than from others. A signal that
+signal of a band; what stands in the way takes more from some than from others, unless it covers the
+antenna: a receiver that is packed up is no other to it than one that is jammed. A signal that
 vanishes has fallen, too; where most vanish at once, that is told, and not why. Nobody among the
 satellites is to blame: the result is about `satellites` as a whole.
 """
@@ -144,7 +145,7 @@ def fallen_together(losses_db: Iterable[float], already: bool = False) -> float:
 
 
 def _result(t_us: int, fallen_db: float) -> SensorDecision:
-    weaker = f"jamming: all signals are {fallen_db:.0f} dB weaker"
+    weaker = f"jamming, or a covered antenna: all signals are {fallen_db:.0f} dB weaker"
     return SensorDecision(
         t_us=t_us,
         sensor="satellites",

@@ -20,6 +20,7 @@ from analysis.fusion.factors.range_rows import (
     ABOVE,
     CORRECTED,
     NORMALISED,
+    RATE,
     RATE_SIGMA,
     SIGMA,
     NodeState,
@@ -83,6 +84,11 @@ class Ranges:
         """Innovations (n, 2) of ranges and rates over the detector's sigmas."""
         result: Vector = self.table[:, NORMALISED : NORMALISED + 2]
         return result
+
+    @property
+    def tell_motion(self) -> bool:
+        """Whether there are rates among them."""
+        return self._doppler and bool(np.isfinite(self.table[:, RATE]).any())
 
     def weights(self, by_name: dict[str, float]) -> Vector:
         """Weights of those above the mask that have one worth it."""

@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from html import escape
 from pathlib import Path
 from queue import Queue
 
@@ -144,6 +145,11 @@ def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path
     assert "the autopilot's program ended with exit code 3" in said
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert not summary["autopilot"]["landed"]
+    assert summary["verdict"] == "FAIL"
+    (unmet,) = [check for check in summary["criteria"] if not check["passed"]]
+    assert unmet["name"] == "flown to the landing"
+    assert unmet["value"] == summary["autopilot"]["ended_early"]
+    assert escape(unmet["value"]) in (tmp_path / "out" / "report.html").read_text()
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) > 100
 
 

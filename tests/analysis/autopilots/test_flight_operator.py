@@ -99,6 +99,24 @@ def test_nothing_is_armed_before_the_program_has_started():
     assert autopilot.operator.phase is Phase.ARMING
 
 
+@pytest.mark.parametrize(("mav_type", "ends"), [(1, True), (2, False), (13, False), (0, False)])
+def test_an_autopilot_for_another_kind_of_vehicle_is_told(mav_type, ends):
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0, kind="multirotor")))
+    autopilot.second(frame("HEARTBEAT", type=mav_type))
+    reason = autopilot.operator.gave_up
+    assert ("flies a fixedwing, the scenario's vehicle is a multirotor" in reason) == ends
+
+
+def test_a_start_that_takes_long_is_not_held_against_the_vehicle():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    for second in range(1, 230):
+        autopilot.operator.heard(READY)
+        autopilot.operator.step(second * SECOND_US, started=False)
+    assert not autopilot.operator.gave_up
+    autopilot.operator.step(230 * SECOND_US)
+    assert autopilot.operator.phase is Phase.ARMING
+
+
 def test_what_is_not_answered_is_asked_again_each_second():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.ARMING)

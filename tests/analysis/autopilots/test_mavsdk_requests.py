@@ -75,6 +75,21 @@ def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
     assert modes == [(1, 0), (1, 0), (1, 0), (4, 3)]  # manual for three seconds, then hold
 
 
+def test_an_answer_is_awaited_from_the_first_question_on(flight):
+    parser = Parser()
+    with closing(MavsdkRequests([])) as requests:
+        assert not requests.awaiting
+        requests.arm()  # nobody was heard of yet whom to ask
+        assert requests.awaiting
+        deadline_s = time.monotonic() + LIMIT_S
+        while requests.awaiting and time.monotonic() < deadline_s:
+            for item in parser.push(b"".join(flight.advance(requests.pending()).ground)):
+                if isinstance(item, Frame):
+                    requests.heard(item)
+            requests.arm()  # as the operator does until the vehicle says so
+        assert not requests.awaiting
+
+
 def test_it_uploads_a_mission_and_starts_it(flight):
     operator, _ = fly(flight, FlightPlan(8.0, 20.0, (NORTH,)))
     assert not operator.gave_up

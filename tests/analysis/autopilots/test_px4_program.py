@@ -7,7 +7,7 @@ import pytest
 
 from analysis.autopilots import px4_program
 from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
-from analysis.autopilots.program import Program, Start
+from analysis.autopilots.program import Program, Start, Unhurried
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
@@ -59,10 +59,11 @@ def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
     log = tmp_path / "px4.log"
     log.write_text("INFO  [px4] startup script: rcS 0\n")
     start = Start(Program("PX4", None, [], log, PX4_STEP, px4_program.STARTED))
+    told = told_s is None
     for tick in range(80_000):  # 320 s of a vehicle that needs no time of its own
         start.hold(1_000_000 + 4000 * tick)
-        if told_s is not None and now[0] >= 100.0 + told_s:
-            log.write_text("INFO  [px4] Startup script returned successfully\n")
+        if not told and now[0] >= 100.0 + told_s:
+            told = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
     assert now[0] - 100.0 == pytest.approx(held_s, abs=0.2)
 
 
@@ -71,6 +72,17 @@ def test_a_program_without_such_words_is_not_held(tmp_path, monkeypatch):
     start = Start(Program("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
     start.hold(0)
     start.hold(10_000_000)
+
+
+def test_a_flight_does_not_outrun_an_operator_that_lives_on_the_wall_clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    unhurried = Unhurried()
+    for tick in range(5000):  # 20 s of a vehicle that needs no time of its own
+        # For 3 s and, later, for 5 s an answer is awaited.
+        unhurried.hold(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
+    assert now[0] - 100.0 == pytest.approx(8.0, abs=0.1)
 
 
 def test_two_runs_at_once_are_two_instances():

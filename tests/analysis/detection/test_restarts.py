@@ -134,6 +134,24 @@ def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight)
     assert honest.mode == "start"
 
 
+@pytest.mark.parametrize("wrong", ["G01 G03 G04", "G01 G06 G14", "G04 G06 G14", "G06 G14 G19"])
+def test_a_start_is_not_made_from_three_wrong_of_eight_that_look_like_two_others(static, wrong):
+    part, names = (
+        first_minutes(static, 5.0),
+        ["G01", "G03", "G04", "G06", "G09", "G14", "G17", "G19"],
+    )
+    for name in wrong.split():
+        part = shifted(part, name, 50.0, 0.0, 5.0)
+    part = [
+        s.select([s.satellites.index(name) for name in names]) if isinstance(s, Epoch) else s
+        for s in part
+    ]
+    found = decisions(part, DetectorConfig(systems="G"))
+    # 72 to 169 m off, with levels of 59 and 131 m, when the first repair that passes was believed.
+    assert [d.position_ecef_m for d in found] == [None] * 5
+    assert all("2 of 8 satellites contradict the others" in d.reason for d in found)
+
+
 def test_epochs_every_thirty_seconds_are_tested(static):
     begin_us = next(s.t_us for s in static if isinstance(s, Epoch))
     thin = [s for s in static if not isinstance(s, Epoch) or (s.t_us - begin_us) % 30_000_000 == 0]

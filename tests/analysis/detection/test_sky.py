@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.sky import with_sky
+from analysis.detection.sky import RecordedSky
 from analysis.recordings.recordings import read_rinex
 from analysis.results import Decision
 from analysis.samples.block import EPOCH
@@ -20,7 +20,8 @@ def decisions(shared_data):
     part = block.between(0, int(block.rows(EPOCH)[SECONDS]))
     detector = Detector()
     results, _ = detector.step(part, detector.new_state())
-    return [r for r in with_sky(part, results, DetectorConfig()) if isinstance(r, Decision)]
+    sky = RecordedSky(part, DetectorConfig())
+    return [r for r in sky.above(results) if isinstance(r, Decision)]
 
 
 def test_every_satellite_of_a_decision_has_its_place(decisions):

@@ -283,6 +283,12 @@ def test_a_log_with_labels_needs_no_criteria_for_a_verdict(flight: Flight) -> No
     assert found.verdict == "FAIL"
 
 
+def test_a_command_of_a_sequence_is_nothing_that_an_autopilot_could_miss(flight: Flight) -> None:
+    found = outcome(flight(), jump("up", fault="command", targets=()))
+    assert fault_rows(found)["up"] == ("not judged", "a command to the vehicle falsifies nothing")
+    assert found.verdict == "PASS"
+
+
 def test_a_log_without_an_autopilot_calls_no_fault_missed() -> None:
     recording = Recording("x", signals=[signal([0.0] * 50)])
     found = judged(Source(recording, (Path("x"),), [jump()]), Thresholds())

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from pynmeagps import ERR_RAISE, NMEAReader
 
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
 from analysis.recordings.position_reference import read_reference
+from analysis.recordings.recordings import read_rinex
+from analysis.results import Decision
+from analysis.run.monitor_command import watch_recording
+from analysis.run.terminal import print_summary
 from mavproxy_fault.cli import main
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
@@ -94,13 +100,15 @@ def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
         "faults:\n"
         "  - {id: step, fault: bias, target: PSEUDORANGE.G19, value: 50, at_s: 300, for_s: 60}\n"
         "  - {id: ramp, fault: drift, target: PSEUDORANGE.E13, value: 0.5, at_s: 500, for_s: 60}\n"
+        "  - {id: nowhere, fault: bias, target: PSEUDORANGE.G31, value: 50}\n"
     )
     files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
     out = tmp_path / "run"
     given = ["--schedule", str(faults), f"--truth={TRUTH}", "--zenoh", "off", "--out", str(out)]
     assert main(["monitor", "--rinex", *files, *given]) == 0
-    rows = json.loads((out / "summary.json").read_text())["faults"]
-    assert [(row["verdict"], row["isolated"]) for row in rows] == [
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["never_acted"] == ["nowhere (bias)"]
+    assert [(row["verdict"], row["isolated"]) for row in summary["faults"]] == [
         ("isolated", ["G19"]),
         ("isolated", ["E13"]),
     ]
@@ -111,3 +119,54 @@ def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, caps
     code = main(["monitor", "--log", "flight.tlog", "--schedule", "faults.yaml"])
     assert code == 2
     assert "--schedule: is for --rinex" in capsys.readouterr().err
+
+
+def test_a_stop_ends_a_recording_midway_and_what_was_judged_is_told(shared_data):
+    data, told, asked = shared_data / "gnss_static", [], iter((False, True))
+    block = read_rinex(data / "SEPT078M.21O", data / "SEPT078M.21P")
+    watch_recording(block, Monitor(MonitorConfig()), told.extend, lambda: next(asked))
+    decisions = [result for result in told if isinstance(result, Decision)]
+    assert 0 < len(decisions) < 900
+    assert all(decision.hdop is not None for decision in decisions)
+
+
+def test_a_recording_that_is_refused_leaves_no_folder(shared_data, tmp_path, capsys):
+    obs, wrong = shared_data / "gnss_static" / "SEPT078M.21O", tmp_path / "none.nav"
+    out = tmp_path / "run"
+    assert main(["monitor", "--rinex", str(obs), str(wrong), "--out", str(out)]) == 2
+    assert "none.nav: cannot be read" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_why_epochs_could_not_be_tested_is_told(shared_data, tmp_path, capsys):
+    data, lost = shared_data / "gnss_static", tmp_path / "lost.yaml"
+    # All of GPS, and of Galileo all but two that are in view.
+    names = ["G", *(f"E{n:02d}" for n in range(1, 37) if n not in (1, 13))]
+    targets = [f"PLANT.satellite_lost[{name}]" for name in names]
+    fault = {"fault": "plant", "target": targets, "value": 1, "at_s": 100, "for_s": 60}
+    lost.write_text(json.dumps({"faults": [fault]}))
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    given = ["--schedule", str(lost), "--zenoh", "off", "--out", str(tmp_path / "run")]
+    main(["monitor", "--rinex", *files, *given])
+    reasons = json.loads((tmp_path / "run" / "summary.json").read_text())["untestable_reasons"]
+    assert sum(reasons.values()) == 60
+    reason, count = next(iter(reasons.items()))
+    assert f"untestable      {count} times: {reason}\n" in capsys.readouterr().out
+
+
+def test_many_alarms_that_nobody_knows_to_be_false_point_at_the_calibration(capsys):
+    summary = {
+        "sim_s": 600.0,
+        "wall_s": 1.0,
+        "alarms": 20,
+        "epochs": 600,
+        "epochs_without_imu": 600,
+    }
+    rest = dict.fromkeys(("position_rmse_m", "false_by_channel", "false_alarms"))
+    rest |= {"untestable_epochs": 0, "untestable_reasons": {}, "unbounded_epochs": 0}
+    rest |= {"faults": [], "criteria": [], "attitude_rmse_deg": None, "verdict": "PASS"}
+    print_summary(rest | summary, None)
+    assert "--calibrate fits the noise" in capsys.readouterr().out
+    print_summary(rest | summary | {"false_alarms": 0}, None)
+    print_summary(rest | summary | {"alarms": 2}, None)
+    assert "--calibrate" not in capsys.readouterr().out

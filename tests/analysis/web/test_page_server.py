@@ -28,6 +28,7 @@ def test_a_second_signal_ends_the_page_in_order_too(tmp_path: Path) -> None:
             while True:  # until it has begun to end
                 socket.create_connection(("127.0.0.1", int(address.split(":")[2][:-1])), 60).close()
         page.send_signal(signal.SIGINT)
-        _, told = page.communicate(timeout=60)
+        summary, told = page.communicate(timeout=60)
     # uvicorn told of cancelled tasks, and the source's thread could abort the process.
     assert (page.returncode, told) == (0, "")
+    assert summary.startswith("stopped after ")

@@ -240,18 +240,18 @@ def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> No
 def test_the_end_of_a_fault_explains_that_of_a_blame_without_satellites(
     page: Any, loop: Any
 ) -> None:
-    stale = {"fault": "freeze", "target": "HIL_SENSOR.xmag"}
-    loop.live.ask("@ctl/fault/stale/arm", msgspec.json.encode(stale))
-    page.wait_for_selector("#events li:has-text('stale: fault begins')")
+    off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
+    loop.live.ask("@ctl/fault/off/arm", msgspec.json.encode(off))
+    page.wait_for_selector("#events li:has-text('off: fault begins')")
     loop.steps_left = 0
     loop.sensor(500.0, "mag", 40.0, bad=True)
     page.wait_for_selector("#verdict.alarm")
-    loop.live.ask("@ctl/fault/stale/disarm", b"")
+    loop.live.ask("@ctl/fault/off/disarm", b"")
     loop.steps_left = 5
-    page.wait_for_selector("#events li:has-text('stale: fault ended')")
+    page.wait_for_selector("#events li:has-text('off: fault ended')")
     (label,) = [one for one in loop.labels if one.end_us is not None]
     loop.sensor(label.end_us / 1e6 + 1.0, "mag", 3.0)
-    page.wait_for_selector("#verdict.calm:has-text('stale ended at')")
+    page.wait_for_selector("#verdict.calm:has-text('off ended at')")
 
 
 FILLED = """(canvas) => {

@@ -43,6 +43,19 @@ def test_the_command_writes_file_and_labels(recording, tmp_path):
     assert [label.frames for label in read_labels(tmp_path / "faulted.21O.labels.jsonl")] == [5]
 
 
+def test_a_fault_on_a_satellite_that_is_not_there_is_told(recording, tmp_path, capsys):
+    faults, out = tmp_path / "faults.yaml", tmp_path / "faulted.21O"
+    faults.write_text(
+        "faults:\n"
+        "  - {id: here, fault: bias, target: PSEUDORANGE.G19, value: 50, for_s: 5}\n"
+        "  - {id: nowhere, fault: bias, target: PSEUDORANGE.G31, value: 50, for_s: 5}\n"
+    )
+    assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(out)]) == 0
+    told = capsys.readouterr().err
+    assert "never acted: nowhere (bias): it met nothing that it names" in told
+    assert "here (bias)" not in told.replace("nowhere (bias)", "")
+
+
 def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
     faults = tmp_path / "faults.yaml"
     faults.write_text("faults:\n  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")

@@ -115,6 +115,7 @@ def test_an_autopilot_that_dies_is_told_with_its_time(tmp_path):
     with bridge(tmp_path, "--ends-after", "30") as (simulator, process):
         fly(simulator, lambda: process.poll() is not None)
         said = process.stderr.read()
+        assert process.returncode == 1
     assert "the autopilot's program ended with exit code 3" in said
     assert "s of vehicle time" in said
 

@@ -1,7 +1,7 @@
 import pytest
 
 from mavproxy_fault.ardupilot.hil_readings import TrueState
-from mavproxy_fault.ardupilot.preparation import AGAIN_US, Preparation
+from mavproxy_fault.ardupilot.preparation import AGAIN_US, Preparation, streams
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
@@ -32,6 +32,15 @@ def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
     assert preparation.due(10**12) is None
     assert requests[0] == "PARAM_REQUEST_READ"
     assert requests[-1] == "COMMAND_LONG"
+
+
+def test_a_board_is_asked_for_what_conditions_and_reports_look_at():
+    """It tells nothing by itself: `from: take-off` would never come."""
+    preparation, numbers = Preparation(EAST, streams()), []
+    while preparation.pending.startswith("stream"):
+        numbers.append(asked(preparation.due(0)).number("param1"))
+        preparation.received(frame("COMMAND_ACK", command=511))
+    assert numbers == [36, 33, 30, 193]  # outputs first: they drive the motors
 
 
 def test_a_request_is_repeated_each_second_until_it_is_answered():

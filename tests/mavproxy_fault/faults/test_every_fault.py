@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as pymavlink
 
 from mavproxy_fault.faults import registry
+from mavproxy_fault.faults.draft import Draft
 from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
@@ -90,9 +92,19 @@ def test_a_state_handed_back_does_not_touch_the_one_before(name: str) -> None:
     for _ in range(2):
         rng = np.random.default_rng(7)
         state = entry.fault.new_state(START_US)
-        found = []
+        found: list[tuple[int, object]] = []
         for t_us, frame in frames():
-            if entry.ids is None or frame.id in entry.ids:
+            if entry.ids is not None and frame.id not in entry.ids:
+                continue
+            if isinstance(entry.fault, ValueFault):
+                draft = Draft(frame)
+                healthy = draft.values(entry.fault.elements[frame.id])
+                after, inner = entry.fault.after(
+                    healthy, draft.sender(), (t_us - START_US) / 1e6, state.inner, rng
+                )
+                state = state._replace(inner=inner)
+                found.append((t_us, repr(after)))
+            else:
                 sends, state = entry.fault.apply(frame, t_us, state, rng)
                 found += [(out.due_us, raw(out)) for out in sends]
         outcomes.append(found)

@@ -77,6 +77,18 @@ def test_a_command_that_is_refused_or_not_heard_is_repeated_each_second():
     ]
 
 
+def test_a_label_does_not_end_before_it_begins():
+    engine = Engine(parse_schedule({"faults": [{"fault": "command", "do": "arm"}]}))
+    beat = message("HEARTBEAT", type=QUAD, autopilot=PX4)
+    engine.apply(beat, "from-vehicle", 1_000_000)
+    # The answer has no stamp, and the time it came at is known to some milliseconds.
+    engine.apply(message("COMMAND_ACK", command=400), "from-vehicle", 999_000)
+    engine.apply(beat, "from-vehicle", 999_500)
+    labels = engine.drain_labels()
+    assert labels[-1].end_us is not None
+    assert all(label.end_us is None or label.end_us >= label.start_us for label in labels)
+
+
 def test_a_command_is_over_once_it_is_granted_and_the_next_step_follows():
     steps = [
         {"id": "arm", "fault": "command", "do": "arm"},

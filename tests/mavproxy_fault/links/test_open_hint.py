@@ -18,8 +18,10 @@ def test_the_error_tells_who_holds_an_occupied_port(scheme: str) -> None:
     finally:
         first.close()
     name = Path("/proc/self/comm").read_text().strip()
-    assert f"port {port} is held by {name} (process {os.getpid()})" in str(caught.value)
-    assert str(caught.value).endswith("; allowed: a free port, or 0 for any")
+    assert str(caught.value) == (
+        f"{scheme}:127.0.0.1:{port}: cannot be opened: Address already in use; port {port} is held "
+        f"by {name} (process {os.getpid()}); allowed: a free port, or 0 for any"
+    )
 
 
 def test_the_holder_stays_unnamed_where_the_system_does_not_show_it(

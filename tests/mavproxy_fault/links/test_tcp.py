@@ -114,6 +114,17 @@ def test_a_client_tells_of_a_connection_that_is_lost_but_of_no_attempt(server, c
     assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; it is made again"]
 
 
+def test_a_server_tells_that_nobody_is_left_but_of_none_who_only_knocked(server, caplog) -> None:
+    connect(server).close()
+    assert read_until(server, bool) == [(0, b"")]
+    with connect(server) as peer:
+        peer.sendall(b"word")
+        assert read_until(server, bool) == [(1, b"word")]
+    assert read_until(server, bool) == [(1, b"")]
+    told = [record.message for record in caplog.records]
+    assert told == [f"{server.name}: the other side closed the connection; nobody is left"]
+
+
 def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
     client = TcpClient("127.0.0.1", server.port)
     client.write(b"at once")

@@ -135,6 +135,21 @@ def test_one_motor_stops_and_the_others_run() -> None:
     assert result(it, failure(101, 1, 17)) == UNSUPPORTED
 
 
+def test_an_esc_that_is_off_stops_its_motor_and_tells_so() -> None:
+    it = control("HIL_ACTUATOR_CONTROLS", "ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8")
+    assert result(it, failure(106, 1, 6)) == ACCEPTED
+    told = {
+        "HIL_ACTUATOR_CONTROLS": ("controls", [0.5] * 16, 5),
+        "ESC_TELEMETRY_1_TO_4": ("rpm", [5000] * 4, None),
+        "ESC_TELEMETRY_5_TO_8": ("rpm", [5000] * 4, 1),
+    }
+    for message, (field, values, stopped) in told.items():
+        (out,) = through(it, frame(message, **{field: values}), 2_100_000)
+        assert isinstance(out.frame, Frame)
+        left = [out.frame.number(field, i) for i in range(len(values))]
+        assert left == [0 if i == stopped else value for i, value in enumerate(values)]
+
+
 def test_ok_ends_the_failures_of_its_unit_only() -> None:
     it = control("HIL_SENSOR")
     for unit in (0, 1):
@@ -300,6 +315,14 @@ def test_params_4_and_5_are_a_magnitude_and_a_duration() -> None:
         assert result(it, failure_with(*params)) == ACCEPTED
         (entry,) = parse_schedule(it.engine.save()).faults
         assert (entry.parameters["value"], entry.for_s) == ([0.5, 0.5, 0.5], None)
+
+
+@pytest.mark.parametrize(("kind", "value"), [(4, -0.25), (8, -0.25), (3, 0.25)])
+def test_an_offset_and_a_drift_may_be_negative_and_a_noise_has_no_sign(kind, value) -> None:
+    it = control("HIL_SENSOR")
+    assert result(it, failure_with(-0.25, -3.0, kind=kind)) == ACCEPTED
+    (entry,) = parse_schedule(it.engine.save()).faults
+    assert (entry.parameters["value"], entry.for_s) == ([value] * 3, None)
 
 
 def test_a_delay_and_a_slow_sensor_take_their_seconds_from_param_4() -> None:

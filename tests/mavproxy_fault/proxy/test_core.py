@@ -223,6 +223,35 @@ def test_a_delay_is_kept_on_the_wall_clock() -> None:
     assert core.departed_us == WALL_US + 250_000
 
 
+def leaping() -> bytes:
+    """One datagram in which a vehicle's clock begins, and leaps by 254 years."""
+    stamps = (10**15, (1 << 53) - 10**6, (1 << 53) - 10**6 + 4000)
+    return b"".join(message("HIL_GPS", seq=n, time_usec=t) for n, t in enumerate(stamps))
+
+
+def test_the_labels_that_the_first_stamp_ends_leave_with_it_whatever_follows() -> None:
+    tape = Tape()
+    core = core_with("faults: [{id: b, fault: bias, target: VFR_HUD.alt, value: 1}]", tape)
+    core.received(AUTOPILOT, message("VFR_HUD"), WALL_US)
+    sends = core.received(AUTOPILOT, leaping(), WALL_US + 1000)
+    assert [one["name"] for one in values(sends)] == ["STATUSTEXT", *["HIL_GPS"] * 3]
+    assert {send.due_us for send in sends + core.due(WALL_US + 2000)} == {WALL_US + 1000}
+    assert len(tape.drain().sent) > 0
+
+
+def test_a_fragment_that_is_kept_back_leaves_though_the_clock_leaps() -> None:
+    tape = Tape()
+    core = core_with("faults: [{id: s, fault: bias, target: PSEUDORANGE.G12, value: 9}]", tape)
+    core.received(AUTOPILOT, message("HIL_GPS", time_usec=10**15), WALL_US)
+    first = bytes([1]) + bytes(127)  # of several
+    fragment = message("TUNNEL", payload_type=33_845, payload_length=128, payload=first)
+    assert core.received(AUTOPILOT, fragment, WALL_US + 1000) == []
+    core.received(AUTOPILOT, leaping(), WALL_US + 2000)
+    sends = core.due(WALL_US + 3000)
+    assert [send.data for send in sends] == [fragment]
+    assert 0 <= sends[0].due_us <= WALL_US + 3000
+
+
 def test_what_is_due_leaves_before_what_comes_later() -> None:
     schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.001, for_s: 0.5}]"
     core = core_with(schedule)

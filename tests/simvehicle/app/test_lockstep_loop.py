@@ -221,6 +221,24 @@ def test_a_link_that_closes_in_flight_is_a_failure_and_what_to_do_is_told(motor_
     assert "start simulator, proxy and autopilot anew together" in said.getvalue()
 
 
+def test_an_autopilot_that_flew_before_is_told_to_be_started_anew() -> None:
+    with served(Lift(), until_us=None) as (autopilot, _, said, _):
+        for message in autopilot.messages():
+            if message.get_type() == "HIL_SENSOR":
+                autopilot.answer(message.time_usec, 0.5)  # armed
+                if message.time_usec > 1_100_000:
+                    break
+    assert said.getvalue().count("its motors are on already; an autopilot that flew before") == 1
+
+
+def test_that_no_first_answer_comes_is_told_once(monkeypatch) -> None:
+    monkeypatch.setattr("simvehicle.app.lockstep_loop.FIRST_ANSWER_S", 0.05)
+    with served(Lift(), until_us=200_000) as (autopilot, _, said, _):
+        for _ in autopilot.messages():
+            pass
+    assert said.getvalue().count("no answer for 0.05 s; an autopilot that flew before") == 1
+
+
 def test_a_change_of_the_plant_reaches_the_vehicle() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=None) as (autopilot, _, _, _):

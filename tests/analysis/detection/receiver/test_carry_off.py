@@ -21,15 +21,18 @@ def without_ranges(flights: Flights) -> list[Sample]:
     return [s for s in flights(FLOWN_S, 2, with_fix=True) if not isinstance(s, Epoch)]
 
 
-def spoofed(samples: list[Sample], speed_mps: float, until_us: int = UNTIL_US) -> list[Sample]:
+def spoofed(
+    samples: list[Sample], speed_mps: float, until_us: int = UNTIL_US, growth_mps2: float = 0.0
+) -> list[Sample]:
     """Fixes dragged to the north, position and velocity alike, until the spoofer ends."""
     out: list[Sample] = []
     for sample in samples:
         if isinstance(sample, GpsFix) and FROM_US <= sample.t_us < until_us:
             assert sample.v_ned_mps is not None
-            away_m = speed_mps * (sample.t_us - FROM_US) * 1e-6
+            since_s = (sample.t_us - FROM_US) * 1e-6
+            away_m = speed_mps * since_s + growth_mps2 * since_s**2 / 2
             lat_deg = sample.lat_deg + away_m / METRES_PER_DEGREE
-            v_ned_mps = sample.v_ned_mps + np.array([speed_mps, 0.0, 0.0])
+            v_ned_mps = sample.v_ned_mps + np.array([speed_mps + growth_mps2 * since_s, 0.0, 0.0])
             sample = replace(sample, lat_deg=lat_deg, v_ned_mps=v_ned_mps)
         out.append(sample)
     return out
@@ -106,6 +109,20 @@ def test_a_wrong_accelerometer_is_told_and_no_receiver_is_blamed_for_it(
     alarms = [decision for decision in found if decision.alarm]
     assert FROM_US <= alarms[0].t_us < FROM_US + 3_000_000
     assert alarms[0].hypothesis in ("imu", "GPS-or-imu")
+
+
+@pytest.mark.parametrize("growth_mps2", [0.5, 1.0, 2.0])
+def test_a_drag_that_grows_from_nothing_ends_the_bound_before_it_matters(
+    growth_mps2: float, without_ranges: list[Sample]
+) -> None:
+    clean = decided(without_ranges)
+    found = decided(spoofed(without_ranges, 0.0, growth_mps2=growth_mps2))
+    dragged = [(d, c) for d, c in zip(found, clean, strict=True) if FROM_US <= d.t_us < UNTIL_US]
+    assert "imu" not in {decision.hypothesis for decision, _ in dragged}
+    first = next(decision for decision, _ in dragged if decision.alarm)
+    assert first.t_us < FROM_US + 5_000_000
+    assert max(apart_m(d, c) for d, c in dragged if d.position_sigma_m is not None) < 8.0
+    assert max(apart_m(d, c) for d, c in dragged) > 40.0 * growth_mps2  # it is followed, unbounded
 
 
 def test_a_blow_that_the_imu_overstates_is_no_spoofer(without_ranges: list[Sample]) -> None:

@@ -1,13 +1,14 @@
-"""A spoofer and a faulty IMU against a monitor that has no raw ranges, over many seeds.
+"""A spoofer and a faulty IMU against the monitor, over many seeds, with raw ranges or without.
 
-`python benchmarks/spoof_without_ranges.py` flies the demo's fixed wing and the examples' quad with
-a receiver that tells position and velocity alone, spoofs it from 20 s to 40 s of a flight of 50 s,
-and prints a table, each row of a spoofer against what is aimed at: the IMU is blamed alone in no
-flight and the spoofer found in all; a jump within 3 s, a carry-off before the position is 25 m off;
-and where a sigma is told the error at 95 % is at most 1.5 of that without a fault. `SEEDS` flights
-a row, WORKERS at once (all cores without): some minutes.
+`python benchmarks/spoofed_flights.py position` flies the demo's fixed wing and the examples' quad
+with a receiver that tells position and velocity alone, `... ranges` with one that tells raw ranges
+alone, spoofs it from 20 s to 40 s of a flight of 50 s, and prints a table, each row of a spoofer
+against what is aimed at: the IMU is blamed alone in no flight and the spoofer found in all; a jump
+within 3 s, a carry-off before the position is 25 m off; and where a sigma is told the error at 95 %
+is at most 1.5 of that without a fault. `SEEDS` flights a row, WORKERS at once (all cores without):
+some minutes.
 
-    python benchmarks/spoof_without_ranges.py [WORKERS]
+    python benchmarks/spoofed_flights.py position|ranges [WORKERS [SEEDS]]
 """
 
 import multiprocessing
@@ -29,18 +30,31 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from simvehicle.scenario.scenario_file import Scenario
 
-SEEDS = 20
-WORKERS = int(sys.argv[1]) if sys.argv[1:] else None
+RANGES = sys.argv[1:2] == ["ranges"]
+WORKERS = int(sys.argv[2]) if sys.argv[2:] else None
+SEEDS = int(sys.argv[3]) if sys.argv[3:] else 20
 START_S, END_S, FLOWN_S = 20.0, 40.0, 50.0
 IMU_HZ = 100.0
 BATCH_BYTES = 32_768
 HOVER = Path(__file__).parents[1] / "examples" / "hover.yaml"
+
+
+def spoof(offset_m: float, velocity_mps: float) -> dict[str, Any]:
+    """To the north, at once and on with a velocity."""
+    if not RANGES:
+        ned = {"offset_m": [offset_m, 0, 0], "velocity_mps": [velocity_mps, 0, 0]}
+        return {"fault": "gps-spoof", **ned}
+    segment = {"at_s": 0, "for_s": END_S - START_S, "start": offset_m, "rate": velocity_mps}
+    profile = {"segments": [segment]}
+    return {"fault": "plant", "target": "PLANT.spoof_north_m[all]", "profile": profile}
+
+
 FAULTS: dict[str, dict[str, Any]] = {
     "none": {},
-    "spoof 20 m at once": {"fault": "gps-spoof", "offset_m": [20, 0, 0]},
-    "spoof 200 m at once": {"fault": "gps-spoof", "offset_m": [200, 0, 0]},
-    "spoof 1 m/s": {"fault": "gps-spoof", "velocity_mps": [1, 0, 0]},
-    "spoof 5 m/s": {"fault": "gps-spoof", "velocity_mps": [5, 0, 0]},
+    "spoof 20 m at once": spoof(20, 0),
+    "spoof 200 m at once": spoof(200, 0),
+    "spoof 1 m/s": spoof(0, 1),
+    "spoof 5 m/s": spoof(0, 5),
     "gyro 0.1 rad/s": {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.1},
     "accelerometer 1 m/s2": {"fault": "bias", "target": "HIL_SENSOR.xacc", "value": 1.0},
     "accelerometer 8 m/s2": {"fault": "bias", "target": "HIL_SENSOR.xacc", "value": 8.0},
@@ -63,13 +77,14 @@ class Flown(NamedTuple):
 
 
 def scenario_of(vehicle: str, seed: int) -> Scenario:
-    """The vehicle with a receiver that tells no ranges."""
-    hover = read_setup(str(HOVER)).scenario
-    scenario = hover if vehicle == "quad" else read_setup(None).scenario
+    """The vehicle with a receiver that tells ranges, or none."""
+    hover, demo = read_setup(str(HOVER)).scenario, read_setup(None).scenario
+    scenario = hover if vehicle == "quad" else demo
     imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
-    sensors = msgspec.structs.replace(scenario.sensors, imu=imu, gps=hover.sensors.gps)
+    gps, gnss = (demo.sensors.gps, demo.gnss) if RANGES else (hover.sensors.gps, None)
+    sensors = msgspec.structs.replace(scenario.sensors, imu=imu, gps=gps)
     return msgspec.structs.replace(
-        scenario, seed=seed, sensors=sensors, gnss=None, duration_s=FLOWN_S
+        scenario, seed=seed, sensors=sensors, gnss=gnss, duration_s=FLOWN_S
     )
 
 

@@ -1,0 +1,238 @@
+"""All satellites or the IMU: who is wrong where they contradict each other.
+
+A spoofer of all signals moves ranges and Doppler rates together, as a wrong IMU seems to. What
+tells them apart without raw ranges does so with them (`carry_off`, `receiver_or_imu`), once an
+epoch's ranges and rates are put together as a fix: its clocks are eliminated, with N and b of
+`information` in blocks of position p and clocks c,
+
+    N_p = N_pp - N_pc inv(N_cc) N_cp,   b_p = b_p - N_pc inv(N_cc) b_c,   v = inv(N_p) b_p,
+
+and the rates in the same way. So that nobody pays for it while all is well, the epochs of the last
+seconds are asked once more when the IMU is about to be blamed. Where its own force changed by what
+the velocities differ by, or a wrong force or rate explains more than a steady drag, it is the IMU;
+where the drag does, the satellites; else one of them, the IMU if it was wrong before.
+
+Satellites that were left out all together fit again soon, as the filter grows unsure without them.
+They stay out for as long as they are nearer to where they had led it than to the filter.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import Core, Record
+from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.inertial import CLOCK, ERRORS, V
+from analysis.detection.filter.measurement import Modelled
+from analysis.detection.filter.offsets import frozen_m
+from analysis.detection.filter.propagation import Segment, advance
+from analysis.detection.isolation.assessment import see
+from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.range_test import Tested
+from analysis.detection.isolation.rate_test import MIN_RATES, NO_RATES, RatesTested
+from analysis.detection.isolation.whole_receiver import by_all
+from analysis.detection.receiver.carry_off import (
+    BETTER,
+    WITH_TURNS,
+    Carried,
+    Fitted,
+    Found,
+    compared,
+    extended,
+    nearer_to_carried,
+    new_carry,
+    renewed,
+    taken_back,
+)
+from analysis.detection.receiver.receiver_or_imu import (
+    ALIKE,
+    INTERVALS,
+    UNDECIDED,
+    mean_force,
+    unexplained,
+)
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+
+LIKELIER = 5.0  # by which an IMU, which fails oftener than all satellites, must explain more
+SPAN_US = 5_000_000  # that is asked once more
+FEWEST = 5  # epochs: a filter that has just begun to use an IMU may have its attitude wrong
+
+
+class Moment(NamedTuple):
+    """An epoch: the filter that the IMU's `part` has predicted for it, over `dt_s` by the
+    transition phi (20, 20), and the innovations."""
+
+    motion: Motion
+    phi: Vector
+    dt_s: float
+    used: Modelled
+    part: Segment
+
+
+class Blame(NamedTuple):
+    """The verdicts of rates and ranges; who is at fault where they blame the IMU, or where both are
+    `gps`, by what the satellites lead the filter off."""
+
+    rates: RatesTested
+    tested: Tested
+    accused: str = "imu"
+    carried: Carried | None = None
+
+
+def by_whom(
+    core: Core,
+    past: Sequence[Record],
+    now: Moment,
+    rates: RatesTested,
+    tested: Tested,
+    config: DetectorConfig,
+) -> Blame:
+    """The verdicts on an epoch where an IMU moved the filter, after all that can be asked."""
+    if "imu" in (rates.hypothesis, tested.hypothesis):
+        who, found = accused(past, now, config)
+        if found is None:
+            return Blame(rates, tested, who)
+        return led_off(found, now, rates, tested)
+    if tested.hypothesis == "gps":
+        return Blame(rates, tested, "gps", _carried_now(now))
+    if core.carried is None:
+        return Blame(rates, tested)
+    fix = _as_fix(now, _axes(now.motion))
+    if fix is None or not nearer_to_carried(core.carried, now.motion.t_us, fix):
+        return Blame(rates, tested)
+    lying = rates._replace(hypothesis="gps", fit=NO_RATES)
+    return Blame(lying, by_all(now.motion, tested), "gps", core.carried)
+
+
+def led_off(found: Found, now: Moment, rates: RatesTested, tested: Tested) -> Blame:
+    """The verdicts where all satellites have led the filter off: nothing of the epoch is used, and
+    what the filter has followed is taken back."""
+    lying = rates._replace(hypothesis="gps", fit=NO_RATES)
+    return Blame(lying, by_all(taken_back(now.motion, found), tested), "gps", found.carried)
+
+
+def coasts(motion: Motion, used: Modelled) -> bool:
+    """Whether a prediction knows the place less well than the ranges in use would on their own: an
+    IMU's own fault would then be seen by nobody."""
+    clocks = used.h[:, CLOCK:]
+    clocks = clocks[:, clocks.any(axis=0)]
+    _, alone = _eliminated(used.h[:, :3], clocks, used.v_m, used.variance)
+    return bool(np.trace(motion.p[:3, :3]) > np.trace(alone))
+
+
+def _carried_now(now: Moment) -> Carried | None:
+    """How far the satellites are off the filter, and how fast they go on."""
+    fix = _as_fix(now, _axes(now.motion))
+    return None if fix is None else Carried(now.motion.t_us, fix.v[3:], fix.v[:3])
+
+
+def accused(
+    past: Sequence[Record], now: Moment, config: DetectorConfig
+) -> tuple[str, Found | None]:
+    """`imu`, `gps` with what the filter has followed, or `GPS-or-imu`."""
+    moments = [*_moments(past, now.motion.t_us, config), now]
+    if len(moments) < FEWEST:
+        return "imu", None
+    carry, fix = new_carry(moments[0].motion.t_us, WITH_TURNS), None
+    for moment in moments:
+        motion = moment.motion
+        axes = _axes(motion)
+        fix = _as_fix(moment, axes)
+        if fix is None:
+            return "imu", None
+        carry = extended(carry, motion.t_us, moment.dt_s, moment.phi, axes, fix)
+        if moment is not now:
+            carry = renewed(carry, motion.t_us)
+    assert fix is not None
+    dragged, pushed, found = compared(carry)
+    if pushed > dragged + LIKELIER or _its_own_force(moments, fix, config):
+        return "imu", None
+    if dragged > pushed + BETTER:
+        return "gps", found
+    return ("imu" if _was_wrong(past) else UNDECIDED), None
+
+
+def _was_wrong(past: Sequence[Record]) -> bool:
+    """Whether the IMU was found wrong within what is remembered: then it most likely is again."""
+    cores = [record.core for record in past]
+    return any(core.imu_bad_until_us is not None and not core.unbounded for core in cores)
+
+
+def _moments(past: Sequence[Record], until_us: int, config: DetectorConfig) -> list[Moment]:
+    """The last seconds, as far back as the IMU moved the filter without a break."""
+    found: list[Moment] = []
+    for record in reversed(past):
+        core, before = record.core, record.core.motion
+        if record.t_us < until_us - SPAN_US or before is None or not before.inertial:
+            break
+        part = record.part
+        motion, phi = advance(before, part, record.t_us, config)
+        if not motion.inertial:
+            break
+        names = record.observed.satellites
+        trusted = np.array([name not in core.excluded for name in names], dtype=bool)
+        offset_m = frozen_m(core, names, record.t_us, config)
+        sight = see(record.observed, trusted, offset_m, motion, core.ionosphere, config)
+        dt_s = (record.t_us - before.t_us) * 1e-6
+        found.append(Moment(motion, phi, dt_s, sight.used, part))
+    return found[::-1]
+
+
+def _axes(motion: Motion) -> Vector:
+    """North, east and down (3, 3) in ECEF."""
+    lat, lon, _ = geodetic(motion.x[:3])
+    axes: Vector = ned_axes(lat, lon)
+    return axes
+
+
+def _as_fix(moment: Moment, axes: Vector) -> Fitted | None:
+    """Ranges and rates as a position and a velocity; None where they are too few."""
+    used, p = moment.used, moment.motion.p
+    known = np.isfinite(used.v_mps)
+    clocks = used.h[:, CLOCK:]
+    clocks = clocks[:, clocks.any(axis=0)]
+    if known.sum() < MIN_RATES or len(used.v_m) < 3 + clocks.shape[1]:
+        return None
+    ones = np.ones((int(known.sum()), 1))
+    place = _eliminated(used.h[:, :3], clocks, used.v_m, used.variance)
+    speed = _eliminated(used.h[known, :3], ones, used.v_mps[known], used.rate_variance[known])
+    r = np.zeros((6, 6))
+    r[:3, :3], r[3:, 3:] = axes @ place[1] @ axes.T, axes @ speed[1] @ axes.T
+    h = np.zeros((6, ERRORS))
+    h[:3, :3], h[3:, V : V + 3] = axes, axes
+    cross = p @ h.T
+    m: Vector = np.linalg.inv(np.asarray(h @ cross + r, dtype=np.float64))
+    return Fitted(np.r_[axes @ place[0], axes @ speed[0]], np.arange(6), h, m, cross @ m)
+
+
+def _eliminated(h: Vector, clocks: Vector, v: Vector, variance: Vector) -> tuple[Vector, Vector]:
+    """A vector (3,) and its covariance (3, 3) by innovations v (n,) whose clocks are unknown."""
+    columns = np.hstack([h, clocks]) / np.sqrt(variance)[:, None]
+    # Pseudo-inverse: satellites in one direction leave an axis without information.
+    cofactor: Vector = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), np.float64)
+    return (cofactor @ columns.T @ (v / np.sqrt(variance)))[:3], cofactor[:3, :3]
+
+
+def _its_own_force(moments: Sequence[Moment], fix: Fitted, config: DetectorConfig) -> bool:
+    """Whether the IMU's force left its trend within the last intervals by what the velocities
+    differ."""
+    asked = [mean_force(moment.part) for moment in moments[-2 - INTERVALS :]]
+    forces = [force for force in asked if force is not None]
+    if len(forces) < len(asked):
+        return False
+    motion = moments[-1].motion
+    rot, dt_s = _axes(motion) @ matrix(motion.x[6:10]), moments[-1].dt_s
+    v_mps, sigma_mps = fix.v[3:], np.sqrt(np.diag(np.linalg.inv(fix.m))[3:])
+    different = float(np.sum((v_mps / sigma_mps) ** 2))
+    if different <= chi_square(3, config.p_other):
+        return False  # there is nothing to explain at this epoch
+    for since in range(1, len(forces) - 1):
+        trend, before = forces[-since - 1] - forces[-since - 2], forces[-since - 1]
+        changed_mps = rot @ (forces[-1] - before - since * trend) * dt_s
+        if unexplained(v_mps, sigma_mps, changed_mps, since) <= ALIKE**2 * different:
+            return True
+    return False

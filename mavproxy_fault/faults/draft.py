@@ -1,0 +1,133 @@
+"""A frame while value faults change it: read and written in place, sealed once at the end.
+
+Ten faults on one message share the copy of its bytes, the checksum and the new frame. Each sees
+what the ones before have left, and is told by the bytes whether it changed anything.
+`Frame.patched` says the same in general, and serves where an element reaches into zeros that were
+cut.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+from fastcrc.crc16 import mcrf4xx
+
+from mavproxy_fault.faults.elements import Element, element, fitted
+from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.wire.dialect import PACKERS, known
+from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
+
+INFINITE = math.inf
+# Largest finite step (-1: none), values that did not fit, whether a byte differs.
+Change = tuple[float, int, bool]
+
+
+class Draft:
+    """The bytes of a frame under change; their checksum is that of the frame as it came."""
+
+    __slots__ = ("_at", "_changed", "_data", "_length", "came", "id", "layout")
+
+    def __init__(self, frame: Frame) -> None:
+        self.came = frame
+        self.id, self.layout = frame.id, frame.layout
+        self._data = bytearray(frame.raw)
+        self._at, self._length = frame.payload_at, frame.length
+        self._changed = False
+
+    def values(self, elements: Sequence[Element]) -> list[Number]:
+        """The values of some elements; zeros that were cut read as 0."""
+        at, data, length = self._at, self._data, self._length
+        found: list[Number] = []
+        for _, _, start, end, code in elements:
+            if end <= length:
+                found += PACKERS[code].unpack_from(data, at + start)
+            else:
+                there = bytes(data[at + start : at + length])
+                found += PACKERS[code].unpack(there.ljust(end - start, b"\0"))
+        return found
+
+    def write(
+        self, elements: Sequence[Element], before: Sequence[Number], after: Sequence[Number]
+    ) -> Change:
+        """Give some elements other values."""
+        if len(elements) != 1 or len(after) != 1:
+            return self._write_several(elements, before, after)
+        _, _, start, end, code = elements[0]
+        value, cut = after[0], False
+        # A float within range needs no fitting; that is nearly every value of a fast stream.
+        if code != "f" or not -FLOAT_MAX <= value <= FLOAT_MAX:
+            value, cut = fitted(code, value)
+        packer = PACKERS[code]
+        packed = packer.pack(value)
+        # Read back: the change that a receiver sees, rounding included.
+        step = abs(packer.unpack(packed)[0] - before[0])
+        if end > self._length:
+            differs = self._grow(elements[0], value)
+        else:
+            data, at = self._data, self._at
+            # Zeros of two signs differ in their bytes alone, and so may NaNs.
+            differs = step > 0.0 or data[at + start : at + end] != packed
+            packer.pack_into(data, at + start, value)
+        if differs:
+            self._changed = True
+        # NaN and infinity have no size that a label could hold.
+        return step if step < INFINITE else -1.0, cut, differs
+
+    def _write_several(
+        self, elements: Sequence[Element], before: Sequence[Number], after: Sequence[Number]
+    ) -> Change:
+        kept = bytes(self._data), self._length, self._changed
+        step, saturated, differs = -1.0, 0, False
+        try:
+            for one, healthy, value in zip(elements, before, after, strict=True):
+                more, cut, changed = self.write((one,), (healthy,), (value,))
+                step, saturated, differs = max(step, more), saturated + cut, differs or changed
+        except Exception:
+            # A fault that fails half-way leaves the frame as it was.
+            self._data, self._length, self._changed = bytearray(kept[0]), *kept[1:]
+            raise
+        return step, saturated, differs
+
+    def _grow(self, one: Element, value: Number) -> bool:
+        """Write a value into zeros that were cut; whether a byte differs."""
+        frame = Frame(bytes(self._data), self.layout)
+        patched = frame.patched({(one.name, one.item): value})
+        self._data, self._length = bytearray(patched.raw), patched.length
+        return patched.payload != frame.payload
+
+    def sealed(self) -> Frame:
+        """The frame with its checksum; the very one that came if nothing has changed."""
+        if not self._changed:
+            return self.came
+        data, end = self._data, self._at + self._length
+        # The checksum covers all behind the start byte, and then the message's own CRC_EXTRA.
+        data[end] = self.layout.crc_extra
+        crc = mcrf4xx(data[1 : end + 1])
+        data[end] = crc & 0xFF
+        data[end + 1] = crc >> 8
+        return Frame(bytes(data), self.layout)
+
+    def sender(self) -> tuple[int, ...]:
+        """Who sent it: system, component, message id and instance."""
+        instance = instance_of(self.id)
+        value = self.values(instance)[0] if instance else 0
+        came = self.came
+        return came.system, came.component, self.id, value if isinstance(value, int) else 0
+
+
+@cache
+def instance_of(message: int) -> tuple[Element, ...]:
+    """The element that tells two sensors of one vehicle apart that send the same message."""
+    layout = known(message)
+    name = layout.instance or ("id" if "id" in layout.fields else "")
+    return (element(layout, name),) if name else ()
+
+
+def rewritten(frame: Frame, t_us: int, values: dict[str, Number]) -> Outgoing:
+    """The frame with other values in some fields that are no arrays."""
+    draft = Draft(frame)
+    elements = [element(frame.layout, name) for name in values]
+    step, cut, differs = draft.write(elements, draft.values(elements), list(values.values()))
+    if not differs:
+        return Outgoing(t_us, frame)
+    return Outgoing(t_us, draft.sealed(), step if step >= 0.0 else None, cut)

@@ -1,0 +1,167 @@
+"""Inputs that a fuzzer makes of those that reached something new: traffic, and schedules.
+
+`python -m tests.hardening.test_guided traffic --seconds 600` is the long form, `schedule` the other
+target; both need atheris (`pip install atheris`). The fast form calls the targets with the inputs
+that the fuzzer starts from. The core is given the same datagrams as its machine code, and must do
+the same; at the end a mark that no fault acts on must leave, once.
+"""
+
+import argparse
+import contextlib
+import gc
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import FunctionType
+
+import pytest
+
+from mavproxy_fault.compiled.passage import new_passage
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import LinkRole, Send
+from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from tests.hardening.test_mutated_traffic import LONGEST, NAMES, mark, mutated, sixteen
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+MOST_S = 2.0  # of processor for one input, while a fuzzer watches each step of it
+WALL_US, STEP_US = 1_700_000_000_000_000, 5_000
+MARK = 12_345_678
+OURS = "mavproxy_fault."
+STREAM, FAULTS = 1, 2  # bits of an input's first byte
+
+_read: list[Schedule] = []
+
+
+def pieces(data: bytes) -> list[bytes]:
+    """What comes, one by one: bytes as they are, or the payload of a frame whose sum is right.
+
+    Each is a byte that says which, one with its length, and that many bytes.
+    """
+    found: list[bytes] = []
+    while len(data) > 1:
+        kind, length, rest = data[0], data[1], data[2:]
+        part, data = rest[:length], rest[length:]
+        if kind % 2:
+            described = known(NAMES[kind // 2 % len(NAMES)])
+            shell = build(described, {}, seq=len(found) & 255, system=1 + kind // 128, component=1)
+            payload = part[: described.length] or b"\0"
+            part = Frame(shell, described).with_payload(payload).raw
+        found.append(part)
+    return found
+
+
+def core(data: bytes) -> tuple[Core, Tape]:
+    """A core as an input's first byte wants it."""
+    if not _read:
+        _read.append(parse_schedule(sixteen()))
+    engine, tape = Engine(_read[0]) if data[0] & FAULTS else None, Tape()
+    links = [
+        LinkRole("vehicle", "from-vehicle", not data[0] & STREAM),
+        LinkRole("station", "to-vehicle", datagrams=True),
+    ]
+    return Core(links, engine, tape=tape), tape
+
+
+def failures(one: Core) -> list[str]:
+    """What went wrong inside faults, which the core survives."""
+    state = {"faults": []} if one.engine is None else one.engine.state()
+    return [fault["failure"] for fault in state["faults"] if fault.get("failure")]
+
+
+def traffic(data: bytes) -> None:
+    """Let a core pass on what comes, and its machine code do the same where it can."""
+    if not data:
+        return
+    (reference, _), (other, tape) = core(data), core(data)
+    passage = None if data[0] & STREAM else new_passage(other, tape)
+    now_us, came = WALL_US, [*pieces(data[1:])]
+    for part in came:
+        now_us += STEP_US
+        sends = reference.received(0, part, now_us)
+        passed = passage.passed(0, part, now_us) if passage is not None and part else None
+        if passed is None:
+            again = other.received(0, part, now_us)
+        else:
+            again = [Send(n, passed.data, now_us) for n in range(2) if passed.links >> n & 1]
+        assert sends == again, (sends, again)
+    for one in (reference, other):
+        left = b"".join(
+            send.data
+            for data, late_us in ((bytes(LONGEST), 0), (mark(MARK), 2_000_000), (b"", 9_000_000))
+            for send in (
+                one.received(0, data, now_us + late_us) if data else one.due(now_us + late_us)
+            )
+        )
+        assert left.count(mark(MARK)) == 1
+        assert not failures(one)
+
+
+def schedule(data: bytes) -> None:
+    """Read a schedule: it is right, or refused by name."""
+    with contextlib.suppress(ConfigError):
+        parse_schedule(data.decode("utf-8", "replace"))
+
+
+TARGETS = {"traffic": traffic, "schedule": schedule}
+
+
+def seeds(target: str) -> list[bytes]:
+    """What to begin with."""
+    if target == "schedule":
+        texts = [path.read_bytes() for path in sorted(EXAMPLES.glob("*.yaml"))]
+        return [sixteen().encode(), *texts]
+    rng = random.Random(1)
+    found = []
+    for first in range(4):
+        for _ in range(10):
+            parts = [rng.randbytes(2)[:1] + _measured(mutated(rng, n)) for n in range(20)]
+            found.append(bytes([first]) + b"".join(parts))
+    return found
+
+
+def _measured(data: bytes) -> bytes:
+    data = data[:255]
+    return bytes([len(data)]) + data
+
+
+@pytest.mark.parametrize("target", list(TARGETS))
+def test_what_a_fuzzer_starts_from_passes(target: str) -> None:
+    for seed in seeds(target):
+        TARGETS[target](seed)
+
+
+def main() -> None:
+    """Let atheris find inputs, and stop at one that fails."""
+    import atheris
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("target", choices=TARGETS)
+    parser.add_argument("--seconds", type=int, default=600)
+    args = parser.parse_args()
+
+    def called(data: bytes) -> None:
+        begun_s = time.process_time()
+        TARGETS[args.target](data)
+        took_s = time.process_time() - begun_s
+        assert took_s < MOST_S, took_s
+
+    with tempfile.TemporaryDirectory() as folder:
+        for number, seed in enumerate(seeds(args.target)):
+            Path(folder, f"{number}").write_bytes(seed)
+        options = [f"-max_total_time={args.seconds}", "-max_len=4000", "-rss_limit_mb=4096"]
+        for one in gc.get_objects():
+            if isinstance(one, FunctionType) and str(one.__module__).startswith(OURS):
+                atheris.instrument_func(one)
+        atheris.Setup([sys.argv[0], *options, folder], called)
+        atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""Several faults on one frame: what each does after the other, with one checksum in the end."""
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavproxy_fault.faults import draft
+from mavproxy_fault.faults.draft import Draft
+from mavproxy_fault.faults.driven import Bias
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.label import newest
+
+# A link fault in between: the frame is whole again there, and goes on in several copies.
+RULES = {n: k.example for n, k in known_faults().items() if k.acts_on == "fields"}
+OTHERS = {"duplicate": {"copies": 2}, "drop": {"value": 0.3}, "time-jump": {"value": 1}}
+FRAMES, STEP_US = 30, 20_000
+
+
+def sensor(n: int, **values: float) -> Frame:
+    layout = known("HIL_SENSOR")
+    fields = {"time_usec": 1_000_000 + n * STEP_US, "xgyro": n / 7, "fields_updated": 7, **values}
+    return Frame(build(layout, fields, seq=n), layout)
+
+
+def entry(n: int, name: str) -> dict[str, Any]:
+    return {"id": f"it-{n}", "fault": name, **{**RULES, **OTHERS}[name]}
+
+
+def through(engine: Engine, frames: list[tuple[int, Frame]]) -> list[tuple[int, Frame]]:
+    """What leaves an engine, each frame at its own time."""
+    found = []
+    for t_us, frame in frames:
+        for out in engine.apply(frame, "to-vehicle", t_us):
+            assert isinstance(out.frame, Frame)
+            found.append((t_us, out.frame))
+    return found
+
+
+@given(st.lists(st.sampled_from(sorted(RULES) * 2 + sorted(OTHERS)), min_size=2, max_size=8))
+def test_faults_on_one_message_do_together_what_each_does_after_the_other(names: list[str]) -> None:
+    entries = [entry(n, name) for n, name in enumerate(names)]
+    together = Engine(parse_schedule({"seed": 3, "faults": entries}))
+    alone = [Engine(parse_schedule({"seed": 3, "faults": [one]})) for one in entries]
+    for engine in (together, *alone):
+        engine.start_at(0)  # also where the first frame is dropped before it
+    frames = [(n * STEP_US, sensor(n)) for n in range(FRAMES)]
+    left = through(together, frames)
+    for engine in alone:
+        frames = through(engine, frames)
+    assert [(t_us, frame.raw) for t_us, frame in left] == [(t_us, f.raw) for t_us, f in frames]
+    labels = [newest(engine.finish(FRAMES * STEP_US)) for engine in (together, *alone)]
+    assert labels[0] == newest(label for one in labels[1:] for label in one)
+
+
+def test_ten_faults_on_a_frame_cost_one_checksum(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted = []
+    whole = draft.mcrf4xx
+    monkeypatch.setattr(draft, "mcrf4xx", lambda data: counted.append(1) or whole(data))
+    bias = {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}
+    engine = Engine(parse_schedule({"faults": [{**bias, "id": f"it-{n}"} for n in range(10)]}))
+    [(_, left)] = through(engine, [(0, sensor(0))])
+    assert (left.number("xgyro"), len(counted)) == (5.0, 1)
+
+
+def test_a_fault_that_fails_half_way_leaves_the_frame_as_the_others_made_it() -> None:
+    class Broken(Bias, frozen=True, kw_only=True):
+        def after(self, *_: object) -> tuple[list[Any], None]:
+            return [1.0, "text"], None
+
+    bias, two = parse_schedule({"faults": [
+        {"fault": "bias", "target": "HIL_SENSOR.zgyro", "value": 1.0},
+        {"fault": "bias", "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro"], "value": 1.0},
+    ]}).faults  # fmt: skip
+    broken = msgspec.structs.replace(two, fault=Broken(elements=two.fault.elements, value=1.0))
+    frame = sensor(0)
+    [(_, left)] = through(Engine(Schedule(1, (broken,))), [(0, frame)])
+    assert left is frame
+    [(_, left)] = through(Engine(Schedule(1, (bias, broken))), [(0, frame)])
+    assert left.raw == frame.patched({("zgyro", 0): 1.0}).raw
+
+
+def test_values_that_are_written_as_they_were_leave_the_very_frame() -> None:
+    frame = sensor(3, zgyro=-0.0, xmag=float("nan"))
+    elements = parse_schedule({"faults": [
+        {"fault": "bias", "value": 1, "target": [f"HIL_SENSOR.{name}" for name in
+                                                 ("zgyro", "xmag", "id", "fields_updated")]},
+    ]}).faults[0].fault.elements[frame.id]  # fmt: skip
+    it = Draft(frame)
+    healthy = it.values(elements)
+    assert it.write(elements, healthy, healthy)[2] is False
+    assert it.sealed() is frame
+    # A zero of the other sign is no step, but other bytes.
+    assert it.write(elements[:1], healthy[:1], [0.0]) == (0.0, False, True)
+    assert it.sealed().raw == frame.patched({("zgyro", 0): 0.0}).raw
