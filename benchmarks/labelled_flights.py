@@ -94,9 +94,9 @@ def print_monitor(flown: list[tuple[str, dict[str, Any]]]) -> None:
         for fault in summary["faults"]:
             found[kind][fault["verdict"]] += 1
             rightly.update(fault["isolated"])
+        wrongly.update({who for row in summary["false_by_channel"] for who in row["blamed"]})
         for row in summary["false_by_channel"]:
             found[kind]["false"] += row["outside"] + row["inside"]
-            wrongly.update(row["blamed"])
             suspected[row["channel"]] += row["outside"] + row["inside"]
     print(f"| fault | flights | {' | '.join(VERDICTS)} | false alarms |")
     print("|---|" + "---|" * (2 + len(VERDICTS)))

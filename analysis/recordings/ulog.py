@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.misdated import FAR_US, misdated
+from analysis.recordings.misdated import misdated
 from analysis.recordings.ulog_words import printed, words
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
@@ -127,7 +127,7 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
         for data in log.data_list
         if len(data.data.get("timestamp", ()))  # some are announced and never logged
     }
-    misdated = without_misdated(topics)
+    wrong = without_misdated(topics)
     return ULogFile(
         topics,
         words(log),
@@ -142,28 +142,19 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
         printed(log),
-        bool(log.file_corruption or complaints.getvalue() or misdated),
+        bool(log.file_corruption or complaints.getvalue() or wrong),
         file.cut,
     )
 
 
 def without_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
-    """Take out rows stamped far behind all of the densest topic; whether there were any. Topics
-    that were published before the log began bear stamps from before."""
-    if not topics:
-        return False
-    dense = max(topics.values(), key=lambda topic: len(topic["timestamp"]))["timestamp"]
-    stamps = dense.astype(np.int64)
-    sound = stamps[~misdated(stamps)]
-    last_us = sound[-1] + FAR_US
+    """Take out rows whose stamp lies far from those around it; whether there were any."""
     found = False
     for topic in topics.values():
-        kept = topic["timestamp"] <= last_us
-        if not kept.all():
+        wrong = misdated(topic["timestamp"].astype(np.int64))
+        if wrong.any():
             found = True
-            topic.update({name: values[kept] for name, values in topic.items()})
-    for key in [key for key, topic in topics.items() if not len(topic["timestamp"])]:
-        del topics[key]
+            topic.update({name: values[~wrong] for name, values in topic.items()})
     return found
 
 

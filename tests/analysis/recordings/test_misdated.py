@@ -17,16 +17,20 @@ def test_single_stamps_far_from_those_around_them_are_wrong_and_pauses_are_not()
     assert np.flatnonzero(misdated(times)).tolist() == [20, 70, 98]
 
 
-def test_of_a_damaged_ulog_only_what_lies_far_behind_its_densest_topic_is_left_out() -> None:
+def test_of_a_damaged_ulog_only_what_lies_far_from_its_neighbours_is_left_out() -> None:
     dense = np.arange(90_000_000, 150_000_000, 10_000)
-    seldom = np.array([2_000_000, 1 << 40, 149_000_000])  # the first from before the log
+    dense[70] += 1 << 40
     topics = {
-        ("imu", 0): {"timestamp": dense.astype(np.uint64), "x": dense},
-        ("mode", 0): {"timestamp": seldom.astype(np.uint64), "mode": np.array([1, 2, 3])},
-        ("text", 0): {"timestamp": np.array([1 << 50], np.uint64)},
+        ("imu", 0): {"timestamp": dense.astype(np.uint64), "x": np.arange(len(dense))},
+        # Published before the log began, and a single one long after it.
+        ("mode", 0): {"timestamp": np.array([2_000_000, 149_000_000], np.uint64)},
+        ("mission", 0): {"timestamp": np.array([1_194_000_000], np.uint64)},
+        ("unstamped", 0): {"timestamp": np.zeros(9000, np.uint64)},
     }
     assert without_misdated(topics)
-    assert topics["mode", 0]["mode"].tolist() == [1, 3]
-    assert len(topics["imu", 0]["x"]) == len(dense)
-    assert ("text", 0) not in topics
+    assert len(topics["imu", 0]["x"]) == len(dense) - 1
+    assert 70 not in topics["imu", 0]["x"]
+    assert [len(topics[name, 0]["timestamp"]) for name in ("mode", "mission", "unstamped")] == [
+        2, 1, 9000,
+    ]  # fmt: skip
     assert not without_misdated(topics)
