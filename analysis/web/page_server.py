@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import secrets
+import signal
 import socket
 import threading
 import time
@@ -50,6 +51,9 @@ def listen(port: int | None) -> socket.socket:
         found.close()
         raise ConfigError(f"--port {port}: {error.strerror}; give a free TCP port") from None
     return found
+
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 class PageServer(uvicorn.Server):  # type: ignore[misc]
@@ -176,10 +180,15 @@ def main(args: argparse.Namespace) -> int:
     server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config, offer)
     print(f"page: {address}", flush=True)
     begun_s = time.monotonic()
+    # uvicorn gives the signals back when it ends, before all has been closed here.
+    for number in ENDING:
+        signal.signal(number, server.handle_exit)
     try:
-        with contextlib.suppress(KeyboardInterrupt):
-            server.run([bound])
+        server.run([bound])
     finally:
         source.close()
+        # What comes from here on, to the last of the interpreter, finds it ending already.
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
     print(f"stopped after {time.monotonic() - begun_s:.0f} s", flush=True)
     return 0

@@ -171,12 +171,12 @@ class Server:
             from mavproxy_fault.compiled import object_file as machine
 
             made = machine.load() is not None
-            if made:
-                self.use_compiled()
         except (OSError, MemoryError) as error:  # as where `ulimit -v` is low
-            LOG.warning("no machine code, all goes a slower way: %s", error or "no memory")
+            _tell_slower(error)
             return
-        if not made and self._compiler is None:
+        if made:
+            self.use_compiled()
+        elif self._compiler is None:
             print("first start: machine code is being made, once, while all goes a slower way",
                   file=sys.stderr, flush=True)  # fmt: skip
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
@@ -222,13 +222,17 @@ class Server:
         return now_us if journal is None else journal.begin(now_us)
 
     def use_compiled(self) -> None:
-        """Let the compiled form take over."""
-        from mavproxy_fault.compiled.forwarder import Forwarder
+        """Let the compiled form take over, or go on without it where there is no memory for it."""
+        try:
+            from mavproxy_fault.compiled.forwarder import Forwarder
 
-        self._forwarder = Forwarder(
-            self.links, self.core, self.latencies, self._base_ns,
-            tape=self.tape, waited=self._waited(),
-        )  # fmt: skip
+            self._forwarder = Forwarder(
+                self.links, self.core, self.latencies, self._base_ns,
+                tape=self.tape, waited=self._waited(),
+            )  # fmt: skip
+        except (OSError, MemoryError) as error:
+            self._forwarder = None
+            _tell_slower(error)
 
     def _patience_s(self) -> float:
         """How long the loop may sleep."""
@@ -358,3 +362,7 @@ class Server:
                 }
             )
         return found
+
+
+def _tell_slower(error: OSError | MemoryError) -> None:
+    LOG.warning("no machine code, all goes a slower way: %s", error or "no memory")

@@ -25,6 +25,7 @@ Lines = dict[Path, int]
 MOST_BYTES = 8 << 20
 MOST_NODES = 400_000  # scalars, lists and mappings, aliases counted with all they stand for
 DEEPEST = 40
+TOO_DEEP = f"is nested deeper than {DEEPEST} lists or mappings"
 MOST_DIGITS = 400  # of a number; beyond, converting it takes time and says nothing
 
 INTEGER = re.compile(r"[-+]?[0-9]+")
@@ -106,6 +107,8 @@ def read_yaml(text: str, where: str) -> Document:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", "is damaged")
+        if "nesting depth" in problem:  # libyaml's own limit, met before ours is
+            raise ConfigError(f"{where}{line}: {TOO_DEEP}") from None
         advice = "see yaml.org"
         told = "".join(text.splitlines()[mark.line :][:1]) if mark is not None else ""
         if BRACKETED.search(told):
@@ -245,7 +248,7 @@ class _Builder:
             self._remember(event.anchor, value, 1)
             return value
         if len(self._open) == DEEPEST:
-            self._refuse(event, f"is nested deeper than {DEEPEST} lists or mappings")
+            self._refuse(event, TOO_DEEP)
         items: Any = [] if isinstance(event, yaml.SequenceStartEvent) else {}
         # Within itself an anchor is not defined: a value cannot hold itself.
         self._anchors.pop(event.anchor, None)

@@ -85,8 +85,13 @@ def test_without_a_home_or_a_folder_to_write_to_it_is_controlled_all_the_same(
 
 def _memory_of(process: int) -> int:
     """Bytes of address space that a process has."""
+    return _told_of(process, "VmSize") * 1024
+
+
+def _told_of(process: int, name: str) -> int:
+    """A number of a process by Linux' name of it."""
     status = Path(f"/proc/{process}/status").read_text()
-    return int(status.split("VmSize:")[1].split()[0]) * 1024
+    return int(status.split(f"{name}:")[1].split()[0])
 
 
 def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_path: Path) -> None:
@@ -94,7 +99,9 @@ def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_pat
         assert proxy.process.stderr is not None
         enlarge_buffers(proxy.station)
         number = proxy.process.pid
-        for _ in range(100):  # by then all has been loaded
+        while _told_of(number, "Threads") > 1:  # live control is being opened
+            proxy.pass_frame()
+        for _ in range(100):  # by then it has joined
             proxy.pass_frame()
         _, highest = resource.prlimit(number, resource.RLIMIT_AS)
         resource.prlimit(number, resource.RLIMIT_AS, (_memory_of(number), highest))
