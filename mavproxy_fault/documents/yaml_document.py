@@ -107,7 +107,7 @@ def read_yaml(text: str, where: str) -> Document:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", "is damaged")
-        if "nesting depth" in problem:  # libyaml's own limit, met before ours is
+        if "nesting depth" in str(problem):  # libyaml's own limit, met before ours is
             raise ConfigError(f"{where}{line}: {TOO_DEEP}") from None
         advice = "see yaml.org"
         told = "".join(text.splitlines()[mark.line :][:1]) if mark is not None else ""
