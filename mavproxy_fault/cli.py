@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import TextIOWrapper
-from signal import SIGINT, SIGTERM, default_int_handler, getsignal, signal
+from signal import SIG_IGN, SIGINT, SIGTERM, default_int_handler, getsignal, signal
 from threading import current_thread, main_thread
 
 from mavproxy_fault import __version__
@@ -90,10 +90,11 @@ def _registered() -> dict[str, Add]:
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
+def _stoppable(last: bool) -> Iterator[None]:
     """Let SIGTERM end a command as Ctrl-C does.
 
-    A shell lets what a script starts with `&` ignore SIGINT; ours hear it all the same.
+    A shell lets what a script starts with `&` ignore SIGINT; ours hear it all the same. Once the
+    work of the `last` command of a process is done, neither changes any more how it went.
     """
     if current_thread() is not main_thread():  # only that one may set handlers
         yield
@@ -101,10 +102,14 @@ def _stoppable() -> Iterator[None]:
     before = {number: getsignal(number) for number in (SIGINT, SIGTERM)}
     for number in before:
         signal(number, default_int_handler)
+    after = dict.fromkeys(before, SIG_IGN) if last else before
     try:
         yield
+    except BaseException:
+        after = before  # what hangs behind a failure can be ended
+        raise
     finally:
-        for number, action in before.items():
+        for number, action in after.items():
             signal(number, action)
 
 
@@ -120,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         chosen = parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
-        with _stoppable():
+        with _stoppable(last=arguments is None):
             code: int = chosen.main(chosen)
     except ConfigError as error:
         print(f"mavproxy-fault: {error}", file=sys.stderr)

@@ -53,9 +53,6 @@ def listen(port: int | None) -> socket.socket:
     return found
 
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
-
-
 class PageServer(uvicorn.Server):  # type: ignore[misc]
     """A server that ends in order at a second Ctrl-C too: it takes a second at most."""
 
@@ -178,17 +175,14 @@ def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
     offer = Offer(args.allow_commands, Path(args.sequences) if args.sequences else None)
     server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config, offer)
+    # uvicorn gives the signals back when it ends, before all has been closed here.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, server.handle_exit)
     print(f"page: {address}", flush=True)
     begun_s = time.monotonic()
-    # uvicorn gives the signals back when it ends, before all has been closed here.
-    for number in ENDING:
-        signal.signal(number, server.handle_exit)
     try:
         server.run([bound])
     finally:
         source.close()
-        # What comes from here on, to the last of the interpreter, finds it ending already.
-        for number in ENDING:
-            signal.signal(number, signal.SIG_IGN)
     print(f"stopped after {time.monotonic() - begun_s:.0f} s", flush=True)
     return 0

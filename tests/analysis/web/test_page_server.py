@@ -32,3 +32,21 @@ def test_a_second_signal_ends_the_page_in_order_too(tmp_path: Path) -> None:
     # uvicorn told of cancelled tasks, and the source's thread could abort the process.
     assert (page.returncode, told) == (0, "")
     assert summary.startswith("stopped after ")
+
+
+def test_a_signal_that_comes_when_all_is_done_changes_nothing(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ui", "--port", "0"]
+    environment = {**os.environ, "XDG_STATE_HOME": str(tmp_path)}
+    with subprocess.Popen(
+        [*command, "--zenoh", "tcp/127.0.0.1:9"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+    ) as page:  # fmt: skip
+        assert page.stdout is not None
+        page.stdout.readline()
+        page.send_signal(signal.SIGTERM)
+        assert page.stdout.readline().startswith("stopped after ")
+        while page.poll() is None:  # from here to the last of the interpreter
+            page.send_signal(signal.SIGINT)
+            page.send_signal(signal.SIGTERM)
+        _, told = page.communicate()
+    assert (page.returncode, told) == (0, "")
