@@ -88,6 +88,23 @@ class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=T
     suspect: str = ""
 
 
+def pattern_alarm(
+    t_us: int, sensor: str, reason: str, *, suspect: str = "", isolated: bool = True, dof: int = 0
+) -> SensorDecision:
+    """An alarm by a pattern in the data, where no statistic is held against a threshold."""
+    return SensorDecision(
+        t_us=t_us,
+        sensor=sensor,
+        statistic=None,
+        threshold=None,
+        dof=dof,
+        alarm=True,
+        isolated=isolated,
+        reason=reason,
+        suspect=suspect,
+    )
+
+
 class AttitudeError(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
 

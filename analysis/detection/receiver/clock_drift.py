@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from analysis.detection.detector_state import Record
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import DRIFT, X_DRIFT
-from analysis.results import Result, SensorDecision
+from analysis.results import Result, pattern_alarm
 
 MOST_MPS = 20.0  # 67 nanoseconds each second
 OVER_US, LONGEST_US = 900_000, 2_000_000
@@ -32,15 +32,10 @@ def clock_results(motion: Motion, history: Sequence[Record]) -> list[Result]:
     if abs(change_mps) <= MOST_MPS * max(over_s, 1.0) + SIGMAS * sigma_mps:
         return []
     return [
-        SensorDecision(
-            t_us=t_us,
-            sensor="satellites",
+        pattern_alarm(
+            t_us,
+            "satellites",
+            f"the receiver's clock drifts otherwise by {change_mps:.0f} m/s at once",
             suspect="clock",
-            statistic=None,
-            threshold=None,
-            dof=0,
-            alarm=True,
-            isolated=True,
-            reason=f"the receiver's clock drifts otherwise by {change_mps:.0f} m/s at once",
         )
     ]

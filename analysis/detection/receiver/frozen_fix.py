@@ -7,7 +7,7 @@ never repeated itself for long does not begin to; one that has may hold still as
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, Block
 from analysis.samples.sample import GpsFix
 
@@ -95,13 +95,8 @@ class FrozenFix:
 
 
 def _result(t_us: int, for_s: float) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor="gps-position",
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
-        isolated=True,
-        reason=f"the same fix for {for_s:.1f} s",
+    return pattern_alarm(
+        t_us,
+        "gps-position",
+        f"the same fix for {for_s:.1f} s",
     )

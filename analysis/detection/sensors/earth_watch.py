@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.sensors.field_kernel import ANGLE, SIZE, Earth, follow, no_earth
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_TYPE, Block
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
@@ -90,14 +90,10 @@ def _expect(place: Place, field_ned_gauss: tuple[float, float, float]) -> None:
 
 
 def _result(t_us: int, what: int, off: float) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor="mag",
+    return pattern_alarm(
+        t_us,
+        "mag",
+        REASONS[what].format(np.degrees(off) if what == ANGLE else off),
         suspect="imu-or-mag" if what == ANGLE else "",
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
         isolated=what == SIZE,
-        reason=REASONS[what].format(np.degrees(off) if what == ANGLE else off),
     )

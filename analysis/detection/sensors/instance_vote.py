@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
     FIX,
@@ -223,13 +223,10 @@ def _is_off(now: Vector, known: Difference, least: Vector) -> bool:
 
 def _result(t_us: int, voters: Voters, who: list[int], says: str) -> SensorDecision:
     names = [f"{voters.name} {i + 1}" for i in who]
-    return SensorDecision(
-        t_us=t_us,
-        sensor=voters.sensor,
-        statistic=None,
-        threshold=None,
-        dof=len(voters.least),
-        alarm=True,
+    return pattern_alarm(
+        t_us,
+        voters.sensor,
+        f"{' and '.join(names)} {says}",
         isolated=len(who) == 1,
-        reason=f"{' and '.join(names)} {says}",
+        dof=len(voters.least),
     )

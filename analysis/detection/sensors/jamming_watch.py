@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.values import Value
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import EPOCH, Block
 from analysis.samples.sample import Epoch
 
@@ -146,13 +146,8 @@ def fallen_together(losses_db: Iterable[float], already: bool = False) -> float:
 
 def _result(t_us: int, fallen_db: float) -> SensorDecision:
     weaker = f"jamming, or a covered antenna: all signals are {fallen_db:.0f} dB weaker"
-    return SensorDecision(
-        t_us=t_us,
-        sensor="satellites",
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
-        isolated=True,
-        reason="most signals are lost" if fallen_db >= LOST_DB else weaker,
+    return pattern_alarm(
+        t_us,
+        "satellites",
+        "most signals are lost" if fallen_db >= LOST_DB else weaker,
     )

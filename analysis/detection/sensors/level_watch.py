@@ -15,7 +15,7 @@ from analysis.detection.sensors.level_kernel import (
     follow,
     no_levels,
 )
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_TYPE, KINDS, MAG, Block, Indices
 from analysis.samples.sample import Vector
 
@@ -71,13 +71,8 @@ def _has_fix(block: Block) -> Quantities:
 
 
 def _result(t_us: int, level: int, off: float) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor=SENSOR_OF[level],
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
-        isolated=True,
-        reason=REASONS[level].format(abs(off)),
+    return pattern_alarm(
+        t_us,
+        SENSOR_OF[level],
+        REASONS[level].format(abs(off)),
     )

@@ -28,7 +28,7 @@ from analysis.detection.sensors.stream_kernel import (
     Watched,
     watch,
 )
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import WIDTH, Block
 
 REASONS = {
@@ -84,13 +84,8 @@ class StreamWatch:
 
 
 def _result(t_us: int, stream: int, what: int, amount: float) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor=STREAMS[stream],
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
-        isolated=True,
-        reason=REASONS[what].format(amount),
+    return pattern_alarm(
+        t_us,
+        STREAMS[stream],
+        REASONS[what].format(amount),
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.detection.sensors.turn_kernel import EITHER, FIELD, RATES, Turns, follow, no_turns
-from analysis.results import SensorDecision
+from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import Block
 
 SENSOR_OF = {FIELD: "mag", RATES: "imu", EITHER: "imu"}
@@ -37,14 +37,10 @@ class TurnWatch:
 
 
 def _result(t_us: int, who: int, off_rad: float) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor=SENSOR_OF[who],
+    return pattern_alarm(
+        t_us,
+        SENSOR_OF[who],
+        f"compass and gyro turned {np.degrees(off_rad):.0f} degrees apart in 4 s",
         suspect=SUSPECT_OF[who],
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=True,
         isolated=who != EITHER,
-        reason=f"compass and gyro turned {np.degrees(off_rad):.0f} degrees apart in 4 s",
     )
