@@ -10,23 +10,19 @@ import selectors
 import socket
 import threading
 import time
-from collections.abc import Iterator
 from statistics import median
 
-from mavproxy_fault.app.proxy_command import roles
-from mavproxy_fault.app.server import Server
-from mavproxy_fault.links.link import QUEUE_LIMIT, Link
+from mavproxy_fault.links.link import QUEUE_LIMIT
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
+from tests.mavproxy_fault.serving import PATIENCE_S, serving
 
 FRAMES = int(os.environ.get("FRAMES", "8000"))
 PER_S = float(os.environ.get("PER_S", "inf"))
-PATIENCE_S = 30.0  # on a busy machine
 DELAY_S, JITTER_S, LIMIT_PER_S = 0.3, 0.2, 500
 SCHEDULE = f"""
 seed: 1
@@ -49,20 +45,6 @@ def frame(kind: str, number: int, now_s: float) -> bytes:
     return build(known(kind), values, seq=number & 255)
 
 
-@contextlib.contextmanager
-def serving(links: list[Link]) -> Iterator[Server]:
-    running = Server(links, Core(roles(links), Engine(parse_schedule(SCHEDULE))))
-    loop = threading.Thread(target=running.run)
-    loop.start()
-    try:
-        yield running
-    finally:
-        running.stop()
-        loop.join(PATIENCE_S)
-        for link in links:
-            link.close()
-
-
 def send(vehicle: socket.socket, sent_s: dict[str, list[float]]) -> None:
     """A hundred frames at a time, at most `PER_S` in a second."""
     begun_s = time.monotonic()
@@ -82,7 +64,7 @@ def test_a_peer_that_reads_too_slowly_delays_and_loses_nothing_of_the_others() -
     parsers = {name: Parser() for name in ("quick", "slow")}
     numbers = []
     with contextlib.ExitStack() as opened:
-        running = opened.enter_context(serving(links))
+        running = opened.enter_context(serving(links, Engine(parse_schedule(SCHEDULE))))
         vehicle, slow, quick = (
             opened.enter_context(socket.create_connection(("127.0.0.1", port))) for port in ports
         )

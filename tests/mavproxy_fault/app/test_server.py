@@ -6,8 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +16,20 @@ from mavproxy_fault.app import commands
 from mavproxy_fault.app import proxy_command as proxy
 from mavproxy_fault.app import server as server_module
 from mavproxy_fault.app.playback import split
-from mavproxy_fault.app.proxy_command import roles
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.server import Server
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
+from tests.mavproxy_fault.serving import serving
 
 
 def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
@@ -42,26 +39,6 @@ def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
 def sensor(step: int) -> bytes:
     values = {"time_usec": 1_000_000 + step * 4000, "fields_updated": 63}
     return build(known("HIL_SENSOR"), values, seq=step & 255, component=51)
-
-
-@contextlib.contextmanager
-def serving(
-    links: Sequence[Link],
-    engine: Engine | None = None,
-    tape: Tape | None = None,
-    recorder: Recorder | None = None,
-) -> Iterator[Server]:
-    core = Core(roles(links), engine, tape=tape)
-    running = Server(links, core, tape=tape, recorder=recorder)
-    loop = threading.Thread(target=running.run)
-    loop.start()
-    try:
-        yield running
-    finally:
-        running.stop()
-        loop.join(10)
-        for link in links:
-            link.close()
 
 
 @contextlib.contextmanager
