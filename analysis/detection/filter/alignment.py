@@ -137,14 +137,15 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
     return Motion(motion.t_us, x, p, True)
 
 
-def _tilt_variance(motion: Motion) -> float:
-    """Variance of the tilt about the axis of which the filter is least sure, rad^2."""
+def _lost(motion: Motion) -> bool:
+    """Whether the filter no longer knows the tilt, about the axis of which it is least sure."""
+    p = motion.p[PSI : PSI + 3, PSI : PSI + 3]
+    # No axis is less sure than all three together, which nearly every epoch ends with.
+    if p[0, 0] + p[1, 1] + p[2, 2] < LOST_RAD**2:
+        return False
     lat, lon, _ = geodetic(motion.x[0:3])
     level = ned_axes(lat, lon)[:2]
-    variance: float = np.linalg.eigvalsh(level @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ level.T)[
-        1
-    ]
-    return variance
+    return bool(np.linalg.eigvalsh(level @ p @ level.T)[1] >= LOST_RAD**2)
 
 
 def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
@@ -164,7 +165,7 @@ def find_attitude(
     """After an epoch without inertial attitude: gather, and switch to the IMU once it is found; one
     that has been lost is found anew."""
     if motion.inertial:
-        return motion if _tilt_variance(motion) < LOST_RAD**2 else motion._replace(inertial=False)
+        return motion._replace(inertial=False) if _lost(motion) else motion
     if not len(part.samples) or part.gap_s > config.gap_s:
         return motion
     # Between samples so far apart a vehicle turns in ways that nobody measured.
