@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.fault_parts.value_fault import each
 from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
 from mavproxy_fault.faults.freeze import Freeze
 from mavproxy_fault.faults.noise_fault import Noise
-from mavproxy_fault.faults.value_fault import each
 from mavproxy_fault.proxy.active_entry import Running
 from mavproxy_fault.wire.dialect import Layout
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.dialect import PACKERS, known
 from mavproxy_fault.wire.frame import Number
 

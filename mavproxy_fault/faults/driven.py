@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 from mavproxy_fault.documents.document_check import NotFinite
-from mavproxy_fault.faults.profile import Mode, Profile
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault, ValueState, each
+from mavproxy_fault.fault_parts.profile import Mode, Profile
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, ValueState, each
 from mavproxy_fault.wire.frame import Number
 
 

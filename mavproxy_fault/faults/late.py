@@ -6,8 +6,8 @@ late or slow by delaying or losing the frame.
 
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import CLOSE_S, Duration
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]

@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar, Literal
 
-from mavproxy_fault.faults.profile import NotNegative
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault, each
+from mavproxy_fault.fault_parts.profile import NotNegative
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.value_fault import ValueFault, each
 from mavproxy_fault.faults.loss import Drop
-from mavproxy_fault.faults.value_fault import ValueFault, each
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rtcm import transport as rtcm
 from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7

@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import NotNegative, Positive
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.profile import NotNegative, Positive
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 

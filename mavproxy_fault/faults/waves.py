@@ -3,9 +3,9 @@
 import math
 from typing import Any, ClassVar
 
+from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration, Mode, Positive, since_last
+from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.driven import meet
-from mavproxy_fault.faults.profile import CLOSE_S, Duration, Mode, Positive, since_last
-from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 

@@ -8,7 +8,7 @@ from zlib import crc32
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame

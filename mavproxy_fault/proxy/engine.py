@@ -13,8 +13,8 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.draft import Draft
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
 from mavproxy_fault.proxy.value_entry import RunningValueFault, at_work
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry

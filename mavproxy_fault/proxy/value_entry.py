@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from mavproxy_fault.faults.draft import Draft
-from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.value_fault import ValueState
+from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.value_fault import ValueState
 from mavproxy_fault.proxy.active_entry import Running
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.wire.frame import Frame, Number

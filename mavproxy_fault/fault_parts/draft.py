@@ -12,8 +12,8 @@ from functools import cache
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.faults.elements import Element, element, fitted
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.elements import Element, element, fitted
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.wire.dialect import PACKERS, known
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
 

@@ -9,9 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.elements import Element
-from mavproxy_fault.faults.fault import ActsOn
-from mavproxy_fault.faults.units import Factors
+from mavproxy_fault.fault_parts.elements import Element
+from mavproxy_fault.fault_parts.fault import ActsOn
+from mavproxy_fault.fault_parts.units import Factors
 from mavproxy_fault.wire.frame import Number
 
 GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
