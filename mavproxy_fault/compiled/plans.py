@@ -230,9 +230,9 @@ class Plans:
         for first, running, fault, _, block in self._planned:
             if first < 0:
                 continue
-            frames, saturated, last_us, used = (self.hits[first, n] for n in range(4))
+            frames, saturated, _, used = (self.hits[first, n] for n in range(4))
             if frames:
-                running.credit(frames, saturated, last_us, self.steps[first])
+                running.credit(frames, saturated, self.steps[first])
             if block is not None:
                 running.rng.bit_generator.state = next(states)
                 _drawn(fault, running.rng, used)

@@ -28,8 +28,9 @@ class ValueState(NamedTuple):
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     """A fault on some elements of some messages.
 
-    A concrete fault has `after`, which turns healthy values into faulty ones, in the unit of the
-    first target of their quantity (`factors`); with `by_sender` it is told who sent them.
+    A concrete fault has `of`, which turns one healthy value into a faulty one, or `after`, which
+    does so with all values of a frame and may keep a state; with `by_sender` it is told who sent
+    them. Values are in the unit of the first target of their quantity (`factors`).
     """
 
     acts_on: ClassVar[ActsOn] = "fields"
@@ -50,6 +51,17 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         """The state when the fault becomes active."""
         return ValueState(start_us, None)
 
+    @property
+    def by_value(self) -> bool:
+        """Whether `of` says all: each value by itself, without a state."""
+        # A class that has its own `after` means that, whatever it derives from.
+        rules = (vars(kind) for kind in type(self).__mro__ if kind is not ValueFault)
+        return next(("of" in rule for rule in rules if "of" in rule or "after" in rule), False)
+
+    def of(self, healthy: Number, t_s: float) -> Number:
+        """The faulty value of one element, so many seconds after the fault became active."""
+        raise NotImplementedError
+
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[Sequence[Number], Any]:
@@ -68,7 +80,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         rng : numpy.random.Generator
             The entry's own stream.
         """
-        raise NotImplementedError
+        return [self.of(x, t_s) for x in before], None
 
 
 def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:
