@@ -216,7 +216,6 @@ def _act(payload: int, first: int, t_us: int, shared: Shared) -> bool:
     if changed:
         hits[k.FRAMES_HIT] += 1
         hits[k.SATURATED] += saturated
-        hits[k.LAST] = t_us
         shared.steps[first] = max(shared.steps[first], largest)
     return changed
 
