@@ -32,6 +32,7 @@ from analysis.detection.filter.measurement import (
     modelled_at,
     states_at,
 )
+from analysis.detection.isolation.common_shift import common_shift
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -39,13 +40,15 @@ from mavproxy_fault.numerics.linear import apply, inverse
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
+MIN_RATES = 5  # four states and one to spare
 
 
 class Statistics(NamedTuple):
     """What the tests of an epoch say of the satellites (used,) that are trusted.
 
     `residual_m` and `normalised` (used,) are their innovations. `q` is the ranges' statistic,
-    `q_rate` that of the `rates` Doppler rates that are known, `parity` that of the snapshot's
+    `q_rate` that of the `rates` Doppler rates that are known, `shift` that of the velocity they
+    share (0: too few), `parity` that of the snapshot's
     residuals with its degrees of freedom (0 where there is none); `systems` is how many systems are
     used. `far` says that most innovations are over `CLOCK_LEAP_M`.
     """
@@ -54,6 +57,7 @@ class Statistics(NamedTuple):
     normalised: Vector
     q: float
     q_rate: float
+    shift: float
     rates: int
     parity: float
     parity_dof: int
@@ -150,11 +154,13 @@ def assess(
     parity, dof, systems = parity_test(normal)
     rates = rate_equations(h, every.rate_variance[:count], every.v_mps[:count])
     q_rate = statistic_of(p, rates)
+    shift = common_shift(p, rates) if rates.v.shape[0] >= MIN_RATES else 0.0
     statistics = Statistics(
         v[:count],
         normalised,
         q,
         q_rate,
+        shift,
         rates.v.shape[0],
         parity,
         dof,
