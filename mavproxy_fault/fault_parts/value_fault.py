@@ -15,6 +15,8 @@ from mavproxy_fault.fault_parts.units import Factors
 from mavproxy_fault.wire.frame import Number
 
 GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
+MOST_SENDERS = 256  # whose states a fault keeps; those who come later pass it by
+ROWS_MAX = 65_536  # values of the past that a fault keeps per sender; 65 s at 1 kHz
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
@@ -81,6 +83,11 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
             The entry's own stream.
         """
         return [self.of(x, t_s) for x in before], None
+
+
+def has_room(inner: Any, key: tuple[int, ...]) -> bool:
+    """Whether a rule's state may take up a sender: a peer can make up any number of them."""
+    return not isinstance(inner, dict) or len(inner) < MOST_SENDERS or key in inner
 
 
 def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:

@@ -8,7 +8,7 @@ from typing import Any
 from mavproxy_fault.fault_parts.draft import INFINITE, Change, Draft
 from mavproxy_fault.fault_parts.elements import Element
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.fault_parts.value_fault import ValueState
+from mavproxy_fault.fault_parts.value_fault import ValueState, has_room
 from mavproxy_fault.proxy.active_entry import Running
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
@@ -81,6 +81,8 @@ class RunningValueFault(Running):
         start_us, inner = self.states.get(direction) or self.fresh_state(direction)
         before = draft.values(elements)
         key = draft.sender() if self._by_sender else ()
+        if key and not has_room(inner, key):
+            return -1.0, 0, False
         t_s = (t_us - start_us) / 1e6
         if draft.id in self._factors:
             after, new = self._scaled(self._factors[draft.id], before, key, t_s, inner)

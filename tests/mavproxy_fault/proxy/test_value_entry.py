@@ -7,7 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS, ROWS_MAX
 from mavproxy_fault.faults.driven import Bias
+from mavproxy_fault.faults.freeze import Replay
+from mavproxy_fault.faults.late import Lag
+from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.value_entry import NOWHERE, RunningValueFault
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
@@ -80,3 +85,41 @@ def test_a_rule_that_fails_lets_the_frame_pass(monkeypatch: pytest.MonkeyPatch) 
     running.edit(draft, "from-vehicle", 2)
     assert draft.sealed() is frame
     assert running.failures == 1
+
+
+REMEMBERING = [name for name, kind in known_faults().items() if getattr(kind, "by_sender", False)]
+
+
+@pytest.mark.parametrize("name", sorted(set(REMEMBERING) - {"bit-flip"}))
+def test_of_senders_that_somebody_makes_up_a_fault_remembers_the_first(name: str) -> None:
+    entry = {"fault": name, **known_faults()[name].example, "target": "HIL_SENSOR.xgyro"}
+    engine = Engine(parse_schedule({"faults": [entry]}))
+    for sender in range(2 * MOST_SENDERS):
+        data = build(SENSOR, {"id": 1}, system=1 + sender // 200, component=sender % 200)
+        [out] = engine.apply(Frame(data, SENSOR), "from-vehicle", 1)
+        assert isinstance(out.frame, Frame)
+    [running] = engine._all
+    assert len(running.states["from-vehicle"].inner) == MOST_SENDERS
+    assert not running.failures
+
+
+@pytest.mark.parametrize("fault", [Lag(value=60.0), Replay(value=60.0)])
+def test_values_of_the_past_cost_no_more_the_more_they_are(fault: Lag | Replay) -> None:
+    state = None
+    for n in range(ROWS_MAX + 9):  # the clock stands still
+        _, state = fault.after([n], (1, 1), 0.0, state, None)
+        if n == 9:
+            began = state[1, 1][0]
+    assert state is not None
+    rows = state[1, 1][0]
+    assert rows is began  # never copied
+    assert ROWS_MAX <= len(rows) < ROWS_MAX + 10
+
+
+def test_a_lag_lets_go_of_what_is_older() -> None:
+    lag, state = Lag(value=0.1), None
+    for n in range(10_000):
+        after, state = lag.after([n], (1, 1), n / 1000, state, None)
+        assert after == [max(n - 100, 0)]
+    assert state is not None
+    assert len(state[1, 1][0]) < 400
