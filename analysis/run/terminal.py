@@ -77,7 +77,7 @@ def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
             f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
             f" in {row['misleading']} of {row['with_level']} epochs (most"
             f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
-            f" in {100 * row['available_share']:.1f} %",
+            f" in {100 * row['available_share']:.1f} %, while {' or '.join(row['assumes'])}",
             soft_wrap=True,
         )
 

@@ -101,20 +101,27 @@ def by_whom(
     config: DetectorConfig,
 ) -> Blame:
     """The verdicts on an epoch where an IMU moved the filter, after all that can be asked."""
-    if "imu" in (rates.hypothesis, tested.hypothesis):
+    if tested.hypothesis == "gps":
+        return Blame(rates, tested, "gps", _carried_now(now))
+    # First of all: whoever lies already accuses the IMU at every epoch.
+    stays_out = _stays_out(core, now)
+    if "imu" in (rates.hypothesis, tested.hypothesis) and not stays_out:
         who, found = accused(past, now, config)
         if found is None:
             return Blame(rates, tested, who)
         return led_off(found, now, rates, tested)
-    if tested.hypothesis == "gps":
-        return Blame(rates, tested, "gps", _carried_now(now))
-    if core.carried is None:
-        return Blame(rates, tested)
-    fix = _as_fix(now, _axes(now.motion))
-    if fix is None or not nearer_to_carried(core.carried, now.motion.t_us, fix):
+    if not stays_out:
         return Blame(rates, tested)
     lying = rates._replace(hypothesis="gps", fit=NO_RATES)
     return Blame(lying, by_all(now.motion, tested), "gps", core.carried)
+
+
+def _stays_out(core: Core, now: Moment) -> bool:
+    """Whether satellites that were left out all together lie where they led."""
+    if core.carried is None:
+        return False
+    fix = _as_fix(now, _axes(now.motion))
+    return fix is not None and nearer_to_carried(core.carried, now.motion.t_us, fix)
 
 
 def led_off(found: Found, now: Moment, rates: RatesTested, tested: Tested) -> Blame:
