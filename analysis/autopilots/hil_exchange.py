@@ -117,10 +117,14 @@ class ToAutopilot:
         if self._answers or self._orders:
             self._leave_orders(out)
         frames = self._packer.frames(t_us, truth, readings)
-        if (passed := self.passed(SIMULATOR, b"".join(frames), now_us)) is not None:
+        data = b"".join(frames)
+        if (passed := self.passed(SIMULATOR, data, now_us)) is not None:
             if passed.links >> VEHICLE & 1:
                 out.append(passed.data)
-                self._note_step(passed.data)
+                if passed.data == data:
+                    self.step_us = self._packer.step_us
+                else:
+                    self._note_step(passed.data)
             return out
         for raw in frames:
             self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
