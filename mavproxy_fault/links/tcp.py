@@ -15,6 +15,7 @@ from mavproxy_fault.links.stream import Stream
 
 LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
+LOOK_S = 0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
@@ -47,6 +48,7 @@ class TcpServer:
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
+        self._looked_s = 0.0  # when others than a lone peer were last asked for
         self._reserve = socket.socket()  # kept for the moment when there are no descriptors
         self._told = False
         self._descriptors = Descriptors()
@@ -64,24 +66,35 @@ class TcpServer:
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
+        now_s = time.monotonic()
+        if len(self._peers) == 1 and now_s - self._looked_s < LOOK_S:
+            # Nobody else to be asked for: one system call, not two.
+            self._read_from(next(iter(self._peers)), chunks)
+            if chunks:
+                return chunks
+        self._looked_s = now_s
         # Only those with something to do: a system call for each of the others is saved.
         for descriptor in self._descriptors.ready():
             if descriptor == self._listener.fileno():
                 self._accept()
-                continue
-            sock, stream, number = self._peers[descriptor]
-            stream.flush()
-            data, stands = stream.read()
-            if data:
-                chunks.append((number, data))
-            if not stands:
-                stream.abandon()
-                sock.close()
-                del self._peers[descriptor]
-                self._tell_left()
-                # Empty bytes end the stream: its half frame will never be completed.
-                chunks.append((number, b""))
+            else:
+                self._read_from(descriptor, chunks)
         return chunks
+
+    def _read_from(self, descriptor: int, chunks: list[Chunk]) -> None:
+        """Carry on writing to a peer, and collect what it sent."""
+        sock, stream, number = self._peers[descriptor]
+        stream.flush()
+        data, stands = stream.read()
+        if data:
+            chunks.append((number, data))
+        if not stands:
+            stream.abandon()
+            sock.close()
+            del self._peers[descriptor]
+            self._tell_left()
+            # Empty bytes end the stream: its half frame will never be completed.
+            chunks.append((number, b""))
 
     def _tell_left(self) -> None:
         # Whoever flies should know; somebody who only looked whether the port is open is not told.

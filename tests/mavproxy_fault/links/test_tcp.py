@@ -143,3 +143,18 @@ def test_a_fast_peer_lets_others_have_their_turn() -> None:
         link.read()
         assert 0 < sum(len(data) for _, data in link.read()) <= READ_SIZE
     link.close()
+
+
+def test_a_lone_peer_that_always_speaks_keeps_nobody_at_the_door(
+    server: TcpServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
+    with connect(server) as busy:
+        busy.sendall(b"more")
+        with socket.create_connection(("127.0.0.1", server.port), timeout=5):
+            for _ in range(10):
+                read_until(server, bool)
+                busy.sendall(b"more")
+                now_s[0] += 0.02
+            assert server.peer_count == 2
