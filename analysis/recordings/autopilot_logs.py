@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.dataflash import is_dataflash, read_dataflash
-from analysis.recordings.ulog import is_ulog, read_ulog
+from analysis.recordings.dataflash import DataflashFile, is_dataflash, read_dataflash
+from analysis.recordings.log_condition import (
+    DAMAGED,
+    LogCondition,
+    dataflash_losses,
+    ulog_losses,
+)
+from analysis.recordings.ulog import ULogFile, is_ulog, read_ulog
 from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,
@@ -60,8 +66,9 @@ def is_autopilot_log(path: Path) -> bool:
     return is_ulog(head) or is_dataflash(head)
 
 
-def read_autopilot_log(path: Path) -> Block:
-    """The samples of a ULog or a dataflash log, in the order of their stamps.
+def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Block:
+    """The samples of a ULog or a dataflash log, in the order of their stamps; what it has lost goes
+    into `condition`.
 
     Raises
     ------
@@ -70,7 +77,10 @@ def read_autopilot_log(path: Path) -> Block:
     """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
-    topics = read_ulog(path).topics if ulog else _with_accuracy(read_dataflash(path).topics)
+    log = read_ulog(path) if ulog else read_dataflash(path)
+    if condition is not None:
+        _tell(condition, log)
+    topics = log.topics if ulog else _with_accuracy(log.topics)
     stamp = "timestamp" if ulog else "TimeUS"
     found = list(_parts(topics, ULOG if ulog else DATAFLASH, stamp))
     missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _holds(found, kind)]
@@ -86,6 +96,18 @@ def read_autopilot_log(path: Path) -> Block:
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
     orders = np.split(rank, ends[:-1])
     return joined([Part(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ())
+
+
+def _tell(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
+    """Put into a condition what a log has lost."""
+    # One that ends in the middle of a message is whole: whoever writes it seldom ends it.
+    condition.damage += [DAMAGED] if log.damaged else []
+    if isinstance(log, ULogFile):
+        condition.lost_us += ulog_losses(log.dropouts)
+        return
+    condition.lost_us += dataflash_losses(log.topics)
+    if log.unread_bytes:
+        condition.damage.append(f"its last {log.unread_bytes / 1e6:.0f} MB were not read")
 
 
 def _with_accuracy(topics: Topics) -> Topics:

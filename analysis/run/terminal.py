@@ -53,7 +53,9 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             # None: nothing to judge by.
             word = "FAILED" if check["passed"] is False else "not judged"
             console.print(
-                f"criterion       {check['name']}: {check['value']} (limit {check['limit']}) {word}"
+                f"criterion       {check['name']}: {check['value']}"
+                f" (limit {check['limit']}) {word}",
+                soft_wrap=True,
             )
     for row in summary.get("effects", ()):
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
@@ -120,6 +122,9 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
                 "satellites that are at fault from a receiver noisier than assumed:"
                 " --calibrate fits the noise to a recording that is sound"
             )
+    lost_s = summary.get("log", {}).get("lost_s", 0.0)
+    if lost_s:
+        found.append(f"silences in {lost_s:.1f} s in which the log's writer lost records")
     if summary["unbounded_epochs"]:
         found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
     return found

@@ -38,7 +38,7 @@ from analysis.samples.block import (
     Indices,
     Stamps,
 )
-from analysis.samples.sample import Vector
+from analysis.samples.sample import MOST_OF_IMU, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
@@ -60,6 +60,7 @@ GAP_US = 500_000  # without a sample of the IMU
 LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
 SELDOM_US = 60_000  # between commands: what they were meanwhile is not known, nor what they do
 LAG_US, INTERVAL_US, NEWEST_US = range(3)  # of the usual `rhythm` of commands
+MOST_COMMAND = 100.0  # of no output: a damaged log has such
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
@@ -119,7 +120,7 @@ def follow(
             air[UNTIL_US] = t_us[row] + AIR_LASTS_US
         # Of the first IMU alone.
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
-            if not np.isfinite(values[row, :6]).all():
+            if not (np.abs(values[row, :6]) <= MOST_OF_IMU).all():  # which NaN is not
                 continue
             # A link that delays and swaps frames tells commands and motion of different times.
             if 0 < kept.cells.clock[SAMPLE_US] - t_us[row] < GAP_US:
@@ -146,7 +147,7 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
     source = int(outputs[COMMAND_SOURCE])
     if not counts[COMMANDED] and (source == CONTROLS or kept.learnt.counts[UNKNOWN]):
         counts[COMMANDED] = source
-    if source != counts[COMMANDED]:
+    if source != counts[COMMANDED] or not (np.abs(outputs[:COMMANDS]) <= MOST_COMMAND).all():
         return
     _compare_lag(float(kept.cells.clock[SAMPLE_US] - t_us), kept)
     _compare_interval(t_us, kept.rhythm)
