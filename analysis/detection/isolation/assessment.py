@@ -32,7 +32,6 @@ from analysis.detection.filter.measurement import (
     modelled_at,
     states_at,
 )
-from analysis.detection.isolation.common_shift import common_shift
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -47,8 +46,7 @@ class Statistics(NamedTuple):
     """What the tests of an epoch say of the satellites (used,) that are trusted.
 
     `residual_m` and `normalised` (used,) are their innovations. `q` is the ranges' statistic,
-    `q_rate` that of the `rates` Doppler rates that are known, `shift` that of the velocity they
-    share (0: too few), `parity` that of the snapshot's
+    `q_rate` that of the `rates` Doppler rates that are known, `parity` that of the snapshot's
     residuals with its degrees of freedom (0 where there is none); `systems` is how many systems are
     used. `far` says that most innovations are over `CLOCK_LEAP_M`.
     """
@@ -57,7 +55,6 @@ class Statistics(NamedTuple):
     normalised: Vector
     q: float
     q_rate: float
-    shift: float
     rates: int
     parity: float
     parity_dof: int
@@ -154,13 +151,11 @@ def assess(
     parity, dof, systems = parity_test(normal)
     rates = rate_equations(h, every.rate_variance[:count], every.v_mps[:count])
     q_rate = statistic_of(p, rates)
-    shift = common_shift(p, rates) if rates.v.shape[0] >= MIN_RATES else 0.0
     statistics = Statistics(
         v[:count],
         normalised,
         q,
         q_rate,
-        shift,
         rates.v.shape[0],
         parity,
         dof,

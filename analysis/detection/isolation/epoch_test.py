@@ -22,6 +22,7 @@ from analysis.detection.isolation.assessment import (
     MIN_RATES,
     Sight,
     parity_test,
+    rate_equations,
     see,
 )
 from analysis.detection.isolation.chi_square import chi_square
@@ -30,6 +31,7 @@ from analysis.detection.isolation.common_shift import (
     Watched,
     after,
     asked,
+    common_shift,
     unsettled,
 )
 from analysis.detection.isolation.constellations import CONTRADICTION
@@ -83,7 +85,8 @@ UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the pre
 class Judged(NamedTuple):
     """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
     seen, whether the clock leapt, the verdicts of rates and ranges, how far (3,) the satellites
-    leapt together, who is at fault where the IMU seems to be, and how all satellites lie."""
+    leapt together, who is at fault where the IMU seems to be, how all satellites lie, and the
+    statistic of the velocity that all rates show off the IMU's."""
 
     core: Core
     part: Segment
@@ -95,6 +98,7 @@ class Judged(NamedTuple):
     leap_m: Vector | None = None
     accused: str = "imu"
     carried: Carried | None = None
+    shift: float = 0.0
 
 
 def judge_epoch(
@@ -172,8 +176,10 @@ def _by_windows(
         who, led = accused(past, moment, config)
         judged = judged._replace(accused=who)
     elif _passed(judged, before, slow, config):
-        watched = core.watched
-        if asked(watched, judged.sight.tests.shift, t_us, config):
+        used, watched = judged.sight.used, core.watched
+        equations = rate_equations(used.h, used.rate_variance, used.v_mps)
+        judged = judged._replace(shift=common_shift(judged.predicted.p, equations))
+        if asked(watched, judged.shift, t_us, config):
             led = led_slowly(past, moment, max(watched.level, LEAST_LEVEL), config)
     if led is not None:
         judged = judged._replace(**led_off(led, moment, rates, tested)._asdict())
@@ -201,7 +207,7 @@ def _watched(
     watched = judged.core.watched
     if not _passed(judged, before, slow, config):
         return unsettled(watched, t_us)
-    return after(watched, judged.sight.tests.shift, t_us, config)
+    return after(watched, judged.shift, t_us, config)
 
 
 def _whole_system(judged: Judged, config: DetectorConfig) -> Tested | None:

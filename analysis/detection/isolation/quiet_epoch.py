@@ -32,7 +32,7 @@ from analysis.detection.isolation.assessment import (
 )
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.common_shift import after as watched_after
-from analysis.detection.isolation.common_shift import asked
+from analysis.detection.isolation.common_shift import asked, common_shift
 from analysis.detection.isolation.ramp_test import judge_slow
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
 from analysis.detection.protection import Bounds, bounded, level_factors
@@ -45,7 +45,8 @@ NOTHING_FOUND = 0.0, -1, -1, 0.0
 # Named tuples go into the compiled call as plain ones and get their names inside it: numba looks up
 # the class of each that crosses its boundary, either way, which takes a microsecond.
 Fields = tuple[Any, ...]
-# Of `Statistics` what stays of a quiet epoch: q, q_rate, shift, parity, rates and parity_dof.
+# What stays of a quiet epoch's tests: q, q_rate, the velocity that the rates share, parity, rates
+# and parity_dof.
 Numbers = tuple[float, float, float, float, int, int]
 Found = tuple[float, int, int, float]  # the fields of `Strongest`
 
@@ -204,17 +205,18 @@ def _quiet(
         measured, trusted, offset_m, x, p, limits.ionosphere, limits.sigma, limits.mask_rad
     )
     tests = assessed.statistics
-    numbers = tests.q, tests.q_rate, tests.shift, tests.parity, tests.rates, tests.parity_dof
+    known = limits.doppler and tests.rates >= MIN_RATES
+    shift = common_shift(p, assessed.rates) if prior.inertial and known else 0.0
+    numbers = tests.q, tests.q_rate, shift, tests.parity, tests.rates, tests.parity_dof
     innovations = np.empty((2, assessed.used))
     innovations[0], innovations[1] = tests.residual_m, tests.normalised
-    tested = limits.doppler and tests.rates >= MIN_RATES
-    quiet = moved and _is_quiet(assessed, places, prior.inertial, tested, limits.thresholds)
+    quiet = moved and _is_quiet(assessed, places, prior.inertial, known, limits.thresholds)
     if not quiet:
         # The long way begins anew from the state before: nothing of this is used.
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
         return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND, np.empty(0)
     rates = assessed.rates
-    if not tested:  # too few to be used untested
+    if not known:  # too few to be used untested
         every = assessed.every
         rates = rate_equations(every.h[:0], every.rate_variance[:0], every.v_mps[:0])
     step = Step(phi, dt_s, t_us, prior.inertial)
