@@ -30,6 +30,7 @@ from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
+from analysis.detection.sensors.mean_turn import MeanTurnWatch
 from analysis.detection.sensors.pause_watch import Newest, PauseWatch, not_lost
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
@@ -109,6 +110,8 @@ class Pipeline:
         self._vote_state = self._vote.new_state()
         self._turns = TurnWatch()
         self._turns_state = self._turns.new_state()
+        self._mean_turns = MeanTurnWatch()
+        self._mean_turns_state = self._mean_turns.new_state()
         self._earth = EarthWatch(config.field_ned_gauss)
         self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
@@ -177,9 +180,10 @@ class Pipeline:
         left, self._levels_state = self._levels.step(block, self._levels_state)
         voted, self._vote_state = self._vote.step(block, self._vote_state)
         turned, self._turns_state = self._turns.step(block, self._turns_state)
+        drifted, self._mean_turns_state = self._mean_turns.step(block, self._mean_turns_state)
         alien, self._earth_state = self._earth.step(block, self._earth_state)
         frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
-        return troubles + left + voted + turned + alien + frozen
+        return troubles + left + voted + turned + drifted + alien + frozen
 
     def _detected(
         self, block: Block, troubles: list[tuple[int, SensorDecision]]

@@ -51,6 +51,8 @@ Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
 FIX_3D = 3
 INSTANCES = 3
+# What ArduPilot's messages call it that a driver has a new, sound measurement
+HEALTH = {IMU: ("GH", "AH"), MAG: ("Health",), BARO: ("H", "Health")}
 VOTERS = (IMU, MAG, BARO, FIX)  # kinds of which a log's further sensors are read
 SYSTEM = 1  # whose attitude it is
 MILLIGAUSS = 1e-3
@@ -137,7 +139,7 @@ def _parts(
             continue
         for number in range(INSTANCES if kind in VOTERS else 1):
             topic = topics.get((name, number))
-            if topic is None:
+            if topic is None or not len((topic := _healthy(topic, kind))[stamp]):
                 continue
             try:
                 values = np.column_stack(columns(topic)).astype(float)
@@ -152,6 +154,15 @@ def _parts(
             # The detector keeps to the IMU that speaks first.
             spoken = topic[stamp] >= topics.get((name, 0), topic)[stamp][0]
             yield kind, topic[stamp][spoken].astype(np.int64), values[spoken, :WIDTH]
+
+
+def _healthy(topic: Topic, kind: int) -> Topic:
+    """A sensor's messages without those of which its driver says that it does not measure."""
+    says = [topic[name] for name in HEALTH.get(kind, ()) if name in topic]
+    if not says:
+        return topic
+    sound = np.all(np.array(says) != 0, axis=0)
+    return topic if sound.all() else {name: values[sound] for name, values in topic.items()}
 
 
 def _spare(

@@ -26,6 +26,17 @@ from analysis.detection.actuators.motion_cells import (
 from analysis.detection.actuators.motion_filter import CELLS, UNKNOWN, Learnt, compare, learn
 from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, known_rotors, suspect
 from analysis.detection.actuators.switched_off import Outputs, command
+from analysis.detection.actuators.uneven import (
+    OBEYS,
+    RAISED,
+    SCORE,
+    SILENT,
+    Trim,
+    settle,
+)
+from analysis.detection.actuators.uneven import (
+    compare as compare_outputs,
+)
 from analysis.samples.block import (
     AIRSPEED,
     COMMAND,
@@ -90,6 +101,7 @@ class Obedience(NamedTuple):
     counts: NDArray[np.int64]
     start: Vector
     rhythm: Vector
+    trim: Trim
 
 
 class Verdicts(NamedTuple):
@@ -156,6 +168,28 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
         off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
         if off >= 0:
             _tell(row, t_us, (NOBODY, off), (OFF, OFF), verdicts)
+        elif kept.learnt.counts[UNKNOWN]:
+            _compare_outputs(row, t_us, outputs, kept, verdicts)
+
+
+@compiled
+def _compare_outputs(
+    row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Verdicts
+) -> None:
+    """Hold outputs that come seldom against each other, as no motion can be held against them."""
+    if not kept.counts[FLIES]:
+        settle(kept.trim)
+        return
+    dt_s, off = (
+        kept.rhythm[INTERVAL_US] * 1e-6,
+        kept.outputs.gone.any() or kept.outputs.parked.any(),
+    )
+    if not dt_s >= SELDOM_US * 1e-6 or off or kept.counts[IRREGULAR] > 0:
+        return
+    who = compare_outputs(outputs[:COMMANDS], dt_s, kept.outputs, kept.trim)
+    if who != SILENT:
+        figures = kept.trim.figures[SCORE], kept.trim.figures[RAISED]
+        _tell(row, t_us, (NOBODY, NOBODY if who == OBEYS else who), figures, verdicts)
 
 
 @compiled

@@ -9,7 +9,7 @@ import pytest
 from analysis.recordings.dataflash import read_dataflash
 from analysis.recordings.log_condition import LogCondition
 from analysis.recordings.recordings import read_log
-from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG
+from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG, SPARE
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -24,6 +24,7 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "GPA": (18, "QHHH", "QCCC", "TimeUS,HAcc,VAcc,SAcc"),
     "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
     "RATE": (17, "Qff", "Qff", "TimeUS,RDes,R"),
+    "MAG3": (20, "QhhhB", "QhhhB", "TimeUS,MagX,MagY,MagZ,Health"),
     "DSF": (19, "QI", "QI", "TimeUS,Dp"),
     "RCOU": (15, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
 }
@@ -186,3 +187,13 @@ def test_a_tlog_with_foreign_bytes_is_damaged() -> None:
     assert condition.damage == []
     condition.has_junk(2_000, 100_000)
     assert condition.damage == ["2000 of 100000 bytes (2 %) are no frame"]
+
+
+def test_what_a_driver_calls_unhealthy_was_not_measured(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
+    rows = [row("MAG3", 1_000_000 + 100_000 * k, 200, 0, 400, int(k < 4)) for k in range(10)]
+    path.write_bytes(path.read_bytes() + b"".join(rows))
+    topics = read_dataflash(path).topics
+    assert len(topics["MAG", 2]["TimeUS"]) == 10
+    (block,) = read_log(path)
+    assert len(block.rows(SPARE)) == 4
