@@ -6,6 +6,7 @@ from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, S
 from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Chosen, Observed
 from analysis.detection.filter.propagation import Segment, segment
+from analysis.detection.isolation.common_shift import Watched
 from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.receiver.carry_off import Carried, Carry
 from analysis.detection.receiver.fix_latency import Latency
@@ -49,6 +50,7 @@ class Core(Value, frozen=True):
 
     `ionosphere` (9,) are Klobuchar's coefficients and how much more than broadcast ones they may be
     off.
+    `imu_interval_s` is the usual time between two of its samples (0: not known),
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
@@ -59,7 +61,8 @@ class Core(Value, frozen=True):
     `before` is the filter as it was before a gap too long; `misfit` is how the ranges have fitted
     for the last minute;
     `leapt_m` (3,) is how far all satellites together leapt, with nothing to tell whether rightly;
-    `rates_off` counts the epochs running in which a satellite's Doppler rate alone was wrong.
+    `rates_off` counts the epochs running in which a satellite's Doppler rate alone was wrong,
+    `watched` is for a velocity that all rates show.
     """
 
     motion: Motion | None
@@ -68,6 +71,7 @@ class Core(Value, frozen=True):
     excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
     frozen: FrozenOffsets = NOTHING_FROZEN
     imu_id: int | None = None
+    imu_interval_s: float = 0.0
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
     unknown_since_us: int | None = None
@@ -89,6 +93,7 @@ class Core(Value, frozen=True):
     misfit: Misfit = Misfit()
     leapt_m: Vector | None = None
     rates_off: dict[str, int] = NO_RATES_OFF
+    watched: Watched = Watched()
 
 
 class Record(Value, frozen=True):

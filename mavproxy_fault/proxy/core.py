@@ -40,7 +40,7 @@ from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
 
 if TYPE_CHECKING:
-    from mavproxy_fault.faults.fault import Outgoing
+    from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
 NEVER_US = 1 << 62
