@@ -76,7 +76,15 @@ class LockstepLoop:
         Times real time, infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
         One that somebody else tells of answers too.
+
+    Attributes
+    ----------
+    unanswered, unlocked : str
+        What is added where no answer ever came, and to the progress while steps wait for none.
     """
+
+    unanswered = FLOWN_BEFORE
+    unlocked = ", not in lockstep"
 
     def __init__(
         self,
@@ -151,10 +159,11 @@ class LockstepLoop:
         self._battery.look(truth)
         self._simulation.prepare()
         self._await_answer()
-        if self._answer_due_s is not None and not self._locked and now_s > self._answer_due_s:
+        if self._answer_due_s is not None and now_s > self._answer_due_s:
             self._answer_due_s = None
-            self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {FLOWN_BEFORE}")
-        self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
+            if not self.lockstep.answered:
+                self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {self.unanswered}")
+        self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""
