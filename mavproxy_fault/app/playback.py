@@ -16,6 +16,7 @@ from mavproxy_fault.app.recorder import EDITS, INDEX, RECEIVED, RECEIVED_OTHER, 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.live.journal import Edit, read_edits
 from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.proxy.sender_rules import BEYOND_US
 from mavproxy_fault.proxy.tape import INDEX as INDEX_RECORD
 from mavproxy_fault.proxy.tape import LENGTH, STAMP
 from mavproxy_fault.wire.dialect import layout
@@ -88,9 +89,10 @@ def _indexed(path: Path, index: Path) -> Iterator[Record]:
             # A stamp stands before every record, whichever of the two files it lies in.
             stamp = (other if elsewhere else log).read(STAMP.size)
             raw = other.read(LENGTH.size + length)[LENGTH.size :] if elsewhere else log.read(length)
-            if len(raw) < length:  # the process was killed while it wrote
+            # The process was killed while it wrote, or the file was damaged since.
+            if len(raw) < length or (t_us := STAMP.unpack(stamp)[0]) >= BEYOND_US:
                 return
-            yield Record(STAMP.unpack(stamp)[0], link, raw)
+            yield Record(t_us, link, raw)
 
 
 def _foreign(data: bytes) -> Iterator[Record]:
@@ -128,7 +130,7 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
             # Most places are ruled out by one byte.
             continue
         (stamp,) = struct.unpack_from(">Q", data, at)
-        if t_us is not None and abs(stamp - t_us) > NEAR_US:
+        if stamp >= BEYOND_US or (t_us is not None and abs(stamp - t_us) > NEAR_US):
             # A stamp out of the blue is a chance pattern in the payload.
             continue
         end = _end(data, at + STAMP.size)

@@ -143,3 +143,7 @@ def test_what_is_no_log_is_the_users_error(tmp_path: Path) -> None:
         open_log(text)
     with pytest.raises(ConfigError, match="is not a file"):
         open_log(tmp_path / "missing.tlog")
+    # Chance bytes look like a record whose stamp no clock can show (it ended in an IndexError).
+    text.write_bytes((1 << 63).to_bytes(8, "big") + heartbeat(1))
+    with pytest.raises(ConfigError, match="holds no MAVLink record"):
+        open_log(text)
