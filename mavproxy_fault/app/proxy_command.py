@@ -174,6 +174,8 @@ def main(args: argparse.Namespace) -> int:
         if engine.draws:  # or the first frame that a fault draws for would wait for it
             import numpy.random  # noqa: F401
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
+    if args.rflysim_map and args.rflysim is None:
+        raise ConfigError("--rflysim-map: is for the faults of RflySim; give --rflysim PORT too")
     signed = signing(args)
     # Links first: a port that is taken ends the command before anything is written.
     links = open_links(args.master, args.to)
