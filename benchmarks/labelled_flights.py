@@ -20,6 +20,7 @@ from typing import Any
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
+from analysis.recordings.log_condition import LogCondition
 from analysis.recordings.recordings import read_log
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, WARN
@@ -78,8 +79,9 @@ def told(folder: Path, row: dict[str, str]) -> dict[str, Any]:
                 frames=1,
             )
         )
-    monitor = Monitor(MonitorConfig(link=False))
-    for block in read_log(folder / row["file"]):
+    monitor, condition = Monitor(MonitorConfig(link=False)), LogCondition()
+    for block in read_log(folder / row["file"], condition):
+        monitor.excuse(condition.lost_us)
         monitor.push(block)
     return monitor.summary(labels, Criteria(), 0.0)
 

@@ -10,6 +10,7 @@ from analysis.detection.epoch_outcome import Outcome, shown
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.initial_fix import Start
 from analysis.detection.filter.measurement import Observed
+from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import chi_square, p_value
 from analysis.detection.isolation.whole_receiver import FOLLOWED, LEAPT
 from analysis.detection.protection import WORST_M, Bounds, assumed
@@ -99,7 +100,7 @@ def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision
 
 def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[Result]:
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
-    silent = outcome.gap_s > config.gap_s
+    silent = is_silent(outcome.gap_s, outcome.core.imu_interval_s, config)
     faulty = silent or (outcome.imu_blamed and outcome.hypothesis == "imu")
     # Silence is told even without rates to test.
     if not outcome.was_inertial or (outcome.rate is None and not faulty):

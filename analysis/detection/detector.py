@@ -19,7 +19,7 @@ from analysis.detection.epoch_outcome import Outcome
 from analysis.detection.filter.filter_state import Exclusion
 from analysis.detection.filter.initial_fix import against_prior, start
 from analysis.detection.filter.measurement import Observed, choose, observe, why_none
-from analysis.detection.filter.propagation import keep_pending, split_pending
+from analysis.detection.filter.propagation import keep_pending, split_pending, usual_interval_s
 from analysis.detection.isolation.epoch_test import judge_epoch
 from analysis.detection.isolation.exclusion import exclude
 from analysis.detection.isolation.ramp_test import onset_of
@@ -146,7 +146,8 @@ class Detector:
             return results, State(core, pending, mag_b)
         history = core.history
         # Taken out while the epoch is judged: records must not hold each other.
-        core = core._replace(history=(), mag_b=mag_b)
+        interval_s = usual_interval_s(core.imu_interval_s, run)
+        core = core._replace(history=(), mag_b=mag_b, imu_interval_s=interval_s)
         results, core = self._test(epoch, observed, run, core, history)
         return results, State(core, pending, mag_b)
 

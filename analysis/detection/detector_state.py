@@ -50,6 +50,7 @@ class Core(Value, frozen=True):
 
     `ionosphere` (9,) are Klobuchar's coefficients and how much more than broadcast ones they may be
     off.
+    `imu_interval_s` is the usual time between two of its samples (0: not known),
     `imu_bad_until_us` is when a faulty IMU is tried again (None: it is trusted), `unknown_since_us`
     since when no epoch could be used, `distrusted` what of all satellites together was wrong at the
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
@@ -70,6 +71,7 @@ class Core(Value, frozen=True):
     excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
     frozen: FrozenOffsets = NOTHING_FROZEN
     imu_id: int | None = None
+    imu_interval_s: float = 0.0
     imu_bad_until_us: int | None = None
     mag_b: Vector | None = None
     unknown_since_us: int | None = None

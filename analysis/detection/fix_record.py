@@ -4,6 +4,7 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import RECEIVER, Core
+from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import p_value
 from analysis.detection.receiver.position_test import Check
 from analysis.detection.sensors.pause_watch import IMU_SILENT
@@ -78,7 +79,7 @@ def fix_sensors(
                     isolated=blamed and not part.passes,
                 )
             )
-    silent = gap_s > config.gap_s
+    silent = is_silent(gap_s, core.imu_interval_s, config)
     if silent or hypothesis == "imu":
         results.append(
             SensorDecision(

@@ -47,6 +47,10 @@ class Monitor:
             results += self.push(self._decoder.columns(columns, orders))
         return results
 
+    def excuse(self, lost_us: Sequence[tuple[int, int]]) -> None:
+        """Hold silences against nobody in stretches in which a log's writer lost records."""
+        self._pipeline.excuse(lost_us)
+
     def push(self, block: Block) -> list[Result]:
         """Results of samples in order."""
         found = self._pipeline.push_rows(block)

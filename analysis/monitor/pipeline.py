@@ -30,7 +30,8 @@ from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
-from analysis.detection.sensors.pause_watch import Newest, PauseWatch
+from analysis.detection.sensors.mean_turn import MeanTurnWatch
+from analysis.detection.sensors.pause_watch import Newest, PauseWatch, not_lost
 from analysis.detection.sensors.sensor_tests import References
 from analysis.detection.sensors.stream_watch import StreamWatch
 from analysis.detection.sensors.turn_watch import TurnWatch
@@ -104,10 +105,13 @@ class Pipeline:
         self._streams_state = StreamWatch().new_state()
         self._pauses = PauseWatch() if config.streams else None
         self._pauses_state = Newest()
+        self._lost_us: Sequence[tuple[int, int]] = ()
         self._vote = InstanceVote()
         self._vote_state = self._vote.new_state()
         self._turns = TurnWatch()
         self._turns_state = self._turns.new_state()
+        self._mean_turns = MeanTurnWatch()
+        self._mean_turns_state = self._mean_turns.new_state()
         self._earth = EarthWatch(config.field_ned_gauss)
         self._earth_state = self._earth.new_state()
         self._levels = LevelWatch()
@@ -135,6 +139,10 @@ class Pipeline:
             self._feed_back = fed_back if config.fusion.feedback else None
         self._fusion_states = [fusion.new_state() for fusion in self._fusions]
 
+    def excuse(self, lost_us: Sequence[tuple[int, int]]) -> None:
+        """Hold silences against nobody in stretches in which a log's writer lost records."""
+        self._lost_us = lost_us
+
     def push(self, samples: Sample | Block) -> list[Result]:
         """What a block of samples, or a single one, leads to."""
         block = samples if isinstance(samples, Block) else block_of(samples)
@@ -147,6 +155,7 @@ class Pipeline:
         found = self._detected(block, troubles)
         if self._pauses is not None:
             found, self._pauses_state = self._pauses.step(block, found, self._pauses_state)
+            found = not_lost(found, self._lost_us)
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
@@ -167,12 +176,14 @@ class Pipeline:
         if self._streams is None:
             return []
         troubles, self._streams_state = self._streams.step(block, self._streams_state)
+        troubles = not_lost(troubles, self._lost_us)
         left, self._levels_state = self._levels.step(block, self._levels_state)
         voted, self._vote_state = self._vote.step(block, self._vote_state)
         turned, self._turns_state = self._turns.step(block, self._turns_state)
+        drifted, self._mean_turns_state = self._mean_turns.step(block, self._mean_turns_state)
         alien, self._earth_state = self._earth.step(block, self._earth_state)
         frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
-        return troubles + left + voted + turned + alien + frozen
+        return troubles + left + voted + turned + drifted + alien + frozen
 
     def _detected(
         self, block: Block, troubles: list[tuple[int, SensorDecision]]

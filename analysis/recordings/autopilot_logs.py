@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.dataflash import is_dataflash, read_dataflash
-from analysis.recordings.ulog import is_ulog, read_ulog
+from analysis.recordings.dataflash import DataflashFile, is_dataflash, read_dataflash
+from analysis.recordings.log_condition import (
+    DAMAGED,
+    LogCondition,
+    dataflash_losses,
+    ulog_losses,
+)
+from analysis.recordings.ulog import ULogFile, is_ulog, read_ulog
 from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,
@@ -45,6 +51,8 @@ Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
 FIX_3D = 3
 INSTANCES = 3
+# What ArduPilot's messages call it that a driver has a new, sound measurement
+HEALTH = {IMU: ("GH", "AH"), MAG: ("Health",), BARO: ("H", "Health")}
 VOTERS = (IMU, MAG, BARO, FIX)  # kinds of which a log's further sensors are read
 SYSTEM = 1  # whose attitude it is
 MILLIGAUSS = 1e-3
@@ -60,8 +68,9 @@ def is_autopilot_log(path: Path) -> bool:
     return is_ulog(head) or is_dataflash(head)
 
 
-def read_autopilot_log(path: Path) -> Block:
-    """The samples of a ULog or a dataflash log, in the order of their stamps.
+def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Block:
+    """The samples of a ULog or a dataflash log, in the order of their stamps; what it has lost goes
+    into `condition`.
 
     Raises
     ------
@@ -70,7 +79,10 @@ def read_autopilot_log(path: Path) -> Block:
     """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
-    topics = read_ulog(path).topics if ulog else _with_accuracy(read_dataflash(path).topics)
+    log = read_ulog(path) if ulog else read_dataflash(path)
+    if condition is not None:
+        _tell(condition, log)
+    topics = log.topics if ulog else _with_accuracy(log.topics)
     stamp = "timestamp" if ulog else "TimeUS"
     found = list(_parts(topics, ULOG if ulog else DATAFLASH, stamp))
     missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _holds(found, kind)]
@@ -86,6 +98,18 @@ def read_autopilot_log(path: Path) -> Block:
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
     orders = np.split(rank, ends[:-1])
     return joined([Part(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ())
+
+
+def _tell(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
+    """Put into a condition what a log has lost."""
+    # One that ends in the middle of a message is whole: whoever writes it seldom ends it.
+    condition.damage += [DAMAGED] if log.damaged else []
+    if isinstance(log, ULogFile):
+        condition.lost_us += ulog_losses(log.dropouts)
+        return
+    condition.lost_us += dataflash_losses(log.topics)
+    if log.unread_bytes:
+        condition.damage.append(f"its last {log.unread_bytes / 1e6:.0f} MB were not read")
 
 
 def _with_accuracy(topics: Topics) -> Topics:
@@ -115,7 +139,7 @@ def _parts(
             continue
         for number in range(INSTANCES if kind in VOTERS else 1):
             topic = topics.get((name, number))
-            if topic is None:
+            if topic is None or not len((topic := _healthy(topic, kind))[stamp]):
                 continue
             try:
                 values = np.column_stack(columns(topic)).astype(float)
@@ -130,6 +154,15 @@ def _parts(
             # The detector keeps to the IMU that speaks first.
             spoken = topic[stamp] >= topics.get((name, 0), topic)[stamp][0]
             yield kind, topic[stamp][spoken].astype(np.int64), values[spoken, :WIDTH]
+
+
+def _healthy(topic: Topic, kind: int) -> Topic:
+    """A sensor's messages without those of which its driver says that it does not measure."""
+    says = [topic[name] for name in HEALTH.get(kind, ()) if name in topic]
+    if not says:
+        return topic
+    sound = np.all(np.array(says) != 0, axis=0)
+    return topic if sound.all() else {name: values[sound] for name, values in topic.items()}
 
 
 def _spare(

@@ -9,20 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from analysis.recordings.autopilot_logs import is_autopilot_log, read_autopilot_log
+from analysis.recordings.log_condition import LogCondition
 from analysis.samples.block import IMU, Block, Part, joined
 from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.tlog import read_ordered
+from mavproxy_fault.wire.written import written_bytes
 
 UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
 WEEK_S = 604_800
 NUMBER = re.compile(r"[+-]?\.?\d")  # how one begins
 
 
-def read_log(path: Path | str) -> Iterator[Block]:
+def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterator[Block]:
     """What `Decoder` makes of a tlog, block by block; a ULog or dataflash log as one.
+
+    What the log has lost goes into `condition`, of an autopilot's log before the block is given.
 
     Raises
     ------
@@ -30,16 +34,18 @@ def read_log(path: Path | str) -> Iterator[Block]:
         If there is no such log, or it holds nothing to test.
     """
     if Path(path).is_file() and is_autopilot_log(Path(path)):
-        yield read_autopilot_log(Path(path))
+        yield read_autopilot_log(Path(path), condition)
         return
-    decoder = Decoder()
+    decoder, junk = Decoder(), [0]
     sensed = False
-    for columns, orders in read_ordered(path, MESSAGES):
+    for columns, orders in read_ordered(path, MESSAGES, junk=junk):
         block = decoder.columns(columns, orders)
         sensed |= len(block.kind) > 0
         yield block
     if not sensed:
         raise ConfigError(f"{path}: holds no message of a sensor; nothing in it can be tested")
+    if condition is not None:
+        condition.has_junk(junk[0], written_bytes(Path(path)))
 
 
 def read_rinex(

@@ -16,6 +16,7 @@ from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
 from analysis.recordings.autopilot_logs import is_autopilot_log
+from analysis.recordings.log_condition import LogCondition
 from analysis.recordings.position_reference import PositionReference, read_reference
 from analysis.recordings.receiver_logs import is_receiver_log
 from analysis.recordings.recordings import read_log, read_rinex
@@ -26,12 +27,12 @@ from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.samples.block import Block
 from analysis.samples.intake import Intake
-from analysis.scoring.criteria import Criteria, receiver_criteria
+from analysis.scoring.criteria import Check, Criteria, receiver_criteria
 from analysis.scoring.integrity import Integrity
 from mavproxy_fault.app.recorder import encoded
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import open_run_bus
+from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import never_acted, read_schedule
 from mavproxy_fault.wire.label import Label, newest, read_labels
@@ -62,9 +63,10 @@ def main(args: argparse.Namespace) -> int:
     recorded = None if args.rinex is None else rinex_block(args)  # refused before there is a folder
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
+    condition = LogCondition()
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        bus = stack.enter_context(open_run_bus(args.zenoh, "live", "monitor", args.zenoh_config))
+        bus = stack.enter_context(bus_of(args))
         publisher = Publisher(bus) if bus else None
         file = stack.enter_context(ResultFile(folder)) if folder else None
         watch = stack.enter_context(Watch()) if args.watch else None
@@ -83,12 +85,13 @@ def main(args: argparse.Namespace) -> int:
         if recorded is not None:
             watch_recording(recorded[0], monitor, deliver, stop)
         else:
-            _feed(args, monitor, deliver, stop)
+            _feed(args, monitor, deliver, stop, condition)
     # Read at the end again: by now the proxy has written its labels.
     labels = read_known(args.labels) if injected is None else newest(injected)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
+    tell_condition(summary, condition)
     if injected is not None:
         faults = read_schedule(args.schedule)
         summary["never_acted"] = never_acted(faults, {label.id for label in injected})
@@ -101,6 +104,12 @@ def main(args: argparse.Namespace) -> int:
         _report(args, folder, labels or [], summary, reference, integrity)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
+
+
+def bus_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
+    """Where results are published; nobody waits for a recording's, unless an address is given."""
+    choice = "off" if args.zenoh == "auto" and args.link is None else args.zenoh
+    return open_run_bus(choice, "live", "monitor", args.zenoh_config)
 
 
 def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
@@ -147,12 +156,33 @@ def read_known(path: str | None) -> list[Label] | None:
     return None if path is None else read_labels(Path(path))
 
 
-def _feed(args: argparse.Namespace, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
-    """Watch a link or a log to its end."""
+def tell_condition(summary: dict[str, Any], condition: LogCondition) -> None:
+    """Put into a summary what a log has lost: one that is damaged passes no more."""
+    if condition.damage:
+        evidence = "; ".join(condition.damage)
+        check = Check(name="log is whole", limit="whole", value=evidence, passed=None)
+        summary["criteria"].append(msgspec.structs.asdict(check))
+        if summary["verdict"] == "PASS":
+            summary["verdict"] = "NO VERDICT"
+    summary["log"] = {
+        "damage": condition.damage,
+        "lost_s": round(sum(end - begin for begin, end in condition.lost_us) * 1e-6, 3),
+    }
+
+
+def _feed(
+    args: argparse.Namespace,
+    monitor: Monitor,
+    deliver: Deliver,
+    stop: Stop,
+    condition: LogCondition,
+) -> None:
+    """Watch a link or a log to its end; what a log has lost goes into `condition`."""
     if args.link is not None:
         watch_link(args.link, monitor, deliver, args.for_s, stop)
         return
-    for block in read_log(args.log):
+    for block in read_log(args.log, condition):
+        monitor.excuse(condition.lost_us)
         deliver(monitor.push(block))
         if stop():
             break

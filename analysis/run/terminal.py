@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
@@ -21,6 +22,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             console.print(f"                {line}", soft_wrap=True)
     for word in summary.get("never_acted", ()):
         console.print(f"never acted     [yellow]{word}[/]: it met nothing that it names")
+    for line in summary.get("edited", ()):
+        console.print(f"edited live     {escape(line)}", style="yellow", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
@@ -33,6 +36,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
         soft_wrap=True,
     )
+    console.print(f"judged          {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
     for reason, count in summary["untestable_reasons"].items():
         console.print(f"untestable      {count} times: {reason}", soft_wrap=True)
     for limit in _limits(summary):
@@ -53,7 +57,9 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             # None: nothing to judge by.
             word = "FAILED" if check["passed"] is False else "not judged"
             console.print(
-                f"criterion       {check['name']}: {check['value']} (limit {check['limit']}) {word}"
+                f"criterion       {check['name']}: {check['value']}"
+                f" (limit {check['limit']}) {word}",
+                soft_wrap=True,
             )
     for row in summary.get("effects", ()):
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
@@ -111,6 +117,8 @@ def _effect(row: Mapping[str, Any]) -> str:
 def _limits(summary: Mapping[str, Any]) -> list[str]:
     """What the epochs of a run could not tell."""
     found, epochs = [], summary["epochs"]
+    if not {"gps-position", "satellites"} & set(summary["watched"]):
+        found.append("position and motion: no receiver came")
     # With an IMU the first seconds have none yet: its attitude is being found.
     if 2 * summary["epochs_without_imu"] > epochs:
         found.append("without an IMU satellites that are carried off all together are believed")
@@ -120,6 +128,9 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
                 "satellites that are at fault from a receiver noisier than assumed:"
                 " --calibrate fits the noise to a recording that is sound"
             )
+    lost_s = summary.get("log", {}).get("lost_s", 0.0)
+    if lost_s:
+        found.append(f"silences in {lost_s:.1f} s in which the log's writer lost records")
     if summary["unbounded_epochs"]:
         found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
     return found

@@ -329,17 +329,27 @@ def open_run_bus(
 ) -> Iterator[Bus | None]:
     """The bus of a run: the router, or a client of the one that is there already.
 
-    `choice` is `auto` (the default address), `off` or an address.
+    `choice` is `auto` (the default address, and without a bus where that is another's), `off` or an
+    address.
 
     Raises
     ------
     ConfigError
         If `choice` names an address where neither can be had.
     """
-    if choice == "off":
+    bus = None
+    if choice != "off":
+        try:
+            bus = join_bus(choice, run, config_file)
+        # Asked for by name it must work; `auto` may do without.
+        except ConfigError as error:
+            if choice != "auto" or config_file:
+                raise
+            LOG.warning("nothing is published: %s", error)
+    if bus is None:
         yield None
         return
-    with join_bus(choice, run, config_file) as bus:
+    with bus:
         bus.alive(component)
         yield bus
 

@@ -273,18 +273,29 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
 
 
 def read_ordered(
-    path: str | Path, only: Collection[str], frames: int = ORDERED_FRAMES
+    path: str | Path,
+    only: Collection[str],
+    frames: int = ORDERED_FRAMES,
+    junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
-    """The columns of so many frames at a time, with the place (n,) of each row among all frames."""
-    yield from ordered(map_bytes(Path(path)), only, frames)
+    """The columns of so many frames at a time, with the place (n,) of each row among all frames.
+
+    Bytes that belong to no frame are added to the first number of `junk`.
+    """
+    yield from ordered(map_bytes(Path(path)), only, frames, junk)
 
 
 def ordered(
-    data: NDArray[np.uint8], only: Collection[str], frames: int = ORDERED_FRAMES
+    data: NDArray[np.uint8],
+    only: Collection[str],
+    frames: int = ORDERED_FRAMES,
+    junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """The same of a log's bytes (n,) in memory."""
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
+        if junk is not None:
+            junk[0] += block.junk_bytes
         parts = [
             # Copies, as the arrays are used again for the next part.
             type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())

@@ -26,6 +26,7 @@ from analysis.detection.actuators.obedience_kernel import (
 )
 from analysis.detection.actuators.suspects import LOAD, NOBODY, PITOT, SURE
 from analysis.detection.actuators.switched_off import no_outputs
+from analysis.detection.actuators.uneven import no_trim
 from analysis.results import EITHER, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
@@ -81,6 +82,7 @@ def _commanded(effects: Effects) -> Obedience:
         counts,
         np.array([np.nan, BY_ITS_START if ELEVATOR in effects.names else FLIES_MPS]),
         np.full(3, np.nan),
+        no_trim(),
     )
 
 

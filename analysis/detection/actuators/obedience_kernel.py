@@ -26,6 +26,17 @@ from analysis.detection.actuators.motion_cells import (
 from analysis.detection.actuators.motion_filter import CELLS, UNKNOWN, Learnt, compare, learn
 from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, known_rotors, suspect
 from analysis.detection.actuators.switched_off import Outputs, command
+from analysis.detection.actuators.uneven import (
+    OBEYS,
+    RAISED,
+    SCORE,
+    SILENT,
+    Trim,
+    settle,
+)
+from analysis.detection.actuators.uneven import (
+    compare as compare_outputs,
+)
 from analysis.samples.block import (
     AIRSPEED,
     COMMAND,
@@ -38,7 +49,7 @@ from analysis.samples.block import (
     Indices,
     Stamps,
 )
-from analysis.samples.sample import Vector
+from analysis.samples.sample import MOST_OF_IMU, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
@@ -60,6 +71,7 @@ GAP_US = 500_000  # without a sample of the IMU
 LATE_US, IRREGULAR_CELLS, LAG_SHARE = 60_000, 10, 0.02
 SELDOM_US = 60_000  # between commands: what they were meanwhile is not known, nor what they do
 LAG_US, INTERVAL_US, NEWEST_US = range(3)  # of the usual `rhythm` of commands
+MOST_COMMAND = 100.0  # of no output: a damaged log has such
 BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 
 # Of `counts`: whether it flies, loud cells in a row, cells without a suspect, cells in a row with
@@ -89,6 +101,7 @@ class Obedience(NamedTuple):
     counts: NDArray[np.int64]
     start: Vector
     rhythm: Vector
+    trim: Trim
 
 
 class Verdicts(NamedTuple):
@@ -119,7 +132,7 @@ def follow(
             air[UNTIL_US] = t_us[row] + AIR_LASTS_US
         # Of the first IMU alone.
         elif kind[row] == IMU and values[row, 6] == 0.0 and kept.counts[FLIES]:
-            if not np.isfinite(values[row, :6]).all():
+            if not (np.abs(values[row, :6]) <= MOST_OF_IMU).all():  # which NaN is not
                 continue
             # A link that delays and swaps frames tells commands and motion of different times.
             if 0 < kept.cells.clock[SAMPLE_US] - t_us[row] < GAP_US:
@@ -146,7 +159,7 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
     source = int(outputs[COMMAND_SOURCE])
     if not counts[COMMANDED] and (source == CONTROLS or kept.learnt.counts[UNKNOWN]):
         counts[COMMANDED] = source
-    if source != counts[COMMANDED]:
+    if source != counts[COMMANDED] or not (np.abs(outputs[:COMMANDS]) <= MOST_COMMAND).all():
         return
     _compare_lag(float(kept.cells.clock[SAMPLE_US] - t_us), kept)
     _compare_interval(t_us, kept.rhythm)
@@ -155,6 +168,28 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
         off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
         if off >= 0:
             _tell(row, t_us, (NOBODY, off), (OFF, OFF), verdicts)
+        elif kept.learnt.counts[UNKNOWN]:
+            _compare_outputs(row, t_us, outputs, kept, verdicts)
+
+
+@compiled
+def _compare_outputs(
+    row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Verdicts
+) -> None:
+    """Hold outputs that come seldom against each other, as no motion can be held against them."""
+    if not kept.counts[FLIES]:
+        settle(kept.trim)
+        return
+    dt_s, off = (
+        kept.rhythm[INTERVAL_US] * 1e-6,
+        kept.outputs.gone.any() or kept.outputs.parked.any(),
+    )
+    if not dt_s >= SELDOM_US * 1e-6 or off or kept.counts[IRREGULAR] > 0:
+        return
+    who = compare_outputs(outputs[:COMMANDS], dt_s, kept.outputs, kept.trim)
+    if who != SILENT:
+        figures = kept.trim.figures[SCORE], kept.trim.figures[RAISED]
+        _tell(row, t_us, (NOBODY, NOBODY if who == OBEYS else who), figures, verdicts)
 
 
 @compiled

@@ -17,6 +17,8 @@ PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgott
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 RATE_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
+INTERVALS = 5.0  # of the IMU that a gap must be long for the IMU to be blamed, as of any stream
+NEWS = 0.05  # share of an epoch in what is usual of the IMU's interval
 
 
 class Segment(NamedTuple):
@@ -92,6 +94,20 @@ def _rising(t_us: Stamps) -> bool:
     for i in range(1, t_us.shape[0]):
         rising &= t_us[i] > t_us[i - 1]
     return rising
+
+
+def usual_interval_s(known_s: float, run: ImuRun) -> float:
+    """The time between two samples of the IMU, of which `run` are the newest; 0 while unknown."""
+    count = len(run.t_us)
+    if count < 2:
+        return known_s
+    interval_s = int(run.t_us[-1] - run.t_us[0]) * 1e-6 / (count - 1)
+    return known_s + (NEWS if known_s > 0.0 else 1.0) * (interval_s - known_s)
+
+
+def is_silent(gap_s: float, usual_s: float, config: DetectorConfig) -> bool:
+    """Whether a gap is the IMU's fault: one too long for the filter, and for the IMU itself."""
+    return gap_s > max(config.gap_s, INTERVALS * usual_s)
 
 
 def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:

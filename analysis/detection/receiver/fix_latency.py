@@ -1,10 +1,10 @@
 """How late a receiver's fixes are, which real receivers do not tell: 0.1 to 0.5 s.
 
 A fix is stamped when its message came, or was logged. While the vehicle accelerates the velocity it
-tells is one that has passed, and a sound receiver contradicts a sound IMU. The latency hardly
-changes in a flight, so it is a state of one number: learnt from the velocities while the vehicle
-accelerates, and as unsure as it is it widens the test. A simulator's HIL_GPS is stamped when it was
-measured.
+tells is one that has passed, and a sound receiver contradicts a sound IMU. What the IMU showed
+since carries the fix to where the vehicle is by now. The latency hardly changes in a flight, so it
+is a state of one number: learnt from the velocities while the vehicle accelerates, and as unsure as
+it is it widens the test. A simulator's HIL_GPS is stamped when it was measured.
 """
 
 from typing import NamedTuple
@@ -17,15 +17,41 @@ from analysis.samples.sample import Vector
 
 USUAL_S, SIGMA_S = 0.15, 0.15
 LEAST_S, MOST_S = 0.0, 0.6
-LEAST_VARIANCE = 0.05**2  # it is never known better: what accelerates changes meanwhile
+LEAST_VARIANCE = 0.05**2  # for the test: what accelerates changes meanwhile
+# A mean over a flight is known better, and what is wrong for seconds may not move it.
+LEAST_LEARNT = 0.01**2
 EXACT_SOURCE = "HIL_GPS"
 
 
 class Latency(NamedTuple):
-    """Seconds and their variance."""
+    """Seconds and their variance; `past` are the durations of the newest intervals between fixes
+    and the mean accelerations (3,) in them, the newest first."""
 
     seconds: float = 0.0
     variance: float = 0.0
+    past: tuple[tuple[float, Vector], ...] = ()
+
+    @property
+    def sigma_s(self) -> float:
+        """How unsure it is in a test."""
+        return float(np.sqrt(max(self.variance, LEAST_VARIANCE)))
+
+    def gained(self, seconds: float) -> Vector:
+        """By how much the velocity (3,) changed in the last `seconds`."""
+        change = np.zeros(3)
+        for at, (duration_s, acceleration) in enumerate(self.past):
+            # Before all that is known it is taken to have gone on as at first.
+            span_s = seconds if at == len(self.past) - 1 else min(seconds, duration_s)
+            change += span_s * acceleration
+            seconds -= span_s
+        return change
+
+    def slope(self) -> Vector:
+        """By how much the velocity told changes with the latency: the acceleration (3,) then."""
+        sigma_s = self.sigma_s
+        first, last = max(self.seconds - sigma_s, 0.0), self.seconds + sigma_s
+        slope: Vector = (self.gained(last) - self.gained(first)) / (last - first)
+        return slope
 
 
 def latency_of(source: str) -> Latency:
@@ -42,34 +68,48 @@ def accelerated(before: Motion, predicted: Motion, axes: Vector) -> Vector:
     return acceleration
 
 
-def on_time(
-    measured: Measured, predicted: Motion, acceleration_mps2: Vector, latency: Latency
-) -> Measured:
+def lasted(latency: Latency, dt_s: float, acceleration_mps2: Vector) -> Latency:
+    """The latency after an interval of `dt_s` with an acceleration (3,)."""
+    if latency.variance == 0.0:
+        return latency
+    kept, known_s = [(dt_s, acceleration_mps2)], dt_s
+    for interval in latency.past:
+        if known_s >= MOST_S + SIGMA_S:
+            break
+        kept.append(interval)
+        known_s += interval[0]
+    return latency._replace(past=tuple(kept))
+
+
+def on_time(measured: Measured, predicted: Motion, latency: Latency) -> Measured:
     """The fix where the vehicle is by now, as unsure as its latency is."""
     if latency.variance == 0.0 or not predicted.inertial:
         return measured
-    velocity = measured.axes @ predicted.x[3:6]
-    r_ecef_m = measured.r_ecef_m + latency.seconds * predicted.x[3:6]
+    velocity, variance = measured.axes @ predicted.x[3:6], latency.sigma_s**2
+    gained = latency.gained(latency.seconds)
+    moved = latency.seconds * (predicted.x[3:6] - measured.axes.T @ gained / 2.0)
     measured = measured._replace(
-        r_ecef_m=r_ecef_m, variance_m2=measured.variance_m2 + latency.variance * velocity**2
+        r_ecef_m=measured.r_ecef_m + moved,
+        variance_m2=measured.variance_m2 + variance * velocity**2,
     )
     if measured.v_ned_mps is None:
         return measured
     return measured._replace(
-        v_ned_mps=measured.v_ned_mps + latency.seconds * acceleration_mps2,
-        v_variance=measured.v_variance + latency.variance * acceleration_mps2**2,
+        v_ned_mps=measured.v_ned_mps + gained,
+        v_variance=measured.v_variance + variance * latency.slope() ** 2,
     )
 
 
-def learnt(latency: Latency, velocity: Check, acceleration_mps2: Vector, p: Vector) -> Latency:
+def learnt(latency: Latency, velocity: Check, p: Vector) -> Latency:
     """The latency after a velocity that passed; p (n, n) is the filter's covariance before it."""
-    if latency.variance == 0.0 or len(velocity.v) < len(acceleration_mps2):
+    if latency.variance == 0.0 or len(velocity.v) < 3:
         return latency
-    seconds, variance = latency
+    seconds, variance, _ = latency
     # The test's variance has the latency's own part in it already.
     spread = np.diag(velocity.h @ p @ velocity.h.T) + velocity.variance
-    for v, a, whole in zip(velocity.v, acceleration_mps2, spread, strict=True):
+    for v, a, whole in zip(velocity.v, latency.slope(), spread, strict=True):
         gain = variance * a / max(whole, variance * a * a)
         seconds -= gain * v  # the innovation is how much too long it is, times the acceleration
         variance -= gain * a * variance
-    return Latency(float(np.clip(seconds, LEAST_S, MOST_S)), max(variance, LEAST_VARIANCE))
+    seconds = float(np.clip(seconds, LEAST_S, MOST_S))
+    return latency._replace(seconds=seconds, variance=max(variance, LEAST_LEARNT))

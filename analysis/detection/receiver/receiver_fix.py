@@ -16,7 +16,13 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import RECEIVER, Core, State
 from analysis.detection.filter.alignment import find_attitude
 from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.propagation import Segment, advance, segment, split_pending
+from analysis.detection.filter.propagation import (
+    Segment,
+    advance,
+    segment,
+    split_pending,
+    usual_interval_s,
+)
 from analysis.detection.fix_record import fix_decision, fix_sensors
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.exclusion import exclude
@@ -28,7 +34,7 @@ from analysis.detection.receiver.carried_receiver import (
     still_carried,
 )
 from analysis.detection.receiver.carry_off import taken_back
-from analysis.detection.receiver.fix_latency import accelerated, latency_of, learnt, on_time
+from analysis.detection.receiver.fix_latency import accelerated, lasted, latency_of, learnt, on_time
 from analysis.detection.receiver.frozen_fix import numbers_of
 from analysis.detection.receiver.heading import with_honest_heading
 from analysis.detection.receiver.position_test import (
@@ -75,10 +81,13 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
         core = _begun(core, start_at(fix.t_us, measured))
         decision = fix_decision(fix, core, None, None, "none", False, "start")
         return [decision], State(core, pending, mag_b)
+    core = core._replace(imu_interval_s=usual_interval_s(core.imu_interval_s, run))
     part = segment(run, motion, fix.t_us)
     predicted, phi = advance(motion, part, fix.t_us, config)
     acceleration = accelerated(motion, predicted, measured.axes)
-    measured = on_time(measured, predicted, acceleration, core.latency)
+    dt_s = (fix.t_us - motion.t_us) * 1e-6
+    core = core._replace(latency=lasted(core.latency, dt_s, acceleration))
+    measured = on_time(measured, predicted, core.latency)
     tests = check(measured, predicted, config)
     hypothesis, alarm = _judge(core, measured, predicted, part, tests, config)
     core, found, wrong_mps2 = carried_off(core, (predicted, phi), part, measured, tests, config)
@@ -89,10 +98,9 @@ def step_position(fix: GpsFix, state: State, config: DetectorConfig) -> tuple[li
         alarm = True
         hypothesis = accelerated_by(core.last_fix, wrong_mps2, measured, predicted, part)
     if hypothesis == "none" and tests[1] is not None:
-        core = core._replace(latency=learnt(core.latency, tests[1], acceleration, predicted.p))
+        core = core._replace(latency=learnt(core.latency, tests[1], predicted.p))
     core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
     moved = _used(predicted, core, hypothesis, measured, tests, acceleration, config)
-    dt_s = (fix.t_us - motion.t_us) * 1e-6
     moved = find_attitude(core, moved, part, dt_s, config)
     core = core._replace(motion=moved, last_fix=last_fix(core.last_fix, measured, part, moved))
     shown = _shown(core, hypothesis)

@@ -4,7 +4,7 @@ All of them feel the same, so that the differences of their means over a moment 
 mounting, calibration. Two differences that change together name the sensor that both have in
 common; of two sensors a difference tells that one of them is wrong, and not who. IMUs vote on rates
 and forces, magnetometers on the field along the vehicle's axes, barometers on the altitude,
-receivers on their place.
+receivers on their place. A further magnetometer or barometer that no longer comes is told as well.
 """
 
 from collections.abc import Iterator
@@ -81,6 +81,7 @@ class VoteState:
         self.window: int | None = None
         self.sums, self.changes = np.zeros((MOST, count)), np.zeros((MOST, count))
         self.counts, self.newest = np.zeros(MOST), np.full((MOST, count), np.nan)
+        self.missing = np.zeros(MOST, int)  # windows in a row without a sample
         self.differences = {pair: Difference(np.zeros(count), np.zeros(count)) for pair in PAIRS}
 
 
@@ -176,6 +177,10 @@ def _runs(numbers: Indices) -> Iterator[tuple[int, int]]:
 
 def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]:
     """The vote on the window that is full."""
+    if voters.kind in (MAG, BARO) and (silent := _silent(state)):
+        names = " and ".join(f"{voters.name} {i + 1}" for i in silent)
+        for_s = voters.window_us * 1e-6 * min(state.missing[i] for i in silent)
+        return [pattern_alarm(t_us, voters.sensor, f"silent for {for_s:.0f} s: {names}")]
     heard = [i for i in range(MOST) if state.counts[i] >= voters.fewest]
     mean = {i: state.sums[i] / state.counts[i] for i in heard}
     # Of the mean, squared: the change of two samples has twice the variance of one, and what moves
@@ -198,6 +203,17 @@ def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]
     if len(heard) == 2 and off:
         return [_result(t_us, voters, heard, "disagree")]
     return []
+
+
+def _silent(state: VoteState) -> list[int]:
+    """Further sensors that no longer come though others do. The first one of a kind and every IMU
+    are streams, and of a receiver only what has a fix is compared."""
+    state.missing = np.where(state.counts > 0, 0, state.missing + 1)
+    return [
+        i
+        for i in range(1, MOST)
+        if state.missing[i] >= LASTS and state.differences[0, i].windows >= LEARNT
+    ]
 
 
 def _pair(i: int, j: int) -> tuple[int, int]:

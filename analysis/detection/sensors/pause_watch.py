@@ -1,6 +1,8 @@
 """When everything paused: an IMU that is silent while nobody speaks is not at fault."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,6 +13,8 @@ from analysis.samples.block import Block, Stamps
 PAUSE_US = 150_000  # as long as an IMU may be silent
 EXCUSED_US = 1_500_000  # after a pause: until the epoch behind it
 IMU_SILENT = "no IMU samples for"  # how the reason of such a finding begins
+ABSENT = ("silent for", "comes ", IMU_SILENT)  # and of any who did not come
+R = TypeVar("R", bound=Result)
 _WITNESS = np.array(STREAM_OF) != -2  # by kind of sample: not broadcasts, nor what has its own time
 
 
@@ -38,6 +42,19 @@ class PauseWatch:
             for row, result in found
             if not _is_silence(result) or result.t_us - ended[row] > EXCUSED_US
         ], state
+
+
+def not_lost(found: list[tuple[int, R]], lost_us: Sequence[tuple[int, int]]) -> list[tuple[int, R]]:
+    """What is left of the findings where a log's writer says from when to when it lost records:
+    who did not come then may have been there."""
+    if not lost_us:
+        return found
+    return [
+        (row, result)
+        for row, result in found
+        if not (isinstance(result, SensorDecision) and result.reason.startswith(ABSENT))
+        or not any(begin <= result.t_us <= end + EXCUSED_US for begin, end in lost_us)
+    ]
 
 
 def _ended(block: Block, state: Newest) -> tuple[Stamps, Newest]:

@@ -51,8 +51,8 @@ AGAIN_US = 500_000  # between two results about the same trouble
 NEVER_US = -(1 << 62)
 
 INTERVAL, LATENESS, PAUSE, SPREAD = range(4)  # what is usual of a stream, the last of its lateness
-# What is counted of a stream
-LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US, WENT_US = range(8)
+# What is counted of a stream; the last: its newest stamp while a leap was not yet understood
+LAST_US, COUNT, DUE_US, STOOD, REPORTED_US, CLOCK, HEARD_US, WENT_US, WAITED_US = range(9)
 # Of each number of a stream: when it took its value, how often it stayed, the most that it ever did
 SINCE_US, RUN, LONGEST = range(3)
 # Of a clock: its newest stamp, before when nobody can be silent, a leap not yet understood, where
@@ -63,7 +63,7 @@ NEWEST_US, QUIET_US, FROM_US, TO_US, BY, GONE_US = range(6)
 class Watched(NamedTuple):
     """What is known of s streams; `watch` changes it in place.
 
-    `counts` (s, 8), `usual` (s, 4): interval, lateness, longest pause and the spread of the
+    `counts` (s, 9), `usual` (s, 4): interval, lateness, longest pause and the spread of the
     lateness in us; the newest `values` (s, w) and the `runs` (s, w, 3) of each number; `rates`
     (s, 8) of `rate_kernel`; `clocks` (2, 6).
     """
@@ -160,12 +160,15 @@ def _paused(watched: Watched, found: Found, row: int, clock: int) -> None:
     at = watched.clocks[clock]
     for e in range(at[FROM_US] + _limit_us(watched.usual, LINK), at[TO_US], AGAIN_US):
         _tell(found, row, e, LINK, SILENT, (e - at[FROM_US]) * 1e-6)
+    newest_us = at[TO_US]
     for s in range(LINK):
         if watched.counts[s, CLOCK] == clock and watched.counts[s, COUNT] > 0:
-            watched.counts[s, LAST_US] = watched.counts[s, HEARD_US] = at[TO_US]
+            heard_us = max(at[TO_US], watched.counts[s, WAITED_US])
+            watched.counts[s, LAST_US] = watched.counts[s, HEARD_US] = heard_us
             watched.counts[s, WENT_US] = NEVER_US  # who came since then was not counted
-            watched.counts[s, DUE_US] = at[TO_US] + _limit_us(watched.usual, s)
-    at[NEWEST_US], at[TO_US] = at[TO_US], NEVER_US
+            watched.counts[s, DUE_US] = heard_us + _limit_us(watched.usual, s)
+            newest_us = max(newest_us, heard_us)
+    at[NEWEST_US], at[TO_US] = newest_us, NEVER_US
 
 
 @compiled
@@ -314,6 +317,8 @@ def watch(kind: Indices, t_us: Stamps, values: Vector, watched: Watched, found: 
         # Nothing has to be understood unless this sample leaps, or one has leapt before it.
         suspect = now_us - clocks[clock, NEWEST_US] > LEAP_US or clocks[clock, TO_US] != NEVER_US
         if suspect and not _leap(watched, found, row, s, clock, now_us):
+            if s >= 0:
+                counts[s, WAITED_US] = now_us
             continue
         newest_us = clocks[clock, NEWEST_US]
         if now_us > newest_us:

@@ -53,7 +53,7 @@ class StreamWatch:
     def new_state(self) -> Watched:
         """Nothing came yet."""
         count = len(STREAMS)
-        counts = np.zeros((count, 8), np.int64)
+        counts = np.zeros((count, 9), np.int64)
         counts[:, REPORTED_US] = NEVER_US
         return Watched(
             counts,

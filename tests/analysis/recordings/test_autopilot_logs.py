@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from analysis.recordings.dataflash import read_dataflash
+from analysis.recordings.log_condition import LogCondition
 from analysis.recordings.recordings import read_log
-from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG
+from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG, SPARE
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -23,6 +24,8 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "GPA": (18, "QHHH", "QCCC", "TimeUS,HAcc,VAcc,SAcc"),
     "ATT": (14, "Qfff", "Qfff", "TimeUS,Roll,Pitch,Yaw"),
     "RATE": (17, "Qff", "Qff", "TimeUS,RDes,R"),
+    "MAG3": (20, "QhhhB", "QhhhB", "TimeUS,MagX,MagY,MagZ,Health"),
+    "DSF": (19, "QI", "QI", "TimeUS,Dp"),
     "RCOU": (15, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
 }
 
@@ -158,3 +161,39 @@ def test_without_outputs_the_commands_to_the_motors_are_read(
     # The same commands in other units: the one is a straight line of the other.
     for output, motor in zip(by_outputs.T, by_motors.T, strict=True):
         assert np.corrcoef(output, motor)[0, 1] > 0.99
+
+
+def test_what_a_log_has_lost_is_told(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
+    whole = LogCondition()
+    list(read_log(path, whole))
+    assert (whole.damage, whole.lost_us) == ([], [])
+    counts = [(1_000_000, 5), (2_000_000, 5), (3_000_000, 40), (4_000_000, 41), (5_000_000, 41)]
+    path.write_bytes(path.read_bytes() + b"".join(row("DSF", *count) for count in counts))
+    lossy = LogCondition()
+    list(read_log(path, lossy))
+    assert lossy.lost_us == [(2_000_000, 3_000_000), (3_000_000, 4_000_000)]
+    data = bytearray(path.read_bytes())
+    data[data.index(row("IMU", 1_500_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)) + 3 + 4] ^= 0x40
+    path.write_bytes(data)
+    broken = LogCondition()
+    list(read_log(path, broken))
+    assert broken.damage == ["parts of the file are damaged and were passed over"]
+
+
+def test_a_tlog_with_foreign_bytes_is_damaged() -> None:
+    condition = LogCondition()
+    condition.has_junk(20, 100_000)
+    assert condition.damage == []
+    condition.has_junk(2_000, 100_000)
+    assert condition.damage == ["2000 of 100000 bytes (2 %) are no frame"]
+
+
+def test_what_a_driver_calls_unhealthy_was_not_measured(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
+    rows = [row("MAG3", 1_000_000 + 100_000 * k, 200, 0, 400, int(k < 4)) for k in range(10)]
+    path.write_bytes(path.read_bytes() + b"".join(rows))
+    topics = read_dataflash(path).topics
+    assert len(topics["MAG", 2]["TimeUS"]) == 10
+    (block,) = read_log(path)
+    assert len(block.rows(SPARE)) == 4

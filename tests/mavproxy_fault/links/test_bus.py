@@ -2,6 +2,7 @@
 
 import json
 import queue
+import socket
 import time
 from concurrent.futures import Future
 from pathlib import Path
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus
+from mavproxy_fault.links import bus
+from mavproxy_fault.links.bus import Bus, open_bus, open_run_bus
 
 
 def router() -> Bus:
@@ -131,3 +133,18 @@ def test_users_of_zenohs_configuration_are_let_in_and_others_are_not(tmp_path: P
 def test_a_configuration_that_cannot_be_read_is_the_users_mistake(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--zenoh-config"):
         open_bus(config_file=str(tmp_path / "none.json5"))
+
+
+def test_a_default_address_that_is_another_programs_costs_the_bus_alone(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.socket() as foreign:
+        foreign.bind(("127.0.0.1", 0))
+        foreign.listen()
+        url = f"tcp/127.0.0.1:{foreign.getsockname()[1]}"
+        monkeypatch.setattr(bus, "DEFAULT_URL", url)
+        with open_run_bus("auto", "test") as found:
+            assert found is None
+        assert "nothing is published" in caplog.text
+        with pytest.raises(ConfigError, match="cannot be opened"), open_run_bus(url, "test"):
+            pass

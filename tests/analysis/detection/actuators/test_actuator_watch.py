@@ -299,3 +299,21 @@ def test_without_commands_nothing_is_done() -> None:
     watch = ActuatorWatch(effects)
     sample = ImuSample(1, np.zeros(3), np.zeros(3))
     assert watch.step(block_of(sample), watch.new_state()) == ([], None)
+
+
+@pytest.mark.parametrize("absurd", [1e200, -3e38, np.inf])
+def test_numbers_that_no_sensor_and_no_output_gives_are_passed_over(absurd: float) -> None:
+    """As a damaged log has them."""
+    effects = setup_of("quad").monitor.actuators
+    assert effects is not None
+    watch, rng = ActuatorWatch(effects), np.random.default_rng(3)
+    samples: list[Any] = []
+    for k in range(600):
+        t_us, commands, force = 10_000 * k, np.full(12, 0.7), np.array([0.0, 0.0, -9.8])
+        if k == 400:
+            commands[1] = force[1] = absurd
+        samples.append(CommandSample(t_us, commands))
+        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), force))
+    found, _ = watch.step(_flying(block_of(samples)), watch.new_state())
+    assert len(found) == 5
+    assert not any(result.alarm for _, result in found)

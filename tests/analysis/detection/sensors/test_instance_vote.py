@@ -168,3 +168,22 @@ def moved(sample: SpareSample) -> SpareSample:
 @pytest.mark.parametrize("kind", [MAG, BARO, FIX])
 def test_further_sensors_that_agree_are_not_told_of(kind: int) -> None:
     assert told(doubled(kind, 3, None)) == []
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+def test_a_further_magnetometer_that_no_longer_comes_is_told(silent: int) -> None:
+    rng = np.random.default_rng(2)
+    samples: list[Sample] = []
+    for k in range(int(ENDS_S * 10)):
+        t_us = k * 100_000
+        for number in range(3):
+            if number == silent and WRONG_S[0] <= t_us * 1e-6 < WRONG_S[1]:
+                continue
+            field = np.array([0.2, 0.0, 0.4]) + rng.normal(0.0, 0.002, 3)
+            spare = SpareSample(t_us, MAG, number, field)
+            samples.append(MagSample(t_us, field) if number == 0 else spare)
+    found = told(block_of(samples))
+    assert {result.sensor for result in found} == {"mag"}
+    assert found[0].reason == f"silent for 3 s: magnetometer {silent + 1}"
+    assert WRONG_S[0] + 3.0 <= found[0].t_s <= WRONG_S[0] + 4.0
+    assert found[-1].t_s <= WRONG_S[1] + 1.0

@@ -6,7 +6,7 @@ import pytest
 from analysis.detection.sensors.pause_watch import IMU_SILENT
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
 from analysis.results import SensorDecision
-from analysis.samples.block import Block, block_of
+from analysis.samples.block import IMU, Block, block_of
 from analysis.samples.sample import BaroSample, GpsFix, ImuSample, MagSample, Sample
 
 PAUSE_US = (12_010_000, 12_390_000)  # from a fix on, until just before the next but one
@@ -48,3 +48,20 @@ def test_nobody_is_silent_while_everything_pauses(length: int) -> None:
     count = len(whole.kind)
     parts = [whole.between(i, min(i + length, count)) for i in range(0, count, length)]
     assert silences(*parts) == []
+
+
+def test_an_imu_that_is_logged_slowly_is_not_blamed_for_three_samples_that_are_missing() -> None:
+    whole = flight(())
+    slow = (whole.kind != IMU) | (whole.t_us % 40_000 == 0)
+    missing = (whole.kind == IMU) & (whole.t_us > 12_010_000) & (whole.t_us < 12_160_000)
+    assert silences(whole.where(slow & ~missing)) == []
+
+
+@pytest.mark.parametrize(("lost_us", "told"), [((), True), (((12_000_000, 13_000_000),), False)])
+def test_nobody_is_silent_while_a_log_s_writer_loses_records(
+    lost_us: tuple[tuple[int, int], ...], told: bool
+) -> None:
+    pipeline = Pipeline(MonitorConfig(link=False))
+    pipeline.excuse(lost_us)
+    found = pipeline.push(flight((ImuSample,)))
+    assert any(isinstance(one, SensorDecision) and one.alarm for one in found) == told

@@ -149,6 +149,21 @@ def test_a_log_that_pauses_blames_no_link() -> None:
     assert watch.step(block, watch.new_state())[0] == []
 
 
+def test_who_comes_while_a_pause_is_not_yet_understood_is_silent_from_then_on() -> None:
+    back_us, last_us = BEGIN_US + 600_000, BEGIN_US + 800_000
+    found = troubles(
+        [
+            s
+            for s in stream()
+            if not BEGIN_US < s.t_us < back_us
+            and not (isinstance(s, ImuSample) and s.t_us > last_us)
+        ]
+    )
+    silent = [result for result in found if result.sensor == "imu"]
+    assert silent[0].t_us == last_us + SECOND // 2
+    assert silent[0].reason == "silent for 0.50 s"
+
+
 @pytest.mark.parametrize("last_us", [20_000, 40_000, 60_000, 80_000, 100_000])
 def test_a_witness_of_time_alone_does_not_carry_it_on_over_a_pause_of_half_a_second(
     last_us: int,
