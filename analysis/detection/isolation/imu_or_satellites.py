@@ -169,7 +169,7 @@ def led_slowly(
     asked = _asked(past, now, config)
     if asked is None or asked.its_own_force:
         return None
-    return surely_carried(asked.carry, level, chi_square(3, config.p_slow))
+    return surely_carried(asked.carry, now.motion.t_us, level, chi_square(3, config.p_slow))
 
 
 def _asked(past: Sequence[Record], now: Moment, config: DetectorConfig) -> Asked | None:

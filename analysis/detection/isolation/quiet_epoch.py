@@ -31,8 +31,8 @@ from analysis.detection.isolation.assessment import (
     rate_equations,
 )
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.common_shift import Watched, asked, common_shift
 from analysis.detection.isolation.common_shift import after as watched_after
-from analysis.detection.isolation.common_shift import asked, common_shift
 from analysis.detection.isolation.ramp_test import judge_slow
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
 from analysis.detection.protection import Bounds, bounded, level_factors
@@ -88,7 +88,6 @@ def quiet_epoch(
     if _is_rare(core, motion, config) or len(ramps.names) > MOST:
         return None
     ramps = ramps.renewed(t_us)
-    windows = ramps.windows
     quiet, gap_s, numbers, innovations, after, found, bounds = _quiet(
         tuple(observed.measured),
         ramps.places,
@@ -96,23 +95,18 @@ def quiet_epoch(
         (motion.t_us, motion.x, motion.p, motion.inertial),
         tuple(run),
         t_us,
-        tuple(windows),
+        tuple(ramps.windows),
         (core.ionosphere, *config.limits, level_factors(), *core.misfit),
     )
     slow = judge_slow(ramps, Strongest(*found), config) if quiet else None
-    if slow is None or slow.hypothesis != "none":
-        return None
     q, q_rate, shift, parity, rates, parity_dof = numbers
-    watched = core.watched
-    if motion.inertial and config.doppler:
-        if asked(watched, shift, t_us, config):
-            return None
-        watched = watched_after(watched, shift, t_us, config)
+    watched = _watched(core.watched, motion, shift, t_us, config)
+    if slow is None or slow.hypothesis != "none" or watched is None:
+        return None
     x, p, d, sums, offset, spread = after
     total, dof, *lasting_m2, hpl_m, vpl_m = bounds.tolist()
     misfit = Misfit(total, dof)
-    starts_us, offsets, spreads = windows.starts_us, windows.offsets, windows.spreads
-    windows = Windows(starts_us, d, sums, offset, spread, offsets, spreads)
+    windows = ramps.windows._replace(d=d, sums=sums, offset=offset, spread=spread)
     core = core._replace(
         motion=Motion(t_us, x, p, motion.inertial),
         ramps=ramps._replace(windows=windows),
@@ -143,6 +137,17 @@ def quiet_epoch(
         gap_s=gap_s,
         bounds=Bounds(misfit.factor, tuple(lasting_m2), hpl_m, vpl_m),
     )
+
+
+def _watched(
+    watched: Watched, motion: Motion, shift: float, t_us: int, config: DetectorConfig
+) -> Watched | None:
+    """What is known of the velocity that all rates show; None where it is to be asked about."""
+    if not (motion.inertial and config.doppler):
+        return watched
+    if asked(watched, shift, t_us, config):
+        return None
+    return watched_after(watched, shift, t_us, config)
 
 
 def _is_rare(core: Core, motion: Motion, config: DetectorConfig) -> bool:

@@ -39,6 +39,7 @@ EACH, WITH_TURNS = 6, 9
 NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
 BETTER = 10.0  # by which a carry-off or its rival must explain more than the other
 SETTLED_US = 10_000_000  # in which the filter follows what was a blow or a wrong acceleration
+KNOWN_US = 700_000  # that a window lasts before its drag is taken back unasked
 MEMORY_S = 30.0  # of the level of the innovations
 FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
 LEAST_LEVEL = 0.1
@@ -196,7 +197,7 @@ def compared(carry: Carry) -> tuple[float, float, Found | None]:
     return float(ratio.max()), rival, _found(carry, int(begun[ratio.argmax()]))
 
 
-def surely_carried(carry: Carry, level: float, threshold: float) -> Found | None:
+def surely_carried(carry: Carry, t_us: int, level: float, threshold: float) -> Found | None:
     """The carry-off that no test has shown, if it is beyond the chi-square `threshold` and explains
     more than a wrong IMU; `level` is the mean square of the flight's innovations, and the noisier
     they are the more a sound receiver's velocity is off for seconds."""
@@ -208,6 +209,8 @@ def surely_carried(carry: Carry, level: float, threshold: float) -> Found | None
     tempered = _ratios(carry, np.array([window]), CARRIED, natural)[0] / level
     rival = max(float(force.max()), float(rate.max()))
     clear = tempered > threshold and ratio.max() > rival + BETTER
+    # What is taken back before a window knows the drag well leaves the filter with the rest.
+    clear = clear and t_us - carry.starts_us[window] >= KNOWN_US
     return _found(carry, window) if clear else None
 
 
