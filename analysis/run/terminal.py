@@ -36,6 +36,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
         soft_wrap=True,
     )
+    console.print(f"judged          {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
     for reason, count in summary["untestable_reasons"].items():
         console.print(f"untestable      {count} times: {reason}", soft_wrap=True)
     for limit in _limits(summary):
@@ -116,6 +117,8 @@ def _effect(row: Mapping[str, Any]) -> str:
 def _limits(summary: Mapping[str, Any]) -> list[str]:
     """What the epochs of a run could not tell."""
     found, epochs = [], summary["epochs"]
+    if not {"gps-position", "satellites"} & set(summary["watched"]):
+        found.append("position and motion: no receiver came")
     # With an IMU the first seconds have none yet: its attitude is being found.
     if 2 * summary["epochs_without_imu"] > epochs:
         found.append("without an IMU satellites that are carried off all together are believed")

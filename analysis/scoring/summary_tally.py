@@ -163,6 +163,7 @@ class Tally:
             "false_alarms": None if false is None else sum(r.outside + r.inside for r in false),
             "false_by_channel": None if false is None else msgspec.to_builtins(false),
             "alarms": len(windows),
+            "watched": sorted(self._watched),
             "untestable_epochs": self.untestable.total(),
             "untestable_reasons": dict(self.untestable.most_common(SHOWN_REASONS)),
             "attitude_rmse_deg": first["rmse_deg"] if first else None,

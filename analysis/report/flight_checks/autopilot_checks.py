@@ -5,9 +5,10 @@ import numpy as np
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows, within
 from analysis.report.judging.texts import texts_check
-from analysis.report.recordings.recording import Recording
+from analysis.report.recordings.recording import Recording, Span
 
 SWITCHES_S = 10.0
+BEGINS_S, STANDS_MPS = 1.0, 1.0
 
 
 def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
@@ -29,6 +30,8 @@ def _flags(recording: Recording, armed: Windows | None) -> Check:
     spans = [s for s in recording.spans if s.kind == "flag"]
     # Either end inside: flags that were raised on the ground and last count.
     spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
+    if armed is None:
+        spans = [s for s in spans if not _starts(recording, s)]
     if not spans:
         known = recording.of("ratio") or recording.of("variance")
         evidence = "none raised while armed" if known else "no estimator status in the log"
@@ -38,6 +41,19 @@ def _flags(recording: Recording, armed: Windows | None) -> Check:
         shown += f" and {len(spans) - 4} more"
     windows = tuple((s.start_s, s.end_s) for s in spans)
     return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
+
+
+def _starts(recording: Recording, span: Span) -> bool:
+    """Whether a flag is that of an estimator which starts: from the log's beginning on, while the
+    receiver says that the vehicle stands."""
+    speeds = [
+        signal.value[(signal.t_s >= span.start_s) & (signal.t_s <= span.end_s)]
+        for signal in recording.of("speed")
+        if signal.name == "GPS"
+    ]
+    if span.start_s > BEGINS_S or not speeds or not len(speeds[0]):
+        return False
+    return bool(np.nanmax(speeds[0]) < STANDS_MPS)
 
 
 def _switches(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:

@@ -163,7 +163,12 @@ def test_many_alarms_that_nobody_knows_to_be_false_point_at_the_calibration(caps
         "epochs_without_imu": 600,
     }
     rest = dict.fromkeys(("position_rmse_m", "false_by_channel", "false_alarms"))
-    rest |= {"untestable_epochs": 0, "untestable_reasons": {}, "unbounded_epochs": 0}
+    rest |= {
+        "watched": ["satellites"],
+        "untestable_epochs": 0,
+        "untestable_reasons": {},
+        "unbounded_epochs": 0,
+    }
     rest |= {"faults": [], "criteria": [], "attitude_rmse_deg": None, "verdict": "PASS"}
     print_summary(rest | summary, None)
     assert "--calibrate fits the noise" in capsys.readouterr().out
