@@ -143,7 +143,8 @@ def searched(
             for part in evaluated(test, pool, history, points, tests, deadline):
                 parts.append(part)
                 if progress is not None:
-                    worst = max([c.fitness for c in archive.cases] + [float(part["fitness"].max())])
+                    worst = max(float(one["fitness"].max()) for one in parts)
+                    worst = max([worst, *(case.fitness for case in archive.cases)])
                     progress(tests + sum(map(len, parts)), worst, budget)
             records = np.concatenate(parts)
             points = points[: len(records)]

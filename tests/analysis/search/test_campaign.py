@@ -70,6 +70,12 @@ def test_workers_change_nothing(tmp_path):
     assert (tmp_path / "a/history.bin").read_bytes() == (tmp_path / "b/history.bin").read_bytes()
 
 
+def test_the_worst_that_is_told_never_gets_better(tmp_path):
+    told = []
+    campaign(TEST, Here(), tmp_path / "s", progress=lambda tests, worst, budget: told.append(worst))
+    assert told == sorted(told)
+
+
 def test_a_killed_search_goes_on_where_it_was(tmp_path):
     whole = campaign(TEST, Here(), tmp_path / "whole")[0]
 
