@@ -35,7 +35,9 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
     predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
     position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
-    one with memory, for ramps. `hpl_m` and `vpl_m` are the protection levels. Of a RINEX
+    one with memory, for ramps. `hpl_m` and `vpl_m` are the protection levels, which hold
+    while `level_assumes` does: satellites that are led away all together are beyond them, with an
+    IMU or without, until that is found. Of a RINEX
     recording the sky is told too, parallel to `satellites`, and the dilution of precision by those
     in use.
     """
@@ -69,6 +71,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     vdop: float | None = None
     hpl_m: float | None = None
     vpl_m: float | None = None
+    level_assumes: str = ""
 
 
 class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavproxy_fault.faults.profile import Profile, Table
+from mavproxy_fault.fault_parts.profile import Profile, Table
 
 RATE_HZ = 250
 

@@ -53,6 +53,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "none": {},
     "spoof 20 m at once": spoof(20, 0),
     "spoof 200 m at once": spoof(200, 0),
+    **({"spoof 0.5 m/s": spoof(0, 0.5)} if RANGES else {}),
     "spoof 1 m/s": spoof(0, 1),
     "spoof 5 m/s": spoof(0, 5),
     "gyro 0.1 rad/s": {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.1},

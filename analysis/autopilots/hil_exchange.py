@@ -49,6 +49,11 @@ def of_answer(data: bytes) -> bool:
     return data[0] == STX_V2 and data[7:10] == ANSWER_ID
 
 
+def of_lone_answer(data: bytes) -> bool:
+    """Whether whole frames are one alone, an answer to a step."""
+    return of_answer(data) and len(data) == HEADER_V2 + data[1] + CRC_LENGTH
+
+
 def of_lockstep(data: bytes) -> bool:
     """Whether a frame is of the HIL link's own traffic, which no ground station needs."""
     return is_hil(data) or of_answer(data)
@@ -64,7 +69,7 @@ class ToAutopilot:
     hear : callable
         Is given what leaves for monitor and ground station.
     commands : callable
-        What a ground station sends before a step.
+        What a ground station sends before the next step; asked while the autopilot works on one.
     telemetry : Link, optional
         Where a ground station's frames leave; without it, where the step does.
     step : StepMessage
@@ -100,28 +105,56 @@ class ToAutopilot:
         self._telemetry, self._step, self._passage = telemetry, step, passage
         self._parser = Parser()
         self._answers: list[bytes] = []  # the proxy's own word to the autopilot
+        self._orders: list[bytes] = []  # a ground station's, for the next step
+        self._left = False  # whether a step has left since they were asked for
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
         out: list[bytes] = []
-        self.step_us = None
-        # The operator first: its commands belong to the state before this step.
-        # One by one, for frames that come together leave together, and not all go the same way.
+        self.step_us, self._left = None, True
         core, now_us = self.flight.core, self.flight.now_us
-        answers, self._answers = self._answers, []
-        for raw in answers:
-            self._leave(raw, out)
-        for raw in self._commands():
-            self._sort(core.received(GROUND, raw, now_us), out)
+        # The operator first: its commands belong to the state before this step.
+        if self._answers or self._orders:
+            self._leave_orders(out)
         frames = self._packer.frames(t_us, truth, readings)
-        if (passed := self.passed(SIMULATOR, b"".join(frames), now_us)) is not None:
+        data = b"".join(frames)
+        if (passed := self.passed(SIMULATOR, data, now_us)) is not None:
             if passed.links >> VEHICLE & 1:
                 out.append(passed.data)
-                self._note_step(passed.data)
+                if passed.data == data:
+                    self.step_us = self._packer.step_us
+                else:
+                    self._note_step(passed.data)
             return out
         for raw in frames:
             self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
         return out
+
+    def _leave_orders(self, out: list[bytes]) -> None:
+        """One by one, for frames that come together leave together, and not all go the same way."""
+        answers, orders = self._answers, self._orders
+        self._answers, self._orders = [], []
+        for raw in answers:
+            self._leave(raw, out)
+        self._settle()
+        for raw in orders:
+            self._sort(self.flight.core.received(GROUND, raw, self.flight.now_us), out)
+
+    def meanwhile(self) -> None:
+        """What need not be done before a step leaves: the logs, whoever listens, the operator."""
+        self.hear_all()
+        if self._left:
+            self._left = False
+            self._orders = self._commands()
+
+    def received(self, frame: Frame) -> list[Send]:
+        """What becomes of the autopilot's frame, by the core."""
+        self._settle()
+        return self.flight.core.received_frame(VEHICLE, frame, self.flight.now_us)
+
+    def _settle(self) -> None:
+        if self._passage is not None:
+            self._passage.settle()
 
     def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
         """What became of whole frames as machine code; None where the core has to take them."""
@@ -150,7 +183,8 @@ class ToAutopilot:
             returned.append(origin)
 
     def hear_all(self) -> None:
-        """Let what has left be heard."""
+        """Let what has left be written down and heard."""
+        self._settle()
         if self.unheard:
             heard, self.unheard = self.unheard, []
             self._hear(heard)
@@ -211,7 +245,9 @@ class Patience:
 
     def check(self) -> None:
         """Raise ConfigError where nobody is there and nobody will come."""
-        self._came = self._came or bool(self._link.peer_count)
+        if self._came:
+            return
+        self._came = bool(self._link.peer_count)
         if self._came:
             return
         # A program that has ended will not come: no need to wait for the deadline.
@@ -241,12 +277,12 @@ class FromAutopilot:
         """What came and left the proxy for the simulator."""
         self._patience.check()
         outward, flight = self._outward, self._outward.flight
-        outward.hear_all()
+        outward.meanwhile()
         found, outward.returned = outward.returned, []
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
         ready, _, _ = select.select(by_fd, (), (), wait_s)
-        for descriptor in ready:
-            inbox = by_fd[descriptor]
+        # One link a call, the HIL link before the others: those wait until the step has left.
+        for inbox in [by_fd[descriptor] for descriptor in ready[:1]]:
             for stream, data in inbox.link.read():
                 passed = None
                 if data and not inbox.incomplete(stream):
@@ -256,12 +292,15 @@ class FromAutopilot:
                     continue
                 for frame in inbox.parsed(stream, data):
                     self._answered(frame)
-                    for send in flight.core.received_frame(VEHICLE, frame, flight.now_us):
+                    for send in outward.received(frame):
                         outward.sort(send, found, frame)
         return found
 
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Frames that came and left together: `data` is what they were before."""
+        if data == passed.data and passed.links >> SIMULATOR & 1 and of_lone_answer(data):
+            found.append(Frame(data, ANSWER))  # which frees the step where it is received
+            return
         at, now_us = 0, self._outward.flight.now_us
         for raw in split(passed.data):
             if of_answer(raw):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import Core
@@ -12,7 +13,7 @@ from analysis.detection.filter.measurement import Observed
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import chi_square, p_value
 from analysis.detection.isolation.whole_receiver import FOLLOWED, LEAPT
-from analysis.detection.protection import WORST_M, Bounds
+from analysis.detection.protection import WORST_M, Bounds, assumed
 from analysis.detection.sensors.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
@@ -44,8 +45,7 @@ def decision(
         probabilities=dict(outcome.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
         position_sigma_m=_sigma(motion, bounds) if motion and not outcome.unbounded else None,
-        hpl_m=_level(bounds.hpl_m) if bounds else None,
-        vpl_m=_level(bounds.vpl_m) if bounds else None,
+        **_levels(bounds, [n for i, n in enumerate(outcome.names) if i not in outcome.faulty]),
         reason=outcome.unbounded,
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
@@ -76,8 +76,7 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
         position_sigma_m=None if unbounded else _sigma(motion, bounds),
-        hpl_m=_level(bounds.hpl_m) if bounds else None,
-        vpl_m=_level(bounds.vpl_m) if bounds else None,
+        **_levels(bounds, observed.satellites),
         mode="start",
         # One degree of freedom finds a fault, but not whose it is.
         reason=unbounded or few,
@@ -153,6 +152,14 @@ def _sigma(motion: Motion, bounds: Bounds | None) -> tuple[float, float, float]:
         math.sqrt(f * p.item(1, 1) + y),
         math.sqrt(f * p.item(2, 2) + z),
     )
+
+
+def _levels(bounds: Bounds | None, names: Iterable[str]) -> dict[str, Any]:
+    """The protection levels, with what they assume of the satellites in use."""
+    if bounds is None:
+        return {}
+    levels = {"hpl_m": _level(bounds.hpl_m), "vpl_m": _level(bounds.vpl_m)}
+    return {**levels, "level_assumes": assumed(names)} if any(levels.values()) else levels
 
 
 def _level(level_m: float) -> float | None:

@@ -6,6 +6,7 @@ from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, S
 from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Chosen, Observed
 from analysis.detection.filter.propagation import Segment, segment
+from analysis.detection.isolation.common_shift import Watched
 from analysis.detection.isolation.ramp_test import RampBank
 from analysis.detection.receiver.carry_off import Carried, Carry
 from analysis.detection.receiver.fix_latency import Latency
@@ -60,7 +61,8 @@ class Core(Value, frozen=True):
     `before` is the filter as it was before a gap too long; `misfit` is how the ranges have fitted
     for the last minute;
     `leapt_m` (3,) is how far all satellites together leapt, with nothing to tell whether rightly;
-    `rates_off` counts the epochs running in which a satellite's Doppler rate alone was wrong.
+    `rates_off` counts the epochs running in which a satellite's Doppler rate alone was wrong,
+    `watched` is for a velocity that all rates show.
     """
 
     motion: Motion | None
@@ -91,6 +93,7 @@ class Core(Value, frozen=True):
     misfit: Misfit = Misfit()
     leapt_m: Vector | None = None
     rates_off: dict[str, int] = NO_RATES_OFF
+    watched: Watched = Watched()
 
 
 class Record(Value, frozen=True):

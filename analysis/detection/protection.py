@@ -8,7 +8,8 @@ snapshot may be wrong by without a fault,
     level = max over k of |d_k| + K_k sigma_k,   Q(K_k) = risk / (3 axes, hypotheses, prior of k)
 
 No sigma of the filter is in it. A hypothesis without enough satellites left makes the level
-unknown; the fault of the only system in use cannot be seen and is not covered. With C = inv(A'WA)
+unknown; the fault of the only system in use cannot be seen and is not covered, nor is one of all
+systems together: each decision with levels says what they assume. With C = inv(A'WA)
 and g = C a, a satellite's snapshot is a change of rank one [2]_:
 
     C_k = C + w g g' / (1 - w a'g),   x_k = x - w g (v - a'x) / (1 - w a'g).
@@ -21,6 +22,7 @@ References
 """
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -49,6 +51,8 @@ SATELLITE_PRIOR, SYSTEM_PRIOR = 1e-5, 1e-4  # of a fault that nobody has announc
 SIGNAL_M = 1.0  # sigma of orbit and clock for integrity [1]_
 # Of the vertical ionosphere up to 20 degrees, up to 55 and beyond [3]_.
 VERTICAL_M = 9.0, 4.5, 6.0
+# What a level takes for granted by how many systems are in use.
+ONE_SYSTEM, SYSTEMS = "at most one satellite is wrong", "at most one satellite or system is wrong"
 UNSEEN = 1e-9  # keeps the clock of a system without satellites from making N singular
 WORST_M = 1e4  # a level beyond it is none
 
@@ -80,6 +84,12 @@ def bounds(
     table = bounded(used, moved_m, offset_m, r_ecef_m, factor, slow_share, level_factors())
     x, y, z, horizontal_m, vertical_m = table.tolist()
     return Bounds(factor, (x, y, z), horizontal_m, vertical_m)
+
+
+def assumed(names: Iterable[str]) -> str:
+    """What the levels by some satellites take for granted."""
+    systems = {name[0] for name in names} - {"J"}  # QZSS counts as GPS
+    return SYSTEMS if len(systems) > 1 else ONE_SYSTEM
 
 
 @lru_cache(maxsize=1)

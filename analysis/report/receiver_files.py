@@ -32,7 +32,9 @@ def receiver_files(
     truth = [] if reference is None else _truth(results, reference, t0_us)
     recording.tracks.extend(truth)
     write_solution(folder, results, recording)
-    levels = {name: table for name in integrity.pairs if len(table := integrity.table(name))}
+    while_ = f", while {' or '.join(integrity.assumed)}"
+    tables = {name: integrity.table(name) for name in integrity.pairs}
+    levels = {name + while_: table for name, table in tables.items() if len(table)}
     errors = _errors(results, reference)
     pictures = gnss_pictures(results, errors, levels)
     return {"beside": Recording("", tracks=truth), "pictures": pictures}

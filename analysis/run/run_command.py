@@ -20,11 +20,11 @@ from analysis.run.setup import setup_of
 from analysis.run.stop import stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
-from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.live.journal import JOIN, Journal
+from mavproxy_fault.live.journal import JOIN, Journal, read_edits, told_edits
 from mavproxy_fault.live.session import Live
 from mavproxy_fault.schedule.entries import Schedule, never_acted
 from mavproxy_fault.wire.label import Label, read_labels
@@ -80,6 +80,7 @@ def main(args: argparse.Namespace) -> int:
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     tell_idle(summary, setup.schedule, labels)
+    summary["edited"] = told_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []
     # It flies beside the run, on the second core, and is mostly done by now.
     if twin is not None and twin.flown(flight.now_us):
@@ -150,7 +151,7 @@ def fly(
                     progress.show(flight.t_us * 1e-6, acting)
         # After the loop too: a stop ends the faults as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
-        recorder.write(flight.tape, flight.drain_labels())
+        recorder.write(flight.tape, flight.drain_labels(), live.edits())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

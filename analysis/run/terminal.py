@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
@@ -21,6 +22,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             console.print(f"                {line}", soft_wrap=True)
     for word in summary.get("never_acted", ()):
         console.print(f"never acted     [yellow]{word}[/]: it met nothing that it names")
+    for line in summary.get("edited", ()):
+        console.print(f"edited live     {escape(line)}", style="yellow", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
@@ -80,7 +83,7 @@ def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
             f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
             f" in {row['misleading']} of {row['with_level']} epochs (most"
             f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
-            f" in {100 * row['available_share']:.1f} %",
+            f" in {100 * row['available_share']:.1f} %, while {' or '.join(row['assumes'])}",
             soft_wrap=True,
         )
 

@@ -1,6 +1,8 @@
 """Protection levels against the truth: the counts of a Stanford diagram."""
 
+from collections import Counter
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,7 @@ class Integrity:
     def __init__(self, reference: PositionReference | None) -> None:
         self._reference = reference
         self.pairs: dict[str, list[tuple[float, float]]] = {name: [] for name in ALERT_LIMITS_M}
+        self.assumed: Counter[str] = Counter()
         self._epochs = 0
 
     def add(self, results: Iterable[Result]) -> None:
@@ -27,6 +30,7 @@ class Integrity:
             if not isinstance(result, Decision):
                 continue
             self._epochs += 1
+            self.assumed.update(filter(None, [result.level_assumes]))
             true_m = self._reference.at(result.t_us) if self._reference is not None else None
             if result.position_ecef_m is None or true_m is None:
                 continue
@@ -39,10 +43,11 @@ class Integrity:
                 if level is not None:
                     self.pairs[name].append((error, level))
 
-    def summary(self) -> dict[str, dict[str, float]]:
+    def summary(self) -> dict[str, dict[str, Any]]:
         """By direction: epochs, those with a level, the median level, how many have an error above
-        it (misleading), the largest error over its level, and the share within the alert limit."""
-        found = {}
+        it (misleading), the largest error over its level, the share within the alert limit, and
+        what the levels assume with the epochs that assume it."""
+        found: dict[str, dict[str, Any]] = {}
         for name, limit_m in ALERT_LIMITS_M.items():
             table = self.table(name)
             if not len(table):
@@ -55,6 +60,7 @@ class Integrity:
                 "largest_error_over_level": round(float((table[:, 0] / table[:, 1]).max()), 3),
                 "alert_limit_m": limit_m,
                 "available_share": round(float((table[:, LEVEL] <= limit_m).mean()), 4),
+                "assumes": dict(self.assumed.most_common()),
             }
         return found
 

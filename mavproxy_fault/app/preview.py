@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.faults.satellite import Satellites
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7

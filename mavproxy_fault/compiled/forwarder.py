@@ -94,8 +94,9 @@ class Forwarder(Tables):
                 self._plans.draw_ahead()
             reason = self._forward(self._addresses)
             self._settle()
-            if not loop[k.DRY]:
+            if not loop[k.DRY] or self._plans is None:
                 return reason
+            self._plans.set_back()
 
     def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
         """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""

@@ -41,7 +41,7 @@ ADD, SCALE, REPLACE = range(3)  # modes
 NUMBER, GROWS, SEGMENTS, DRAWN = range(4)  # sources: what meets the healthy value
 VALUE, LIMIT = range(2)  # columns of `numbers`; LIMIT is `otherwise` where segments are the source
 AT_S, FOR_S, AT_START, RATE = range(4)  # columns of `segments`
-FRAMES_HIT, SATURATED, LAST, USED = range(4)  # columns of `hits`; USED counts draws
+FRAMES_HIT, SATURATED, USED = range(3)  # columns of `hits`; USED counts draws
 STEP, CUT = range(2)  # entries of `outcome`: how far an element moved, whether it saturated
 # Columns of `ports`, a row per link
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
@@ -100,7 +100,7 @@ class Shared(NamedTuple):
     index: Octets  # (LOG_SIZE,)
     plans: Integers  # (MOST_PLANS, PLAN_SIZE)
     numbers: Doubles  # (MOST_PLANS, 2)
-    hits: Integers  # (MOST_PLANS, 4)
+    hits: Integers  # (MOST_PLANS, 3)
     steps: Doubles  # (MOST_PLANS,) largest change by each fault, negative for none
     segments: Doubles  # (MOST_SEGMENTS, 4)
     draws: Doubles  # (MOST_DRAWN BLOCK,)

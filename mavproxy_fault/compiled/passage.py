@@ -23,7 +23,11 @@ class Passed(NamedTuple):
 
 
 class Passage(Tables):
-    """Datagrams through a core as machine code; what it cannot carry out is the core's."""
+    """Datagrams through a core as machine code; what it cannot carry out is the core's.
+
+    What passed is written to the tape by `settle`, which has to come before the core is given
+    anything or asked for its labels.
+    """
 
     def __init__(self, core: Core, tape: Tape) -> None:
         super().__init__(core, 0, tape)
@@ -36,6 +40,7 @@ class Passage(Tables):
         due_us = core.next_due_us
         # What is due leaves first.
         if length > k.ROW or (due_us is not None and due_us <= now_us):
+            self.settle()
             return None
         self._refresh()
         self._data[:length] = data
@@ -45,12 +50,21 @@ class Passage(Tables):
         if mask < 0:
             for frame in split(data):
                 self._learn(frame)
+            self.settle()
             return None
-        self._settle()
+        # A fault's state has two owners, who must agree before the next frame.
+        if self._plans is not None or loop[k.RECEIVED_AT] > k.LOG_MARGIN:
+            self._settle()
         return Passed(mask, bytes(self._data[:length]))
+
+    def settle(self) -> None:
+        """Give the engine what its faults did, and the tape what passed."""
+        if self.loop[k.RECEIVED_AT]:
+            self._settle()
 
     def count(self) -> None:
         """Add the machine code's counts to the core's."""
+        self.settle()
         ports = self.ports
         for number, state in enumerate(self._core.states):
             state.frames += ports[number, k.FRAMES]

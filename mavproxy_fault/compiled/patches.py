@@ -2,7 +2,7 @@
 
 Each rule has its twin in the interpreted way, which with Python's own numbers takes less than half
 the time of these functions without a compiler (docs/compiled.md): `_met` is `faults.driven.meet`,
-`_changed` is `faults.draft.Draft.write`, `_segment` is `faults.profile.at`, `_is_for` is
+`_changed` is `fault_parts.draft.Draft.write`, `_segment` is `fault_parts.profile.at`, `_is_for` is
 `Running.takes`. A property of the tests holds the two together: same bytes, labels and counters.
 """
 
@@ -216,7 +216,6 @@ def _act(payload: int, first: int, t_us: int, shared: Shared) -> bool:
     if changed:
         hits[k.FRAMES_HIT] += 1
         hits[k.SATURATED] += saturated
-        hits[k.LAST] = t_us
         shared.steps[first] = max(shared.steps[first], largest)
     return changed
 

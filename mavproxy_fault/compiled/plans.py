@@ -2,8 +2,8 @@
 
 The first frame that a fault changes, and with it the label, goes the interpreted way, as do the
 drawing of segments and the value that is frozen; its rows say what to do with the next ones. Noise
-is drawn ahead in blocks; before the interpreted way may draw again, its generator is set back to
-where the compiled form stopped, so that both give the same bytes. numpy is not loaded for this: it
+is drawn ahead in blocks; when the interpreted way asks for the generator, it is set back to where
+the compiled form stopped, so that both give the same bytes. numpy is not loaded for this: it
 would hold up the first frame on which a fault acts.
 """
 
@@ -11,13 +11,13 @@ import itertools
 import math
 from array import array
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.fault_parts.value_fault import each
 from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
 from mavproxy_fault.faults.freeze import Freeze
 from mavproxy_fault.faults.noise_fault import Noise
-from mavproxy_fault.faults.value_fault import each
 from mavproxy_fault.proxy.active_entry import Running
 from mavproxy_fault.wire.dialect import Layout
 
@@ -47,19 +47,42 @@ def stage(running: Running) -> tuple[bool, int, bool]:
     return running.first_us is not None, len(running.states), running.unannounced
 
 
+class DrawnAhead:
+    """Stands for a generator whose numbers lie in a block; who asks for it gets it set back."""
+
+    def __init__(self, running: Running, fault: Noise, hits: Any, first: int) -> None:
+        self._running, self._fault, self._used = running, fault, (hits, first)
+        self._rng = running.rng
+        self._state = self._rng.bit_generator.state  # where the block begins
+        self.block = _drawn(fault, self._rng, k.BLOCK)
+        hits[first, k.USED] = 0
+
+    def __getattr__(self, name: str) -> Any:
+        self.set_back()
+        return getattr(self._rng, name)
+
+    def set_back(self) -> None:
+        """Put the generator back, at what has not been used."""
+        hits, first = self._used
+        used = hits[first, k.USED]
+        if used < k.BLOCK:
+            self._rng.bit_generator.state = self._state
+            _drawn(self._fault, self._rng, used)
+        self._running.rng = self._rng
+
+
 class Plans:
     """The rows of all planned faults, and the random numbers drawn ahead for them."""
 
     def __init__(self) -> None:
         self.rows = k.table("q", k.MOST_PLANS, k.PLAN_SIZE)
         self.numbers = k.table("d", k.MOST_PLANS, 2)
-        self.hits = k.table("q", k.MOST_PLANS, 4)
+        self.hits = k.table("q", k.MOST_PLANS, 3)
         self.steps = k.table("d", k.MOST_PLANS)
         self.steps[:] = array("d", [-1.0]) * k.MOST_PLANS
         self.segments = k.table("d", k.MOST_SEGMENTS, 4)
         self.draws = k.table("d", k.MOST_DRAWN * k.BLOCK)
         self._planned: list[Planned] = []
-        self._states: list[Any] = []  # of the generators, where their blocks begin
         self._rows_used = self._segments_used = self._blocks_used = 0
 
     @property
@@ -72,6 +95,7 @@ class Plans:
 
     def clear(self) -> None:
         """Forget all rows."""
+        self.set_back()
         self._planned = []
         self._rows_used = self._segments_used = self._blocks_used = 0
 
@@ -215,33 +239,29 @@ class Plans:
     # Before and after a stretch of forwarding
 
     def draw_ahead(self) -> None:
-        """Fill the blocks from where the generators are now."""
-        self._states = []
-        for _, running, fault, _, block in self._planned:
-            if block is None:
-                continue
-            rng, start = running.rng, block * k.BLOCK
-            self._states.append(rng.bit_generator.state)
-            self.draws[start : start + k.BLOCK] = _drawn(fault, rng, k.BLOCK)
+        """Fill the blocks whose generators the interpreted way has had meanwhile."""
+        for first, running, fault, _, block in self._planned:
+            if block is not None and not isinstance(running.rng, DrawnAhead):
+                ahead = DrawnAhead(running, fault, self.hits, first)
+                self.draws[block * k.BLOCK : (block + 1) * k.BLOCK] = ahead.block
+                running.rng = cast("Generator", ahead)
+
+    def set_back(self) -> None:
+        """Set all generators back to where their blocks are used up to."""
+        for one in self._planned:
+            if isinstance(one.running.rng, DrawnAhead):
+                one.running.rng.set_back()
 
     def settle(self) -> None:
-        """Credit the faults with what was done in their name; set back their generators."""
-        states = iter(self._states)
-        for first, running, fault, _, block in self._planned:
-            if first < 0:
-                continue
-            frames, saturated, last_us, used = (self.hits[first, n] for n in range(4))
-            if frames:
-                running.credit(frames, saturated, last_us, self.steps[first])
-            if block is not None:
-                running.rng.bit_generator.state = next(states)
-                _drawn(fault, running.rng, used)
-            self._forget_hits(first)
-        self._states = []
+        """Credit the faults with what was done in their name."""
+        for first, running, *_ in self._planned:
+            if first >= 0 and self.hits[first, k.FRAMES_HIT]:
+                frames, saturated = self.hits[first, k.FRAMES_HIT], self.hits[first, k.SATURATED]
+                running.credit(frames, saturated, self.steps[first])
+                self._forget_hits(first)
 
     def _forget_hits(self, first: int) -> None:
-        for column in range(4):
-            self.hits[first, column] = 0
+        self.hits[first, k.FRAMES_HIT] = self.hits[first, k.SATURATED] = 0
         self.steps[first] = -1.0
 
 

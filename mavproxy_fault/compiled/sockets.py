@@ -298,7 +298,7 @@ def forward(addresses: Any) -> int:
             carray(addresses[ORDER.index], (k.LOG_SIZE,), u8),
             carray(addresses[ORDER.plans], (k.MOST_PLANS, k.PLAN_SIZE), i64),
             carray(addresses[ORDER.numbers], (k.MOST_PLANS, 2), f64),
-            carray(addresses[ORDER.hits], (k.MOST_PLANS, 4), i64),
+            carray(addresses[ORDER.hits], (k.MOST_PLANS, 3), i64),
             carray(addresses[ORDER.steps], (k.MOST_PLANS,), f64),
             carray(addresses[ORDER.segments], (k.MOST_SEGMENTS, 4), f64),
             carray(addresses[ORDER.draws], (k.MOST_DRAWN * k.BLOCK,), f64),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.value_fault import ValueFault
+from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.numerics.rotations.one_rotation import Matrix, body_matrix
 from mavproxy_fault.wire.frame import Number
 

@@ -1,11 +1,10 @@
 """Faults of the representation: flipped bits, not-a-number, flags cleared."""
 
-import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.dialect import PACKERS, known
 from mavproxy_fault.wire.frame import Number
 
@@ -77,12 +76,9 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
                         f"{known(number).name}.{one.name} is an integer; it holds no {self.value}"
                     )
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """The same for all."""
-        value = math.nan if self.value == "nan" else float(self.value)
-        return [value] * len(before), None
+        return float(self.value)
 
 
 class ClearBits(ValueFault, frozen=True, kw_only=True):
@@ -104,11 +100,9 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
                         f"{known(number).name}.{one.name} is no integer; it has no flags"
                     )
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """The flags without those bits."""
         mask = self.value
         for group in self.groups:
             mask |= GROUPS[group]
-        return [int(x) & ~mask for x in before], None
+        return int(healthy) & ~mask

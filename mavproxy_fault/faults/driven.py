@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 from mavproxy_fault.documents.document_check import NotFinite
-from mavproxy_fault.faults.profile import Mode, Profile
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault, ValueState, each
+from mavproxy_fault.fault_parts.profile import Mode, Profile
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, ValueState, each
 from mavproxy_fault.wire.frame import Number
 
 
@@ -21,15 +21,22 @@ class Driven(ValueFault, frozen=True, kw_only=True):
             raise ValueError("takes either value or profile")
         super().__post_init__()
 
+    @property
+    def by_value(self) -> bool:
+        """With one number for all."""
+        return super().by_value and isinstance(self.value, int | float)
+
+    def of(self, healthy: Number, t_s: float) -> Number:
+        """The value that meets the number."""
+        assert not isinstance(self.value, tuple | None)
+        return meet(self.mode, healthy, self.value)
+
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Replace, add to or scale the healthy values."""
         if self.profile is None:
             assert self.value is not None
-            # The common case, one number on one field, without building lists.
-            if len(before) == 1 and isinstance(self.value, float):
-                return [meet(self.mode, before[0], self.value)], None
             values = each(self.value, len(before))
             return [meet(self.mode, x, y) for x, y in zip(before, values, strict=True)], None
         if state is None:
@@ -91,12 +98,25 @@ class Drift(ValueFault, frozen=True, kw_only=True):
     value: float | tuple[float, ...]
     limit: float | None = None
 
+    @property
+    def by_value(self) -> bool:
+        """With one rate for all."""
+        return super().by_value and not isinstance(self.value, tuple)
+
+    def of(self, healthy: Number, t_s: float) -> Number:
+        """Rate times time."""
+        assert not isinstance(self.value, tuple)
+        grown = self.value * t_s
+        # The error is limited, not the value: a drift that has run its course stays.
+        if self.limit is not None:
+            grown = max(-self.limit, min(self.limit, grown))
+        return healthy + grown
+
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Add rate times time."""
         rates = each(self.value, len(before))
-        # The error is limited, not the value: a drift that has run its course stays.
         if self.limit is not None:
             grown = [max(-self.limit, min(self.limit, rate * t_s)) for rate in rates]
             return [x + grown[n] for n, x in enumerate(before)], None

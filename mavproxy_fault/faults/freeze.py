@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import Duration, NotNegative
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.profile import Duration, NotNegative
+from mavproxy_fault.fault_parts.value_fault import GYRO, ROWS_MAX, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
@@ -44,7 +44,8 @@ class Replay(ValueFault, frozen=True, kw_only=True):
         """The next recorded values of this sender."""
         tapes: dict[Key, tuple[list[list[Number]], int]] = state or {}
         tape, at = tapes.get(key, ([], 0))
-        if t_s < self.value or not tape:
+        # Where the clock stands still, the tape ends when it is full.
+        if (t_s < self.value and len(tape) < ROWS_MAX) or not tape:
             # Appending to the list of the old state would alter it; a copy per frame would cost
             # time quadratic in the stretch. The tape only grows at its end and is read up to `at`.
             tape = [*tape, before] if len(tape) != at else _appended(tape, before)

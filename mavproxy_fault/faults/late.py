@@ -6,13 +6,13 @@ late or slow by delaying or losing the frame.
 
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import CLOSE_S, Duration
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration
+from mavproxy_fault.fault_parts.value_fault import GYRO, ROWS_MAX, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
-ROWS_MAX = 65_536  # per sender; 65 s at 1 kHz
 Row = tuple[float, list[Number]]
+Rows = tuple[list[Row], int, int]  # which of them count: from the one to before the other
 
 
 class Lag(ValueFault, frozen=True, kw_only=True):
@@ -28,13 +28,19 @@ class Lag(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The newest values that are old enough."""
-        rows: dict[Key, tuple[Row, ...]] = state or {}
-        past = (*rows.get(key, ()), (t_s, before))[-ROWS_MAX:]
+        lines: dict[Key, Rows] = state or {}
+        rows, old, end = lines.get(key, ([], 0, 0))
+        # The list only grows at its end, as a copy with each frame would cost time quadratic in the
+        # stretch; now and then it is copied without what is no longer needed.
+        if len(rows) != end or old > end // 2:
+            rows, old, end = rows[old:end], 0, end - old
+        rows.append((t_s, before))
+        end += 1
         # The newest row that is as old as asked for; rows before it are never needed again.
-        old = 0
-        while old + 1 < len(past) and past[old + 1][0] <= t_s - self.value + CLOSE_S:
+        while old + 1 < end and rows[old + 1][0] <= t_s - self.value + CLOSE_S:
             old += 1
-        return past[old][1], {**rows, key: past[old:]}
+        old = max(old, end - ROWS_MAX)  # of a clock that stands still none gets old
+        return rows[old][1], {**lines, key: (rows, old, end)}
 
 
 class SampleHold(ValueFault, frozen=True, kw_only=True):

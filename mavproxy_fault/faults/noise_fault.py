@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar, Literal
 
-from mavproxy_fault.faults.profile import NotNegative
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault, each
+from mavproxy_fault.fault_parts.profile import NotNegative
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, each
 from mavproxy_fault.wire.frame import Number
 
 
@@ -29,7 +29,7 @@ class Noise(ValueFault, frozen=True, kw_only=True):
             draws = rng.uniform(-1.0, 1.0, count).tolist()
         else:
             # The usual single one is the same number without an array.
-            draws = rng.standard_normal(count).tolist() if count > 1 else [rng.standard_normal()]
+            draws = rng.standard_normal(count).tolist() if count > 1 else (rng.standard_normal(),)
         return [x + draws[n] * sigma[n] for n, x in enumerate(before)], None
 
 

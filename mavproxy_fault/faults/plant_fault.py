@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.profile import Profile
+from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.loss import Drop
-from mavproxy_fault.faults.profile import Profile
 from mavproxy_fault.faults.satellite import check_count
-from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS, ValueFault, each, has_room
 from mavproxy_fault.faults.loss import Drop
-from mavproxy_fault.faults.value_fault import ValueFault, each
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rtcm import transport as rtcm
 from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7
@@ -85,6 +85,8 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         whole = rtcm.joined(dict(new.parts))
         # Completed or not, the entry of this sender is written anew below.
         rest = {sender: part for sender, part in state.partial.items() if sender != key}
+        if len(rest) >= MOST_SENDERS:  # a peer can make up any number of them
+            broken += _unpatched(rest.pop(next(iter(rest))), t_us)
         if whole is None:
             return broken, state._replace(partial={**rest, key: new})
         sends, state = self._patched(new.frames, whole, key[2], t_us, state, rng)
@@ -155,6 +157,8 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         # For every name of the target, also those out of view: a satellite's error must not depend
         # on who else is there.
         healthy: list[int | float] = [0.0] * len(self.names)
+        if not has_room(state.inner, key):
+            return {}, [], state.inner
         errors, inner = self.fault.after(healthy, key, t_s, state.inner, rng)
         by_name = dict(zip(self.names, errors, strict=True))
         return {name: float(by_name[name]) for name in present}, [], inner

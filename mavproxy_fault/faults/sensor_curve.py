@@ -3,8 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.faults.profile import NotNegative, Positive
-from mavproxy_fault.faults.value_fault import GYRO, ValueFault
+from mavproxy_fault.fault_parts.profile import NotNegative, Positive
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 
@@ -17,13 +17,10 @@ class Quantise(ValueFault, frozen=True, kw_only=True):
 
     value: Positive
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """The nearest step."""
-        step = self.value
         # NaN and infinity have no nearest step.
-        return [round(x / step) * step if math.isfinite(x) else x for x in before], None
+        return round(healthy / self.value) * self.value if math.isfinite(healthy) else healthy
 
 
 class Saturate(ValueFault, frozen=True, kw_only=True):
@@ -49,13 +46,11 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
         low = -width if self.low is None else self.low
         return low, width if self.high is None else self.high
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """The nearest value within the range."""
         low, high = self._range()
-        # NaN is neither within nor beyond, and passes.
-        return [x if low <= x <= high else min(max(x, low), high) for x in before], None
+        # NaN is neither beyond the one nor the other, and passes.
+        return low if healthy < low else high if healthy > high else healthy
 
 
 class DeadBand(ValueFault, frozen=True, kw_only=True):
@@ -66,10 +61,7 @@ class DeadBand(ValueFault, frozen=True, kw_only=True):
 
     value: NotNegative
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """What stands out of the band."""
-        band = self.value
         # The sign stays, also of a zero.
-        return [math.copysign(max(abs(x) - band, 0.0), x) for x in before], None
+        return math.copysign(max(abs(healthy) - self.value, 0.0), healthy)

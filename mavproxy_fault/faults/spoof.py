@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.draft import rewritten
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
-from mavproxy_fault.faults.profile import Seconds
-from mavproxy_fault.faults.spoofed_messages import MOVERS, Move, Three
+from mavproxy_fault.fault_parts.draft import rewritten
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.profile import Seconds
+from mavproxy_fault.fault_parts.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ Every field that holds the sender's time is changed, whatever its unit: `time_us
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mavproxy_fault.faults.draft import rewritten
-from mavproxy_fault.faults.fault import LinkFault, Outgoing
-from mavproxy_fault.faults.profile import Positive
+from mavproxy_fault.fault_parts.draft import rewritten
+from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.profile import Positive
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame
 

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.faults.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.profile import Seconds
 from mavproxy_fault.faults.loss import Share
-from mavproxy_fault.faults.profile import Seconds
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

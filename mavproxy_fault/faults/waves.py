@@ -3,9 +3,9 @@
 import math
 from typing import Any, ClassVar
 
+from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration, Mode, Positive, since_last
+from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.driven import meet
-from mavproxy_fault.faults.profile import CLOSE_S, Duration, Mode, Positive, since_last
-from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.wire.frame import Number
 
 
@@ -24,12 +24,10 @@ class Sine(ValueFault, frozen=True, kw_only=True):
     frequency_hz: Positive
     phase_rad: float = 0.0
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """The same phase on every element."""
-        error = self.value * math.sin(2 * math.pi * self.frequency_hz * t_s + self.phase_rad)
-        return [x + error for x in before], None
+        phase_rad = math.tau * self.frequency_hz * t_s + self.phase_rad
+        return healthy + self.value * math.sin(phase_rad)
 
 
 class Impulse(ValueFault, frozen=True, kw_only=True):
@@ -56,14 +54,12 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
                 f"width_s = {self.width_s} must be shorter than period_s = {self.period_s}"
             )
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def of(self, healthy: Number, t_s: float) -> Number:
         """Healthy between the impulses."""
         # CLOSE_S: a frame at the very end of an impulse is healthy.
         if since_last(t_s, self.period_s) >= self.width_s - CLOSE_S:
-            return before, None
-        return [meet(self.mode, x, self.value) for x in before], None
+            return healthy
+        return meet(self.mode, healthy, self.value)
 
 
 class Cycle(ValueFault, frozen=True, kw_only=True):

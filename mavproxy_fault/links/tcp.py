@@ -11,10 +11,13 @@ import time
 
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
+from mavproxy_fault.links.peers import MOST_PEERS
 from mavproxy_fault.links.stream import Stream
 
 LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
+LOOK_S = 0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
+SILENT_S = 60  # after which a connection is asked whether the other side still lives
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
@@ -25,12 +28,20 @@ def _prepare(sock: socket.socket) -> None:
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
 
+def _watch_over(sock: socket.socket) -> None:
+    """Let the system find out that a peer is gone that never said so: its place is wanted."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", SILENT_S), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):  # some systems know only the first, or none
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
 def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounters) -> Stream:
     return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
 
 class TcpServer:
-    """Accepts any number of peers; what is written goes to all of them."""
+    """Accepts up to MOST_PEERS peers; what is written goes to all of them."""
 
     datagrams = False
 
@@ -47,6 +58,7 @@ class TcpServer:
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
+        self._looked_s = 0.0  # when others than a lone peer were last asked for
         self._reserve = socket.socket()  # kept for the moment when there are no descriptors
         self._told = False
         self._descriptors = Descriptors()
@@ -64,24 +76,35 @@ class TcpServer:
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
+        now_s = time.monotonic()
+        if len(self._peers) == 1 and now_s - self._looked_s < LOOK_S:
+            # Nobody else to be asked for: one system call, not two.
+            self._read_from(next(iter(self._peers)), chunks)
+            if chunks:
+                return chunks
+        self._looked_s = now_s
         # Only those with something to do: a system call for each of the others is saved.
         for descriptor in self._descriptors.ready():
             if descriptor == self._listener.fileno():
                 self._accept()
-                continue
-            sock, stream, number = self._peers[descriptor]
-            stream.flush()
-            data, stands = stream.read()
-            if data:
-                chunks.append((number, data))
-            if not stands:
-                stream.abandon()
-                sock.close()
-                del self._peers[descriptor]
-                self._tell_left()
-                # Empty bytes end the stream: its half frame will never be completed.
-                chunks.append((number, b""))
+            else:
+                self._read_from(descriptor, chunks)
         return chunks
+
+    def _read_from(self, descriptor: int, chunks: list[Chunk]) -> None:
+        """Carry on writing to a peer, and collect what it sent."""
+        sock, stream, number = self._peers[descriptor]
+        stream.flush()
+        data, stands = stream.read()
+        if data:
+            chunks.append((number, data))
+        if not stands:
+            stream.abandon()
+            sock.close()
+            del self._peers[descriptor]
+            self._tell_left()
+            # Empty bytes end the stream: its half frame will never be completed.
+            chunks.append((number, b""))
 
     def _tell_left(self) -> None:
         # Whoever flies should know; somebody who only looked whether the port is open is not told.
@@ -100,7 +123,15 @@ class TcpServer:
                 else:
                     self.counters.errors += 1
                 return
+            if len(self._peers) >= MOST_PEERS:
+                # Each frame goes to each of them: a thousand would take the loop's time for good.
+                sock.close()
+                self._tell_refused(
+                    f"{MOST_PEERS} peers are connected; a further one is turned away"
+                )
+                continue
             _prepare(sock)
+            _watch_over(sock)
             stream = _stream(sock, self._descriptors, self.counters)
             self._peers[sock.fileno()] = (sock, stream, self._next_stream)
             self._next_stream += 1
@@ -111,14 +142,18 @@ class TcpServer:
         self._reserve.close()
         try:
             self._listener.accept()[0].close()
-            self.counters.errors += 1
         except OSError:  # nobody waits: Linux looks for a descriptor first
             return
         finally:
             with contextlib.suppress(OSError):  # another thread was faster: the next one waits
                 self._reserve = socket.socket()
+        self._tell_refused("no descriptor for a further peer; allow more (ulimit -n)")
+
+    def _tell_refused(self, why: str) -> None:
+        """Count a connection that was closed at once, and tell the first."""
+        self.counters.errors += 1
         if not self._told:
-            LOG.warning("%s: no descriptor for a further peer; allow more (ulimit -n)", self.name)
+            LOG.warning("%s: %s", self.name, why)
             self._told = True
 
     def write(self, data: bytes) -> None:

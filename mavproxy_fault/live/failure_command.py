@@ -278,7 +278,7 @@ def _of_a_part(unit: Unit, part: Part, kind: str, instance: int, extent: Extent)
 
 def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
     """The targets of a part and the scale of each element they name."""
-    from mavproxy_fault.faults.target import fields
+    from mavproxy_fault.fault_parts.target import fields
 
     found: list[str] = []
     scales: list[float] = []

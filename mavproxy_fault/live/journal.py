@@ -5,6 +5,7 @@ and RflySim's packets are not, nor is the moment from which live control took pa
 """
 
 import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,7 @@ from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.tape import Tape
 
 JOIN, RFLYSIM = "join", "rflysim"
+MOST_TOLD = 5
 
 
 class Edit(msgspec.Struct, frozen=True):
@@ -70,6 +72,20 @@ def read_edits(path: Path) -> list[Edit]:
     lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
     # A kill may have cut the last line.
     return [msgspec.json.decode(line, type=Edit) for line in lines if line.endswith(b"\n")]
+
+
+def told_edits(edits: Iterable[Edit], t0_us: int) -> list[str]:
+    """What was asked from outside, for people: the first few with their seconds, and how many more.
+
+    A run that somebody else edits is no longer what its scenario says.
+    """
+    asked = [edit for edit in edits if edit.what != JOIN]
+    lines = [
+        f"{(edit.t_us - t0_us) * 1e-6:.1f} s {edit.what.rpartition('@ctl/')[2]} {edit.payload}"
+        for edit in asked[:MOST_TOLD]
+    ]
+    more = len(asked) - len(lines)
+    return [*lines, f"and {more} more"] if more else lines
 
 
 def carry_out(edit: Edit, core: Core, control: Control) -> None:

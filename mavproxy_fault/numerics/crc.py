@@ -7,11 +7,13 @@ References
 """
 
 from array import array
+from functools import cache
 
 POLYNOMIAL = 0x8408  # reflected
 SLICES = 8  # bytes a step
 
 
+@cache
 def slicing_tables() -> "array[int]":
     """Eight tables of 256 entries: entry 256 n + b is the CRC of byte b followed by n zeros."""
     tables = array("H", bytes(2 * SLICES * 256))

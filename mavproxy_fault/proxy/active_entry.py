@@ -8,7 +8,7 @@ from zlib import crc32
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -71,12 +71,13 @@ class Running:
         self.end_us = self._end()
         self.active = False
         self.starts = 0
-        self.frames = self.sealed = self.saturated = self.total_frames = 0
+        self.frames = self.sealed = self.saturated = 0
+        self._frames_before = 0  # of the stretches that have ended
         self.failures = 0  # frames that the fault could not be applied to
         self.failure: str | None = None
-        self.magnitude: float | None = None
+        self._largest = -1.0  # change of the present stretch; negative: none that has a size
         self.first_us: int | None = None
-        self.last_us = 0
+        self.stirred = False  # the engine has to look: a first frame, a new value, an end of itself
         self.direction = ""
         self.states: dict[str, Any] = {}
         self.rng = cast("Generator", Chance(seed, entry.id))
@@ -85,7 +86,7 @@ class Running:
         self.value: float | None = None  # given live, constant or streamed
         self.changed_us: int | None = None
         self.unannounced = False  # no label has told the newest value
-        self._announced_us = 0
+        self._announced_us: int | None = None  # None: the stretch has no label yet
         self._described: tuple[Any, ...] = ()
         self._description: dict[str, Any] = {}
         where = entry.where
@@ -97,6 +98,16 @@ class Running:
         self.buffers = hasattr(entry.fault, "release")  # `Buffering`; asking for that is slow
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
+
+    @property
+    def magnitude(self) -> float | None:
+        """The largest change of the present stretch."""
+        return self._largest if self._largest >= 0.0 else None
+
+    @property
+    def total_frames(self) -> int:
+        """Frames that all its stretches have touched."""
+        return self._frames_before + self.frames
 
     @property
     def watches(self) -> set[int]:
@@ -232,7 +243,7 @@ class Running:
             sizes = [out.magnitude for out in sends if out.magnitude is not None]
             # NaN and infinity would stick in the maximum for ever.
             largest = max((size for size in sizes if math.isfinite(size)), default=-1.0)
-            self.credit(touched, sum(out.saturated for out in sends), t_us, largest)
+            self.credit(touched, sum(out.saturated for out in sends), largest)
         return sends
 
     def spares(self) -> bool:
@@ -253,6 +264,7 @@ class Running:
         if self.first_us is None:
             self.first_us = t_us
             self.direction = direction
+            self.stirred = True
         elif self.direction != direction:
             self.direction = BOTH
 
@@ -265,8 +277,12 @@ class Running:
         sends, state = self.fault.apply(frame, t_us, state, self.rng)
         self.states[direction] = state
         if self.ends_itself and self.fault.done(state):
-            self.end_us = t_us
+            self.end_itself(t_us)
         return sends
+
+    def end_itself(self, t_us: int) -> None:
+        """End with the next frame, before its time."""
+        self.end_us, self.stirred = t_us, True
 
     def fresh_state(self, direction: str) -> Any:
         """The state with which a direction starts, also where the value was given live."""
@@ -276,14 +292,12 @@ class Running:
         self.states[direction] = state
         return state
 
-    def credit(self, frames: int, saturated: int, last_us: int, magnitude: float) -> None:
+    def credit(self, frames: int, saturated: int, magnitude: float) -> None:
         """Count what was done in this fault's name; a negative magnitude is none."""
         self.frames += frames
-        self.total_frames += frames
         self.saturated += saturated
-        self.last_us = last_us
-        if magnitude >= 0.0 and (self.magnitude is None or magnitude > self.magnitude):
-            self.magnitude = magnitude
+        if magnitude > self._largest:
+            self._largest = magnitude
 
     def release_us(self) -> int:
         """When the fault must let go of the oldest frame it keeps."""
@@ -329,18 +343,16 @@ class Running:
             changed_us=self.changed_us,
         )
 
-    def opened(self, t_us: int) -> Label:
-        """The label of a stretch that has just touched its first frame."""
-        self.changed_us, self.unannounced = None, False
-        self._announced_us = t_us
-        return self.label(None)
-
     def news(self, t_us: int) -> Label | None:
-        """A label about a value that was changed; None without one, or so soon after another."""
-        # A slider moves many times a second: labels tell of it a few times.
-        if not self.unannounced or self.first_us is None or t_us - self._announced_us < TELL_US:
+        """The label of a stretch that has just touched its first frame, or of a new value."""
+        if self.first_us is None:
             return None
-        self.unannounced = False
+        if self._announced_us is None:
+            self.changed_us = None  # what was given before is the value that it began with
+        # A slider moves many times a second: labels tell of it a few times.
+        elif not self.unannounced or t_us - self._announced_us < TELL_US:
+            return None
+        self.unannounced = self.stirred = False
         self._announced_us = t_us
         return self.label(None)
 
@@ -349,8 +361,10 @@ class Running:
         # A stretch in which nothing was touched has no label. What ends one may bear an older
         # stamp than its first frame: an answer without a stamp of its own, say.
         label = None if self.first_us is None else self.label(max(t_us, self.first_us))
+        self._frames_before += self.frames
         self.frames = self.saturated = 0
-        self.magnitude = self.first_us = self.changed_us = None
+        self._largest = -1.0
+        self.first_us = self.changed_us = self._announced_us = None
         self.direction = ""
         return label
 
@@ -371,6 +385,7 @@ class Running:
         # The same value again is no news.
         if value != self.value:
             self.value, self.changed_us, self.unannounced = value, t_us, True
+            self.stirred = True
 
     def _change(self, inner: Any, value: float) -> None:
         """Take another constant value."""

@@ -26,6 +26,7 @@ from mavproxy_fault.proxy.senders import (
     DOUBTED,
     GAPS,
     LEAD,
+    LINKS,
     SENDERS,
     SPEAKER,
     T0,
@@ -39,7 +40,7 @@ from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
 
 if TYPE_CHECKING:
-    from mavproxy_fault.faults.fault import Outgoing
+    from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
 NEVER_US = 1 << 62
@@ -288,9 +289,10 @@ class Core:
             from_home = self._routes.home[system, component] == link
             if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
-        missing = missing_before(self.senders, system << 8 | component, frame.seq)
-        if missing:
-            self.states[link].gaps += missing
+        sender = system << 8 | component
+        # Who speaks on several links, as PX4 does, numbers the frames of each by itself.
+        if self.senders[LINKS + sender] == 1 << link:
+            self.states[link].gaps += missing_before(self.senders, sender, frame.seq)
         if arrival.direction == "from-vehicle":
             self.senders[SPEAKER] = system
         return True

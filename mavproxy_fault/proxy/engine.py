@@ -13,8 +13,8 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.draft import Draft
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
 from mavproxy_fault.proxy.value_entry import RunningValueFault, at_work
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
@@ -229,25 +229,29 @@ class Engine:
             if sealed and not running.takes_sealed:
                 running.sealed += 1
                 continue
-            known = running.first_us
             if sends is not None:
                 sends = _through(running, sends, direction, t_us)
             elif isinstance(running, RunningValueFault):
-                draft = draft or Draft(frame)
+                if draft is None:
+                    draft = Draft(frame)
                 running.edit(draft, direction, t_us)
             else:
                 sends = running.act(draft.sealed() if draft else frame, direction, t_us)
-            if running.ends_itself and running.end_us <= t_us:
-                self._edge_us = t_us  # with the next frame
-            if known is None and running.first_us is not None:
-                self._labels.append(running.opened(t_us))
-            elif running.unannounced and (news := running.news(t_us)) is not None:
-                self._labels.append(news)
+            if running.stirred:
+                self._look(running, t_us)
         if sends is None:
             sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
         if self._kept:
             sends, self._kept = self._kept + sends, []
         return sends
+
+    def _look(self, running: Running, t_us: int) -> None:
+        """Write a label about what a fault has just begun to do; see whether it ended itself."""
+        if running.end_us <= t_us:
+            self._edge_us = t_us  # with the next frame
+        news = running.news(t_us)
+        if news is not None:
+            self._labels.append(news)
 
     def _watch(self, frame: Frame, t_us: int) -> None:
         """Let conditions see a frame, as it came, before any fault has touched it."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:  # both cost start-up time that a proxy without faults need not pay
-    from mavproxy_fault.faults.fault import Outgoing
+    from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
 Direction = Literal["to-vehicle", "from-vehicle"]

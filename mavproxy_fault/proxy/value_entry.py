@@ -1,13 +1,27 @@
 """An entry of a value fault at work: several of them change a frame before it is sealed."""
 
+import math
+import sys
+from collections.abc import Sequence
 from typing import Any
 
-from mavproxy_fault.faults.draft import Draft
-from mavproxy_fault.faults.fault import Outgoing
-from mavproxy_fault.faults.value_fault import ValueState
+from mavproxy_fault.fault_parts.draft import INFINITE, Change, Draft
+from mavproxy_fault.fault_parts.elements import Element
+from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.value_fault import ValueState, has_room
 from mavproxy_fault.proxy.active_entry import Running
 from mavproxy_fault.schedule.entries import Entry
-from mavproxy_fault.wire.frame import Frame, Number
+from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
+
+LOWEST = -FLOAT_MAX
+NOWHERE = 1 << 16  # beyond every payload
+
+
+def float_place(elements: Sequence[Element]) -> int:
+    """Which float of the payload it is; NOWHERE for several elements, or one of another type."""
+    one = elements[0]
+    alone = len(elements) == 1 and one.code == "f" and one.start % 4 == 0
+    return one.start // 4 if alone and sys.byteorder == "little" else NOWHERE
 
 
 class RunningValueFault(Running):
@@ -19,34 +33,72 @@ class RunningValueFault(Running):
         self._elements, self._factors = self.fault.elements, self.fault.factors
         self._by_sender = self.fault.by_sender
         self._chance = entry.probability
+        quick = self.fault.by_value and not self.ends_itself
+        self._floats = {
+            number: float_place(found) if quick and number not in self._factors else NOWHERE
+            for number, found in self._elements.items()
+        }
+        self._of = self.fault.of
 
     def edit(self, draft: Draft, direction: str, t_us: int) -> None:
         """Put a frame's values through the rule and count what it did."""
         if self._chance < 1.0 and self.spares():
             return
-        elements = self._elements[draft.id]
+        place, floats = self._floats[draft.id], draft.floats
         try:
-            state = self.states.get(direction) or self.fresh_state(direction)
-            start_us, inner = state
-            before = draft.values(elements)
-            key = draft.sender() if self._by_sender else ()
-            t_s = (t_us - start_us) / 1e6
-            if draft.id in self._factors:
-                after, new = self._scaled(self._factors[draft.id], before, key, t_s, inner)
+            if place < len(floats):  # one number, by a rule for one
+                healthy = floats[place]
+                value = self._of(healthy, (t_us - self.start_us) / 1e6)
+                if type(value) is float and value != healthy and LOWEST <= value <= FLOAT_MAX:
+                    floats[place] = value
+                    # Read back: the change that a receiver sees, rounding included.
+                    step, cut = abs(floats[place] - healthy), 0
+                    # Zeros of two signs differ in their bytes alone.
+                    differs = step != 0.0 or math.copysign(1.0, value) != math.copysign(
+                        1.0, healthy
+                    )
+                else:
+                    found = draft.write(self._elements[draft.id], [healthy], [value])
+                    step, cut, differs = found
             else:
-                after, new = self.fault.after(before, key, t_s, inner, self.rng)
-            step, cut, differs = draft.write(elements, before, after)
+                step, cut, differs = self._edit(draft, direction, t_us)
         except Exception as error:  # others write faults too: theirs must not end the forwarding
             self.note_failure(error)
             return
+        if differs:
+            draft.changed = True
+            if direction != self.direction:
+                self.note_touch(direction, t_us)
+            # As `credit` does, once a frame.
+            self.frames += 1
+            self.saturated += cut
+            if self._largest < step < INFINITE:
+                self._largest = step
+
+    def _edit(self, draft: Draft, direction: str, t_us: int) -> Change:
+        """The same for any number of elements, and rules with a state."""
+        elements = self._elements[draft.id]
+        start_us, inner = self.states.get(direction) or self.fresh_state(direction)
+        before = draft.values(elements)
+        key = draft.sender() if self._by_sender else ()
+        if key and not has_room(inner, key):
+            return -1.0, 0, False
+        t_s = (t_us - start_us) / 1e6
+        if draft.id in self._factors:
+            after, new = self._scaled(self._factors[draft.id], before, key, t_s, inner)
+        else:
+            after, new = self.fault.after(before, key, t_s, inner, self.rng)
+        change = draft.write(elements, before, after)
         if new is not inner:  # most faults keep nothing
             self.states[direction] = ValueState(start_us, new)
         if self.ends_itself and self.fault.done(self.states[direction]):
-            self.end_us = t_us
-        if differs:
-            if direction != self.direction:
-                self.note_touch(direction, t_us)
-            self.credit(1, cut, t_us, step)
+            self.end_itself(t_us)
+        return change
+
+    def _change(self, inner: Any, value: float) -> None:
+        """Take another constant value."""
+        super()._change(inner, value)
+        self._of = self.fault.of
 
     def _scaled(
         self, factors: tuple[float, ...], before: list[Number], key: Any, t_s: float, inner: Any

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from mavproxy_fault.faults import target as targets
-from mavproxy_fault.faults.fault import Fault
+from mavproxy_fault.fault_parts import target as targets
+from mavproxy_fault.fault_parts.fault import Fault
+from mavproxy_fault.fault_parts.units import factors_of
 from mavproxy_fault.faults.plant_fault import InReceiver, receiver_names
 from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.faults.satellite import Satellites
-from mavproxy_fault.faults.units import factors_of
 from mavproxy_fault.wire.dialect import known
 
 GIVEN = ("elements", "factors", "names")  # fields of a fault that come from its target

@@ -20,8 +20,8 @@ from mavproxy_fault.documents.yaml_document import (
     read_document,
     read_yaml,
 )
-from mavproxy_fault.faults.fault import Fault
-from mavproxy_fault.faults.profile import Duration, Profile, Seconds
+from mavproxy_fault.fault_parts.fault import Fault
+from mavproxy_fault.fault_parts.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
 from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
@@ -224,7 +224,7 @@ def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None
     profile = found.get("profile")
     if not isinstance(profile, Profile) or profile.table is None:
         return
-    from mavproxy_fault.faults.series import read_blocks
+    from mavproxy_fault.fault_parts.series import read_blocks
 
     # Beside the schedule, wherever the command was started.
     file = FilePath(check.where).parent / profile.table.file

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.target import message
+from mavproxy_fault.fault_parts.target import message
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame
 

@@ -27,6 +27,7 @@ from mavproxy_fault.wire.frame import (
 )
 
 CRC_LENGTH = 2
+NOWHERE = (-1, -1)
 START = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
 STEPS = frozenset(mcrf4xx(bytes((last,)), 0) for last in range(256))  # the CRC's table of bytes
 JunkKind = Literal["foreign", "crc", "unknown"]
@@ -70,6 +71,7 @@ class Parser:
         self.counters = ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
+        self._hidden = NOWHERE  # a verified frame that lies ahead
 
     @property
     def incomplete(self) -> int:
@@ -87,7 +89,7 @@ class Parser:
     @property
     def holds_frame(self) -> bool:
         """Whether a verified frame lies inside of what waits for more of the stream."""
-        return _holds_frame(self._incomplete, 1, len(self._incomplete))
+        return _frame_inside(self._incomplete, 1, len(self._incomplete)) is not None
 
     def release(self) -> list[Frame | Junk]:
         """The stream has ended: what is incomplete is parsed as far as it goes."""
@@ -101,6 +103,7 @@ class Parser:
 
     def _parse(self, data: bytes, *, final: bool, at: int = 0) -> list[Frame | Junk]:
         found: list[Frame | Junk] = []
+        self._hidden = NOWHERE
         counters = self.counters
         junk_from = 0
         end = len(data)
@@ -150,7 +153,7 @@ class Parser:
         crc = data[at + checked] | data[at + checked + 1] << 8
         body = data[at + 1 : at + checked]
         if known is None:
-            if not _possible(body, crc) or _holds_frame(data, at + 1, at + length):
+            if not _possible(body, crc) or self._hides_frame(data, at, at + length):
                 return False
             self.counters.unknown += 1
             return Junk(data[at : at + length], "unknown")
@@ -164,6 +167,16 @@ class Parser:
             return Junk(raw, "unknown")
         self.counters.frames += 1
         return Frame(raw, known)
+
+    def _hides_frame(self, data: bytes, at: int, end: int) -> bool:
+        """Whether a verified frame lies wholly inside of what begins here."""
+        # One that was found already: bytes may be made so that each of them seems to begin a frame
+        # around it, and to look for it anew would cost time quadratic in their number.
+        if at < self._hidden[0] and self._hidden[1] <= end:
+            return True
+        inside = _frame_inside(data, at + 1, end)
+        self._hidden = inside or self._hidden
+        return inside is not None
 
 
 def span(data: bytes, at: int) -> tuple[int, int, int] | None:
@@ -191,8 +204,8 @@ def _possible(body: bytes, crc: int) -> bool:
     return crc ^ (mcrf4xx(body) >> 8) in STEPS
 
 
-def _holds_frame(data: bytes, start: int, end: int) -> bool:
-    """Whether a verified frame lies wholly inside a stretch of the data."""
+def _frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | None:
+    """Where the first verified frame begins and ends that lies wholly inside a stretch."""
     # A message that is unknown and by chance passes must not hide a known one.
     for begin in START.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
         at = begin.start()
@@ -204,5 +217,5 @@ def _holds_frame(data: bytes, start: int, end: int) -> bool:
         if known is not None and mcrf4xx(
             data[at + 1 : checked] + bytes((known.crc_extra,))
         ) == int.from_bytes(data[checked : checked + CRC_LENGTH], "little"):
-            return True
-    return False
+            return at, at + place[0]
+    return None

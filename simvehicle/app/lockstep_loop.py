@@ -33,6 +33,9 @@ class Simulated(Plant, Protocol):
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         """One step: its instant, the truth and what was measured."""
 
+    def prepare(self) -> None:
+        """Do what can be done of the next step before its controls are there."""
+
 
 class Packer(Protocol):
     """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.Hil` is one."""
@@ -73,7 +76,15 @@ class LockstepLoop:
         Times real time, infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
         One that somebody else tells of answers too.
+
+    Attributes
+    ----------
+    unanswered, unlocked : str
+        What is added where no answer ever came, and to the progress while steps wait for none.
     """
+
+    unanswered = FLOWN_BEFORE
+    unlocked = ", not in lockstep"
 
     def __init__(
         self,
@@ -140,16 +151,19 @@ class LockstepLoop:
 
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
-        self._battery.look(truth)
         # Sent in one piece: an autopilot must not be woken by half a step.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
+        # Whatever need not be done before, while the autopilot works.
+        self._battery.look(truth)
+        self._simulation.prepare()
         self._await_answer()
-        if self._answer_due_s is not None and not self._locked and now_s > self._answer_due_s:
+        if self._answer_due_s is not None and now_s > self._answer_due_s:
             self._answer_due_s = None
-            self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {FLOWN_BEFORE}")
-        self._progress.step(self.t_us, now_s, "" if self._locked else ", not in lockstep")
+            if not self.lockstep.answered:
+                self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {self.unanswered}")
+        self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""

@@ -67,6 +67,9 @@ class RealTimeLoop(LockstepLoop):
     overruns : Overruns
     """
 
+    unanswered = "a board answers in its HIL mode only (PX4: SYS_HITL 1 and a HIL airframe)"
+    unlocked = ""
+
     def __init__(
         self, simulation: Simulated, hil: Packer, inbox: Incoming, mix: Mix, progress: Progress
     ) -> None:

@@ -91,6 +91,7 @@ class Simulation:
         # After the first truth, as its gains are made for the air density there.
         self.controller = self._controller()
         self._next_control_us = 0.0
+        self._ahead: tuple[int, int, float, Array, Array] | None = None
         if scenario.mission:
             self.controller.track = self._mission()
 
@@ -124,21 +125,32 @@ class Simulation:
             What the sensors delivered by now; the inertial unit's comes first.
         """
         self._controls = self.commanded() if controls is None else self._checked(controls)
+        self._t_us, steps, dt, wind, around = self._ahead or self._outside()
+        self._ahead = None
+        self._x, load = self.vehicle.advance(self._x, self._controls, around, steps, dt)
+        self.truth = self._observe(load, wind)
+        return self._t_us, self.truth, self._read()
+
+    def prepare(self) -> None:
+        """Reckon what of the next step no controls change, while they are still awaited; the wind
+        is then settled, and a change of it comes a step later."""
+        self._ahead = self._ahead or self._outside()
+
+    def _outside(self) -> tuple[int, int, float, Array, Array]:
+        """When the next step ends, into how many of how many seconds it is cut, the wind meanwhile,
+        and `surroundings`."""
         self._count += 1
         # From the count: 3 ms and a third, summed up, would drift.
         t_us = round(self._count * 1e6 / self._rate_hz)
         dt = (t_us - self._t_us) * 1e-6
-        self._t_us = t_us
         truth = self.truth
-        # Slow sensors must not make the integration coarse.
-        steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
         # Held over the whole step: gusts are slow against it.
         wind = self._weather.wind(self._x, truth, dt)
         ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
         around = surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
-        self._x, load = self.vehicle.advance(self._x, self._controls, around, steps, dt / steps)
-        self.truth = self._observe(load, wind)
-        return t_us, self.truth, self._read()
+        # Slow sensors must not make the integration coarse.
+        steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
+        return t_us, steps, dt / steps, wind, around
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values

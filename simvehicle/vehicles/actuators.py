@@ -10,6 +10,7 @@ References
 .. [1] PX4, `ROMFS/px4fmu_common/init.d-posix/airframes`, and the user guide's "Control Surfaces".
 """
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 
@@ -31,7 +32,7 @@ def motors(count: int) -> Mix:
     """The first `count` channels are the motors, in PX4's order."""
 
     def mix(channels: Sequence[float]) -> Vector:
-        return np.array([_limited(value, 0.0) for value in channels[:count]])
+        return np.array([min(max(value, 0.0), 1.0) for value in channels[:count]])
 
     return mix
 
@@ -55,10 +56,14 @@ def read_controls(frame: Frame, mix: Mix) -> tuple[int, Controls]:
 
     Channels that are not finite stand for actuators that are off, and count as 0.
     """
-    stamp_us, _, *rest = _PAYLOAD.unpack(frame.payload.ljust(_PAYLOAD.size, b"\0"))
-    # NaN and infinity minus themselves are no zero.
-    channels = [value if value - value == 0.0 else 0.0 for value in rest[:CHANNELS]]
-    return stamp_us, Controls(mix(channels), armed=bool(rest[CHANNELS] & ARMED))
+    if frame.length == _PAYLOAD.size:
+        stamp_us, _, *channels, mode = _PAYLOAD.unpack_from(frame.raw, frame.payload_at)
+    else:
+        stamp_us, _, *channels, mode = _PAYLOAD.unpack(frame.payload.ljust(_PAYLOAD.size, b"\0"))
+    # One test for all, as hardly any is not finite.
+    if not math.isfinite(sum(channels)):
+        channels = [value if math.isfinite(value) else 0.0 for value in channels]
+    return stamp_us, Controls(mix(channels), armed=bool(mode & ARMED))
 
 
 def _limited(value: float, low: float) -> float:

@@ -9,20 +9,27 @@ the same; at the end a mark that no fault acts on must leave, once.
 import argparse
 import contextlib
 import gc
+import mmap
 import random
 import sys
 import tempfile
 import time
+from functools import cache
 from pathlib import Path
 from types import FunctionType
+from typing import BinaryIO
+from unittest.mock import patch
 
 import pytest
 
-from mavproxy_fault.compiled.passage import new_passage
+from mavproxy_fault.compiled.object_file import Forward, load, make
+from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links.datagram_batch import BATCHES
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole, Send
+from mavproxy_fault.proxy.senders import new_senders
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import known
@@ -33,10 +40,12 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_S = 2.0  # of processor for one input, while a fuzzer watches each step of it
 WALL_US, STEP_US = 1_700_000_000_000_000, 5_000
 MARK = 12_345_678
-OURS = "mavproxy_fault."
+# What the bytes of a peer reach; to watch all else at each step would cost the most of the time.
+WATCHED = {
+    "traffic": ("wire.", "proxy.", "faults.", "fault_parts."),
+    "schedule": ("",),
+}
 STREAM, FAULTS = 1, 2  # bits of an input's first byte
-
-_read: list[Schedule] = []
 
 
 def pieces(data: bytes) -> list[bytes]:
@@ -57,16 +66,52 @@ def pieces(data: bytes) -> list[bytes]:
     return found
 
 
+@cache
+def faults() -> Schedule:
+    return parse_schedule(sixteen())
+
+
+@cache
+def nobody() -> BinaryIO:
+    """A file with what a core remembers at first."""
+    file = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the process lives
+    file.write(new_senders().tobytes())
+    file.flush()
+    return file
+
+
+def senders() -> memoryview:
+    """The same, of which only the pages that are written to are copied.
+
+    Six megabytes anew for each input would cost more than all the rest.
+    """
+    return memoryview(mmap.mmap(nobody().fileno(), 0, flags=mmap.MAP_PRIVATE)).cast("q")
+
+
 def core(data: bytes) -> tuple[Core, Tape]:
     """A core as an input's first byte wants it."""
-    if not _read:
-        _read.append(parse_schedule(sixteen()))
-    engine, tape = Engine(_read[0]) if data[0] & FAULTS else None, Tape()
+    engine, tape = Engine(faults()) if data[0] & FAULTS else None, Tape()
     links = [
         LinkRole("vehicle", "from-vehicle", not data[0] & STREAM),
         LinkRole("station", "to-vehicle", datagrams=True),
     ]
-    return Core(links, engine, tape=tape), tape
+    with patch("mavproxy_fault.proxy.core.new_senders", senders):
+        return Core(links, engine, tape=tape), tape
+
+
+@cache
+def made() -> Forward | None:
+    """The machine code, whose sources are looked at once."""
+    make()
+    return load()
+
+
+def machine(one: Core, tape: Tape) -> Passage | None:
+    """The core's machine code; None on a system where there is none."""
+    if not BATCHES:
+        return None
+    with patch("mavproxy_fault.compiled.tables.load", made):
+        return Passage(one, tape)
 
 
 def failures(one: Core) -> list[str]:
@@ -80,7 +125,7 @@ def traffic(data: bytes) -> None:
     if not data:
         return
     (reference, _), (other, tape) = core(data), core(data)
-    passage = None if data[0] & STREAM else new_passage(other, tape)
+    passage = None if data[0] & STREAM else machine(other, tape)
     now_us, came = WALL_US, [*pieces(data[1:])]
     for part in came:
         now_us += STEP_US
@@ -121,7 +166,7 @@ def seeds(target: str) -> list[bytes]:
     found = []
     for first in range(4):
         for _ in range(10):
-            parts = [rng.randbytes(2)[:1] + _measured(mutated(rng, n)) for n in range(20)]
+            parts = [rng.randbytes(2)[:1] + _measured(mutated(rng, n)) for n in range(4)]
             found.append(bytes([first]) + b"".join(parts))
     return found
 
@@ -152,12 +197,14 @@ def main() -> None:
         took_s = time.process_time() - begun_s
         assert took_s < MOST_S, took_s
 
+    made()  # machine code is loaded before the clock runs
     with tempfile.TemporaryDirectory() as folder:
         for number, seed in enumerate(seeds(args.target)):
             Path(folder, f"{number}").write_bytes(seed)
         options = [f"-max_total_time={args.seconds}", "-max_len=4000", "-rss_limit_mb=4096"]
+        ours = tuple(f"mavproxy_fault.{room}" for room in WATCHED[args.target])
         for one in gc.get_objects():
-            if isinstance(one, FunctionType) and str(one.__module__).startswith(OURS):
+            if isinstance(one, FunctionType) and str(one.__module__).startswith(ours):
                 atheris.instrument_func(one)
         atheris.Setup([sys.argv[0], *options, folder], called)
         atheris.Fuzz()

@@ -39,6 +39,7 @@ from mavproxy_fault.numerics.linear import apply, inverse
 
 CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
+MIN_RATES = 5  # four states and one to spare
 
 
 class Statistics(NamedTuple):

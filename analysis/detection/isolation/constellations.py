@@ -125,13 +125,34 @@ def explain_by_systems(
     return found
 
 
+def explain_by_few(
+    m: Vector, u: Vector, q: float, systems: Groups, p_false_alarm: float
+) -> list[Explanation]:
+    """Each system of too few satellites to be blamed as a whole, left out: a rival all the same."""
+    found, each = [], np.eye(len(u))
+    for rows in systems.rows:
+        size = len(rows)
+        if size < LEAST_MOVED:
+            left = freed(m, u, q, np.ascontiguousarray(each[:, list(rows)]))
+            threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
+            cost = left + PENALTY * size + SYSTEM_PENALTY
+            found.append(Explanation("satellites", rows, left, threshold, cost))
+    return found
+
+
+def claims_system(best: Explanation, systems: Groups) -> bool:
+    """Whether an explanation leaves out a system, or several of one that has one more at most:
+    that one fits anything by the system's clock."""
+    out = set(best.subset)
+    return len(out) > 1 and any(len(set(rows) - out) <= 1 for rows in systems.rows)
+
+
 def ambiguous(best: Explanation, rivals: Sequence[Explanation]) -> bool:
     """Whether another system explains it about as well as the one that `best` leaves out."""
     # A clock that leaves harms nobody, whichever it is.
     return best.hypothesis != SYSTEM_CLOCK and any(
         rival.hypothesis == "satellites"
         and not set(rival.subset) & set(best.subset)
-        and len(rival.subset) >= LEAST_MOVED
         and rival.cost - best.cost < TELLING
         for rival in rivals
     )

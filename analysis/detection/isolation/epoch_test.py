@@ -17,8 +17,23 @@ from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import Observed
 from analysis.detection.filter.offsets import freeze, frozen_m, learnt
 from analysis.detection.filter.propagation import Segment, advance, segment
-from analysis.detection.isolation.assessment import CLOCK_LEAP_M, Sight, parity_test, see
+from analysis.detection.isolation.assessment import (
+    CLOCK_LEAP_M,
+    MIN_RATES,
+    Sight,
+    parity_test,
+    rate_equations,
+    see,
+)
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.common_shift import (
+    LEAST_LEVEL,
+    Watched,
+    after,
+    asked,
+    common_shift,
+    unsettled,
+)
 from analysis.detection.isolation.constellations import CONTRADICTION
 from analysis.detection.isolation.exclusion import Outside, exclude, measure_outside, readmit
 from analysis.detection.isolation.imu_or_satellites import (
@@ -28,6 +43,7 @@ from analysis.detection.isolation.imu_or_satellites import (
     by_whom,
     coasts,
     led_off,
+    led_slowly,
 )
 from analysis.detection.isolation.quiet_epoch import quiet_epoch
 from analysis.detection.isolation.ramp_test import (
@@ -69,7 +85,8 @@ UNDISTURBED = ("none", "satellites")  # verdicts of the rates that leave the pre
 class Judged(NamedTuple):
     """An epoch after its tests: the core and the IMU's samples before it, the prediction, what was
     seen, whether the clock leapt, the verdicts of rates and ranges, how far (3,) the satellites
-    leapt together, who is at fault where the IMU seems to be, and how all satellites lie."""
+    leapt together, who is at fault where the IMU seems to be, how all satellites lie, and the
+    statistic of the velocity that all rates show off the IMU's."""
 
     core: Core
     part: Segment
@@ -81,6 +98,7 @@ class Judged(NamedTuple):
     leap_m: Vector | None = None
     accused: str = "imu"
     carried: Carried | None = None
+    shift: float = 0.0
 
 
 def judge_epoch(
@@ -153,17 +171,43 @@ def _by_windows(
     ramps = ready(core.ramps or new_ramps(before.t_us), t_us, among, names, variance, config)
     step = Step(moment.phi, moment.dt_s, t_us, tested.motion.inertial)
     moved, ramps, found = commit(tested.motion, tested.part, rates.fit, ramps, step, config)
-    slow = judge_slow(ramps, found, config)
+    slow, led = judge_slow(ramps, found, config), None
     if before.inertial and slow.hypothesis == "imu":
         who, led = accused(past, moment, config)
         judged = judged._replace(accused=who)
-        if led is not None:
-            judged = judged._replace(**led_off(led, moment, rates, tested)._asdict())
-            return _concluded(judged, before, judged.tested.motion, None, None, config), judged
+    elif _passed(judged, before, slow, config):
+        used, watched = judged.sight.used, core.watched
+        equations = rate_equations(used.h, used.rate_variance, used.v_mps)
+        judged = judged._replace(shift=common_shift(judged.predicted.p, equations))
+        if asked(watched, judged.shift, t_us, config):
+            led = led_slowly(past, moment, max(watched.level, LEAST_LEVEL), config)
+    if led is not None:
+        judged = judged._replace(**led_off(led, moment, rates, tested)._asdict())
+        return _concluded(judged, before, judged.tested.motion, None, None, config), judged
     whole = _whole_system(judged, config) if slow.hypothesis == "satellites" else None
     if whole is None:
         return _concluded(judged, before, moved, ramps, slow, config), judged
     return None, judged._replace(tested=whole)
+
+
+def _passed(
+    judged: Judged, before: Motion, slow: SlowVerdict | None, config: DetectorConfig
+) -> bool:
+    """Whether an epoch that the IMU has predicted passed every test, with rates to compare."""
+    hypotheses = {judged.rates.hypothesis, judged.tested.hypothesis}
+    quiet = slow is not None and slow.hypothesis == "none" and hypotheses == {"none"}
+    known = config.doppler and judged.sight.tests.rates >= MIN_RATES
+    return quiet and known and before.inertial and judged.tested.motion.inertial
+
+
+def _watched(
+    judged: Judged, before: Motion, slow: SlowVerdict | None, t_us: int, config: DetectorConfig
+) -> Watched:
+    """What is known of the velocity that all rates show, after an epoch."""
+    watched = judged.core.watched
+    if not _passed(judged, before, slow, config):
+        return unsettled(watched, t_us)
+    return after(watched, judged.shift, t_us, config)
 
 
 def _whole_system(judged: Judged, config: DetectorConfig) -> Tested | None:
@@ -207,6 +251,7 @@ def _concluded(
         carried=judged.carried if tested.hypothesis == "gps" and judged.leap_m is None else None,
         unbounded=(core.unbounded or undecided) and not told_apart,
         rates_off=_rates_off(judged),
+        watched=_watched(judged, before, slow, t_us, config),
     )
     moved = find_attitude(core, moved, part, (t_us - before.t_us) * 1e-6, config)
     # To a free filter an acceleration was the vehicle's own: it says nothing of the IMU.

@@ -20,6 +20,8 @@ from analysis.detection.isolation.constellations import (
     Explanation,
     Groups,
     ambiguous,
+    claims_system,
+    explain_by_few,
     explain_by_systems,
 )
 from analysis.detection.values import Value
@@ -127,8 +129,10 @@ def judge(
         return Verdict("multiple-unknown", (), chances)
     # Least J: what remains unexplained, and a price for what was freed.
     best = min(passing, key=lambda rival: rival.cost)
-    if best in moved and ambiguous(best, moved):
-        return Verdict("multiple-unknown", (), chances, True)
+    if claims_system(best, systems):
+        few = explain_by_few(m, u, q, systems, p_false_alarm)
+        if ambiguous(best, [*moved, *few]):
+            return Verdict("multiple-unknown", (), chances, True)
     return Verdict(best.hypothesis, best.subset, chances, best in moved)
 
 

@@ -28,15 +28,16 @@ from analysis.detection.filter.inertial import CLOCK, ERRORS, V
 from analysis.detection.filter.measurement import Modelled
 from analysis.detection.filter.offsets import frozen_m
 from analysis.detection.filter.propagation import Segment, advance
-from analysis.detection.isolation.assessment import see
+from analysis.detection.isolation.assessment import MIN_RATES, see
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.range_test import Tested
-from analysis.detection.isolation.rate_test import MIN_RATES, NO_RATES, RatesTested
+from analysis.detection.isolation.rate_test import NO_RATES, RatesTested
 from analysis.detection.isolation.whole_receiver import by_all
 from analysis.detection.receiver.carry_off import (
     BETTER,
     WITH_TURNS,
     Carried,
+    Carry,
     Fitted,
     Found,
     compared,
@@ -44,6 +45,7 @@ from analysis.detection.receiver.carry_off import (
     nearer_to_carried,
     new_carry,
     renewed,
+    surely_carried,
     taken_back,
 )
 from analysis.detection.receiver.receiver_or_imu import (
@@ -83,6 +85,13 @@ class Blame(NamedTuple):
     carried: Carried | None = None
 
 
+class Asked(NamedTuple):
+    """Windows over the last seconds; whether the IMU's own force explains the last epoch."""
+
+    carry: Carry
+    its_own_force: bool
+
+
 def by_whom(
     core: Core,
     past: Sequence[Record],
@@ -92,20 +101,27 @@ def by_whom(
     config: DetectorConfig,
 ) -> Blame:
     """The verdicts on an epoch where an IMU moved the filter, after all that can be asked."""
-    if "imu" in (rates.hypothesis, tested.hypothesis):
+    if tested.hypothesis == "gps":
+        return Blame(rates, tested, "gps", _carried_now(now))
+    # First of all: whoever lies already accuses the IMU at every epoch.
+    stays_out = _stays_out(core, now)
+    if "imu" in (rates.hypothesis, tested.hypothesis) and not stays_out:
         who, found = accused(past, now, config)
         if found is None:
             return Blame(rates, tested, who)
         return led_off(found, now, rates, tested)
-    if tested.hypothesis == "gps":
-        return Blame(rates, tested, "gps", _carried_now(now))
-    if core.carried is None:
-        return Blame(rates, tested)
-    fix = _as_fix(now, _axes(now.motion))
-    if fix is None or not nearer_to_carried(core.carried, now.motion.t_us, fix):
+    if not stays_out:
         return Blame(rates, tested)
     lying = rates._replace(hypothesis="gps", fit=NO_RATES)
     return Blame(lying, by_all(now.motion, tested), "gps", core.carried)
+
+
+def _stays_out(core: Core, now: Moment) -> bool:
+    """Whether satellites that were left out all together lie where they led."""
+    if core.carried is None:
+        return False
+    fix = _as_fix(now, _axes(now.motion))
+    return fix is not None and nearer_to_carried(core.carried, now.motion.t_us, fix)
 
 
 def led_off(found: Found, now: Moment, rates: RatesTested, tested: Tested) -> Blame:
@@ -134,26 +150,45 @@ def accused(
     past: Sequence[Record], now: Moment, config: DetectorConfig
 ) -> tuple[str, Found | None]:
     """`imu`, `gps` with what the filter has followed, or `GPS-or-imu`."""
+    asked = _asked(past, now, config)
+    if asked is None:
+        return "imu", None
+    dragged, pushed, found = compared(asked.carry)
+    if pushed > dragged + LIKELIER or asked.its_own_force:
+        return "imu", None
+    if dragged > pushed + BETTER:
+        return "gps", found
+    return ("imu" if _was_wrong(past) else UNDECIDED), None
+
+
+def led_slowly(
+    past: Sequence[Record], now: Moment, level: float, config: DetectorConfig
+) -> Found | None:
+    """What all satellites have led the filter off while every test passed, if that is clear;
+    `level` is the mean square of this flight's innovations."""
+    asked = _asked(past, now, config)
+    if asked is None or asked.its_own_force:
+        return None
+    return surely_carried(asked.carry, level, chi_square(3, config.p_slow))
+
+
+def _asked(past: Sequence[Record], now: Moment, config: DetectorConfig) -> Asked | None:
+    """The last seconds once more; None where they are too few or tell too little."""
     moments = [*_moments(past, now.motion.t_us, config), now]
     if len(moments) < FEWEST:
-        return "imu", None
+        return None
     carry, fix = new_carry(moments[0].motion.t_us, WITH_TURNS), None
     for moment in moments:
         motion = moment.motion
         axes = _axes(motion)
         fix = _as_fix(moment, axes)
         if fix is None:
-            return "imu", None
+            return None
         carry = extended(carry, motion.t_us, moment.dt_s, moment.phi, axes, fix)
         if moment is not now:
             carry = renewed(carry, motion.t_us)
     assert fix is not None
-    dragged, pushed, found = compared(carry)
-    if pushed > dragged + LIKELIER or _its_own_force(moments, fix, config):
-        return "imu", None
-    if dragged > pushed + BETTER:
-        return "gps", found
-    return ("imu" if _was_wrong(past) else UNDECIDED), None
+    return Asked(carry, _its_own_force(moments, fix, config))
 
 
 def _was_wrong(past: Sequence[Record]) -> bool:

@@ -24,11 +24,17 @@ from analysis.detection.filter.lasting_errors import LEAST_FACTOR, Misfit, misfi
 from analysis.detection.filter.measurement import Indices, Measured, Modelled, Observed
 from analysis.detection.filter.offsets import frozen_m
 from analysis.detection.filter.propagation import steps
-from analysis.detection.isolation.assessment import Assessment, assess, rate_equations
+from analysis.detection.isolation.assessment import (
+    MIN_RATES,
+    Assessment,
+    assess,
+    rate_equations,
+)
 from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.common_shift import after as watched_after
+from analysis.detection.isolation.common_shift import asked, common_shift
 from analysis.detection.isolation.ramp_test import judge_slow
 from analysis.detection.isolation.ramp_windows import Strongest, Windows
-from analysis.detection.isolation.rate_test import MIN_RATES
 from analysis.detection.protection import Bounds, bounded, level_factors
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -39,8 +45,9 @@ NOTHING_FOUND = 0.0, -1, -1, 0.0
 # Named tuples go into the compiled call as plain ones and get their names inside it: numba looks up
 # the class of each that crosses its boundary, either way, which takes a microsecond.
 Fields = tuple[Any, ...]
-# Of `Statistics` what stays of a quiet epoch: q, q_rate, parity, rates and parity_dof.
-Numbers = tuple[float, float, float, int, int]
+# What stays of a quiet epoch's tests: q, q_rate, the velocity that the rates share, parity, rates
+# and parity_dof.
+Numbers = tuple[float, float, float, float, int, int]
 Found = tuple[float, int, int, float]  # the fields of `Strongest`
 
 
@@ -95,6 +102,12 @@ def quiet_epoch(
     slow = judge_slow(ramps, Strongest(*found), config) if quiet else None
     if slow is None or slow.hypothesis != "none":
         return None
+    q, q_rate, shift, parity, rates, parity_dof = numbers
+    watched = core.watched
+    if motion.inertial and config.doppler:
+        if asked(watched, shift, t_us, config):
+            return None
+        watched = watched_after(watched, shift, t_us, config)
     x, p, d, sums, offset, spread = after
     total, dof, *lasting_m2, hpl_m, vpl_m = bounds.tolist()
     misfit = Misfit(total, dof)
@@ -108,8 +121,8 @@ def quiet_epoch(
         unknown_since_us=None,
         misfit=misfit,
         rates_off=NO_RATES_OFF,
+        watched=watched,
     )
-    q, q_rate, parity, rates, parity_dof = numbers
     residual_m, normalised = innovations.tolist()
     tested = config.doppler and rates >= MIN_RATES
     return Outcome(
@@ -192,17 +205,18 @@ def _quiet(
         measured, trusted, offset_m, x, p, limits.ionosphere, limits.sigma, limits.mask_rad
     )
     tests = assessed.statistics
-    numbers = tests.q, tests.q_rate, tests.parity, tests.rates, tests.parity_dof
+    known = limits.doppler and tests.rates >= MIN_RATES
+    shift = common_shift(p, assessed.rates) if prior.inertial and known else 0.0
+    numbers = tests.q, tests.q_rate, shift, tests.parity, tests.rates, tests.parity_dof
     innovations = np.empty((2, assessed.used))
     innovations[0], innovations[1] = tests.residual_m, tests.normalised
-    tested = limits.doppler and tests.rates >= MIN_RATES
-    quiet = moved and _is_quiet(assessed, places, prior.inertial, tested, limits.thresholds)
+    quiet = moved and _is_quiet(assessed, places, prior.inertial, known, limits.thresholds)
     if not quiet:
         # The long way begins anew from the state before: nothing of this is used.
         nothing = (x, p, windows.d, windows.sums, windows.offset, windows.spread)
         return False, gap_s, numbers, innovations, nothing, NOTHING_FOUND, np.empty(0)
     rates = assessed.rates
-    if not tested:  # too few to be used untested
+    if not known:  # too few to be used untested
         every = assessed.every
         rates = rate_equations(every.h[:0], every.rate_variance[:0], every.v_mps[:0])
     step = Step(phi, dt_s, t_us, prior.inertial)

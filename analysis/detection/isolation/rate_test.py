@@ -8,15 +8,13 @@ from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.inertial import DRIFT, ERRORS, ISB
 from analysis.detection.filter.information import weights
 from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
-from analysis.detection.isolation.assessment import Statistics
+from analysis.detection.isolation.assessment import MIN_RATES, Statistics
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
 from analysis.detection.isolation.hypotheses import judge
 from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
 from analysis.detection.values import Value
 
-# Four states and one to spare.
-MIN_RATES = 5
 NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
 
 

@@ -3,9 +3,9 @@ receiver's.
 
 An IMU's fault reaches the position through the velocity, and the velocity through a force that is
 wrong. So a position that leaves while the Doppler rates still fit, or a velocity that leaves faster
-than a wrongly turned force could drive it while the IMU's own output did not change, is not the
-IMU's. The satellites agree among themselves: the hypothesis is `gps`, and nothing of the epoch is
-used.
+than a wrongly turned force could drive it while the IMU's own output did not change, or both where
+the place is farther off than that velocity could have led it, is not the IMU's. The satellites
+agree among themselves: the hypothesis is `gps`, and nothing of the epoch is used.
 
 Without an IMU a place that leaps as no vehicle does, while the satellites agree, is `gps` too. The
 filter follows, as nothing else tells where it is, but nothing bounds the position until the
@@ -51,7 +51,9 @@ def rates_beyond_imu(
     if not motion.inertial:
         return rates
     wrong = core.distrusted == RATES
-    if rates.hypothesis == "imu" and (core.distrusted or _faster_than_force(used, *runs)):
+    if rates.hypothesis == "imu" and (
+        core.distrusted or _faster_than_force(used, *runs) or _leapt(core, motion, used)
+    ):
         return RatesTested(rates.statistic, rates.threshold, rates.dof, "gps", NO_RATES)
     return rates._replace(fit=NO_RATES) if wrong else rates  # used again once the ranges fit too
 
@@ -76,6 +78,20 @@ def _faster_than_force(used: Modelled, before: ImuRun | None, run: ImuRun) -> bo
     changed_mps = np.linalg.norm(force - force_before) * dt_s
     turned_mps = max(np.linalg.norm(force), np.linalg.norm(force_before)) * dt_s
     return bool(grown_mps > turned_mps + changed_mps + SLACK_MPS)
+
+
+def _leapt(core: Core, motion: Motion, used: Modelled) -> bool:
+    """Whether the place is farther off than the velocity that is wrong could have led it since the
+    ranges were used."""
+    assert core.motion is not None
+    dt_s = (motion.t_us - (core.unknown_since_us or core.motion.t_us)) * 1e-6
+    clocks = used.h[:, CLOCK:ERRORS]
+    place = np.hstack([used.h[:, :3], clocks[:, clocks.any(axis=0)]])
+    speed = np.column_stack([used.h[:, :3], np.ones(len(used.v_mps))])
+    shift_m = np.linalg.norm(_shift(place, used.v_m, used.variance))
+    led_m = 2.0 * dt_s * np.linalg.norm(_shift(speed, used.v_mps, used.rate_variance))
+    unsure_m = LEAP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
+    return bool(shift_m > LEAST_M + led_m + unsure_m)
 
 
 def ranges_beyond_imu(

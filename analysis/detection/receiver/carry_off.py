@@ -196,6 +196,21 @@ def compared(carry: Carry) -> tuple[float, float, Found | None]:
     return float(ratio.max()), rival, _found(carry, int(begun[ratio.argmax()]))
 
 
+def surely_carried(carry: Carry, level: float, threshold: float) -> Found | None:
+    """The carry-off that no test has shown, if it is beyond the chi-square `threshold` and explains
+    more than a wrong IMU; `level` is the mean square of the flight's innovations, and the noisier
+    they are the more a sound receiver's velocity is off for seconds."""
+    begun = np.flatnonzero(carry.starts_us)
+    parts = (CARRIED, ACCELERATED, TURNED)
+    ratio, force, rate = (_ratios(carry, begun, part) / level for part in parts)
+    window = int(begun[ratio.argmax()])
+    natural = NATURAL_MPS * np.sqrt(level / LEAST_LEVEL)
+    tempered = _ratios(carry, np.array([window]), CARRIED, natural)[0] / level
+    rival = max(float(force.max()), float(rate.max()))
+    clear = tempered > threshold and ratio.max() > rival + BETTER
+    return _found(carry, window) if clear else None
+
+
 def _found(carry: Carry, window: int) -> Found:
     """The carry-off that a window shows."""
     covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED] + 1e-9 * np.eye(3))

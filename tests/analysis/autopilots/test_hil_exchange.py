@@ -202,6 +202,42 @@ def test_of_the_links_only_those_with_something_are_read(flight_of):
         idle.close()
 
 
+def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
+    heard = []
+    flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
+    outward = ToAutopilot(
+        flight, Hil(), heard.extend, passage=new_passage(flight.core, flight.tape)
+    )
+    with (
+        closing(TcpServer("127.0.0.1", 0)) as link,
+        closing(UdpServer("127.0.0.1", 0)) as telemetry,
+        connected(link) as autopilot,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        inward = FromAutopilot(outward, [link, telemetry], Patience(link, None, 5.0), Lockstep())
+        other.sendto(build(known("ATTITUDE"), {"time_boot_ms": 5}), ("127.0.0.1", telemetry.port))
+        autopilot.sendall(answer(START_US))
+        for one in (link, telemetry):
+            assert select.select(one.filenos(), [], [], 5.0)[0]
+        assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
+        attitude = known("ATTITUDE").id
+        assert attitude not in [send.data[7] for send in outward.unheard]
+        assert inward.frames(5.0) == []
+        outward.hear_all()
+    assert attitude in [send.data[7] for send in heard]
+
+
+def test_the_operator_is_asked_while_the_autopilot_works_and_once_a_step(flight_of):
+    asked = []
+    flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
+    outward = ToAutopilot(flight, Hil(), lambda sends: None, lambda: asked.append(1) or [])
+    fly(outward, 1)
+    assert asked == []
+    outward.meanwhile()
+    outward.meanwhile()
+    assert asked == [1]
+
+
 class IdleLink(UdpServer):
     """A link on which nothing comes."""
 

@@ -5,12 +5,22 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
+from analysis.detection.detector import run
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.lasting_errors import Misfit
 from analysis.detection.filter.measurement import choose, model, observe
 from analysis.detection.isolation.chi_square import two_sided
-from analysis.detection.protection import AXES, RISK, SATELLITE_PRIOR, bounds, level_factors
+from analysis.detection.protection import (
+    AXES,
+    ONE_SYSTEM,
+    RISK,
+    SATELLITE_PRIOR,
+    SYSTEMS,
+    bounds,
+    level_factors,
+)
 from analysis.recordings.recordings import read_rinex_samples
+from analysis.results import Decision
 from analysis.samples.sample import Epoch
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
@@ -44,6 +54,16 @@ def levels_of(observed, ionosphere, r_m=ANTENNA_M, config=CONFIG):
     used = model(observed, x, config.sigma, ionosphere)
     found = bounds(used, np.zeros(3), nothing, x[:3], Misfit(), config.sigma.slow**2)
     return found.hpl_m, found.vpl_m
+
+
+@pytest.mark.parametrize(("systems", "terms"), [("G", ONE_SYSTEM), ("GE", SYSTEMS)])
+def test_levels_tell_what_they_take_for_granted(shared_data, systems, terms):
+    folder = shared_data / "gnss_static"
+    samples = read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
+    results = run(Detector(DetectorConfig(systems=systems)), samples[:400])
+    decisions = [r for r in results if isinstance(r, Decision)]
+    assert {d.level_assumes for d in decisions if d.hpl_m is not None} == {terms}
+    assert {d.level_assumes for d in decisions if d.hpl_m is None} <= {""}
 
 
 def test_the_true_place_is_well_within_its_levels(seen):

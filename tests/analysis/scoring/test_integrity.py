@@ -18,6 +18,7 @@ def decision(north_m, down_m, hpl_m, vpl_m):
     return Decision(
         t_us=0, statistic=None, threshold=None, dof=0, p_value=None, alarm=False,
         hypothesis="none", position_ecef_m=tuple(position), hpl_m=hpl_m, vpl_m=vpl_m,
+        level_assumes="that" if vpl_m else "",
     )  # fmt: skip
 
 
@@ -34,6 +35,7 @@ def test_errors_above_their_level_are_misleading():
         "largest_error_over_level": 1.5,
         "alert_limit_m": 40.0,
         "available_share": 1.0,
+        "assumes": {"that": 3},
     }
     assert rows["vertical"]["misleading"] == 0
     assert rows["vertical"]["available_share"] == pytest.approx(2 / 3, abs=1e-3)

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as pymavlink
 
+from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults import registry
-from mavproxy_fault.faults.draft import Draft
-from mavproxy_fault.faults.fault import Outgoing
 from mavproxy_fault.faults.registry import known_faults
-from mavproxy_fault.faults.value_fault import ValueFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known

@@ -1,7 +1,8 @@
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS
 from mavproxy_fault.faults.satellite import HOLD_US
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
@@ -140,6 +141,19 @@ def test_a_fault_that_ends_lets_go_of_what_it_kept() -> None:
     first = fragments(0)[0]
     it.apply(first, "to-vehicle", 1_000_000)
     assert [out.frame for out in it.due(1_100_000)] == [first]
+
+
+def test_of_messages_that_are_never_whole_only_so_many_are_kept() -> None:
+    it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 5.0})
+    first = fragments(0)[0]
+    came, left = [], []
+    for sender in range(2 * MOST_SENDERS):
+        raw = bytearray(first.raw)
+        raw[5], raw[6] = 1 + sender // 200, sender % 200
+        frame = Frame(bytes(raw), first.layout).with_payload(first.payload)
+        came.append(frame.raw)
+        left += [out.frame.raw for out in it.apply(frame, "to-vehicle", 1_000_000)]
+    assert left == came[: len(came) - MOST_SENDERS]
 
 
 def test_other_tunnels_pass() -> None:

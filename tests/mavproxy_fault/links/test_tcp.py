@@ -8,6 +8,7 @@ import pytest
 
 from mavproxy_fault.links import tcp
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
+from mavproxy_fault.links.peers import MOST_PEERS
 from mavproxy_fault.links.stream import READ_SIZE
 from mavproxy_fault.links.tcp import TcpClient, TcpServer
 
@@ -51,6 +52,23 @@ def test_a_server_tells_its_peers_apart_and_reports_their_end(server: TcpServer)
     ends = read_until(server, lambda chunks: len(chunks) == 2)
     assert sorted(ends) == [(0, b""), (1, b"")]
     assert server.peer_count == 0
+
+
+def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog) -> None:
+    with contextlib.ExitStack() as opened:
+        peers = [opened.enter_context(connect(server)) for _ in range(MOST_PEERS)]
+        late = [
+            opened.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5))
+            for _ in range(2)
+        ]
+        read_until(server, lambda _: server.counters.errors == 2)
+        assert [one.recv(9) for one in late] == [b"", b""]
+        server.write(b"to all")
+        assert {peer.recv(9) for peer in peers} == {b"to all"}
+        assert caplog.text.count("a further one is turned away") == 1
+        peers[0].close()
+        read_until(server, lambda _: server.peer_count < MOST_PEERS)
+        opened.enter_context(connect(server))
 
 
 def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
@@ -143,3 +161,18 @@ def test_a_fast_peer_lets_others_have_their_turn() -> None:
         link.read()
         assert 0 < sum(len(data) for _, data in link.read()) <= READ_SIZE
     link.close()
+
+
+def test_a_lone_peer_that_always_speaks_keeps_nobody_at_the_door(
+    server: TcpServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
+    with connect(server) as busy:
+        busy.sendall(b"more")
+        with socket.create_connection(("127.0.0.1", server.port), timeout=5):
+            for _ in range(10):
+                read_until(server, bool)
+                busy.sendall(b"more")
+                now_s[0] += 0.02
+            assert server.peer_count == 2

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.live.failure_command import TYPES, UNITS, WHAT
 from mavproxy_fault.live.rflysim import read_map

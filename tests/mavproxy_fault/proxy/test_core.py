@@ -194,6 +194,14 @@ def test_gaps_are_counted_per_component() -> None:
     assert core.gaps() == {(1, 51): 3}
 
 
+def test_who_numbers_the_frames_of_each_link_by_itself_has_no_gaps() -> None:
+    core = Core(ROLES)
+    for seq in range(20):
+        core.received(SIM, heartbeat(1, 1, seq), WALL_US)
+        core.received(AUTOPILOT, heartbeat(1, 1, 100 + seq // 2), WALL_US)
+    assert core.gaps() == {}
+
+
 def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:
     schedule = """
         seed: 1

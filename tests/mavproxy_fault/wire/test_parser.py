@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavproxy_fault.wire import parser
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.parser import Junk, Parser
+from mavproxy_fault.wire.parser import Junk, Parser, span
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -187,3 +188,18 @@ def test_pymavlink_finds_no_frame_that_we_miss_in_clean_traffic(pieces: list[byt
     data = b"".join(clean)
     theirs = [bytes(m.get_msgbuf()) for m in link.parse_buffer(data) or []]
     assert [item.raw for item in Parser().push(data)] == theirs
+
+
+def test_bytes_that_all_seem_to_begin_a_frame_cost_time_in_their_number(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Bytes can be found whose every start has a possible CRC: here all of them pass for such.
+    monkeypatch.setattr(parser, "_possible", lambda body, crc: True)
+    looked = []
+    monkeypatch.setattr(parser, "span", lambda data, at: looked.append(at) or span(data, at))
+    heartbeat = build(known("HEARTBEAT"), {"type": 1})
+    data = (b"\xfd" * 240 + heartbeat) * 20
+    found = Parser().push(data, datagram=True)
+    assert b"".join(item.raw for item in found) == data
+    assert [item.raw for item in found if isinstance(item, Frame)] == [heartbeat] * 20
+    assert len(looked) < 5 * len(data)

@@ -34,6 +34,9 @@ class Lift:
         self.controls: list[Controls] = []
         self.changes: list[tuple[str, float | None]] = []
 
+    def prepare(self) -> None:
+        """There is nothing to be made ready."""
+
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         self.t_us += 4000
         self.controls.append(controls)

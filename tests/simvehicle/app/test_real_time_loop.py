@@ -4,21 +4,31 @@ import itertools
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
+from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.app import lockstep_loop
 from simvehicle.app.pace import Pace
-from simvehicle.app.real_time_loop import FreeRunning, Overruns
+from simvehicle.app.real_time_loop import FreeRunning, Overruns, RealTimeLoop
+from simvehicle.app.sim_progress import Progress
+from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.lockstep import AutopilotSilentError
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.actuators import motors
 
 RECORDED = Path(__file__).resolve().parents[2] / "data" / "px4" / "hil.bin"
 SCENARIO = """
@@ -107,6 +117,21 @@ def test_a_board_that_answers_at_its_own_rate_flies_the_vehicle_in_real_time(tmp
         assert process.wait() == 0
     assert "steps over 1 ms late, the latest" in said
     assert "lockstep from" not in said
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_only_a_board_that_never_answers_is_told_of(tmp_path, monkeypatch, answers):
+    monkeypatch.setattr(lockstep_loop, "FIRST_ANSWER_S", 0.02)
+    (tmp_path / "bench.yaml").write_text(SCENARIO)
+    simulation, said = Simulation(read_scenario(tmp_path / "bench.yaml")), StringIO()
+    with closing(TcpServer("127.0.0.1", 0)) as link:
+        loop = RealTimeLoop(simulation, Hil(), Inbox(link), motors(4), Progress(0.0, said))
+        with socket.create_connection(("127.0.0.1", link.port), timeout=5) as board:
+            first = next(full_throttle()) if answers else build(known("HEARTBEAT"), {})
+            board.sendall(first)
+            loop.run(until_us=100_000)
+    assert ("no answer for 0.02 s; a board answers in its HIL mode" in said.getvalue()) != answers
+    assert "lockstep" not in said.getvalue()
 
 
 def test_hardware_has_no_other_pace_than_the_clock(tmp_path):

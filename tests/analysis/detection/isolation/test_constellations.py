@@ -21,17 +21,17 @@ BEGIN_S, FOR_S = 60.0, 60.0
 GPS, GALILEO = 8, 7  # satellites of the algebra's epochs
 
 
-def judged(change, seed):
-    """The verdict on innovations of two systems, predicted to 1 sigma, after a change."""
+def judged(change, seed, galileo=GALILEO, known_m=1.0):
+    """The verdict on innovations of two systems, predicted to `known_m` sigmas, after a change."""
     rng = np.random.default_rng(seed)
-    count = GPS + GALILEO
+    count = GPS + galileo
     azimuth, sine = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.2, 1.0, count)
     cosine = np.sqrt(1.0 - sine**2)
     sight = -np.column_stack([cosine * np.sin(azimuth), cosine * np.cos(azimuth), sine])
     offset = np.zeros((count, 3))
     offset[GPS:, 0] = 1.0
     design = np.column_stack([sight, np.ones(count), offset[:, :1]])
-    covariance = design @ design.T + np.eye(count)
+    covariance = known_m**2 * design @ design.T + np.eye(count)
     v = np.linalg.cholesky(covariance) @ rng.standard_normal(count) + change(sight)
     systems = groups_of(sight, offset)
     clock = design[:, 3:4].copy()
@@ -65,6 +65,33 @@ def test_single_satellites_are_not_taken_for_their_system():
 
     right = sum(judged(faulty, seed).subset == (GPS + 2,) for seed in range(300))
     assert right >= 297
+
+
+@pytest.mark.parametrize("few", [3, 4])
+def test_few_satellites_of_a_system_are_not_blamed_where_the_other_may_have_moved(few):
+    """Predicted to 300 m, as at a reference station's interval of 30 s."""
+
+    def of_gps(sight):
+        return np.concatenate([sight[:GPS] @ [30.0, 0.0, 0.0], np.zeros(few)])
+
+    def of_few(sight):
+        return np.concatenate([np.zeros(GPS), sight[GPS:] @ [30.0, 0.0, 0.0]])
+
+    found = [judged(moved, s, few, 300.0) for moved in (of_gps, of_few) for s in range(100)]
+    whole = [set(range(GPS)), set(range(GPS, GPS + few))]
+    assert not [verdict for verdict in found if set(verdict.subset) in whole]
+    # In the others of the random skies one or two satellites explain it nearly as well.
+    assert sum((v.hypothesis, v.whole) == ("multiple-unknown", True) for v in found) >= 75
+
+
+def test_one_of_few_satellites_of_a_system_is_still_told():
+    def faulty(sight):
+        change = np.zeros(len(sight))
+        change[GPS + 2] = 50.0
+        return change
+
+    found = [judged(faulty, seed, 4, 300.0) for seed in range(100)]
+    assert sum(verdict.subset == (GPS + 2,) for verdict in found) >= 97
 
 
 def test_one_system_alone_is_no_hypothesis():

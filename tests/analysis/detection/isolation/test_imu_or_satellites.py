@@ -10,10 +10,12 @@ import pytest
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
 from analysis.detection.isolation.whole_receiver import FOLLOWED
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import ImuSample, Sample, TruthSample
+from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.schedule.entries import parse_schedule
 
 FROM_S, FLOWN_S = 25.0, 45.0
 Flights = Callable[..., list[Sample]]
@@ -49,7 +51,8 @@ def faulty(samples: list[Sample], gyro_rps: float, accel_mps2: float) -> list[Sa
 
 
 @pytest.mark.parametrize(
-    ("leap_m", "speed_mps"), [(0.0, 1.0), (0.0, 2.0), (0.0, 5.0), (20.0, 0.0), (200.0, 0.0)]
+    ("leap_m", "speed_mps"),
+    [(0.0, 0.5), (0.0, 1.0), (0.0, 2.0), (0.0, 5.0), (20.0, 0.0), (200.0, 0.0)],
 )
 def test_all_satellites_led_away_are_not_blamed_on_the_imu(
     leap_m: float, speed_mps: float, flights: Flights
@@ -94,6 +97,26 @@ def test_a_wrong_imu_is_still_the_imu(gyro_rps: float, accel_mps2: float, flight
     assert [r for r in imu if r.alarm]
     assert all(d.position_sigma_m is not None for d in decisions)
     assert max(errors[-50:]) < 3.0
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, 2.0, 5.0])
+def test_a_drag_in_a_real_walk_and_its_end_are_never_the_imu_alone(
+    speed_mps: float, shared_data: Path
+) -> None:
+    folder = shared_data / "gnss_imu_walk"
+    obs, nav, imu = (folder / n for n in ("walk_ex.obs", "walk_ex.nav", "imu_1730_sf.csv"))
+    segment = {"at_s": 0, "for_s": 30, "start": 0, "rate": speed_mps}
+    entry = {"id": "drag", "fault": "plant", "target": "PLANT.spoof_north_m[all]", "at_s": 60}
+    entry |= {"for_s": 30, "profile": {"segments": [segment]}}
+    lines, _ = faulted_lines(obs, parse_schedule({"faults": [entry]}), [nav])
+    detector = Detector(DetectorConfig())
+    results, _ = detector.step(read_rinex(obs, [nav], imu, lines), detector.new_state())
+    decisions = [r for r in results if isinstance(r, Decision)]
+    assert "imu" not in {d.hypothesis for d in decisions}
+    alarm_us = next(d.t_us for d in decisions if d.alarm and "gps" in d.hypothesis.lower())
+    after_s = (alarm_us - decisions[0].t_us) * 1e-6 - 60.0
+    # Of 1 m/s it cannot tell multipath: that is found when it ends.
+    assert after_s == pytest.approx(0.0 if speed_mps > 1.0 else 30.0, abs=0.1)
 
 
 def test_an_imu_that_is_told_apart_later_gives_the_position_its_bound_back(

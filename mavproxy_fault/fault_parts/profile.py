@@ -125,7 +125,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             # Drawn once per start, so that a repeated fault draws anew.
             return drawn(self.segments, rng)
         if self.table is not None:
-            from mavproxy_fault.faults.series import Series
+            from mavproxy_fault.fault_parts.series import Series
 
             return Series(self.table)
         return None

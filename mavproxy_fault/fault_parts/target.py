@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.faults.elements import Element, element
+from mavproxy_fault.fault_parts.elements import Element, element
 from mavproxy_fault.wire.dialect import Layout, layout, message_names
 from mavproxy_fault.wire.plant_names import SATELLITE_NAME, SATELLITES, check_plant_name
 

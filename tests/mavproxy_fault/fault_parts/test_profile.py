@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.profile import Draw, Live, Profile, Segment, Sine, Table
-from mavproxy_fault.faults.series import BLOCK_ROWS
+from mavproxy_fault.fault_parts.profile import Draw, Live, Profile, Segment, Sine, Table
+from mavproxy_fault.fault_parts.series import BLOCK_ROWS
 from mavproxy_fault.schedule.entries import read_schedule
 
 RNG = np.random.default_rng(0)

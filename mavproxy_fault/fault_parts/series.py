@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from mavproxy_fault.documents.errors import ConfigError
 
 if TYPE_CHECKING:
-    from mavproxy_fault.faults.profile import Table
+    from mavproxy_fault.fault_parts.profile import Table
 
 BLOCK_ROWS = 8192
 LOG = logging.getLogger(__name__)

@@ -9,12 +9,14 @@ from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.faults.elements import Element
-from mavproxy_fault.faults.fault import ActsOn
-from mavproxy_fault.faults.units import Factors
+from mavproxy_fault.fault_parts.elements import Element
+from mavproxy_fault.fault_parts.fault import ActsOn
+from mavproxy_fault.fault_parts.units import Factors
 from mavproxy_fault.wire.frame import Number
 
 GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
+MOST_SENDERS = 256  # whose states a fault keeps; those who come later pass it by
+ROWS_MAX = 65_536  # values of the past that a fault keeps per sender; 65 s at 1 kHz
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
@@ -28,8 +30,9 @@ class ValueState(NamedTuple):
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     """A fault on some elements of some messages.
 
-    A concrete fault has `after`, which turns healthy values into faulty ones, in the unit of the
-    first target of their quantity (`factors`); with `by_sender` it is told who sent them.
+    A concrete fault has `of`, which turns one healthy value into a faulty one, or `after`, which
+    does so with all values of a frame and may keep a state; with `by_sender` it is told who sent
+    them. Values are in the unit of the first target of their quantity (`factors`).
     """
 
     acts_on: ClassVar[ActsOn] = "fields"
@@ -50,6 +53,17 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         """The state when the fault becomes active."""
         return ValueState(start_us, None)
 
+    @property
+    def by_value(self) -> bool:
+        """Whether `of` says all: each value by itself, without a state."""
+        # A class that has its own `after` means that, whatever it derives from.
+        rules = (vars(kind) for kind in type(self).__mro__ if kind is not ValueFault)
+        return next(("of" in rule for rule in rules if "of" in rule or "after" in rule), False)
+
+    def of(self, healthy: Number, t_s: float) -> Number:
+        """The faulty value of one element, so many seconds after the fault became active."""
+        raise NotImplementedError
+
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[Sequence[Number], Any]:
@@ -68,7 +82,12 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         rng : numpy.random.Generator
             The entry's own stream.
         """
-        raise NotImplementedError
+        return [self.of(x, t_s) for x in before], None
+
+
+def has_room(inner: Any, key: tuple[int, ...]) -> bool:
+    """Whether a rule's state may take up a sender: a peer can make up any number of them."""
+    return not isinstance(inner, dict) or len(inner) < MOST_SENDERS or key in inner
 
 
 def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:

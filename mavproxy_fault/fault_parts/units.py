@@ -5,7 +5,7 @@ The units are those that MAVLink's message definitions give.
 
 from collections.abc import Mapping
 
-from mavproxy_fault.faults.elements import Element
+from mavproxy_fault.fault_parts.elements import Element
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.dialect import known
 

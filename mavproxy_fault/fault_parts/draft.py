@@ -12,8 +12,8 @@ from functools import cache
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.faults.elements import Element, element, fitted
-from mavproxy_fault.faults.fault import Outgoing
+from mavproxy_fault.fault_parts.elements import Element, element, fitted
+from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.wire.dialect import PACKERS, known
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
 
@@ -23,20 +23,28 @@ Change = tuple[float, int, bool]
 
 
 class Draft:
-    """The bytes of a frame under change; their checksum is that of the frame as it came."""
+    """The bytes of a frame under change; their checksum is that of the frame as it came.
 
-    __slots__ = ("_at", "_changed", "_data", "_length", "came", "id", "layout")
+    `floats` is the payload as so many of them; who writes there notes it in `changed`.
+    """
+
+    __slots__ = ("_at", "_data", "_length", "came", "changed", "floats", "id", "layout")
 
     def __init__(self, frame: Frame) -> None:
         self.came = frame
         self.id, self.layout = frame.id, frame.layout
-        self._data = bytearray(frame.raw)
-        self._at, self._length = frame.payload_at, frame.length
-        self._changed = False
+        self.changed = False
+        self._hold(bytearray(frame.raw), frame.payload_at, frame.length)
+
+    def _hold(self, data: bytearray, at: int, length: int) -> None:
+        self._data, self._at, self._length = data, at, length
+        self.floats = memoryview(data)[at : at + (length & ~3)].cast("f")
 
     def values(self, elements: Sequence[Element]) -> list[Number]:
         """The values of some elements; zeros that were cut read as 0."""
         at, data, length = self._at, self._data, self._length
+        if len(elements) == 1 and elements[0].end <= length:  # without the loop
+            return [*PACKERS[elements[0].code].unpack_from(data, at + elements[0].start)]
         found: list[Number] = []
         for _, _, start, end, code in elements:
             if end <= length:
@@ -69,14 +77,14 @@ class Draft:
             differs = step > 0.0 or data[at + start : at + end] != packed
             packer.pack_into(data, at + start, value)
         if differs:
-            self._changed = True
+            self.changed = True
         # NaN and infinity have no size that a label could hold.
         return step if step < INFINITE else -1.0, cut, differs
 
     def _write_several(
         self, elements: Sequence[Element], before: Sequence[Number], after: Sequence[Number]
     ) -> Change:
-        kept = bytes(self._data), self._length, self._changed
+        kept = bytes(self._data), self._length, self.changed
         step, saturated, differs = -1.0, 0, False
         try:
             for one, healthy, value in zip(elements, before, after, strict=True):
@@ -84,7 +92,8 @@ class Draft:
                 step, saturated, differs = max(step, more), saturated + cut, differs or changed
         except Exception:
             # A fault that fails half-way leaves the frame as it was.
-            self._data, self._length, self._changed = bytearray(kept[0]), *kept[1:]
+            self._hold(bytearray(kept[0]), self._at, kept[1])
+            self.changed = kept[2]
             raise
         return step, saturated, differs
 
@@ -92,12 +101,12 @@ class Draft:
         """Write a value into zeros that were cut; whether a byte differs."""
         frame = Frame(bytes(self._data), self.layout)
         patched = frame.patched({(one.name, one.item): value})
-        self._data, self._length = bytearray(patched.raw), patched.length
+        self._hold(bytearray(patched.raw), self._at, patched.length)
         return patched.payload != frame.payload
 
     def sealed(self) -> Frame:
         """The frame with its checksum; the very one that came if nothing has changed."""
-        if not self._changed:
+        if not self.changed:
             return self.came
         data, end = self._data, self._at + self._length
         # The checksum covers all behind the start byte, and then the message's own CRC_EXTRA.
@@ -109,10 +118,12 @@ class Draft:
 
     def sender(self) -> tuple[int, ...]:
         """Who sent it: system, component, message id and instance."""
-        instance = instance_of(self.id)
-        value = self.values(instance)[0] if instance else 0
-        came = self.came
-        return came.system, came.component, self.id, value if isinstance(value, int) else 0
+        came, instance, value = self.came, instance_of(self.id), 0
+        # Usually instance 0, whose zeros were cut.
+        if instance and instance[0].start < self._length:
+            number = self.values(instance)[0]
+            value = number if isinstance(number, int) else 0
+        return came.system, came.component, self.id, value
 
 
 @cache

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.faults import draft
-from mavproxy_fault.faults.draft import Draft
+from mavproxy_fault.fault_parts import draft
+from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.faults.driven import Bias
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.engine import Engine

@@ -1,0 +1,202 @@
+"""Where a step's time goes under a real PX4, and what a simulator that does nothing reaches.
+
+Run by hand: `python benchmarks/autopilot_budget.py PATH/px4 [--turns N]`. Each turn flies
+`examples/px4_hover.yaml` as `run --autopilot px4` does, and then gives a second PX4 the bytes of
+that flight: the same messages at the same steps, so that it arms and flies on the same sensors, but
+from memory and as fast as it answers. Both are measured in hover, from 25 s to 55 s of PX4's time.
+"""
+
+import argparse
+import os
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from analysis.autopilots import autopilot_run
+from analysis.autopilots.px4_program import STARTED, environment, free_udp_port, streams
+from mavproxy_fault import cli
+from simvehicle.app.lockstep_loop import LockstepLoop
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+
+SCENARIO = Path(__file__).parents[1] / "examples" / "px4_hover.yaml"
+FROM_US, TO_US = 25_000_000, 55_000_000  # of PX4's time
+STEP_US = 4_000
+STEPS = (TO_US - FROM_US) // STEP_US
+PORT = 4560
+INSTANCE = 40  # none that a run takes by itself
+ANSWER_S = 5.0
+ABOVE_NS = 1_000 * STEPS  # a thread with less than a microsecond a step is not listed
+
+Spent = dict[tuple[str, str], int]
+
+
+def spent(pid: int) -> Spent:
+    """Nanoseconds that each thread of a process has been running."""
+    found = {}
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(OSError):
+            name = (task / "comm").read_text().strip()
+            found[task.name, name] = int((task / "schedstat").read_text().split()[0])
+    return found
+
+
+def family() -> dict[str, Spent]:
+    """The same for this process and those that it started, by what they are."""
+    found = {"run": spent(os.getpid())}
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
+            if int(parent) == os.getpid():
+                words = (place / "cmdline").read_bytes().split(b"\0")
+                name = "PX4" if words[0].endswith(b"px4") else "monitor"
+                found[name] = found.get(name, {}) | spent(int(place.name))
+    return found
+
+
+class Stretch:
+    """What was spent between two moments; `at` is asked at each step."""
+
+    def __init__(self, count: Callable[[], dict[str, Spent]]) -> None:
+        self._count = count
+        self._marks: list[tuple[int, dict[str, Spent]]] = []
+
+    def at(self, t_us: int) -> None:
+        """Take down what was spent so far, where the stretch begins or ends."""
+        if t_us >= (FROM_US, TO_US, TO_US * TO_US)[len(self._marks)]:
+            self._marks.append((time.perf_counter_ns(), self._count()))
+
+    def tell(self, name: str) -> None:
+        """Print it in microseconds a step."""
+        (from_ns, before), (to_ns, after) = self._marks
+        wall = (to_ns - from_ns) / STEPS / 1e3
+        load = os.getloadavg()[0]
+        print(
+            f"{name}: {wall:.0f} us a step, {STEP_US / wall:.1f} times real time, load {load:.1f}"
+        )
+        for who, threads in after.items():
+            rows = [(now - before.get(who, {}).get(key, 0), key[1]) for key, now in threads.items()]
+            parts = [f"{n} {ns / STEPS / 1e3:.0f}" for ns, n in sorted(rows)[::-1] if ns > ABOVE_NS]
+            total = sum(ns for ns, _ in rows) / STEPS / 1e3
+            print(f"  {who}: {total:.0f} us of processor time; {', '.join(parts)}")
+
+
+class Watched(LockstepLoop):
+    """A loop that is measured, and whose bytes are kept."""
+
+    kept: list[tuple[int, bytes]]  # step and bytes, -1 for what leaves for PX4's own MAVLink
+    stretch: Stretch
+
+    def run(self, until_us: int | None = None) -> None:
+        """Fly as ever."""
+        packer: Any = self._hil
+        self._keep(self._inbox.link, lambda: self.t_us + packer.start_us)
+        self._keep(packer._telemetry, lambda: -1)
+        super().run(until_us)
+
+    def _keep(self, link: Any, step_us: Callable[[], int]) -> None:
+        write = link.write
+
+        def kept(data: bytes) -> None:
+            self.kept.append((step_us(), data))
+            write(data)
+
+        link.write = kept
+
+    def _step(self) -> None:
+        super()._step()
+        self.stretch.at(self.t_us + self._hil.start_us)
+
+
+def fly(binary: str, folder: Path) -> list[tuple[int, bytes]]:
+    """A flight as a user has it; the bytes that left for PX4."""
+    Watched.kept, Watched.stretch = [], Stretch(family)
+    autopilot_run.LockstepLoop = Watched
+    cli.main([
+        "run", str(SCENARIO), "--autopilot", "px4", "--binary", binary,
+        "--out", str(folder / "flight"), "--no-report",
+    ])  # fmt: skip
+    Watched.stretch.tell("flight")
+    return Watched.kept
+
+
+@contextmanager
+def px4(binary: str, place: Path, ports: tuple[int, int]) -> Iterator["subprocess.Popen[bytes]"]:
+    """PX4 as a run starts it, its own MAVLink between two UDP ports."""
+    place.mkdir()
+    (place / "px4-rc.mavlink").write_text(streams(*ports))
+    words = [binary, "-d", str(Path(binary).parents[1] / "etc"), "-w", str(place)]
+    with (place / "px4.log").open("wb") as log:
+        process = subprocess.Popen(
+            [*words, "-i", str(INSTANCE)],
+            env=environment(Simulation(read_scenario(SCENARIO)), place, {}),
+            cwd=place, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+        )  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
+    """The same bytes to another PX4, from memory."""
+    place = folder / "replayed"
+    with (
+        socket.create_server(("127.0.0.1", PORT + INSTANCE)) as server,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as telemetry,
+    ):
+        telemetry.bind(("127.0.0.1", 0))
+        port = free_udp_port()
+        with px4(binary, place, (port, telemetry.getsockname()[1])) as process:
+            link = server.accept()[0]
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            stretch = Stretch(lambda: {"PX4": spent(process.pid), "simulator": spent(os.getpid())})
+            answering = started = False
+            with link, autopilot_run.ahead_of_logs():
+                for step_us, data in kept:
+                    if step_us < 0:
+                        telemetry.sendto(data, ("127.0.0.1", port))
+                        continue
+                    link.sendall(data)
+                    answering = answered(link, step_us, ANSWER_S if answering else 0.004)
+                    stretch.at(step_us)
+                    # PX4's logger is started by the last lines of its start script.
+                    if answering and not started and step_us % 100_000 == 0:
+                        time.sleep(0.02)
+                        started = STARTED in (place / "px4.log").read_text(errors="replace")
+            stretch.tell("its bytes from memory")
+
+
+def answered(link: socket.socket, step_us: int, wait_s: float) -> bool:
+    """Whether PX4 answers a step in time."""
+    stamp = step_us.to_bytes(8, "little")
+    if link.gettimeout() != wait_s:
+        link.settimeout(wait_s)
+    try:
+        while stamp not in link.recv(65_536):
+            pass
+    except TimeoutError:
+        return False
+    return True
+
+
+def main() -> None:
+    """Fly and replay in turns."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("px4")
+    parser.add_argument("--turns", type=int, default=1)
+    args = parser.parse_args()
+    for _ in range(args.turns):
+        with tempfile.TemporaryDirectory() as folder:
+            kept = fly(args.px4, Path(folder))
+            replay(args.px4, Path(folder), kept)
+
+
+if __name__ == "__main__":
+    main()
