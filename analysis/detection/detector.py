@@ -265,6 +265,7 @@ def _forgotten(core: Core) -> Core:
         leapt_m=None,
         carried=None,
         unbounded=False,
+        led=False,
     )
 
 
@@ -278,13 +279,13 @@ def _fed_us(core: Core) -> int:
 
 def _interrupted(core: Core, gap_us: int, config: DetectorConfig) -> Core:
     """The core after a gap too long to bridge: its place and its exclusions are still known."""
-    excluded, leapt_m, unbounded = {}, None, False
+    excluded, leapt_m, unbounded, led = {}, None, False, False
     if gap_us <= config.sigma.slow_s * 1e6:  # what is wrong with a satellite lasts about so long
-        leapt_m, unbounded = core.leapt_m, core.unbounded
+        leapt_m, unbounded, led = core.leapt_m, core.unbounded, core.led
         excluded = {
             name: replace(entry, healthy_since_us=None) for name, entry in core.excluded.items()
         }
-    known = _forgotten(core)._replace(leapt_m=leapt_m, unbounded=unbounded)
+    known = _forgotten(core)._replace(leapt_m=leapt_m, unbounded=unbounded, led=led)
     return known._replace(excluded=excluded, before=core.motion)
 
 

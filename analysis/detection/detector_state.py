@@ -56,7 +56,8 @@ class Core(Value, frozen=True):
     last one ("ranges", "rates" or nothing). `ranges_us` is when raw ranges were last usable,
     `frozen` what is subtracted from them; `gps_source`, `last_fix`, `latency` and `repeats` serve
     when there are none, `carry` are the windows that look for one that is carried off, `carried` is
-    how one left out was moved, and `unbounded` says that the filter may follow a lying receiver.
+    how one left out was moved, and `unbounded` says that the filter may follow a lying receiver,
+    `led` that it follows satellites which were found to lie all together.
     `spacing_us` is the time between epochs (0: not known), `gap_us` the newest that was another;
     `before` is the filter as it was before a gap too long; `misfit` is how the ranges have fitted
     for the last minute;
@@ -87,6 +88,7 @@ class Core(Value, frozen=True):
     carry: Carry | None = None
     carried: Carried | None = None
     unbounded: bool = False
+    led: bool = False
     spacing_us: int = 0
     gap_us: int = 0
     before: Motion | None = None

@@ -232,7 +232,8 @@ def _concluded(
     verdicts = (judged.rates.hypothesis, tested.hypothesis, slow.hypothesis if slow else "none")
     # Without an inertial prediction its failure is a manoeuvre, not a fault of the IMU.
     imu_blamed = before.inertial and "imu" in verdicts
-    undecided = imu_blamed and judged.accused == UNDECIDED
+    # Who is known to have been led away, and is followed all the same, does not accuse the IMU.
+    undecided = imu_blamed and (core.led or judged.accused == UNDECIDED)
     told_apart = imu_blamed and not undecided  # then it was the IMU before, too
     if imu_blamed and moved.inertial:
         moved = free_position(moved)
@@ -291,6 +292,7 @@ def _given_up(core: Core, t_us: int, config: DetectorConfig) -> Core:
         distrusted="",
         carried=None,
         unbounded=lying,
+        led=core.led or core.distrusted != "",
     )
 
 

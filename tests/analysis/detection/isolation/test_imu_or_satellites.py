@@ -94,6 +94,20 @@ def test_satellites_that_were_led_away_for_a_while_are_used_again(
     assert errors[-1] < 1.5
 
 
+@pytest.mark.parametrize("speed_mps", [0.4, 0.5])
+def test_the_end_of_a_drag_that_was_followed_for_want_of_better_is_not_the_imu(
+    speed_mps: float, flights: Flights
+) -> None:
+    def away(t_s: float) -> tuple[float, float]:
+        since_s = t_s - FROM_S
+        return (speed_mps * since_s, speed_mps) if 0.0 <= since_s < 18.0 else (0.0, 0.0)
+
+    # Long enough to be given up; it ends in less than the leap that no IMU makes.
+    decisions, _, _ = told(flights(FLOWN_S + 5.0, 2, away=away))
+    assert "imu" not in {d.hypothesis for d in decisions}
+    assert decisions[-1].position_sigma_m is None
+
+
 @pytest.mark.parametrize(("gyro_rps", "accel_mps2"), [(0.1, 0.0), (0.0, 1.0), (0.0, 8.0)])
 def test_a_wrong_imu_is_still_the_imu(gyro_rps: float, accel_mps2: float, flights: Flights) -> None:
     decisions, errors, imu = told(faulty(flights(FLOWN_S, 4), gyro_rps, accel_mps2))
