@@ -25,8 +25,9 @@ from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.program import Program, Start, Unhurried
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
+from analysis.run.idle import tell_idle
 from analysis.run.proxied_flight import GROUND, Flight, session
-from analysis.run.run_command import EXIT_CODES, report, tell_idle
+from analysis.run.run_command import EXIT_CODES, report
 from analysis.run.setup import Setup, setup_of
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary

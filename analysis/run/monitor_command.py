@@ -22,6 +22,7 @@ from analysis.recordings.receiver_logs import is_receiver_log
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
+from analysis.run.idle import tell_idle
 from analysis.run.run_progress import RunProgress
 from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
@@ -34,7 +35,7 @@ from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.schedule.entries import never_acted, read_schedule
+from mavproxy_fault.schedule.entries import read_schedule
 from mavproxy_fault.wire.label import Label, newest, read_labels
 
 PART_ROWS = 500  # of a recording at once: a stop is looked for between two
@@ -93,8 +94,7 @@ def main(args: argparse.Namespace) -> int:
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
     tell_condition(summary, condition)
     if injected is not None:
-        faults = read_schedule(args.schedule)
-        summary["never_acted"] = never_acted(faults, {label.id for label in injected})
+        tell_idle(summary, read_schedule(args.schedule), injected)
     if reference is not None:
         summary["integrity"] = integrity.summary()
     if folder is not None:

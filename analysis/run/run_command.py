@@ -14,6 +14,7 @@ from analysis.report.recordings.recording import Recording, Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
 from analysis.run.clean_twin import FOLDER, start_twin
+from analysis.run.idle import tell_idle
 from analysis.run.proxied_flight import Flight, session
 from analysis.run.run_progress import RunProgress
 from analysis.run.setup import setup_of
@@ -26,8 +27,7 @@ from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live.journal import JOIN, Journal, read_edits, told_edits
 from mavproxy_fault.live.session import Live
-from mavproxy_fault.schedule.entries import Schedule, never_acted
-from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import Columns, read_columns
 from simvehicle.app.battery_watch import BatteryWatch
 from simvehicle.app.pace import Pace, parse_speed
@@ -92,13 +92,6 @@ def main(args: argparse.Namespace) -> int:
         report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
-
-
-def tell_idle(summary: dict[str, Any], schedule: Schedule, labels: Sequence[Label]) -> None:
-    """Put into a summary what of a schedule met nothing; where all of it did nothing was tested."""
-    summary["never_acted"] = never_acted(schedule, {label.id for label in labels})
-    if schedule.faults and not labels and summary["verdict"] == "PASS":
-        summary["verdict"] = "NO VERDICT"
 
 
 def fly(

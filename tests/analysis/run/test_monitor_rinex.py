@@ -115,6 +115,15 @@ def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
     assert (out / "labels.jsonl").is_file()
 
 
+def test_a_recording_in_which_no_fault_acted_tests_nothing(shared_data, tmp_path):
+    data, faults, out = shared_data / "gnss_static", tmp_path / "faults.yaml", tmp_path / "run"
+    faults.write_text("faults:\n  - {id: x, fault: bias, target: PSEUDORANGE.G31, value: 50}\n")
+    files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
+    given = ["--schedule", str(faults), "--zenoh", "off", "--out", str(out)]
+    assert main(["monitor", "--rinex", *files, *given]) == 0
+    assert json.loads((out / "summary.json").read_text())["verdict"] == "NO VERDICT"
+
+
 def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, capsys):
     code = main(["monitor", "--log", "flight.tlog", "--schedule", "faults.yaml"])
     assert code == 2

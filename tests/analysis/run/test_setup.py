@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.run.run_command import tell_idle
+from analysis.run.idle import tell_idle
 from analysis.run.setup import read_setup
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
