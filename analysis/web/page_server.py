@@ -21,7 +21,7 @@ from analysis.web.routes import Page
 from analysis.web.run_source import Source
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import with_port
+from mavproxy_fault.links.bus import DEFAULT_URL, with_port
 
 USUAL_PORT = 8350
 LARGEST_WISH = 16_384  # bytes that a viewer may say at once
@@ -161,12 +161,11 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
     """
     if args.zenoh == "off":
         raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
-    if args.zenoh != "auto":
-        # Without a port the address would be another than the proxy's.
-        args.zenoh = with_port(args.zenoh)
-    router = None if args.zenoh == "auto" else args.zenoh
+    # By name, as a run may do without the default address, but the page shows nothing then. Without
+    # a port the address would be another than the proxy's.
+    args.zenoh = DEFAULT_URL if args.zenoh == "auto" else with_port(args.zenoh)
     # What flies here is simulated: it may be commanded.
-    with serve(router, config_file=args.zenoh_config, offer=Offer(commands=True)) as address:
+    with serve(args.zenoh, config_file=args.zenoh_config, offer=Offer(commands=True)) as address:
         print(f"page: {address}", flush=True)
         yield
 
