@@ -33,11 +33,11 @@ from analysis.run.stop import Stop, stop_requests
 from analysis.run.terminal import print_summary
 from analysis.run.worker import MonitorProcess
 from analysis.scoring.criteria import Check
-from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
-from mavproxy_fault.live.journal import JOIN, Journal
+from mavproxy_fault.live.journal import JOIN, Journal, read_edits, told_edits
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.schedule.saving import as_yaml
@@ -138,6 +138,7 @@ def main(args: argparse.Namespace) -> int:
     if reason:
         tell_early_end(summary, reason)
     summary["autopilot"] = flown.account(reason)
+    summary["edited"] = flown.edited(folder)
     write_summary(folder, summary)
     if args.report:
         report(folder, summary, columns)
@@ -215,7 +216,7 @@ class AutopilotRun:
         self._passage = new_passage(self.flight.core, self.flight.tape)
         self._unhurried = Unhurried()
         self._recorded_us = self._operator_us = 0
-        self._scheduled = False
+        self._loaded: str | None = None  # the schedule as it began
         self._progress = Progress(time.monotonic())
         self._phase = ""
         self._onlookers: Onlookers | None = None
@@ -284,6 +285,11 @@ class AutopilotRun:
             "texts": [[round(t_us * 1e-6, 3), text] for t_us, text in operator.texts],
         }
 
+    def edited(self, folder: Path) -> list[str]:
+        """What was asked live, for people; not that the schedule began."""
+        edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
+        return told_edits(edits, self.flight.core.clock.t0_us or 0)
+
     def _hear(self, sends: list[Send]) -> None:
         for send in sends:
             if send.link == GROUND and not of_lockstep(send.data):
@@ -310,7 +316,7 @@ class AutopilotRun:
             # Before the first stamp there is no time.
             started = self._start.over
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
-        if not self._scheduled and self._count_from in self._operator.moments_us:
+        if self._loaded is None and self._count_from in self._operator.moments_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
@@ -326,13 +332,13 @@ class AutopilotRun:
 
     def _begin_schedule(self, t_us: int) -> None:
         """Load the schedule, its times counted from now; the journal lets a replay do the same."""
-        self._scheduled = True
         # The schedule counts from the first stamp; this moment lies so much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [
             (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
         ]
-        text = as_yaml(self._schedule.seed, entries).encode()
+        self._loaded = as_yaml(self._schedule.seed, entries)
+        text = self._loaded.encode()
         at_us = self._journal.begin(self.flight.now_us)
         self.flight.control.answer(LOAD, text, at_us)
         self._journal.note(LOAD, text, at_us)

@@ -237,6 +237,11 @@ def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4):
     (label,) = read_labels(tmp_path / "out" / "labels.jsonl")
     assert label.id == "live"
     assert label.frames > 0
+    # What others asked for is told, and that the schedule began is not.
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    (line,) = summary["edited"]
+    assert " s fault/live/arm {" in line
+    assert "edited live" in said
 
 
 def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(tmp_path, recorded_px4):
