@@ -98,9 +98,9 @@ class Core(Value, frozen=True):
     watched: Watched = Watched()
 
 
-class Record(Value, frozen=True):
+class Record(Value, frozen=True, eq=False):
     """A snapshot of one epoch, for a replay: the core before it, what was observed, and what the
-    IMU gave until then."""
+    IMU gave until then. Itself alone is its equal: what was reckoned of it is kept by it."""
 
     t_us: int
     core: Core

@@ -17,6 +17,7 @@ They stay out for as long as they are nearer to where they had led it than to th
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -73,6 +74,14 @@ class Moment(NamedTuple):
     dt_s: float
     used: Modelled
     part: Segment
+
+
+class Tells(NamedTuple):
+    """A moment with north, east and down (3, 3) there, and its ranges and rates as a fix."""
+
+    moment: Moment
+    axes: Vector
+    fix: Fitted | None
 
 
 class Blame(NamedTuple):
@@ -174,14 +183,13 @@ def led_slowly(
 
 def _asked(past: Sequence[Record], now: Moment, config: DetectorConfig) -> Asked | None:
     """The last seconds once more; None where they are too few or tell too little."""
-    moments = [*_moments(past, now.motion.t_us, config), now]
-    if len(moments) < FEWEST:
+    told = [*_told(past, now.motion.t_us, config), _tells(now)]
+    if len(told) < FEWEST:
         return None
+    moments = [tells.moment for tells in told]
     carry, fix = new_carry(moments[0].motion.t_us, WITH_TURNS), None
-    for moment in moments:
+    for moment, axes, fix in told:
         motion = moment.motion
-        axes = _axes(motion)
-        fix = _as_fix(moment, axes)
         if fix is None:
             return None
         carry = extended(carry, motion.t_us, moment.dt_s, moment.phi, axes, fix)
@@ -197,24 +205,38 @@ def _was_wrong(past: Sequence[Record]) -> bool:
     return any(core.imu_bad_until_us is not None and not core.unbounded for core in cores)
 
 
-def _moments(past: Sequence[Record], until_us: int, config: DetectorConfig) -> list[Moment]:
+def _told(past: Sequence[Record], until_us: int, config: DetectorConfig) -> list[Tells]:
     """The last seconds, as far back as the IMU moved the filter without a break."""
-    found: list[Moment] = []
+    found: list[Tells] = []
     for record in reversed(past):
-        core, before = record.core, record.core.motion
-        if record.t_us < until_us - SPAN_US or before is None or not before.inertial:
+        tells = None if record.t_us < until_us - SPAN_US else _remembered(record, config)
+        if tells is None:
             break
-        part = record.part
-        motion, phi = advance(before, part, record.t_us, config)
-        if not motion.inertial:
-            break
-        names = record.observed.satellites
-        trusted = np.array([name not in core.excluded for name in names], dtype=bool)
-        offset_m = frozen_m(core, names, record.t_us, config)
-        sight = see(record.observed, trusted, offset_m, motion, core.ionosphere, config)
-        dt_s = (record.t_us - before.t_us) * 1e-6
-        found.append(Moment(motion, phi, dt_s, sight.used, part))
+        found.append(tells)
     return found[::-1]
+
+
+@lru_cache(maxsize=256)  # asked at one epoch, it is asked at the next ones too
+def _remembered(record: Record, config: DetectorConfig) -> Tells | None:
+    """An epoch once more; None where the IMU did not move the filter."""
+    core, before = record.core, record.core.motion
+    if before is None or not before.inertial:
+        return None
+    part = record.part
+    motion, phi = advance(before, part, record.t_us, config)
+    if not motion.inertial:
+        return None
+    names = record.observed.satellites
+    trusted = np.array([name not in core.excluded for name in names], dtype=bool)
+    offset_m = frozen_m(core, names, record.t_us, config)
+    sight = see(record.observed, trusted, offset_m, motion, core.ionosphere, config)
+    dt_s = (record.t_us - before.t_us) * 1e-6
+    return _tells(Moment(motion, phi, dt_s, sight.used, part))
+
+
+def _tells(moment: Moment) -> Tells:
+    axes = _axes(moment.motion)
+    return Tells(moment, axes, _as_fix(moment, axes))
 
 
 def _axes(motion: Motion) -> Vector:
