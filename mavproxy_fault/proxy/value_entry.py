@@ -58,8 +58,8 @@ class RunningValueFault(Running):
                         1.0, healthy
                     )
                 else:
-                    found = draft.write(self._elements[draft.id], [healthy], [value])
-                    step, cut, differs = found
+                    elements = self._elements[draft.id]
+                    step, cut, differs = draft.write(elements, [healthy], [value])
             else:
                 step, cut, differs = self._edit(draft, direction, t_us)
         except Exception as error:  # others write faults too: theirs must not end the forwarding

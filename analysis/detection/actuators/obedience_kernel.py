@@ -180,10 +180,8 @@ def _compare_outputs(
     if not kept.counts[FLIES]:
         settle(kept.trim)
         return
-    dt_s, off = (
-        kept.rhythm[INTERVAL_US] * 1e-6,
-        kept.outputs.gone.any() or kept.outputs.parked.any(),
-    )
+    dt_s = kept.rhythm[INTERVAL_US] * 1e-6
+    off = kept.outputs.gone.any() or kept.outputs.parked.any()
     if not dt_s >= SELDOM_US * 1e-6 or off or kept.counts[IRREGULAR] > 0:
         return
     who = compare_outputs(outputs[:COMMANDS], dt_s, kept.outputs, kept.trim)

@@ -29,6 +29,7 @@ from analysis.detection.sensors.turn_kernel import (
     SIZE,
     STEP_US,
 )
+from analysis.detection.sensors.turn_watch import turned_apart
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import IMU, IMU_ID, MAG, Block
 from analysis.samples.sample import Vector
@@ -222,13 +223,7 @@ class MeanTurnWatch:
 
 
 def _result(t_us: int, who: int, off_rad: float) -> SensorDecision:
-    degrees = f"{np.degrees(off_rad):.0f} degrees"
     if who == FIELD:
-        return pattern_alarm(t_us, "mag", f"the field jumped by {degrees}, the gyro did not turn")
-    return pattern_alarm(
-        t_us,
-        "imu",
-        f"compass and gyro turned {degrees} apart in {CELLS} s",
-        suspect="imu-or-mag" if who == EITHER else "",
-        isolated=who == RATES,
-    )
+        reason = f"the field jumped by {np.degrees(off_rad):.0f} degrees, the gyro did not turn"
+        return pattern_alarm(t_us, "mag", reason)
+    return turned_apart(t_us, who, off_rad, CELLS)

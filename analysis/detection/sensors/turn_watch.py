@@ -31,16 +31,17 @@ class TurnWatch:
         """
         who, off = follow(block.kind, block.t_us, block.values, state)
         return [
-            (row, _result(int(block.t_us[row]), int(who[row]), float(off[row])))
+            (row, turned_apart(int(block.t_us[row]), int(who[row]), float(off[row]), 4))
             for row in np.flatnonzero(who).tolist()
         ], state
 
 
-def _result(t_us: int, who: int, off_rad: float) -> SensorDecision:
+def turned_apart(t_us: int, who: int, off_rad: float, for_s: int) -> SensorDecision:
+    """The alarm, by who is at fault and how far they turned apart in so many seconds."""
     return pattern_alarm(
         t_us,
         SENSOR_OF[who],
-        f"compass and gyro turned {np.degrees(off_rad):.0f} degrees apart in 4 s",
+        f"compass and gyro turned {np.degrees(off_rad):.0f} degrees apart in {for_s} s",
         suspect=SUSPECT_OF[who],
         isolated=who != EITHER,
     )
