@@ -1,4 +1,5 @@
 import contextlib
+import resource
 import select
 import selectors
 import socket
@@ -69,6 +70,29 @@ def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog
         peers[0].close()
         read_until(server, lambda _: server.peer_count < MOST_PEERS)
         opened.enter_context(connect(server))
+
+
+def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
+    server: TcpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with socket.create_connection(("127.0.0.1", server.port), timeout=5) as peer:
+        # Below what is held: the reserve that is closed for the peer's sake cannot be had again.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+        try:
+            for _ in range(3):
+                server.read()
+                assert not select.select(server.filenos(), (), (), 0)[0], "the loop spins"
+                now_s[0] += tcp.REST_S
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        server.read()
+        assert server.peer_count == 1
+        server.write(b"word")
+        assert peer.recv(9) == b"word"
+    assert caplog.text.count("no descriptor for a further peer") == 1
 
 
 def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
