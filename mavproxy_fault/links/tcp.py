@@ -8,6 +8,7 @@ import errno
 import logging
 import socket
 import time
+from collections.abc import Sequence
 
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
@@ -19,6 +20,7 @@ RECONNECT_S = 0.5
 LOOK_S = 0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
 REST_S = 0.5  # for which nobody is let in where there are no descriptors at all
 SILENT_S = 60  # after which a connection is asked whether the other side still lives
+TOGETHER = 1 << 16  # bytes at most that are kept, or dropped, as a whole
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
@@ -174,6 +176,16 @@ class TcpServer:
             self.counters.drops += 1
         for _, stream, _ in self._peers.values():
             stream.write(data)
+
+    def write_all(self, chunks: Sequence[bytes]) -> None:
+        """Send several chunks to every peer, with one system call for each peer."""
+        data = b"".join(chunks)
+        if not self._peers or len(data) > TOGETHER:
+            for chunk in chunks:
+                self.write(chunk)
+            return
+        for _, stream, _ in self._peers.values():
+            stream.write(data, len(chunks))
 
     def close(self) -> None:
         """Close the listener and all connections."""

@@ -117,6 +117,21 @@ def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: T
     assert bytes(received) == chunk * (sent - 5)
 
 
+def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpServer) -> None:
+    chunks = [b"one", b"two", b"three"]
+    server.write_all(chunks)
+    assert server.counters.drops == 3
+    with connect(server) as one, connect(server) as two:
+        server.write_all(chunks)
+        assert one.recv(99) == two.recv(99) == b"onetwothree"
+        assert server.counters.chunks_out == 6
+        # What would be dropped as a whole if it did not fit goes one by one.
+        large = [bytes(tcp.TOGETHER)] * (QUEUE_LIMIT // tcp.TOGETHER * 100)
+        server.write_all(large)
+        assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.TOGETHER
+        assert 3 < server.counters.drops < 3 + 2 * len(large)
+
+
 def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tcp, "RECONNECT_S", 0.0)
     with socket.create_server(("127.0.0.1", 0)) as place:
