@@ -9,6 +9,7 @@ import pytest
 
 from mavproxy_fault.cli import main
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PROXY = ("proxy", "--zenoh", "off", "--to", "udpout:127.0.0.1:9", "--master")
 
 
@@ -80,3 +81,22 @@ def test_a_misspelt_command_is_answered_with_the_nearest(
 ) -> None:
     assert main(("injct", "bias")) == 2
     assert capsys.readouterr().err == "mavproxy-fault: injct: is no command; did you mean inject?\n"
+
+
+@pytest.mark.parametrize(
+    "words", [("run", "--zenoh", "off", "--gcs", "off"), ("report", "."), ("search", "test.yaml")]
+)
+def test_a_system_without_semaphores_is_told_in_a_line(
+    words: tuple[str, ...],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("multiprocessing.synchronize._multiprocessing.SemLock", refused)
+    (folder / "test.yaml").write_text((EXAMPLES / "gyro_search.yaml").read_text())
+    workers = ("--workers", "2") if words[0] == "search" else ()
+    assert main([*words, *workers, "--out", "out"]) == 2
+    assert "/dev/shm must exist and be writable" in capsys.readouterr().err

@@ -5,7 +5,6 @@ monitor compiles its kernels, and the monitor catches up.
 """
 
 import contextlib
-import multiprocessing
 import queue
 import signal
 from collections.abc import Iterator, Sequence
@@ -15,6 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig
+from analysis.processes import spawning
 from analysis.results import Result
 from analysis.run import rehearsal
 from analysis.scoring.criteria import Criteria
@@ -69,8 +69,7 @@ class MonitorProcess:
     """
 
     def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
-        # A fork would copy threads' locks as they stand.
-        context = multiprocessing.get_context("spawn")
+        context = spawning()
         self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
         self._answers, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
