@@ -1,6 +1,7 @@
 """What a user gets wrong on the command line is told in a line, with exit code 2."""
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -74,6 +75,14 @@ def test_names_beyond_the_letters_of_the_terminal_are_escaped(folder: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     assert rb"\U0001f600" in done.stdout
+
+
+def test_the_page_tells_who_holds_its_port(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(("ui", "--port", str(port))) == 2
+    held = f"port {port} is held by"
+    assert f"--port {port}: Address already in use ({held}" in capsys.readouterr().err
 
 
 def test_a_misspelt_command_is_answered_with_the_nearest(

@@ -148,6 +148,7 @@ def main() -> int:
     if subprocess.run([*NOBODY, args.python, "-c", ""], capture_output=True, cwd="/").returncode:
         parser.error(f"--python {args.python}: another user cannot run it; give /usr/bin/python3")
     folder = args.folder or Path(tempfile.mkdtemp(prefix="mavproxy-fault-wheel-"))
+    folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o755)
     wheel = args.wheel or build(folder / "one")
     if args.twice:
