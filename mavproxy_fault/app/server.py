@@ -299,6 +299,9 @@ class Server:
     def _keep_time(self) -> None:
         due_us = self.core.next_due_us
         if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+            # The rest of a frame may wait in the kernel if this process was late.
+            for number in self.core.owing(now_us + AHEAD_US):
+                self._serve(number)
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
             due_ns = due_us * 1000 - self._base_ns

@@ -172,6 +172,24 @@ def test_what_comes_together_leaves_together_to_peers_of_a_server(
     outlet.close()
 
 
+@pytest.mark.parametrize("turn", ["_step", "_keep_time"])
+def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_bytes(
+    turn: str,
+) -> None:
+    master, outlet = TcpServer("127.0.0.1", 0), TcpServer("127.0.0.1", 0)
+    running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
+    with socket.create_connection(address(master)) as vehicle:
+        vehicle.sendall(sensor(0)[:30])
+        while not running.core._patience:
+            running._step()
+        vehicle.sendall(sensor(0)[30:])
+        running._base_ns += 2 * 10**9  # so long the process was not looked after
+        getattr(running, turn)()
+    assert (running.core.states[0].frames, running.core.states[0].junk) == (1, 0)
+    master.close()
+    outlet.close()
+
+
 def test_a_delayed_frame_leaves_by_itself() -> None:
     schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.02}]"
     master = open_link("udpin:127.0.0.1:0")
