@@ -52,7 +52,8 @@ STUCK = 0.4  # share of its moves that are missing, of one that is stuck since s
 # r of who is suspected, and g^2 over its variance; what it may leave of each degree of freedom, or
 # which share; how far it is ahead of the next, in what it leaves, and the least of that
 EXPLAINS, SURE, FITS, FITS_SHARE, AHEAD, QUIET = 30.0, 14.0, 3.0, 0.15, 12.0, 0.25
-KNOWN = 20.0  # half seconds that V is learnt from before anybody is suspected
+# Half seconds that V is learnt from before anybody is suspected, and of an unknown vehicle
+KNOWN, UNKNOWN_KNOWN = 20.0, 60.0
 LEAST = 2.5  # half seconds
 MOST = 1.25  # g of an actuator
 JUMPS = 150.0  # what is left of one half second after what explained those before: something new
@@ -196,6 +197,7 @@ def _signal(i: int, seen: Vector, learnt: Learnt) -> Vector:
 @compiled
 def _weigh(learnt: Learnt, kept: Following) -> None:
     """What each hypothesis explains, and who it is."""
+    kept.who[:] = NOBODY
     information = inverse(_usual(learnt, kept))
     steady = apply(information, kept.error) / WANDERS
     total = kept.square[0] + (kept.error * steady).sum()
@@ -218,7 +220,9 @@ def _weigh(learnt: Learnt, kept: Following) -> None:
                 continue
         kept.explained[i], kept.shares[i] = explained, shared / own
         kept.sure[i] = kept.shares[i] ** 2 / (1.0 / own + _doubt(i, learnt, kept))
-    _decide(total, kept)
+    known = KNOWN if learnt.counts[UNKNOWN] == 0 else UNKNOWN_KNOWN
+    if kept.learnt[0] >= known and kept.weight[0] >= LEAST:
+        _decide(total, kept)
 
 
 @compiled
@@ -234,9 +238,6 @@ def _possible(i: int, learnt: Learnt) -> bool:
 @compiled
 def _decide(total: float, kept: Following) -> None:
     """Who explains it best of a total of sum e' inv(V) e, and who as well."""
-    kept.who[:] = NOBODY
-    if kept.learnt[0] < KNOWN or kept.weight[0] < LEAST:
-        return
     first = int(np.argmax(kept.explained))
     best = kept.explained[first]
     left = max(0.0, total - best) / (AXES * kept.weight[0])
@@ -250,11 +251,12 @@ def _decide(total: float, kept: Following) -> None:
             following = kept.explained[i]
             if best - following < AHEAD * max(QUIET, left):
                 kept.who[1] = i
-    if first >= COMMANDS and kept.who[1] != NOBODY:
-        # Of an actuator and what is none it may be the actuator.
+    if kept.who[1] == PITOT or first == PITOT:
+        # Noise of the airspeed scales what surfaces do: it proves nothing against them.
+        kept.who[0], kept.who[1] = PITOT, NOBODY
+    elif first == LOAD and kept.who[1] != NOBODY:
+        # Of an actuator and a load it may be the actuator.
         kept.who[0], kept.who[1] = kept.who[1], first
-        if kept.who[0] >= COMMANDS:
-            kept.who[1] = NOBODY
 
 
 @compiled
