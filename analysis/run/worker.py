@@ -7,11 +7,8 @@ bytes have it loaded, before an autopilot needs both cores.
 
 import contextlib
 import gc
-import multiprocessing
 import queue
 import signal
-import sys
-import threading
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
@@ -19,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig
+from analysis.processes import forking, spawning
 from analysis.results import Result
 from analysis.run import rehearsal
 from analysis.scoring.criteria import Criteria
@@ -68,13 +66,6 @@ def _without(*signals: signal.Signals) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _context() -> Any:
-    """A fork has all modules at once, which takes half a second otherwise; but it would copy other
-    threads' locks as they stand, and only Linux does it soundly."""
-    alone = sys.platform == "linux" and threading.active_count() == 1
-    return multiprocessing.get_context("fork" if alone else "spawn")
-
-
 class MonitorProcess:
     """A monitor to feed; it works on what it was given while the caller makes more.
 
@@ -82,7 +73,7 @@ class MonitorProcess:
     """
 
     def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
-        context = _context()
+        context = forking() or spawning()
         self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
         self._answers, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
