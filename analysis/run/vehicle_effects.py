@@ -14,6 +14,7 @@ from analysis.detection.actuators.effects import (
     AIRSPEED,
     ANGULAR,
     COMMANDS,
+    CONSTANT,
     FORCE,
     FORWARD,
     IN_AIR,
@@ -59,22 +60,37 @@ class _Held:
         self.trim = self._trim(names)
 
     def motion(self, commands: Array, change: Array) -> Array:
-        """Angular acceleration and specific force (6,) for commands (n,), with the body's state
-        changed by `change` (13,)."""
+        """Angular acceleration and specific force (6,) that commands (n,) lead to, with the body's
+        state changed by `change` (13,)."""
+        motion: Array = self._motions(commands, change)[-1]
+        return motion
+
+    def lag_s(self, number: int) -> float:
+        """How long a command's effect lasts to come: the mean delay of a step."""
+        step, still = 0.0 * self.trim, np.zeros(RIGID)
+        step[number] = COMMAND_STEP
+        rise = self._motions(self.trim + step, still) - self._motions(self.trim - step, still)
+        whole = float(rise[-1] @ rise[-1])
+        if whole == 0.0:  # a rudder that is not there
+            return 0.0
+        return float((1.0 - rise @ rise[-1] / whole).sum() * STEP_S)
+
+    def _motions(self, commands: Array, change: Array) -> Array:
+        """The motion after each step (STEPS, 6) since the commands came."""
         state = self._state.copy()
         held = state[:RIGID] + change
-        after = state
-        for _ in range(STEPS):
+        motions = np.empty((STEPS, BODY_AXES))
+        for row in motions:
             state[:RIGID] = held
-            after, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
-            state = after.copy()
-        turned = (after[P:RIGID] - held[P:RIGID]) / STEP_S
-        return np.concatenate([turned, load[:3]])
+            state, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
+            row[:ANGULAR] = (state[P:RIGID] - held[P:RIGID]) / STEP_S
+            row[ANGULAR:] = load[:3]
+        return motions
 
     def _trim(self, names: list[str]) -> Array:
         """Commands (n,) of steady flight: surfaces in the middle, motors that carry the weight up
         or the drag forward."""
-        motors = np.array([name == "throttle" or name.startswith("motor") for name in names])
+        motors = 1.0 - _surfaces(names)
         axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
         q = self._state[E0 : E0 + 4]
         carried_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
@@ -104,8 +120,10 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         )
 
     coefficients, mix = np.zeros((BODY_AXES, TERMS)), np.zeros((COMMANDS, COMMANDS))
+    lags_s = np.zeros(COMMANDS)
     for i, name in enumerate(names[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
+        lags_s[i] = held.lag_s(i)
         channels = [pair for pair in CHANNELS_OF.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
@@ -116,10 +134,22 @@ def vehicle_effects(scenario: Scenario) -> Effects:
     # Of the force across, which tells the air's angle and no actuator, there is no axis.
     rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
     coefficients, air = coefficients[rows], air[rows]
+    powers, cruise_mps = np.zeros(TERMS), np.inf
     if coefficients[FORWARD, FORCE:].any():  # wings
         coefficients[IN_AIR, AIRSPEED], air[IN_AIR, 0] = air[FORWARD, 0], 0.0
+        cruise_mps = vehicle.parameters.cruise_mps
+        powers[CONSTANT] = 2.0
+        powers[OUTPUT : OUTPUT + len(names)] = 2.0 * _surfaces(names)
+        powers[RATE:FORCE] = 1.0
+        air[:ANGULAR, 0] = 0.0  # as the powers say it
     # Actuators have their names from their kind, `motor 1` or `elevator`.
-    return Effects(tuple(names[:COMMANDS]), mix, coefficients, air)
+    return Effects(tuple(names[:COMMANDS]), mix, coefficients, air, lags_s, powers, cruise_mps)
+
+
+def _surfaces(names: list[str]) -> Array:
+    """1 for each actuator that is no motor (n,)."""
+    motors = [name == "throttle" or name.startswith("motor") for name in names]
+    return np.array([0.0 if motor else 1.0 for motor in motors])
 
 
 def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float) -> Array:

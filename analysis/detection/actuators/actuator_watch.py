@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.detection.actuators.effects import AXES, Effects
+from analysis.detection.actuators.following import nothing_followed
 from analysis.detection.actuators.motion_cells import no_cells
 from analysis.detection.actuators.motion_filter import nothing_learnt
 from analysis.detection.actuators.mutual_judgement import ACTUATORS
@@ -56,15 +57,15 @@ class ActuatorWatch:
             state = _commanded(self.effects)
         count = len(block.kind)
         verdicts = Verdicts(
-            np.empty((count, 4), np.int64), np.empty((count, 2)), np.zeros(1, np.int64)
+            np.empty((count, 4), np.int64), np.empty((count, 3)), np.zeros(1, np.int64)
         )
         follow(block.kind, block.t_us, block.values, state, verdicts)
         filled = int(verdicts.filled[0])
         rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
         names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
-            (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], statistic, deficit))
-            for (row, t_us, *numbers), (statistic, deficit) in rows
+            (row, _result(t_us, [names[n] for n in numbers if n != NOBODY], *figures))
+            for (row, t_us, *numbers), figures in rows
         ], state
 
 
@@ -74,7 +75,7 @@ def _commanded(effects: Effects) -> Obedience:
     counts[SUSPECT:CRASH_US] = NOBODY
     counts[CRASH_US] = NEVER_US
     return Obedience(
-        no_cells(),
+        no_cells(effects.lags_s),
         nothing_learnt(effects),
         no_outputs(),
         effects.mix,
@@ -83,10 +84,13 @@ def _commanded(effects: Effects) -> Obedience:
         np.array([np.nan, BY_ITS_START if ELEVATOR in effects.names else FLIES_MPS]),
         np.full(3, np.nan),
         no_trim(),
+        nothing_followed(),
     )
 
 
-def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> SensorDecision:
+def _result(
+    t_us: int, blamed: list[str], statistic: float, deficit: float, lost: float
+) -> SensorDecision:
     name = EITHER.join(blamed)
     return SensorDecision(
         t_us=t_us,
@@ -96,16 +100,18 @@ def _result(t_us: int, blamed: list[str], statistic: float, deficit: float) -> S
         dof=AXES,
         alarm=bool(blamed),
         isolated=len(blamed) == 1,
-        reason=_reason(name, deficit),
+        reason=_reason(name, deficit, lost),
         suspect=name,
     )
 
 
-def _reason(name: str, deficit: float) -> str:
+def _reason(name: str, deficit: float, lost: float) -> str:
     if not name:
         return ""
     if deficit == OFF:
         return f"{name}: its output is switched off in flight"
+    if lost > 0.0:
+        return f"{name}: follows {max(0.0, 1.0 - lost):.2f} of its command"
     if deficit == 0.0:  # nobody is suspected now, but was
         return name
     side = "below" if deficit > 0.0 else "above"

@@ -30,6 +30,7 @@ SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
 # The same for a vehicle of which nothing is known, of any output
 UNKNOWN_SIGMA, UNKNOWN_RATE_HZ, UNKNOWN_FORCE = 50.0, 1.0, 0.1
 UNKNOWN_LIFT_MPS2 = 5.0  # of one of four rotors that hover at half their power
+UNKNOWN_LAG_S = 0.04  # of motors
 UNKNOWN_AIR_HZ = 0.1  # what moving air does to it, on any axis
 GUST_MPS = 1.0  # one sigma of the air's own motion within a second
 AUTHORITY_SHARE = 0.006  # of the strongest actuator's effect: what the model is wrong by anyhow
@@ -40,13 +41,18 @@ class Effects(NamedTuple):
 
     `mix` (COMMANDS, COMMANDS) makes the actuators' commands of the outputs, its first n rows;
     `coefficients` are (AXES, TERMS), and `air` (AXES, 3) is what moving air does, per m/s. Of an
-    unknown vehicle they are learnt, and its rotors alone are judged.
+    unknown vehicle they are learnt, and its rotors alone are judged. `lags_s` (COMMANDS,) is how
+    long each actuator takes; `powers` (TERMS,) of the airspeed over `cruise_mps` scale the terms of
+    the angular axes.
     """
 
     names: tuple[str, ...]
     mix: Vector
     coefficients: Vector
     air: Vector
+    lags_s: Vector
+    powers: Vector
+    cruise_mps: float
     unknown: bool = False
 
     def covariances(self) -> Vector:
@@ -89,5 +95,8 @@ def unknown_effects() -> Effects:
         np.eye(COMMANDS),
         coefficients,
         np.full((AXES, 3), UNKNOWN_AIR_HZ),
+        np.full(COMMANDS, UNKNOWN_LAG_S),
+        np.zeros(TERMS),
+        np.inf,
         unknown=True,
     )

@@ -29,7 +29,6 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 CELL_US = 100_000
-LAG_S = 0.04  # of motors and servos
 NEVER = -(1 << 40)
 
 # Of a cell's `clock`: its number, the newest sample's stamp, and whether a cell is before it
@@ -46,12 +45,13 @@ AIR_LASTS_US = 300_000  # an airspeed
 class Cells(NamedTuple):
     """The cell that is being filled, and the one before; `fill` changes them in place.
 
-    `clock` (3,) as named above; `commands` (2, COMMANDS): the newest, and behind their lag; `air`
-    (2,): the newest airspeed, and until when it is; `sums` (2, 2, WIDTH): cell and the one before,
-    plain and weighted. `terms` (TERMS,) and `motion` (AXES,) are those of the last two full cells;
-    without an airspeed its term is 0.
+    `lags_s` (COMMANDS,) of the actuators; `clock` (3,) as named above; `commands` (2, COMMANDS):
+    the newest, and behind their lags; `air` (2,): the newest airspeed, and until when it is; `sums`
+    (2, 2, WIDTH): cell and the one before, plain and weighted. `terms` (TERMS,) and `motion`
+    (AXES,) are those of the last two full cells; without an airspeed its term is 0.
     """
 
+    lags_s: Vector
     clock: NDArray[np.int64]
     commands: Vector
     air: Vector
@@ -60,9 +60,10 @@ class Cells(NamedTuple):
     motion: Vector
 
 
-def no_cells() -> Cells:
+def no_cells(lags_s: Vector) -> Cells:
     """Nothing came yet."""
     return Cells(
+        lags_s,
         np.array([NEVER, 0, 0]),
         np.zeros((2, COMMANDS)),
         np.zeros(2),
@@ -89,16 +90,16 @@ def fill(cells: Cells, t_us: int, rates_force: Vector) -> bool:
         cells.sums[0] = 0.0
     else:
         elapsed_s = max(0, t_us - clock[SAMPLE_US]) * 1e-6
-        _lag(cells.commands, elapsed_s)
+        _lag(cells.commands, elapsed_s, cells.lags_s)
     clock[SAMPLE_US] = t_us
     _add(cells, (t_us - number * CELL_US) / CELL_US, rates_force)
     return ready
 
 
 @compiled
-def _lag(commands: Vector, elapsed_s: float) -> None:
-    share = 1.0 - math.exp(-elapsed_s / LAG_S)
+def _lag(commands: Vector, elapsed_s: float, lags_s: Vector) -> None:
     for i in range(COMMANDS):
+        share = 1.0 - math.exp(-elapsed_s / lags_s[i]) if lags_s[i] > 0.0 else 1.0
         commands[1, i] += share * (commands[0, i] - commands[1, i])
 
 

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import (
     AIRSPEED,
+    ANGULAR,
     AXES,
     CONSTANT,
     DOWN,
     FORCE,
-    FORWARD,
+    GUST_MPS,
     IN_AIR,
     OUTPUT,
     SHARE,
@@ -46,6 +47,7 @@ NOISE_PER_SPREAD = 3.0  # of e over that of m; 10 would be white noise
 FIRST_SPREAD = 0.03  # variance of m before anything is known
 NOTHING = 1e6  # variance of what is not told
 GREATEST = 3.0  # sigmas of e that are learnt from
+FASTEST = 2.0  # airspeeds of the cruise that terms are scaled by
 LOUD = 10.0  # m' inv(V) m beyond which m counts less for C
 
 
@@ -54,16 +56,18 @@ CELLS, WAITING, UNKNOWN = range(3)
 
 
 class Learnt(NamedTuple):
-    """What is known of the motion; `predict` and `learn` change it in place.
+    """What is known of the motion; `compare` and `learn` change it in place.
 
-    `theta` (AXES, TERMS), its covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m,
-    `spread` (AXES, AXES) is C, and `bent` (AXES,) what m has of a motion that is not linear;
-    `usual` (TERMS,) are the terms that it is linear about;
+    `powers` (TERMS,) and `cruise_mps` as in `Effects`; `theta` (AXES, TERMS), its covariances `p`
+    (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread` (AXES, AXES) is C, and `bent` (AXES,) what m
+    has of a motion that is not linear; `usual` (TERMS,) are the terms that it is linear about;
     `error` and `doubt` (AXES,): e and the variance of theta' x.
     `waiting` (LATER + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of cells that are
     not yet learnt from; `counts` (3,).
     """
 
+    powers: Vector
+    cruise_mps: float
     theta: Vector
     p: Vector
     mean: Vector
@@ -79,6 +83,8 @@ class Learnt(NamedTuple):
 def nothing_learnt(effects: Effects) -> Learnt:
     """What is known before the flight."""
     return Learnt(
+        effects.powers,
+        effects.cruise_mps,
         effects.coefficients.copy(),
         effects.covariances(),
         np.zeros(AXES),
@@ -107,10 +113,24 @@ def knows_the_air(terms: Vector, learnt: Learnt) -> bool:
 
 
 @compiled
-def _predict(terms: Vector, motion: Vector, learnt: Learnt) -> None:
-    """Fill in error and doubt of the motion in a cell."""
+def in_air(terms: Vector, learnt: Learnt) -> Vector:
+    """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
+    seen = np.empty((AXES, TERMS))
+    seen[:] = terms
+    if terms[AIRSPEED] > 0.0:
+        ratio = min(FASTEST, terms[AIRSPEED] / learnt.cruise_mps)
+        for i in range(TERMS):
+            if learnt.powers[i] != 0.0:
+                seen[:ANGULAR, i] *= ratio ** learnt.powers[i]
+    return seen
+
+
+@compiled
+def _predict(seen: Vector, motion: Vector, learnt: Learnt) -> None:
+    """Fill in error and doubt of the motion in a cell with these terms (AXES, TERMS)."""
     for axis in range(AXES):
         count = FORCE if axis == DOWN else TERMS
+        terms = seen[axis]
         predicted = variance = 0.0
         for i in range(count):
             if terms[i] == 0.0:  # most outputs drive nothing
@@ -119,23 +139,36 @@ def _predict(terms: Vector, motion: Vector, learnt: Learnt) -> None:
             for j in range(count):
                 variance += terms[i] * learnt.p[axis, i, j] * terms[j]
         learnt.error[axis], learnt.doubt[axis] = motion[axis] - predicted, variance
-    if not knows_the_air(terms, learnt):
+    if not knows_the_air(seen[IN_AIR], learnt):
         learnt.error[IN_AIR], learnt.doubt[IN_AIR] = 0.0, NOTHING
 
 
 @compiled
 def compare(terms: Vector, motion: Vector, learnt: Learnt) -> None:
     """Predict the motion of a cell, and average what remains."""
-    _predict(terms, motion, learnt)
+    _predict(in_air(terms, learnt), motion, learnt)
+    _bend(terms, learnt)
     learnt.counts[CELLS] += 1
     for axis in range(AXES):
         learnt.mean[axis] += CELL_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
-    # What drags goes with the square of what lifts, and a propeller pulls less in faster air.
+
+
+@compiled
+def _bend(terms: Vector, learnt: Learnt) -> None:
+    """Average what of a cell's motion is not linear."""
     square = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
-    for axis in (FORWARD, IN_AIR):
-        bent = (learnt.theta[axis, FORCE + 1] * square) ** 2
-        for i in range(OUTPUT, TERMS):
-            bent += (SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])) ** 2
+    for axis in range(DOWN):
+        bent = 0.0
+        if axis >= ANGULAR:
+            # What drags goes with the square of what lifts, and a propeller pulls less in faster
+            # air.
+            bent = (learnt.theta[axis, FORCE + 1] * square) ** 2
+            for i in range(OUTPUT, TERMS):
+                bent += (SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])) ** 2
+        elif terms[AIRSPEED] == 0.0:
+            for i in range(TERMS):  # what an airspeed that is not known would scale
+                bent += learnt.powers[i] * learnt.theta[axis, i] * terms[i]
+            bent = (bent * GUST_MPS / learnt.cruise_mps) ** 2
         learnt.bent[axis] += CELL_S / SHORT_S * (np.sqrt(bent) - learnt.bent[axis])
 
 
@@ -171,7 +204,8 @@ def learn(terms: Vector, motion: Vector, learnt: Learnt, statistic: float, suspe
 @compiled
 def _update(terms: Vector, motion: Vector, learnt: Learnt) -> None:
     """One Kalman update an axis."""
-    _predict(terms, motion, learnt)
+    seen = in_air(terms, learnt)
+    _predict(seen, motion, learnt)
     walk = _share(CONSTANT_S, learnt.counts[CELLS])
     learnt.usual[:] += walk * (terms - learnt.usual)
     for axis in range(AXES):
@@ -180,12 +214,11 @@ def _update(terms: Vector, motion: Vector, learnt: Learnt) -> None:
         variance = learnt.doubt[axis] + noise
         most = GREATEST * np.sqrt(variance)
         error = min(most, max(-most, learnt.error[axis]))
-        p = learnt.p[axis]
-        gain = np.zeros(TERMS)
+        p, gain = learnt.p[axis], np.zeros(TERMS)
         for j in range(count):
-            if terms[j] != 0.0:
+            if seen[axis, j] != 0.0:
                 for i in range(count):
-                    gain[i] += p[i, j] * terms[j]
+                    gain[i] += p[i, j] * seen[axis, j]
         for i in range(count):
             if gain[i] == 0.0:
                 continue

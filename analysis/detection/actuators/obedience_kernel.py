@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.actuators.effects import AXES, COMMANDS, OUTPUT, RATE
+from analysis.detection.actuators.effects import AXES, COMMANDS, FORCE, OUTPUT, RATE
+from analysis.detection.actuators.following import Following, forget, remember
 from analysis.detection.actuators.motion_cells import (
     AIR_LASTS_US,
     FOLLOWS,
@@ -24,7 +25,15 @@ from analysis.detection.actuators.motion_cells import (
     fill,
 )
 from analysis.detection.actuators.motion_filter import CELLS, UNKNOWN, Learnt, compare, learn
-from analysis.detection.actuators.suspects import LOUD, NOBODY, Suspicion, known_rotors, suspect
+from analysis.detection.actuators.suspects import (
+    LOAD,
+    LOUD,
+    NOBODY,
+    PITCH,
+    Suspicion,
+    known_rotors,
+    suspect,
+)
 from analysis.detection.actuators.switched_off import Outputs, command
 from analysis.detection.actuators.uneven import (
     OBEYS,
@@ -78,9 +87,10 @@ BLOW_MPS2 = 100.0  # specific force of no manoeuvre
 # these suspects, cells since the last result; the suspects, and who is blamed (two of each)
 FLIES, LOUD_CELLS, QUIET_CELLS, RUN, SINCE, SUSPECT, BLAMED = 0, 1, 2, 3, 4, 5, 7
 # When it crashed; whose commands came, 0 for none yet; cells that are passed over yet; how many
-CRASH_US, COMMANDED, IRREGULAR, COUNTS = 9, 10, 11, 12
+CRASH_US, COMMANDED, IRREGULAR, DOUBTFUL, COUNTS = 9, 10, 11, 12, 13
 NEVER_US = 1 << 62
 OFF = -1.0  # of no statistic
+DOUBTS, PATIENCE = 12.0, 200  # r from which learning waits, and for how many cells
 
 
 class Obedience(NamedTuple):
@@ -102,10 +112,12 @@ class Obedience(NamedTuple):
     start: Vector
     rhythm: Vector
     trim: Trim
+    following: Following
 
 
 class Verdicts(NamedTuple):
-    """Rows (k, 4): row, stamp, two who are blamed; statistic and deficit (k, 2), both `OFF` for an
+    """Rows (k, 4): row, stamp, two who are blamed; statistic, deficit, and the share of its command
+    that is lost, where that is told in the deficit's place (k, 3); the first two are `OFF` for an
     output that is switched off; `filled` (1,)."""
 
     rows: NDArray[np.int64]
@@ -149,7 +161,7 @@ def follow(
             found = _judge(kept)
             if _can_tell(kept) and _blame(found, kept.counts):
                 who = kept.counts[BLAMED], kept.counts[BLAMED + 1]
-                _tell(row, t_us[row], who, (found.statistic, found.deficit), verdicts)
+                _tell(row, t_us[row], who, (found.statistic, found.deficit, found.share), verdicts)
 
 
 @compiled
@@ -167,7 +179,7 @@ def _command(row: int, t_us: int, outputs: Vector, kept: Obedience, verdicts: Ve
     if source == OUTPUTS:
         off = command(outputs[:COMMANDS], t_us, counts[FLIES] == 1, kept.outputs)
         if off >= 0:
-            _tell(row, t_us, (NOBODY, off), (OFF, OFF), verdicts)
+            _tell(row, t_us, (NOBODY, off), (OFF, OFF, 0.0), verdicts)
         elif kept.learnt.counts[UNKNOWN]:
             _compare_outputs(row, t_us, outputs, kept, verdicts)
 
@@ -186,7 +198,7 @@ def _compare_outputs(
         return
     who = compare_outputs(outputs[:COMMANDS], dt_s, kept.outputs, kept.trim)
     if who != SILENT:
-        figures = kept.trim.figures[SCORE], kept.trim.figures[RAISED]
+        figures = kept.trim.figures[SCORE], kept.trim.figures[RAISED], 0.0
         _tell(row, t_us, (NOBODY, NOBODY if who == OBEYS else who), figures, verdicts)
 
 
@@ -215,13 +227,18 @@ def _compare_interval(t_us: int, rhythm: Vector) -> None:
 
 @compiled
 def _tell(
-    row: int, t_us: int, who: tuple[int, int], figures: tuple[float, float], verdicts: Verdicts
+    row: int,
+    t_us: int,
+    who: tuple[int, int],
+    figures: tuple[float, float, float],
+    verdicts: Verdicts,
 ) -> None:
-    """Add a verdict: two who are blamed; statistic and deficit."""
+    """Add a verdict: two who are blamed; statistic, deficit, and share that is lost."""
     at = verdicts.filled[0]
     verdicts.rows[at, 0], verdicts.rows[at, 1] = row, t_us
     verdicts.rows[at, 2], verdicts.rows[at, 3] = who
-    verdicts.figures[at, 0], verdicts.figures[at, 1] = figures
+    figure = verdicts.figures[at]
+    figure[0], figure[1], figure[2] = figures
     verdicts.filled[0] += 1
 
 
@@ -240,6 +257,7 @@ def _begin(kept: Obedience) -> None:
     kept.cells.clock[FOLLOWS] = 0
     kept.learnt.counts[:UNKNOWN] = 0
     kept.learnt.mean[:] = kept.learnt.bent[:] = 0.0
+    forget(kept.following)
 
 
 @compiled
@@ -291,12 +309,53 @@ def _judge(kept: Obedience) -> Suspicion:
     found = suspect(learnt.mean, usual, learnt.theta, learnt.p, learnt.counts[UNKNOWN] == 1)
     begun = learnt.counts[CELLS] > LEARNT and _can_tell(kept)
     if not begun:
-        found = Suspicion(found.statistic, NOBODY, NOBODY, 0.0)
-    counts[LOUD_CELLS] = counts[LOUD_CELLS] + 1 if found.statistic >= LOUD else 0
+        found = Suspicion(found.statistic, NOBODY, NOBODY, 0.0, 0.0)
+    statistic = found.statistic
+    counts[LOUD_CELLS] = counts[LOUD_CELLS] + 1 if statistic >= LOUD else 0
+    if begun:
+        _follow(kept)
+        found = _patient(found, kept.following)
     counts[QUIET_CELLS] = counts[QUIET_CELLS] + 1 if found.first == NOBODY else 0
+    learn(cells.terms, cells.motion, learnt, statistic, begun and _waits(kept))
+    return found
+
+
+@compiled
+def _waits(kept: Obedience) -> bool:
+    """Whether nothing is learnt now, as somebody may be at fault."""
+    counts = kept.counts
+    if kept.following.who[0] == LOAD:
+        return False
     suspected = counts[QUIET_CELLS] < QUIET or counts[BLAMED + 1] != NOBODY
-    waits = 0 < counts[LOUD_CELLS] < FRESH or suspected
-    learn(cells.terms, cells.motion, learnt, found.statistic, begun and waits)
+    doubtful = 0 < counts[LOUD_CELLS] < FRESH or 0 < counts[DOUBTFUL] < PATIENCE
+    waits: bool = suspected or doubtful
+    return waits
+
+
+@compiled
+def _follow(kept: Obedience) -> None:
+    """Ask over seconds whether the commands are followed."""
+    following, counts = kept.following, kept.counts
+    known = following.who[0]
+    if counts[LOUD_CELLS] == 1 and not 0 <= known < COMMANDS:  # something may have begun
+        forget(following)
+    counts[DOUBTFUL] = counts[DOUBTFUL] + 1 if following.explained.max() > DOUBTS else 0
+    remember(kept.cells.terms, kept.learnt, _waits(kept), following)
+    if following.who[0] == LOAD and known != LOAD:
+        # What it turns is another model's, which is to be learnt.
+        kept.learnt.p[PITCH, FORCE + 1, FORCE + 1] += following.shares[LOAD] ** 2
+
+
+@compiled
+def _patient(found: Suspicion, following: Following) -> Suspicion:
+    """What is found, with what seconds told."""
+    first, second = following.who
+    slight = found.first == NOBODY or found.second == LOAD or found.first == LOAD
+    if first >= COMMANDS and slight:
+        return Suspicion(0.0, NOBODY, NOBODY, 0.0, 0.0)
+    if NOBODY < first < COMMANDS and (slight or found.second != NOBODY):
+        explained = max(found.statistic, following.explained[first])
+        return Suspicion(explained, first, second, 0.0, following.shares[first])
     return found
 
 
@@ -311,9 +370,10 @@ def _blame(found: Suspicion, counts: NDArray[np.int64]) -> bool:
     counts[SINCE] += 1
     # A fault changes the flight, so that what comes first tells most: who is blamed stays blamed.
     most = ALONE if pair[0] == NOBODY else ALIKE
-    if abs(found.deficit) < SLIGHT:
+    if found.share == 0.0 and abs(found.deficit) < SLIGHT:
         most = max(most, SLIGHT_CELLS)
-    if found.first != NOBODY and blamed == NOBODY and counts[RUN] >= most:
+    told = found.first != NOBODY and counts[RUN] >= most
+    if told and (blamed == NOBODY or _is_one(pair, counts)):
         counts[BLAMED], counts[BLAMED + 1] = pair
         counts[SINCE] = AGAIN_BLAMED
     elif blamed != NOBODY and found.statistic < LOUD:
@@ -324,3 +384,11 @@ def _blame(found: Suspicion, counts: NDArray[np.int64]) -> bool:
         return False
     counts[SINCE] = 0
     return True
+
+
+@compiled
+def _is_one(pair: tuple[int, int], counts: NDArray[np.int64]) -> bool:
+    """Whether who is suspected now, alone, is one of two who are blamed."""
+    first, second = counts[BLAMED], counts[BLAMED + 1]
+    one: bool = pair[0] == NOBODY and first != NOBODY and (pair[1] == first or pair[1] == second)
+    return one

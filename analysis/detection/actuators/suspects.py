@@ -37,12 +37,14 @@ NOBODY, LOAD, PITOT = -1, COMMANDS, COMMANDS + 1  # in the place of an actuator
 
 class Suspicion(NamedTuple):
     """m' inv(V) m, the actuator that explains it best and its deficit, and another one, if it
-    explains it as well; NOBODY where none does."""
+    explains it as well; NOBODY where none does. `share` is what is lost of its command, where that
+    was told over seconds, in place of a deficit."""
 
     statistic: float
     first: int
     second: int
     deficit: float
+    share: float
 
 
 @compiled
@@ -56,7 +58,7 @@ def _product(a: Vector, matrix: Vector, b: Vector) -> float:
 
 
 @compiled
-def _known_rotor(i: int, theta: Vector, p: Vector) -> bool:
+def known_rotor(i: int, theta: Vector, p: Vector) -> bool:
     """Whether an output of an unknown vehicle is known to lift it."""
     lift, at = theta[DOWN, OUTPUT + i], OUTPUT + i
     surest = 0.0
@@ -70,7 +72,7 @@ def known_rotors(theta: Vector, p: Vector) -> int:
     """How many outputs are known to lift the vehicle."""
     count = 0
     for i in range(COMMANDS):
-        count += _known_rotor(i, theta, p)
+        count += known_rotor(i, theta, p)
     return count
 
 
@@ -81,13 +83,13 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone:
     information = inverse(usual)
     statistic = _product(mean, information, mean)
     if statistic < SURE:
-        return Suspicion(statistic, NOBODY, NOBODY, 0.0)
+        return Suspicion(statistic, NOBODY, NOBODY, 0.0, 0.0)
     nobody = statistic + math.log(np.linalg.det(usual))
     first, second, best, following, deficit, rest = NOBODY, NOBODY, nobody, nobody, 0.0, 0.0
     for i in range(COMMANDS):
         effect = theta[:, OUTPUT + i].copy()
         known = _product(effect, information, effect)
-        if known <= 1e-9 or (rotors_alone and not _known_rotor(i, theta, p)):  # it drives nothing
+        if known <= 1e-9 or (rotors_alone and not known_rotor(i, theta, p)):  # it drives nothing
             continue
         guess = -_product(effect, information, mean) / known
         score, remaining, found = _hypothesis(
@@ -112,8 +114,9 @@ def suspect(mean: Vector, usual: Vector, theta: Vector, p: Vector, rotors_alone:
     believed = nobody - best > SURE and rest < max(FITS, FITS_SHARE * statistic)
     no_actuator = second == PITOT and best - following > AHEAD
     if not believed or no_actuator or abs(deficit) < LEAST_DEFICIT:
-        return Suspicion(statistic, NOBODY, NOBODY, 0.0)
-    return Suspicion(statistic, first, second if following - best < AHEAD else NOBODY, deficit)
+        return Suspicion(statistic, NOBODY, NOBODY, 0.0, 0.0)
+    second = second if following - best < AHEAD else NOBODY
+    return Suspicion(statistic, first, second, deficit, 0.0)
 
 
 @compiled

@@ -111,9 +111,42 @@ def test_a_weak_actuator_is_named(vehicle: str, target: str, value: float, name:
     assert 20.0 < found[name] < 22.5
 
 
-def test_half_an_elevator_is_not_told_from_a_load_that_slides() -> None:
+def test_half_an_elevator_is_told_from_a_load_that_slides() -> None:
+    """By how it answers its moves: a load would not change that."""
     fault = {"fault": "plant", "target": "PLANT.elevator_efficiency", "value": 0.5}
-    assert suspected(flown("fixed wing", 25.0, fault)) == {"elevator-or-load"}
+    assert list(blamed(flown("fixed wing", 25.0, fault))) == ["elevator"]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "until_s", "fault", "name"),
+    [
+        (
+            "fixed wing",
+            64.0,
+            {"fault": "plant", "target": "PLANT.elevator_efficiency", "value": 0.8},
+            "elevator",
+        ),
+        (
+            "fixed wing",
+            86.0,
+            {"fault": "freeze", "target": "HIL_ACTUATOR_CONTROLS.controls[2]"},
+            "rudder",
+        ),
+        (
+            "hexa",
+            76.0,
+            {"fault": "freeze", "target": "HIL_ACTUATOR_CONTROLS.controls[1]"},
+            "motor 2",
+        ),
+    ],
+)
+def test_what_half_a_second_cannot_tell_from_gusts_is_told_by_its_moves(
+    vehicle: str, until_s: float, fault: dict[str, Any], name: str
+) -> None:
+    """A fifth of the elevator, and what is stuck where it is."""
+    found = blamed(flown(vehicle, until_s, {**fault, "at_s": 60.0}))
+    assert list(found) == [name]
+    assert found[name] > 60.0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,280 @@
+"""Whether actuators follow their commands, over seconds, compiled: one regression a hypothesis.
+
+An actuator that lost a share g of its effect, or is stuck (g = 1), leaves less of each of its
+moves. Every half second tells how the motion missed its prediction, e, and what a hypothesis would
+have made of that, s: for actuator i what its command did by the model, with the sign turned; for a
+load that slides a moment about y that goes with the force along z; for a pitot tube that lies what
+the airspeed is thought to do. With a trim that wanders by a few V beside noise of the covariance V,
+
+    e = g s + trim + noise,   A = sum s' inv(V) s,   g = sum s' inv(V) e / A,   r = g^2 A,
+
+the sums being taken over some seconds, and r what the hypothesis explains of sum e' inv(V) e. One
+that is stuck may push by a constant as well. Of g the variance is 1 / A and what is not known of
+the effect itself.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.actuators.effects import (
+    ANGULAR,
+    AXES,
+    COMMANDS,
+    CONSTANT,
+    FORCE,
+    IN_AIR,
+    OUTPUT,
+    TERMS,
+)
+from analysis.detection.actuators.motion_filter import (
+    CELL_S,
+    UNKNOWN,
+    Learnt,
+    in_air,
+    knows_the_air,
+)
+from analysis.detection.actuators.suspects import LOAD, NOBODY, PITCH, PITOT, known_rotor
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.linear import apply, inverse
+
+HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
+BLOCK = 5  # cells of half a second
+REMEMBERS = 0.95  # of what was known half a second ago: 10 s
+LONG_S, EARLY = 60.0, 3.0  # memory of V, at most this part of the flight so far
+LOUD = 16.8  # e' inv(V) e beyond which e counts less for V
+FIRST = 2.0  # spreads of m in V before anything is known
+WANDERS = 4.0  # variances of half a second in that of the trim
+HELD = 6.0  # what a free constant has to explain
+STUCK = 0.4  # share of its moves that are missing, of one that is stuck since some seconds
+# r of who is suspected, and g^2 over its variance; what it may leave of each degree of freedom, or
+# which share; how far it is ahead of the next, in what it leaves, and the least of that
+EXPLAINS, SURE, FITS, FITS_SHARE, AHEAD, QUIET = 30.0, 14.0, 3.0, 0.15, 12.0, 0.25
+KNOWN = 20.0  # half seconds that V is learnt from before anybody is suspected
+LEAST = 2.5  # half seconds
+MOST = 1.25  # g of an actuator
+JUMPS = 150.0  # what is left of one half second after what explained those before: something new
+UNEVEN = 0.03  # one sigma of g: what no effect is constant to
+
+
+class Following(NamedTuple):
+    """Sums over the past; `remember` changes them in place.
+
+    `cells` (TERMS + AXES,) are sums of terms and e of the half second that is being filled, and
+    `filled` (1,) its cells; `weight` (1,) is how many half seconds are remembered. About the means
+    of s (HYPOTHESES, AXES) and of e (AXES,) there are the sums of s' inv(V) s, of s' inv(V) e
+    (HYPOTHESES,) and of e' inv(V) e (1,). `usual` (AXES, AXES) is V, `learnt` (1,) the half seconds
+    that it was learnt from. `explained`, `shares` and `sure` (HYPOTHESES,) are r, g and g^2 over
+    its variance; `who` (2,) explains it best, and who does as well, if anybody.
+    """
+
+    cells: Vector
+    filled: NDArray[np.int64]
+    weight: Vector
+    signals: Vector
+    error: Vector
+    own: Vector
+    shared: Vector
+    square: Vector
+    usual: Vector
+    learnt: Vector
+    explained: Vector
+    shares: Vector
+    sure: Vector
+    who: NDArray[np.int64]
+
+
+def nothing_followed() -> Following:
+    """Nothing came yet."""
+    return Following(
+        np.zeros(TERMS + AXES),
+        np.zeros(1, np.int64),
+        np.zeros(1),
+        np.zeros((HYPOTHESES, AXES)),
+        np.zeros(AXES),
+        np.zeros(HYPOTHESES),
+        np.zeros(HYPOTHESES),
+        np.zeros(1),
+        np.zeros((AXES, AXES)),
+        np.zeros(1),
+        np.zeros(HYPOTHESES),
+        np.zeros(HYPOTHESES),
+        np.zeros(HYPOTHESES),
+        np.full(2, NOBODY),
+    )
+
+
+@compiled
+def forget(kept: Following) -> None:
+    """Begin anew."""
+    kept.cells[:] = 0.0
+    kept.filled[0] = 0
+    kept.weight[0] = 0.0
+    kept.own[:] = kept.shared[:] = 0.0
+    kept.square[0] = 0.0
+    kept.explained[:] = 0.0
+    kept.who[:] = NOBODY
+
+
+@compiled
+def remember(terms: Vector, learnt: Learnt, suspected: bool, kept: Following) -> None:
+    """Take a cell's terms and error; every half second tells. Where somebody is suspected V is not
+    learnt."""
+    for i in range(TERMS):
+        kept.cells[i] += terms[i]
+    for i in range(AXES):
+        kept.cells[TERMS + i] += learnt.error[i]
+    kept.filled[0] += 1
+    if kept.filled[0] < BLOCK:
+        return
+    mean = kept.cells / BLOCK
+    kept.cells[:], kept.filled[0] = 0.0, 0
+    if kept.learnt[0] == 0.0:
+        kept.usual[:] = FIRST * learnt.spread
+    _add(in_air(mean[:TERMS], learnt), mean[TERMS:], learnt, not suspected, kept)
+    _weigh(learnt, kept)
+
+
+@compiled
+def _add(seen: Vector, error: Vector, learnt: Learnt, sound: bool, kept: Following) -> None:
+    """Add half a second with the terms (AXES, TERMS) and e (AXES,)."""
+    information = inverse(_usual(learnt, kept))
+    off = error - kept.error
+    if _jumps(off, seen, information, learnt, kept):
+        forget(kept)
+        return
+    kept.weight[0] = REMEMBERS * kept.weight[0] + 1.0
+    share = 1.0 / kept.weight[0]
+    kept.error[:] += share * off
+    told = apply(information, off)
+    square = (off * told).sum()
+    kept.square[0] = REMEMBERS * kept.square[0] + (1.0 - share) * square
+    if sound and kept.weight[0] > EARLY:
+        kept.learnt[0] += 1.0
+        memory = max(BLOCK * CELL_S / LONG_S, EARLY / (kept.learnt[0] + EARLY))
+        weight = min(1.0, LOUD / max(square, 1e-9))
+        for i in range(AXES):
+            for j in range(AXES):
+                kept.usual[i, j] += memory * (weight * off[i] * off[j] - kept.usual[i, j])
+    for i in range(HYPOTHESES):
+        signal = _signal(i, seen, learnt) - kept.signals[i]
+        kept.signals[i] += share * signal
+        own = (signal * apply(information, signal)).sum()
+        kept.own[i] = REMEMBERS * kept.own[i] + (1.0 - share) * own
+        kept.shared[i] = REMEMBERS * kept.shared[i] + (1.0 - share) * (signal * told).sum()
+
+
+@compiled
+def _jumps(off: Vector, seen: Vector, information: Vector, learnt: Learnt, kept: Following) -> bool:
+    """Whether who is suspected explains what went before, but not this e (AXES,) off its mean."""
+    first = kept.who[0]
+    if first == NOBODY:
+        return False
+    rest = off - kept.shares[first] * (_signal(first, seen, learnt) - kept.signals[first])
+    return bool((rest * apply(information, rest)).sum() > JUMPS)
+
+
+@compiled
+def _signal(i: int, seen: Vector, learnt: Learnt) -> Vector:
+    """What a hypothesis makes of e (AXES,) for g of 1."""
+    signal = np.zeros(AXES)
+    if i == LOAD:
+        signal[PITCH] = seen[PITCH, FORCE + 1]
+    elif i == PITOT:
+        for axis in range(ANGULAR):
+            for k in range(TERMS):
+                signal[axis] -= learnt.powers[k] * learnt.theta[axis, k] * seen[axis, k]
+    else:
+        for axis in range(AXES):
+            if axis != IN_AIR or knows_the_air(seen[axis], learnt):
+                signal[axis] = -learnt.theta[axis, OUTPUT + i] * seen[axis, OUTPUT + i]
+    return signal
+
+
+@compiled
+def _weigh(learnt: Learnt, kept: Following) -> None:
+    """What each hypothesis explains, and who it is."""
+    information = inverse(_usual(learnt, kept))
+    steady = apply(information, kept.error) / WANDERS
+    total = kept.square[0] + (kept.error * steady).sum()
+    for i in range(HYPOTHESES):
+        kept.explained[i] = kept.shares[i] = kept.sure[i] = 0.0
+        if kept.own[i] <= 1e-9 or not _possible(i, learnt):
+            continue
+        signal = kept.signals[i]
+        own = kept.own[i] + (signal * apply(information, signal)).sum() / WANDERS
+        shared = kept.shared[i] + (signal * steady).sum()
+        explained = shared**2 / own
+        if i < COMMANDS:
+            effect = learnt.theta[:, OUTPUT + i].copy()
+            effect[IN_AIR] = 0.0
+            along = (effect * steady).sum() ** 2 / (effect * apply(information, effect)).sum()
+            held = kept.shared[i] ** 2 / kept.own[i] + WANDERS * along - HELD
+            if held > explained and kept.shared[i] > STUCK * kept.own[i]:
+                explained, own, shared = held, kept.own[i], kept.shared[i]
+            if not 0.0 < shared < MOST * own:
+                continue
+        kept.explained[i], kept.shares[i] = explained, shared / own
+        kept.sure[i] = kept.shares[i] ** 2 / (1.0 / own + _doubt(i, learnt, kept))
+    _decide(total, kept)
+
+
+@compiled
+def _possible(i: int, learnt: Learnt) -> bool:
+    """Whether a hypothesis counts: of an unknown vehicle known rotors, a load on wings."""
+    if i >= COMMANDS:
+        return bool(learnt.powers[CONSTANT] > 0.0)
+    if learnt.counts[UNKNOWN] == 0:
+        return True
+    return known_rotor(i, learnt.theta, learnt.p)
+
+
+@compiled
+def _decide(total: float, kept: Following) -> None:
+    """Who explains it best of a total of sum e' inv(V) e, and who as well."""
+    kept.who[:] = NOBODY
+    if kept.learnt[0] < KNOWN or kept.weight[0] < LEAST:
+        return
+    first = int(np.argmax(kept.explained))
+    best = kept.explained[first]
+    left = max(0.0, total - best) / (AXES * kept.weight[0])
+    fits = left < max(FITS, FITS_SHARE * best / (AXES * kept.weight[0]))
+    if best < EXPLAINS or kept.sure[first] < SURE or not fits:
+        return
+    kept.who[0] = first
+    following = 0.0
+    for i in range(HYPOTHESES):
+        if i != first and kept.explained[i] > following:
+            following = kept.explained[i]
+            if best - following < AHEAD * max(QUIET, left):
+                kept.who[1] = i
+    if first >= COMMANDS and kept.who[1] != NOBODY:
+        # Of an actuator and what is none it may be the actuator.
+        kept.who[0], kept.who[1] = kept.who[1], first
+        if kept.who[0] >= COMMANDS:
+            kept.who[1] = NOBODY
+
+
+@compiled
+def _usual(learnt: Learnt, kept: Following) -> Vector:
+    """V with what is not sure of the model (AXES, AXES)."""
+    usual = kept.usual.copy()
+    for axis in range(AXES):
+        usual[axis, axis] += learnt.doubt[axis] + learnt.bent[axis] ** 2
+    return usual
+
+
+@compiled
+def _doubt(i: int, learnt: Learnt, kept: Following) -> float:
+    """The variance of g for what is not known of a hypothesis's effect."""
+    if i >= COMMANDS:
+        return 0.0
+    best, doubt = 0.0, 0.0
+    for axis in range(AXES):
+        square = learnt.theta[axis, OUTPUT + i] ** 2
+        if square > best * kept.usual[axis, axis]:
+            best = square / kept.usual[axis, axis]
+            doubt = learnt.p[axis, OUTPUT + i, OUTPUT + i] / square
+    return UNEVEN**2 + doubt
