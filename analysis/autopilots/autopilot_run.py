@@ -23,6 +23,7 @@ from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
+from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.program import Program, Start, Unhurried
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.idle import tell_idle
@@ -238,23 +239,26 @@ class AutopilotRun:
             self._start = Start(flying)
             patience = Patience(flying.links[0], flying.process, START_S)
             lockstep = Lockstep()
+            hil = Hil(mav_type=mav_type)
             outward = ToAutopilot(
                 self.flight,
-                Hil(mav_type=mav_type),
+                hil,
                 self._hear,
                 self._commands,
                 flying.links[-1],
                 flying.step,
                 self._passage,
             )
+            inward = FromAutopilot(outward, flying.links, patience, lockstep)
             loop = LockstepLoop(
                 simulation,
                 outward,
-                FromAutopilot(outward, flying.links, patience, lockstep),
+                inward,
                 mix,
                 speed,
                 self._progress,
                 lockstep,
+                plain_flight(hil, outward, inward, lockstep, self._passage),
             )
             reason = ""
             try:

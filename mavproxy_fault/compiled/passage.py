@@ -1,5 +1,6 @@
 """The compiled form without sockets: for a process that has both ends of a link in itself."""
 
+import ctypes
 import sys
 from typing import Any, NamedTuple
 
@@ -56,6 +57,24 @@ class Passage(Tables):
         if self._plans is not None or loop[k.RECEIVED_AT] > k.LOG_MARGIN:
             self._settle()
         return Passed(mask, bytes(self._data[:length]))
+
+    def ready(self, now_us: int) -> bool:
+        """Whether machine code may call `machine` by itself until `settle`."""
+        due_us = self._core.next_due_us
+        self._refresh()
+        return due_us is None or due_us > now_us
+
+    @property
+    def machine(self) -> tuple[int, int]:
+        """Addresses of the compiled form and of what it is given; a datagram lies in `data`."""
+        return ctypes.cast(self._forward, ctypes.c_void_p).value or 0, ctypes.addressof(
+            self._addresses
+        )
+
+    @property
+    def data(self) -> "memoryview":
+        """Room for a datagram."""
+        return memoryview(self._data)
 
     def settle(self) -> None:
         """Give the engine what its faults did, and the tape what passed."""
