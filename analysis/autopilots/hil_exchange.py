@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
+from analysis.autopilots.flight_operator import UNREAD
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
 from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
 from mavproxy_fault.documents.errors import ConfigError
@@ -314,11 +315,6 @@ class FromAutopilot:
         """Whether a stream of the HIL link owes the rest of a frame."""
         return self._inboxes[0].incomplete(stream)
 
-    @property
-    def other_descriptor(self) -> int:
-        """Of the links behind the HIL link, one that all of them are waited on by; -1 for none."""
-        return self._inboxes[1].link.filenos()[0] if len(self._inboxes) == 2 else -1
-
     def hear_others(self) -> None:
         """Read the links behind the HIL link; what is for the simulator is returned to it."""
         for inbox in self._inboxes[1:]:
@@ -351,7 +347,7 @@ class FromAutopilot:
             at += len(raw)
             if passed.links >> SIMULATOR & 1 and number_of(raw) in FOR_SIMULATOR:
                 found.append(packed_frame(raw))
-            if passed.links >> GROUND & 1 and not of_lockstep(raw):
+            if passed.links >> GROUND & 1 and number_of(raw) not in UNREAD and not of_lockstep(raw):
                 self._outward.unheard.append(Send(GROUND, raw, now_us))
 
     def _answered(self, frame: Frame) -> None:

@@ -6,42 +6,45 @@ from collections.abc import Callable
 import numpy as np
 
 from analysis.autopilots import stretch_kernel as s
+from analysis.autopilots.flight_operator import LOOK_US
 from analysis.autopilots.hil_exchange import FromAutopilot, ToAutopilot
+from analysis.run.proxied_flight import SIMULATOR, VEHICLE
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.links.tcp import TcpServer
 from simvehicle.hil.hil_frames import Hil
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_steps import PlainSteps, can_be_plain
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls, Truth
-
-STRETCH_US = 20_000  # of the vehicle's time, after which logs and operator are seen to
 
 
 class PlainFlight:
     """The loop's plain steps behind the proxy; `outward` and `inward` take every other one."""
 
-    def __init__(
-        self,
-        hil: Hil,
-        outward: ToAutopilot,
-        inward: FromAutopilot,
-        lockstep: Lockstep,
-        passage: Passage,
-    ) -> None:
-        simulation = outward.flight.simulation
-        assert isinstance(inward.link, TcpServer)
-        self._outward, self._inward, self._lockstep = outward, inward, lockstep
-        self._link, self._passage, self._simulation = inward.link, passage, simulation
+    def __init__(self, simulation: Simulation, hil: Hil, passage: Passage) -> None:
         self._steps = PlainSteps(simulation, hil)
+        self._simulation, self._passage = simulation, passage
+        self._due_us: int | None = None  # when the core has something to send by itself
+        words = np.zeros(s.WORDS, dtype=np.int64)
+        words[s.SIMULATOR], words[s.VEHICLE] = SIMULATOR, VEHICLE
         self._stretch = s.Stretch(
-            words=np.zeros(s.WORDS, dtype=np.int64),
-            polls=np.zeros(2, dtype=np.int64),
+            words=words,
+            poll=np.zeros(1, dtype=np.int64),
             came=np.zeros(s.ROOM, dtype=np.uint8),
             loop=np.asarray(passage.loop),
             data=np.asarray(passage.data),
         )
-        self._stream = 0
+        # Without a step to fly: where machine code has to be made, no autopilot waits yet.
+        s.stretch(self._steps.arrays, self._stretch)
+
+    def join(self, outward: ToAutopilot, inward: FromAutopilot, lockstep: Lockstep) -> bool:
+        """Take one's place between these; False where the link is none for plain steps."""
+        if not isinstance(inward.link, TcpServer):
+            return False
+        self._outward, self._inward, self._lockstep = outward, inward, lockstep
+        self._link, self._stream = inward.link, 0
+        return True
 
     def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
         """Fly on until a step needs the loop; see `lockstep_loop.Plain`."""
@@ -51,7 +54,9 @@ class PlainFlight:
         words[s.STEP_US] = self._outward.step_us
         until_us, left = self._steps.take()
         while left > 0 and self._open():
-            words[s.UNTIL_US] = min(until_us, self._simulation.truth.t_us + STRETCH_US + 1)
+            words[s.UNTIL_US] = min(until_us, self._simulation.truth.t_us + LOOK_US + 1)
+            if self._due_us is not None:
+                words[s.UNTIL_US] = min(words[s.UNTIL_US], self._due_us - words[s.START_US])
             words[s.LEFT], words[s.STEPS] = left, 0
             reason = s.stretch(self._steps.arrays, self._stretch)
             left = int(words[s.LEFT])
@@ -72,12 +77,9 @@ class PlainFlight:
         peer = self._link.lone_peer()
         if peer is None or outward.waiting or inward.incomplete(peer[1]):
             return False
-        now_us = outward.flight.now_us
-        if not self._passage.ready(now_us):
-            return False
         words[s.FD], self._stream = peer
-        words[s.OTHER_FD] = inward.other_descriptor
-        words[s.START_US] = now_us - outward.flight.t_us
+        words[s.START_US] = outward.flight.now_us - outward.flight.t_us
+        self._due_us = self._passage.open_until_us()
         words[s.FORWARD], words[s.ADDRESSES] = self._passage.machine
         return True
 
@@ -102,29 +104,21 @@ class PlainFlight:
         elif reason == s.KEPT:
             arrays = self._steps.arrays
             packed = arrays.out[: arrays.words[k.LENGTH]].tobytes()
-            self._link.write(b"".join(outward.packed(packed, int(words[s.STEP_US]))))
+            step_us = int(arrays.words[k.T_US] + arrays.words[k.START_US])
+            self._link.write(b"".join(outward.packed(packed, step_us)))
             self._lockstep.sent(outward.step_us, time.monotonic())
         elif reason == s.STAYED:
             length, went = int(self._steps.arrays.words[k.LENGTH]), max(int(words[s.WENT]), 0)
             self._link.write(self._stretch.data[went:length].tobytes())
         elif reason != s.SILENT:
-            if reason == s.OTHER:
-                self._inward.hear_others()
+            self._inward.hear_others()
             outward.meanwhile()
             return True
         return False
 
 
-def plain_flight(
-    hil: Hil,
-    outward: ToAutopilot,
-    inward: FromAutopilot,
-    lockstep: Lockstep,
-    passage: Passage | None,
-) -> PlainFlight | None:
+def plain_flight(simulation: Simulation, hil: Hil, passage: Passage | None) -> PlainFlight | None:
     """The plain steps of a flight, where it has any."""
-    plain = passage is not None and can_be_plain(outward.flight.simulation)
-    if not plain or not isinstance(inward.link, TcpServer):
+    if passage is None or not can_be_plain(simulation):
         return None
-    assert passage is not None
-    return PlainFlight(hil, outward, inward, lockstep, passage)
+    return PlainFlight(simulation, hil, passage)

@@ -12,7 +12,6 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-from analysis.run.proxied_flight import SIMULATOR, VEHICLE
 from mavproxy_fault.compiled import layout as c
 from mavproxy_fault.numerics.compile import compiled, inlined, unlocked
 from mavproxy_fault.wire.dialect import known
@@ -22,12 +21,12 @@ from simvehicle.plain.plain_arrays import Integers, Octets, Plain
 from simvehicle.plain.step_kernel import command, look_ahead, step
 from simvehicle.vehicles.actuators import ARMED, CHANNELS
 
-# Entries of `words`
-(FD, OTHER_FD, UNTIL_US, LEFT, STEP_US, START_US, FORWARD, ADDRESSES, GOT, WENT, STEPS, BYTES_IN,
- BYTES_OUT, ANSWERED_US, WORDS) = range(15)  # fmt: skip
-# Why a stretch ends: its time, word on the other link, bytes that the inbox has to take, frames
-# that the core has to take, bytes that have not left, no answer, a state beyond the numbers
-OVER, OTHER, CAME, KEPT, STAYED, SILENT, DIVERGED = range(7)
+# Entries of `words`; the last two are numbers of links
+(FD, UNTIL_US, LEFT, STEP_US, START_US, FORWARD, ADDRESSES, GOT, WENT, STEPS, BYTES_IN,
+ BYTES_OUT, ANSWERED_US, SIMULATOR, VEHICLE, WORDS) = range(16)  # fmt: skip
+# Why a stretch ends: its time, bytes that the inbox has to take, frames that the core has to take,
+# bytes that have not left, no answer, a state beyond the numbers
+OVER, CAME, KEPT, STAYED, SILENT, DIVERGED = range(6)
 WAIT_MS = 50  # for an answer, before the loop has a look at its time-outs
 ROOM = 32_768
 DONTWAIT, NOSIGNAL, POLLIN = 0x40, 0x4000, 1
@@ -46,7 +45,7 @@ class Stretch(NamedTuple):
     """What a stretch works on beside the `Plain` arrays."""
 
     words: Integers  # (WORDS,)
-    polls: Integers  # (2,) `pollfd` each: the HIL link, then another one
+    poll: Integers  # (1,) `pollfd` of the HIL link
     came: Octets  # (ROOM,) the newest bytes of the autopilot
     loop: Integers  # the compiled proxy's own
     data: Octets  # and its room for a datagram
@@ -71,19 +70,16 @@ def _passed(s: Stretch, link: int, length: int, now_us: int) -> int:
     loop, words = s.loop, s.words
     loop[c.LENT], loop[c.LINK], loop[c.CAME] = length, link, now_us
     _called(words[FORWARD], words[ADDRESSES])
-    return loop[c.MASK]
+    return int(loop[c.MASK])
 
 
 @compiled
 def _await(s: Stretch) -> int:
     """Wait for the autopilot; CAME, or why there is nothing from it."""
-    words, polls = s.words, s.polls
-    polls[0], polls[1] = words[FD] | POLLIN << 32, words[OTHER_FD] | POLLIN << 32
-    if _poll(polls.ctypes.data, 2, WAIT_MS) <= 0:
+    words = s.words
+    s.poll[0] = words[FD] | POLLIN << 32
+    if _poll(s.poll.ctypes.data, 1, WAIT_MS) <= 0:
         return SILENT
-    # The HIL link first: others wait until the step has left.
-    if not polls[0] >> 48:
-        return OTHER
     words[GOT] = _recv(words[FD], s.came.ctypes.data, ROOM, DONTWAIT)
     if words[GOT] <= 0:
         return SILENT
@@ -99,7 +95,7 @@ def _answers(s: Stretch) -> bool:
         return False
     number = np.int64(came[7]) | np.int64(came[8]) << 8 | np.int64(came[9]) << 16
     stamp_us = came[_HEAD + _STAMP : _HEAD + _STAMP + 8].view(np.int64)[0]
-    return number == _ANSWER and came[2] == 0 and stamp_us == words[STEP_US]
+    return bool(number == _ANSWER and came[2] == 0 and stamp_us == words[STEP_US])
 
 
 @compiled
@@ -114,8 +110,8 @@ def _leave(p: Plain, s: Stretch) -> int:
     """Let the frames of a step pass the proxy and leave; OVER, or why they did not all."""
     words, length = s.words, p.words[k.LENGTH]
     s.data[:length] = p.out[:length]
-    mask = _passed(s, SIMULATOR, length, p.words[k.T_US] + words[START_US])
-    if mask < 0 or not mask >> VEHICLE & 1:
+    mask = _passed(s, words[SIMULATOR], length, p.words[k.T_US] + words[START_US])
+    if mask < 0 or not mask >> words[VEHICLE] & 1:
         return KEPT
     words[STEP_US] = p.words[k.T_US] + p.words[k.START_US]
     words[WENT] = _send(words[FD], s.data.ctypes.data, length, DONTWAIT | NOSIGNAL)
@@ -139,11 +135,11 @@ def stretch(p: Plain, s: Stretch) -> int:
             return CAME
         length = words[GOT]
         s.data[:length] = s.came[:length]
-        mask = _passed(s, VEHICLE, length, p.words[k.T_US] + words[START_US])
+        mask = _passed(s, words[VEHICLE], length, p.words[k.T_US] + words[START_US])
         if mask < 0:
             return CAME
         words[ANSWERED_US] = words[STEP_US]
-        if mask >> SIMULATOR & 1:
+        if mask >> words[SIMULATOR] & 1:
             _obey(p, s.data[_HEAD : _HEAD + _SIZE])
         if not step(p):
             return DIVERGED

@@ -34,6 +34,8 @@ class Passage(Tables):
         super().__init__(core, 0, tape)
         self.loop[k.COMPILED_LINKS] = (1 << len(core.links)) - 1
         self._data = self._arrays["data"]
+        function: Any = self._forward
+        self._address = ctypes.cast(function, ctypes.c_void_p).value or 0
 
     def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
         """What became of a datagram; None where the core has to carry it out."""
@@ -58,21 +60,21 @@ class Passage(Tables):
             self._settle()
         return Passed(mask, bytes(self._data[:length]))
 
-    def ready(self, now_us: int) -> bool:
-        """Whether machine code may call `machine` by itself until `settle`."""
-        due_us = self._core.next_due_us
+    def open_until_us(self) -> int | None:
+        """The instant before which machine code may call `machine` by itself, until `settle`.
+
+        What is due then leaves first, by the core; None where nothing is.
+        """
         self._refresh()
-        return due_us is None or due_us > now_us
+        return self._core.next_due_us
 
     @property
     def machine(self) -> tuple[int, int]:
         """Addresses of the compiled form and of what it is given; a datagram lies in `data`."""
-        return ctypes.cast(self._forward, ctypes.c_void_p).value or 0, ctypes.addressof(
-            self._addresses
-        )
+        return self._address, ctypes.addressof(self._addresses)
 
     @property
-    def data(self) -> "memoryview":
+    def data(self) -> memoryview:
         """Room for a datagram."""
         return memoryview(self._data)
 

@@ -16,8 +16,8 @@ Octets = NDArray[np.uint8]
 # Entries of `words`: the instant of the last step and the next one's number, instant and cut
 (T_US, COUNT, NEXT_US, SUBSTEPS, ROW, FIXED_WING, ARMED, SEQ, SYSTEM, COMPONENT, START_US,
  LENGTH, WORDS) = range(13)  # fmt: skip
-# Entries of `numbers`: the next step's part, the rate of steps, heights [m]
-DT, RATE_HZ, GROUND_M, GEOID_M, AGL_M, NUMBERS = range(6)
+# Entries of `numbers`: the next step's part, the longest one, the rate of steps, heights [m]
+DT, LONGEST_S, RATE_HZ, GROUND_M, GEOID_M, AGL_M, NUMBERS = range(7)
 # Columns of `sensors`: what one is, its id, its samples so far, its first noise and the row there
 KIND, ID, SAMPLES, NOISE, AT, SENSOR = range(6)
 IMU, MAG, BARO, PITOT = range(4)  # kinds

@@ -18,7 +18,7 @@ from simvehicle.sensors.error_model import NoiseState
 from simvehicle.sensors.imu import Imu
 from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.simulation.onboard import Fitted
-from simvehicle.simulation.simulation import Moment, Simulation
+from simvehicle.simulation.simulation import LONGEST_STEP_S, Moment, Simulation
 from simvehicle.simulation.weather import BLOCK
 from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.fixedwing import FixedWing
@@ -58,7 +58,7 @@ class PlainSteps:
         self.arrays = Plain(
             **own,  # type: ignore[arg-type]
             home=simulation.place,
-            packed=simulation.vehicle.packed,
+            packed=cast(Multirotor | FixedWing, simulation.vehicle).packed,
             law=weather.law,
             filters=weather.filters,
             draws=weather.draws,
@@ -72,6 +72,7 @@ class PlainSteps:
         words[k.FIXED_WING] = isinstance(simulation.vehicle, FixedWing)
         words[k.SYSTEM], words[k.COMPONENT] = hil.system, hil.component
         words[k.START_US] = hil.start_us
+        numbers[k.LONGEST_S] = LONGEST_STEP_S
         numbers[k.RATE_HZ] = simulation.fitted[0].sensor.rate_hz
         numbers[k.GROUND_M] = cast(Level, simulation.terrain).alt_m
         numbers[k.GEOID_M] = simulation.home.geoid_m
@@ -99,7 +100,7 @@ class PlainSteps:
         simulation, hil, arrays = self._simulation, self._hil, self.arrays
         moment, truth = simulation.moment(), simulation.truth
         words, numbers = arrays.words, arrays.numbers
-        words[k.T_US], words[k.COUNT] = moment.t_us, moment.count
+        words[k.T_US], words[k.COUNT] = moment.t_us, moment.number
         words[k.NEXT_US], words[k.SUBSTEPS] = moment.next_us, moment.steps
         words[k.ROW], words[k.SEQ] = simulation.weather.row, hil.seq
         numbers[k.DT], numbers[k.AGL_M] = moment.dt, truth.height_agl_m

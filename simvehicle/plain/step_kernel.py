@@ -26,7 +26,6 @@ from simvehicle.hil.state_kernel import fill
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_arrays import Octets, Plain
 from simvehicle.sensors import barometer, imu
-from simvehicle.simulation.simulation import LONGEST_STEP_S
 from simvehicle.vehicles import fixedwing_flight, multirotor_flight
 from simvehicle.vehicles.actuators import (
     ELEVATOR,
@@ -63,7 +62,9 @@ def command(p: Plain, channels: "np.ndarray[tuple[int], np.dtype[np.float32]]") 
     """
     values = np.empty(channels.shape[0])
     for i in range(channels.shape[0]):
-        values[i] = channels[i] if np.isfinite(channels[i]) else 0.0
+        values[i] = channels[i]
+        if not np.isfinite(channels[i]):
+            values[i] = 0.0
     if not p.words[k.ARMED]:
         p.controls[:] = 0.0
     elif p.words[k.FIXED_WING]:
@@ -92,7 +93,7 @@ def look_ahead(p: Plain) -> None:
         around[GRAVITY + i] = here[PULL + i]
     around[DENSITY], around[SAG] = here[AIR + 2], 1.0
     around[GROUND] = p.x[DOWN] + numbers[k.AGL_M]
-    words[k.SUBSTEPS] = max(1, np.int64(np.ceil(dt / LONGEST_STEP_S - 1e-9)))
+    words[k.SUBSTEPS] = max(1, int(np.ceil(dt / numbers[k.LONGEST_S] - 1e-9)))
     numbers[k.DT] = dt / words[k.SUBSTEPS]
 
 

@@ -53,7 +53,7 @@ class Moment(NamedTuple):
 
     t_us: int
     x: Array
-    count: int  # the next step's number
+    number: int  # the next step's number
     next_us: int
     steps: int
     dt: float
@@ -172,7 +172,7 @@ class Simulation:
 
     def go_on_from(self, moment: Moment, controls: Array) -> None:
         """Go on where steps that were flown elsewhere ended, after `observe`."""
-        self._count, self._ahead, self._controls = moment.count, moment[3:], controls
+        self._count, self._ahead, self._controls = moment.number, moment[3:], controls
 
     def _outside(self) -> tuple[int, int, float, Array, Array]:
         """When the next step ends, into how many of how many seconds it is cut, the wind meanwhile,
