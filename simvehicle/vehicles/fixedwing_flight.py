@@ -123,15 +123,13 @@ def fly(
     controls : array, shape (4,)
         Elevator, aileron, rudder (-1 to 1 of full throw), throttle (0 to 1); clipped.
     around : array, shape (8,)
-        The wind [m/s] and gravity [m/s^2], both NED, the density of the air [kg/m^3] and the
-        ground's down coordinate [m]; from `vehicle.surroundings`.
+        From `vehicle.surroundings`.
     packed : array
         From `pack`; handing numba the named tuples themselves costs some microseconds each.
     after : array, shape (14,)
         Becomes the new state.
     load : array, shape (6,)
-        Becomes the specific force in body axes [m/s^2] at the new state, and the battery's voltage
-        [V], current [A] and charge; places as in `vehicle`.
+        Becomes what `vehicle.Vehicle.advance` gives beside the state.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_POWERED], _AERO))
@@ -161,8 +159,7 @@ def fly(
     for i in range(RIGID):
         after[i] = s[i]
     after[DRAWN] = x[DRAWN] + current * steps * dt
-    load[FORCE] = fx / body.mass_kg
-    load[FORCE + 1] = fy / body.mass_kg
+    load[FORCE], load[FORCE + 1] = fx / body.mass_kg, fy / body.mass_kg
     load[FORCE + 2] = fz / body.mass_kg
     load[CURRENT] = current
     load[VOLTS], load[CHARGE] = supplied(supply, after[DRAWN], current)
