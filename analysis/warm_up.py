@@ -17,12 +17,12 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from analysis import commands
+from analysis.processes import spawning
 from mavproxy_fault.documents.errors import ConfigError
 
 SENSORS = """
@@ -108,7 +108,7 @@ def _warm_up() -> None:
         chains = _chains(Path(folder))
         # Whichever comes second to a function waits for the other, and loads it.
         workers = min(len(chains), os.cpu_count() or 1)
-        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        with ProcessPoolExecutor(workers, spawning()) as pool:
             list(pool.map(_carry_out_chain, chains))
 
 

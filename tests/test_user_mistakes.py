@@ -1,6 +1,7 @@
 """What a user gets wrong on the command line is told in a line, with exit code 2."""
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from mavproxy_fault.cli import main
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PROXY = ("proxy", "--zenoh", "off", "--to", "udpout:127.0.0.1:9", "--master")
 
 
@@ -75,8 +77,35 @@ def test_names_beyond_the_letters_of_the_terminal_are_escaped(folder: Path) -> N
     assert rb"\U0001f600" in done.stdout
 
 
+def test_the_page_tells_who_holds_its_port(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(("ui", "--port", str(port))) == 2
+    held = f"port {port} is held by"
+    assert f"--port {port}: Address already in use ({held}" in capsys.readouterr().err
+
+
 def test_a_misspelt_command_is_answered_with_the_nearest(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(("injct", "bias")) == 2
     assert capsys.readouterr().err == "mavproxy-fault: injct: is no command; did you mean inject?\n"
+
+
+@pytest.mark.parametrize(
+    "words", [("run", "--zenoh", "off", "--gcs", "off"), ("report", "."), ("search", "test.yaml")]
+)
+def test_a_system_without_semaphores_is_told_in_a_line(
+    words: tuple[str, ...],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("multiprocessing.synchronize._multiprocessing.SemLock", refused)
+    (folder / "test.yaml").write_text((EXAMPLES / "gyro_search.yaml").read_text())
+    workers = ("--workers", "2") if words[0] == "search" else ()
+    assert main([*words, *workers, "--out", "out"]) == 2
+    assert "/dev/shm must exist and be writable" in capsys.readouterr().err

@@ -8,12 +8,12 @@ import queue
 import signal
 import time
 from concurrent.futures import Future
-from multiprocessing import get_context
 from typing import Any, Protocol
 
 from pebble import ProcessExpired, ProcessPool
 
 from analysis.campaign.flying.flight_job import Answer, Job, answer, failed
+from analysis.processes import spawning
 from analysis.search.evaluation.pool import join_ray
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -50,9 +50,8 @@ class LocalFleet:
         self._limit_s = limit_s
         self._jobs: dict[int, Job] = {}
         self._done: queue.SimpleQueue[tuple[int, Future[Answer]]] = queue.SimpleQueue()
-        # Spawned: threads of the parent must not be copied.
         self._pool = ProcessPool(
-            max_workers=workers, context=get_context("spawn"), initializer=_without_ctrl_c
+            max_workers=workers, context=spawning(), initializer=_without_ctrl_c
         )
 
     def start(self, number: int, job: Job) -> None:

@@ -6,7 +6,6 @@ has changed.
 
 import argparse
 import json
-import multiprocessing
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -14,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
+from analysis.processes import spawning
 from analysis.report.judging.checks import RANK
 from analysis.report.page.index_page import UNREADABLE, index_html
 from analysis.report.recordings.opening import PACKED
@@ -109,8 +109,7 @@ def _reported(
     from rich.console import Console
     from rich.progress import track
 
-    # `spawn`: a fork would copy locks of threads that do not run in the child.
-    context = multiprocessing.get_context("spawn")
+    context = spawning()
     # At least one worker: the pool refuses none, also when nothing is new.
     with ProcessPoolExecutor(min(len(logs) or 1, os.cpu_count() or 1), context) as pool:
         jobs = {pool.submit(_report, path, out, name, args): name for name, path in logs.items()}

@@ -4,7 +4,6 @@ The same seed gives the same bytes, so whatever differs between the two flights 
 did.
 """
 
-import multiprocessing
 import signal
 import sys
 from multiprocessing.process import BaseProcess
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from analysis.monitor.monitor import Monitor
+from analysis.processes import spawning
 from analysis.report.run_folder import ResultFile
 from analysis.run.proxied_flight import Flight, session
 from analysis.run.setup import Setup
@@ -45,8 +45,7 @@ def start_twin(setup: Setup, folder: Path) -> Twin:
     own = folder / FOLDER
     # Made here, before the process: a folder that cannot be made is the run's error.
     own.mkdir()
-    # Spawned: a fork would copy threads and their locks.
-    spawned = multiprocessing.get_context("spawn")
+    spawned = spawning()
     until_us = spawned.Value("q", ENDLESS_US)
     process = spawned.Process(target=fly_twin, args=(setup, own, until_us), daemon=True)
     process.start()

@@ -47,10 +47,11 @@ def main(args: argparse.Namespace) -> int:
     # Started first, so that both processes compile side by side.
     twin = start_twin(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
+        # Before the bus, which has threads.
+        monitor = stack.enter_context(MonitorProcess(setup.monitor))
         bus = stack.enter_context(
             open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
         )
-        monitor = stack.enter_context(MonitorProcess(setup.monitor))
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
 

@@ -1,11 +1,12 @@
 """The monitor in a process of its own, so that a run uses two cores.
 
 Bytes go to it by a bounded queue, results come back by a pipe. The flight runs ahead while the
-monitor compiles its kernels, and the monitor catches up.
+monitor compiles its kernels, and the monitor catches up. Where machine code is at hand the first
+bytes have it loaded, before an autopilot needs both cores.
 """
 
 import contextlib
-import multiprocessing
+import gc
 import queue
 import signal
 from collections.abc import Iterator, Sequence
@@ -15,12 +16,14 @@ from types import TracebackType
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig
+from analysis.processes import forking, spawning
 from analysis.results import Result
 from analysis.run import rehearsal
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.ardupilot.child_process import die_with_parent, ending
 from mavproxy_fault.wire.label import Label
 
+FIRST_BYTES = 1 << 12  # then twice as many each time: a flight has time in its beginning
 BATCH_BYTES = 1 << 19  # some 4,000 frames: in small blocks the monitor does more than reckon
 MOST_BATCHES = 64  # 32 MB that the flight may be ahead
 Order = bytes | tuple[list[Label], Criteria, float]
@@ -32,6 +35,7 @@ def _work(
     """The process: bytes in, results out; a question is answered by the summary."""
     # Without this a killed run would leave the monitor behind.
     die_with_parent()
+    gc.freeze()  # what is loaded stays; to look it through would copy a fork's pages
     from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
@@ -69,8 +73,7 @@ class MonitorProcess:
     """
 
     def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
-        # A fork would copy threads' locks as they stand.
-        context = multiprocessing.get_context("spawn")
+        context = forking() or spawning()
         self._orders: Queue[Order | None] = context.Queue(MOST_BATCHES)
         self._answers, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
@@ -86,7 +89,7 @@ class MonitorProcess:
         # Only the child holds it then, so that its death is seen as the end of the pipe.
         theirs.close()
         self.pid = self._process.pid or 0
-        self._batch = bytearray()
+        self._batch, self._enough = bytearray(), FIRST_BYTES
         self.owed = 0  # batches without their results yet
 
     def __enter__(self) -> "MonitorProcess":
@@ -114,8 +117,9 @@ class MonitorProcess:
         self._batch += data
         results: list[Result] = []
         # Results are looked for with each batch: to ask costs more than to gather a step's bytes.
-        if len(self._batch) < BATCH_BYTES and not now:
+        if len(self._batch) < self._enough and not now:
             return results
+        self._enough = min(2 * self._enough, BATCH_BYTES)
         if self._batch:
             batch = bytes(self._batch)
             self._batch.clear()

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import errno
 import secrets
 import signal
 import socket
@@ -22,6 +23,7 @@ from analysis.web.run_source import Source
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import DEFAULT_URL, with_port
+from mavproxy_fault.links.open_hint import holder
 
 USUAL_PORT = 8350
 LARGEST_WISH = 16_384  # bytes that a viewer may say at once
@@ -49,7 +51,8 @@ def listen(port: int | None) -> socket.socket:
         found.listen()  # whoever comes before the server is up waits
     except OSError as error:
         found.close()
-        raise ConfigError(f"--port {port}: {error.strerror}; give a free TCP port") from None
+        who = f" ({holder(port, tcp=True)})" if error.errno == errno.EADDRINUSE else ""
+        raise ConfigError(f"--port {port}: {error.strerror}{who}; give a free TCP port") from None
     return found
 
 

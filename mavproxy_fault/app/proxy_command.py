@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import gc
 import signal
 import socket
 from collections.abc import Iterator, Sequence
@@ -198,6 +199,7 @@ def main(args: argparse.Namespace) -> int:
                     f"live control cannot be had: {error}; "
                     "allow more descriptors or memory (ulimit -n, -v), or give --zenoh off"
                 ) from None
+        gc.enable()
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
             print(f"ready: {links[0].name} <-> {others}", flush=True)

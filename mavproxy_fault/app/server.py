@@ -38,6 +38,7 @@ FLUSH_S = 1.0
 RESERVE = 8 << 20  # bytes given back to the system when it has no more for us
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
+HOLD_NS = 200_000  # what came together may wait so long to leave together, where peers are many
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -58,6 +59,11 @@ class Server:
         self.tape = tape
         self.recorder = recorder
         self.latencies = [Latencies() for _ in links]
+        # What is to leave by links that write several chunks to many peers at once (`write_all`).
+        self._held: dict[int, list[bytes]] = {
+            number: [] for number, link in enumerate(links) if hasattr(link, "write_all")
+        }
+        self._held_ns = 0  # since when; 0 if nothing is held
         self._busy_poll = busy_poll
         # One offset for the whole session: setting the system's clock moves no stamp.
         self._base_ns = time.time_ns() - time.monotonic_ns()
@@ -148,6 +154,8 @@ class Server:
         tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
         # Frames that are due come first; else the next time to look after the links.
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
+        if self._held_ns:  # the rest of the batch first, without a sleep behind it
+            tend_ns = min(tend_ns, time.monotonic_ns() + HOLD_NS)
         # To the microsecond for frames that are due, not for housekeeping.
         forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if forwarder.pending:
@@ -155,8 +163,11 @@ class Server:
             if data:
                 # It may have waited behind another of its batch while delayed frames left.
                 now_us = max((self._base_ns + came_ns) // 1000, self.core.departed_us)
-                self._carry_out(self.core.received(number, data, now_us))
+                sends = self.core.received(number, data, now_us)
+                self._carry_out(sends, hold=forwarder.pending)
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
+        if not forwarder.pending:
+            self._let_go()
         for number in forwarder.ready():
             self._serve(number)
         if self.live is not None and forwarder.wakes_ready:
@@ -255,20 +266,42 @@ class Server:
         for stream, data in link.read():
             count += 1
             try:
-                self._carry_out(core.received(number, data, now_us, stream=stream))
+                self._carry_out(core.received(number, data, now_us, stream=stream), hold=True)
             except MemoryError:  # here, so that the others of the batch are not lost with it
                 self._shed()
+        self._let_go()
         if count:
             self.latencies[number].add(time.monotonic_ns() - started_ns, count)
 
-    def _carry_out(self, sends: Sequence[Send]) -> None:
-        links = self.links
+    def _carry_out(self, sends: Sequence[Send], *, hold: bool = False) -> None:
+        """Send; with `hold` more is about to come, and what goes to many peers may wait for it."""
+        links, held = self.links, self._held
         for send in sends:
-            links[send.link].write(send.data)
+            if send.link in held:
+                held[send.link].append(send.data)
+                self._held_ns = self._held_ns or time.monotonic_ns()
+            else:
+                links[send.link].write(send.data)
+        if self._held_ns and not (hold and time.monotonic_ns() < self._held_ns + HOLD_NS):
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Send what is held."""
+        if not self._held_ns:
+            return
+        self._held_ns = 0
+        for number, chunks in self._held.items():
+            if chunks:
+                link: Any = self.links[number]
+                link.write_all(chunks)
+                chunks.clear()
 
     def _keep_time(self) -> None:
         due_us = self.core.next_due_us
         if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+            # The rest of a frame may wait in the kernel if this process was late.
+            for number in self.core.owing(now_us + AHEAD_US):
+                self._serve(number)
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
             due_ns = due_us * 1000 - self._base_ns

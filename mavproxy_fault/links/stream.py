@@ -32,7 +32,7 @@ class Stream:
         self._descriptors = descriptors
         self._counters = counters
         self._empty_is_end = empty_is_end
-        self._queue: deque[bytes] = deque()
+        self._queue: deque[tuple[bytes, int]] = deque()  # and of how many chunks they are
         self._queued = 0
         self._awaits_room = False
         descriptors.add(fileno)
@@ -47,13 +47,13 @@ class Stream:
         """Whether something is still to be sent."""
         return bool(self._queue)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, chunks: int = 1) -> None:
         """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
         # Whole chunks: half a frame would make the receiver lose its place.
         if self._queued + len(data) > QUEUE_LIMIT:
-            self._counters.drops += 1
+            self._counters.drops += chunks
             return
-        self._queue.append(data)
+        self._queue.append((data, chunks))
         self._queued += len(data)
         if self.open and len(self._queue) == 1:
             self.flush()
@@ -62,18 +62,19 @@ class Stream:
         """Send what is queued until the kernel takes no more; a part sent is continued later."""
         queue = self._queue
         while queue:
+            data, chunks = queue[0]
             try:
-                sent = self._write(queue[0])
+                sent = self._write(data)
             except OSError:  # full, or lost: the next read notices the latter
                 break
             self._queued -= sent
             self._counters.bytes_out += sent
-            if sent < len(queue[0]):
+            if sent < len(data):
                 # The rest of this chunk goes first, or its frame would be torn.
-                queue[0] = queue[0][sent:]
+                queue[0] = data[sent:], chunks
                 break
             queue.popleft()
-            self._counters.chunks_out += 1
+            self._counters.chunks_out += chunks
         self._await_room(wanted=bool(queue))
 
     def read(self) -> tuple[bytes, bool]:
@@ -95,7 +96,7 @@ class Stream:
 
     def abandon(self) -> None:
         """Stop watching the descriptor before its owner closes it; count what is lost."""
-        self._counters.drops += len(self._queue)
+        self._counters.drops += sum(chunks for _, chunks in self._queue)
         self._queue.clear()
         self._queued = 0
         # The kernel forgets a closed descriptor by itself.

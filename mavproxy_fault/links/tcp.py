@@ -8,6 +8,7 @@ import errno
 import logging
 import socket
 import time
+from collections.abc import Sequence
 
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
@@ -17,7 +18,9 @@ from mavproxy_fault.links.stream import Stream
 LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
 LOOK_S = 0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
+REST_S = 0.5  # for which nobody is let in where there are no descriptors at all
 SILENT_S = 60  # after which a connection is asked whether the other side still lives
+TOGETHER = 1 << 16  # bytes at most that are kept, or dropped, as a whole
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
@@ -61,6 +64,7 @@ class TcpServer:
         self._looked_s = 0.0  # when others than a lone peer were last asked for
         self._reserve = socket.socket()  # kept for the moment when there are no descriptors
         self._told = False
+        self._rests_until_s: float | None = None  # the listener, unwatched so long
         self._descriptors = Descriptors()
         self._descriptors.add(self._listener.fileno())
 
@@ -90,6 +94,9 @@ class TcpServer:
             if chunks:
                 return chunks
         self._looked_s = now_s
+        if self._rests_until_s is not None and now_s >= self._rests_until_s:
+            self._rests_until_s = None
+            self._descriptors.add(self._listener.fileno())
         # Only those with something to do: a system call for each of the others is saved.
         for descriptor in self._descriptors.ready():
             if descriptor == self._listener.fileno():
@@ -133,9 +140,7 @@ class TcpServer:
             if len(self._peers) >= MOST_PEERS:
                 # Each frame goes to each of them: a thousand would take the loop's time for good.
                 sock.close()
-                self._tell_refused(
-                    f"{MOST_PEERS} peers are connected; a further one is turned away"
-                )
+                self._refused(f"{MOST_PEERS} peers are connected; a further one is turned away")
                 continue
             _prepare(sock)
             _watch_over(sock)
@@ -146,19 +151,28 @@ class TcpServer:
     def _turn_away(self) -> None:
         """Close a connection for which there is no descriptor, in the place of the reserve."""
         # Left waiting it would wake the loop for ever.
+        why = "no descriptor for a further peer; allow more (ulimit -n)"
         self._reserve.close()
         try:
             self._listener.accept()[0].close()
-        except OSError:  # nobody waits: Linux looks for a descriptor first
-            return
-        finally:
-            with contextlib.suppress(OSError):  # another thread was faster: the next one waits
-                self._reserve = socket.socket()
-        self._tell_refused("no descriptor for a further peer; allow more (ulimit -n)")
+        except BlockingIOError:  # nobody waits: Linux looks for a descriptor first
+            pass
+        except OSError:  # its place went to another thread, or the limit was lowered
+            self._descriptors.remove(self._listener.fileno())
+            self._rests_until_s = time.monotonic() + REST_S
+            self._tell(why)
+        else:
+            self._refused(why)
+        with contextlib.suppress(OSError):  # none to be had: the next one waits
+            self._reserve = socket.socket()
 
-    def _tell_refused(self, why: str) -> None:
+    def _refused(self, why: str) -> None:
         """Count a connection that was closed at once, and tell the first."""
         self.counters.errors += 1
+        self._tell(why)
+
+    def _tell(self, why: str) -> None:
+        """Say once why somebody was not let in."""
         if not self._told:
             LOG.warning("%s: %s", self.name, why)
             self._told = True
@@ -169,6 +183,16 @@ class TcpServer:
             self.counters.drops += 1
         for _, stream, _ in self._peers.values():
             stream.write(data)
+
+    def write_all(self, chunks: Sequence[bytes]) -> None:
+        """Send several chunks to every peer, with one system call for each peer."""
+        data = b"".join(chunks)
+        if not self._peers or len(data) > TOGETHER:
+            for chunk in chunks:
+                self.write(chunk)
+            return
+        for _, stream, _ in self._peers.values():
+            stream.write(data, len(chunks))
 
     def close(self) -> None:
         """Close the listener and all connections."""

@@ -20,6 +20,7 @@ from numba.core.types import Dispatcher
 
 from mavproxy_fault.numerics.baseline import BASELINE
 from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
+from mavproxy_fault.numerics.loaded_code import LoadedCode
 
 LOG = logging.getLogger(__name__)
 
@@ -66,7 +67,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return str(self._line)
 
 
-class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+class _CacheImpl(LoadedCode):
     _locator_classes = (_Locator,)
 
     def reduce(self, result: Any) -> Any:
@@ -81,7 +82,7 @@ class _InstalledLocator(_Locator):
         return found
 
 
-class _InstalledImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+class _InstalledImpl(LoadedCode):
     _locator_classes = (_InstalledLocator,)
 
 

@@ -121,8 +121,9 @@ class Core:
 
         `direction` overrides the link's, for a log that holds both.
         """
-        # What was due before leaves first: the order depends on stamps alone.
-        sends = self.due(now_us)
+        # What was due before leaves first: the order depends on stamps alone. No frame is given up:
+        # the rest may be among what is read at the same time.
+        sends = self._leaving(now_us)
         role = self.links[link]
         key = (link, stream)
         parser = self._parsers.get(key)
@@ -148,7 +149,22 @@ class Core:
         return self.due(now_us) + self._process((frame,), arrival)
 
     def due(self, now_us: int) -> list[Send]:
-        """What falls due by `now_us`, in order."""
+        """What falls due by `now_us`, in order; bytes last of which no frame comes any more."""
+        sends = self._leaving(now_us)
+        for key in list(self._give_up_us):
+            # The rest of the frame will not come: the bytes leave as they are.
+            while self._give_up_us.get(key, NEVER_US) <= now_us:
+                arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
+                sends += self._process(self._parsers[key].give_up(), arrival)
+                self._wait_for_rest(key)
+        return sends
+
+    def owing(self, now_us: int) -> set[int]:
+        """The links with streams whose incomplete frames `due` gives up by `now_us`."""
+        return {link for (link, _), due_us in self._give_up_us.items() if due_us <= now_us}
+
+    def _leaving(self, now_us: int) -> list[Send]:
+        """What was kept for a time that has come, in order."""
         sends: list[Send] = []
         while self._pending or self.engine is not None:
             engine_us = self._engine_due_us()
@@ -164,12 +180,6 @@ class Core:
                 sends += self._to_links(mask, raw, when_us)
             else:
                 sends += self._release_from_engine(when_us)
-        for key in list(self._give_up_us):
-            # The rest of the frame will not come: the bytes leave as they are.
-            while self._give_up_us.get(key, NEVER_US) <= now_us:
-                arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
-                sends += self._process(self._parsers[key].give_up(), arrival)
-                self._wait_for_rest(key)
         return sends
 
     def _wait_for_rest(self, key: tuple[int, int]) -> None:

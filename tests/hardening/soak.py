@@ -1,21 +1,24 @@
 """Hours of traffic with ten faults and an edit a second, and the page that watches it.
 
     python -m tests.hardening.soak --minutes 240 --rate 20000 --page
+    python -m tests.hardening.soak --minutes 240 --rate 20000 --speed 2.5
 
-Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its
-frames are, what the kernel dropped on the way (at the proxy, at the station, or in the queue of
-either processor), and with `--page` what a browser (Debian's Chromium), its frames at the end of
-the row's time, and the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM end it
-with a last row and what the proxy itself counted; SIGSTOP pauses it: traffic goes on where it was.
+The minutes, the frames a second and the edit a second are those of the vehicle's clock; with
+`--speed` it runs faster than the wall's, and the same work is done in less time. Prints a row of
+figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its frames are, what
+the kernel dropped on the way (at the proxy, at the station, or in the queue of either processor),
+and with `--page` what a browser (Debian's Chromium), its frames at the end of the row's time, and
+the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM end it with a last row and
+what the proxy itself counted; SIGSTOP pauses it: traffic goes on where it was.
 """
 
 import argparse
 import contextlib
 import csv
 import os
+import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
@@ -33,19 +36,22 @@ from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
+from tests.hardening.datagrams import Inbox, send_all
 from tests.hardening.page_watcher import FRAME_COLUMNS, PageWatcher, watched_page
 
 MARKED = 42  # the system whose heartbeats are timed
 MARK_EVERY = 50  # frames
 BURST_S = 0.005  # between two bursts of frames
+LOOK_S = 0.002  # between two looks at what came
+SETTLE_S = 6.0  # after the last frame: a mark is missing after five
 FRAMES_S = 20.0  # of the page's frames, looked at one by one
 SO_TIMESTAMPNS = 35  # Linux <asm-generic/socket.h>
 FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
 )  # fmt: skip
 COLUMNS = (
-    "min", "sent/s", "came/s", "edits", "unanswered", "marks missing", "lost before proxy",
-    "before station", "between", "proxy, of a core",
+    "min", "vehicle min", "sent/s", "came/s", "edits", "unanswered", "marks missing",
+    "lost before proxy", "before station", "between", "proxy, of a core",
     "proxy MB", "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB",
     "script s/s", "heap MB", *FRAME_COLUMNS,
 )  # fmt: skip
@@ -54,15 +60,15 @@ COLUMNS = (
 class Traffic:
     """A vehicle that sends at a rate, and the station that times its marks."""
 
-    def __init__(self, rate_hz: int) -> None:
+    def __init__(self, rate_hz: int, speed: float, frames: int) -> None:
         self.vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.station.bind(("127.0.0.1", 0))
-        self.station.settimeout(0.5)
         enlarge_buffers(self.station)  # a busy machine's pause must not be taken for a loss
         # The kernel says when a frame came: this process may be late to look.
         self.station.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        self.rate_hz = rate_hz
+        self.rate_hz, self.burst = rate_hz, round(rate_hz * speed * BURST_S)
+        self.frames = frames  # that are sent in all
         self.sent = self.came = self._sensors = 0
         self.due_s: dict[int, float] = {}
         self.late_s: list[float] = []
@@ -72,14 +78,27 @@ class Traffic:
             build(known("HIL_SENSOR"), {"time_usec": 1 << 40, **rest}, system=1, component=51)
         )
 
+    @property
+    def clock_s(self) -> float:
+        """The vehicle's, since it began."""
+        return self.sent / self.rate_hz
+
+    @property
+    def all_sent(self) -> bool:
+        """Whether the vehicle's time is over."""
+        return self.sent >= self.frames
+
     def send(self) -> None:
-        """Frames in bursts; what was missed while this process had to wait is not made up for."""
+        """Frames in bursts; what was missed while this process had to wait comes later."""
         next_s = time.monotonic()
-        while not self.over.wait(max(next_s - time.monotonic(), 0.0)):
+        while not self.all_sent and not self.over.wait(max(next_s - time.monotonic(), 0.0)):
             next_s = max(next_s + BURST_S, time.monotonic() - BURST_S)
-            for _ in range(round(self.rate_hz * BURST_S)):
-                self.sent += 1
-                self.vehicle.send(self.frame(self.sent))
+            numbers = range(self.sent + 1, min(self.sent + self.burst, self.frames) + 1)
+            burst = [self.frame(number) for number in numbers]
+            while burst:
+                taken = send_all(self.vehicle, burst)
+                self.sent += taken
+                burst = burst[taken:]
 
     def frame(self, number: int) -> bytes:
         """The marks are heartbeats, the rest what a simulator sends."""
@@ -103,14 +122,16 @@ class Traffic:
 
     def receive(self) -> None:
         """Note how late each mark is."""
+        inbox = Inbox(self.station)
         while not self.over.is_set():
-            with contextlib.suppress(TimeoutError):
-                data, ancillary, _, _ = self.station.recvmsg(2048, 64)
-                self.came += 1
-                if data[5] == MARKED:  # the sender's system in a frame of version 2
-                    seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
-                    number = int.from_bytes(data[10:14], "little")
-                    self.late_s.append(seconds + 1e-9 * nanoseconds - self.due_s.pop(number))
+            select.select([self.station], [], [], 0.5)
+            time.sleep(LOOK_S)  # many at once
+            while len(rows := inbox.receive()):
+                self.came += len(rows)
+                # The sender's system in a frame of version 2.
+                for row in np.flatnonzero(rows[:, 5] == MARKED):
+                    number = int.from_bytes(rows[row, 10:14].tobytes(), "little")
+                    self.late_s.append(inbox.came_s(row) - self.due_s.pop(number))
 
     def missing(self) -> int:
         """The marks that have not come after five seconds."""
@@ -174,49 +195,60 @@ class Rows:
                 csv.writer(file).writerow(row)
 
 
-def edit(proxy: Proxy, faults: list[LiveFault], until_s: float) -> tuple[int, int]:
-    """One edit a second until a time; how many, and how many had no answer."""
-    edits = unanswered = 0
-    while (now_s := time.monotonic()) < until_s:
-        edits += 1
-        try:
-            faults[edits % len(faults)].update(0.1 + edits % 7)
-        except ConfigError:  # counted: a busy machine may let the bus's time run out
-            unanswered += 1
-        time.sleep(max(min(now_s + 1.0, until_s) - time.monotonic(), 0.0))
-    return edits, unanswered
+class Edits:
+    """One a second of the vehicle's clock, each of the next fault."""
+
+    def __init__(self, proxy: Proxy, traffic: Traffic) -> None:
+        self._faults: list[LiveFault] = [
+            proxy.fault("bias", id=name, target=f"HIL_SENSOR.{name}", value=0.1) for name in FIELDS
+        ]
+        self._traffic = traffic
+        self.made = self.unanswered = 0
+
+    def until(self, end_s: float) -> None:
+        """Edit until a time, or until all is sent and edited."""
+        while time.monotonic() < end_s:
+            if self.made >= int(self._traffic.clock_s):
+                if self._traffic.all_sent:
+                    return
+                time.sleep(0.02)
+                continue
+            self.made += 1
+            try:
+                self._faults[self.made % len(FIELDS)].update(0.1 + self.made % 7)
+            except ConfigError:  # counted: a busy machine may let the bus's time run out
+                self.unanswered += 1
 
 
 def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: str,
           page: PageWatcher | None, ports: tuple[int, int]) -> None:  # fmt: skip
-    """Edit a fault every second, and add a row after each `--every` minutes, also the last."""
+    """Edit faults, and add a row after each `--every` minutes, also the last."""
     rows = Rows(args.csv)
     begin_s = time.monotonic()
-    end_s = begin_s + 60 * args.minutes
     stopped = False
     between = lost()[0]
     with Proxy.attach(router) as proxy:
-        faults = [
-            proxy.fault("bias", id=name, target=f"HIL_SENSOR.{name}", value=0.1) for name in FIELDS
-        ]
-        while not stopped and (from_s := time.monotonic()) < end_s:
+        edits = Edits(proxy, traffic)
+        while not stopped and not traffic.all_sent:
+            from_s = time.monotonic()
             cpu_s = [usage(pid)[0] for pid in pids]
             script_s = page.usage()[0] if page else 0.0
             from_sent, from_came = traffic.sent, traffic.came
-            edits = unanswered = 0
+            made, unanswered = edits.made, edits.unanswered
             try:
-                while time.monotonic() < min(from_s + 60 * args.every, end_s):
-                    more = edit(proxy, faults, time.monotonic() + 10.0)
-                    edits, unanswered = edits + more[0], unanswered + more[1]
+                edits.until(from_s + 60 * args.every)
             except KeyboardInterrupt:  # Ctrl-C or SIGTERM: a last row, and the proxy's own words
                 stopped = True
+            if traffic.all_sent:
+                time.sleep(SETTLE_S)  # the last frames are on their way
             span_s = time.monotonic() - from_s
             used = [usage(pid) for pid in pids]
             share = [f"{(one[0] - before_s) / span_s:.1%}"
                      for one, before_s in zip(used, cpu_s, strict=True)]  # fmt: skip
-            row = [f"{(time.monotonic() - begin_s) / 60:.1f}",
+            row = [f"{(time.monotonic() - begin_s) / 60:.1f}", f"{traffic.clock_s / 60:.1f}",
                    f"{(traffic.sent - from_sent) / span_s:.0f}",
-                   f"{(traffic.came - from_came) / span_s:.0f}", edits, unanswered,
+                   f"{(traffic.came - from_came) / span_s:.0f}",
+                   edits.made - made, edits.unanswered - unanswered,
                    traffic.missing(), *lost(*ports)[:2], lost()[0] - between,
                    share[0], f"{used[0][1]:.1f}", used[0][2],
                    *traffic.latencies()]  # fmt: skip
@@ -225,6 +257,8 @@ def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: s
                 row += [share[1], f"{used[1][1]:.1f}", f"{(script_now_s - script_s) / span_s:.3f}",
                         f"{heap_mb:.1f}", *page.frames(FRAMES_S).cells()]  # fmt: skip
             rows.add(row)
+    print(f"{traffic.sent} frames sent, {traffic.came} came; "
+          f"{edits.made} edits, {edits.unanswered} unanswered")  # fmt: skip
 
 
 def main() -> None:
@@ -233,13 +267,14 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=240.0)
     parser.add_argument("--every", type=float, default=10.0, help="minutes between two rows")
     parser.add_argument("--rate", type=int, default=20_000, help="frames a second")
+    parser.add_argument("--speed", type=float, default=1.0, help="of the vehicle's clock")
     parser.add_argument("--page", action="store_true", help="watch the page in a browser, too")
     parser.add_argument("--csv", help="file for the rows, besides the printed table")
     args = parser.parse_args()
     if object_file.load() is None:  # ten faults at this rate are too much without it
         object_file.make()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    traffic = Traffic(args.rate)
+    traffic = Traffic(args.rate, args.speed, round(60 * args.minutes * args.rate))
     station = traffic.station.getsockname()[1]
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(open_bus("tcp/127.0.0.1:0", run="soak", router=True)).url

@@ -25,7 +25,7 @@ from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.links.link import Link, enlarge_buffers
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known, message_names
@@ -202,3 +202,22 @@ def test_marks_between_mutated_bytes_leave_once_in_order_and_soon(
         f"{kind}, {16 * schedule} faults: {sent} bytes, {number} marks, "
         f"slowest {slowest[0]:.3f} s, of which {slowest[1]:.3f} s computed, at most {longest_s:.3f}"
     )
+
+
+def test_a_stream_cut_at_any_byte_gives_what_the_whole_gives_with_16_faults() -> None:
+    schedule, rng = parse_schedule(sixteen()), random.Random(2)
+    stream = b"".join(mutated(rng, n) for n in range(6))
+    now_us = 10**15
+
+    def given(*pieces: bytes) -> bytes:
+        sides = LinkRole("vehicle", "from-vehicle", datagrams=False), LinkRole("sim", "to-vehicle")
+        core = Core(sides, Engine(schedule))
+        sends = [send for data in (*pieces, b"") for send in core.received(0, data, now_us)]
+        return b"".join(send.data for send in [*sends, *core.finish(now_us + 10**7)])
+
+    whole = given(stream)
+    assert whole != stream
+    every = 40 if BYTES < 1_000_000 else 1
+    for at in range(1, len(stream), every):
+        assert given(stream[:at], stream[at:]) == whole, at
+    assert given(*(stream[at : at + 1] for at in range(len(stream)))) == whole

@@ -47,11 +47,12 @@ def processor_s(*command: str | Path, environment: dict[str, str] | None = None)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def build(folder: Path) -> Path:
-    """A wheel of this source tree."""
+def build(folder: Path, *, alike: bool) -> Path:
+    """A wheel of this source tree; with `alike` one whose bytes are always the same."""
     spent_s = processor_s(
-        sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", ROOT, "--wheel-dir", folder
-    )
+        sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", ROOT, "--wheel-dir", folder,
+        environment={**os.environ, "SOURCE_DATE_EPOCH": "1700000000"} if alike else None,
+    )  # fmt: skip
     (wheel,) = folder.glob("*.whl")
     print(f"built {wheel.name}, {wheel.stat().st_size / 1e6:.1f} MB, {spent_s:.0f} s", flush=True)
     return wheel
@@ -148,10 +149,11 @@ def main() -> int:
     if subprocess.run([*NOBODY, args.python, "-c", ""], capture_output=True, cwd="/").returncode:
         parser.error(f"--python {args.python}: another user cannot run it; give /usr/bin/python3")
     folder = args.folder or Path(tempfile.mkdtemp(prefix="mavproxy-fault-wheel-"))
+    folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o755)
-    wheel = args.wheel or build(folder / "one")
+    wheel = args.wheel or build(folder / "one", alike=args.twice)
     if args.twice:
-        compare(wheel, build(folder / "two"))
+        compare(wheel, build(folder / "two", alike=True))
     print(f"as user 65534, {os.uname().machine}, {os.cpu_count()} cores\n| what | found | limit |")
     print("|---|---|---|")
     commands = install(wheel.resolve(), folder, args.python)

@@ -18,7 +18,7 @@ from analysis.detection.receiver.carry_off import (
     searched,
 )
 from analysis.detection.receiver.fix_latency import accelerated
-from analysis.detection.receiver.position_test import Check, Measured
+from analysis.detection.receiver.position_test import Check, Measured, known_or_zero
 from analysis.detection.receiver.receiver_or_imu import mean_force
 from analysis.samples.sample import Vector
 
@@ -55,7 +55,7 @@ def carried_off(
         carry = carry._replace(doubt_us=motion.t_us, blown_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
-    if float(np.linalg.norm(np.nan_to_num(v_ned_mps))) > AT_REST_MPS:
+    if float(np.linalg.norm(known_or_zero(v_ned_mps))) > AT_REST_MPS:
         # One share for all windows: they overlap nearly whole, and what they say changes slowly.
         carry, found, wrong_mps2 = searched(carry, motion.t_us, chi_square(3, config.p_slow))
     if found is not None:

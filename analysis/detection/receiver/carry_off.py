@@ -44,6 +44,8 @@ MEMORY_S = 30.0  # of the level of the innovations
 FIRST_WEIGHT = 10.0  # fixes in favour of the noise as it is assumed
 LEAST_LEVEL = 0.1
 NOWHERE = np.zeros(3)
+PLACE = np.arange(3)  # the rows of a fix that are its position
+SOLVABLE = 1e-9 * np.eye(3)  # keeps an axis without information from dividing by zero
 MOST_SQUARE = 9.0  # one outlier says little of the level
 
 
@@ -108,11 +110,12 @@ def new_carry(t_us: int, each: int = EACH) -> Carry:
 def fitted(measured: Measured, position: Check, velocity: Check, p: Vector) -> Fitted:
     """A fix whose position and velocity were tested before the covariance p (20, 20)."""
     assert measured.v_ned_mps is not None
-    rows = np.r_[0:3, 3 + np.flatnonzero(np.isfinite(measured.v_ned_mps))]
-    h = np.vstack((position.h, velocity.h))
+    rows = np.concatenate((PLACE, 3 + np.flatnonzero(np.isfinite(measured.v_ned_mps))))
+    h = np.concatenate((position.h, velocity.h))
     cross = p @ h.T
-    m = np.linalg.inv(h @ cross + np.diag(np.r_[position.variance, velocity.variance]))
-    return Fitted(np.r_[position.v, velocity.v], rows, h, m, cross @ m)
+    variance = np.concatenate((position.variance, velocity.variance))
+    m = np.asarray(np.linalg.inv(h @ cross + np.diag(variance)), dtype=float)
+    return Fitted(np.concatenate((position.v, velocity.v)), rows, h, m, cross @ m)
 
 
 def extended(carry: Carry, t_us: int, dt_s: float, phi: Vector, axes: Vector, fix: Fitted) -> Carry:
@@ -120,10 +123,12 @@ def extended(carry: Carry, t_us: int, dt_s: float, phi: Vector, axes: Vector, fi
     (3, 3) are north, east and down in ECEF."""
     d, count = phi @ carry.d, carry.c.shape[1]
     by_window, begun = d.reshape(ERRORS, WINDOW_COUNT, count), carry.starts_us > 0
-    by_window[0:3, begun, ACCELERATED] += 0.5 * dt_s**2 * axes.T[:, None]
-    by_window[V : V + 3, begun, ACCELERATED] += dt_s * axes.T[:, None]
+    # All have after a few fixes, and a mask costs more than what is added.
+    at = slice(None) if begun.all() else begun
+    by_window[0:3, at, ACCELERATED] += 0.5 * dt_s**2 * axes.T[:, None]
+    by_window[V : V + 3, at, ACCELERATED] += dt_s * axes.T[:, None]
     if count == WITH_TURNS:
-        by_window[PSI : PSI + 3, begun, TURNED] += dt_s * axes.T[:, None]
+        by_window[PSI : PSI + 3, at, TURNED] += dt_s * axes.T[:, None]
     e = np.zeros((6, WINDOW_COUNT, count))
     ages_s = np.where(begun, (t_us - carry.starts_us) * 1e-6, 0.0)
     for axis in range(3):
@@ -216,7 +221,7 @@ def surely_carried(carry: Carry, t_us: int, level: float, threshold: float) -> F
 
 def _found(carry: Carry, window: int) -> Found:
     """The carry-off that a window shows."""
-    covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED] + 1e-9 * np.eye(3))
+    covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED] + SOLVABLE)
     each = carry.c.shape[1]
     d = carry.d[:, window * each : window * each + 3]
     u = covariance @ carry.c[window, CARRIED]
@@ -228,15 +233,14 @@ def _accelerated(carry: Carry, window: int, threshold: float) -> Vector | None:
     ratio = _ratios(carry, np.array([window]), ACCELERATED, NATURAL_MPS2)[0]
     if ratio <= threshold:
         return None
-    information = carry.j[window, ACCELERATED, ACCELERATED] + 1e-9 * np.eye(3)
+    information = carry.j[window, ACCELERATED, ACCELERATED] + SOLVABLE
     return np.asarray(np.linalg.solve(information, carry.c[window, ACCELERATED]))
 
 
 def _ratios(carry: Carry, windows: Indices, part: slice, natural: float = 0.0) -> Vector:
     """The likelihood ratios of three of the responses of windows (n,)."""
     c, j = carry.c[windows, part], carry.j[windows, part, part]
-    # The last term keeps an axis without information from dividing by zero.
-    spread = j + natural**2 * j @ j + 1e-9 * np.eye(3)
+    spread = (j + natural**2 * j @ j if natural else j) + SOLVABLE
     return np.asarray(np.einsum("ij,ij->i", c, np.linalg.solve(spread, c[..., None])[..., 0]))
 
 

@@ -44,8 +44,8 @@ def with_honest_heading(
     # The gyro's bias that turns the vehicle about the vertical goes with it.
     down_b = matrix(after.x[X_Q:X_BG]).T @ down
     back = np.zeros((ERRORS, ERRORS))
-    back[PSI : PSI + 3, PSI : PSI + 3] = share * np.outer(down, down)
-    back[BG : BG + 3, BG : BG + 3] = share * np.outer(down_b, down_b)
+    back[PSI : PSI + 3, PSI : PSI + 3] = share * (down[:, None] * down)
+    back[BG : BG + 3, BG : BG + 3] = share * (down_b[:, None] * down_b)
     x = after.x.copy()
     turn = -share * _turn_about(down, before.x[X_Q:X_BG], after.x[X_Q:X_BG]) * down
     x[X_Q:X_BG] = turned_in_reference(x[X_Q:X_BG], *turn)

@@ -1,5 +1,6 @@
 """A receiver's own position and velocity against the filter, for when there are no raw ranges."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +12,14 @@ from analysis.detection.filter.information import measured_update, statistic
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.isolation.chi_square import chi_square
 from analysis.samples.sample import GpsFix, Vector
-from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth import ecef_of
 from mavproxy_fault.numerics.earth_kernel import ned_axes
 
 FIX_3D = 3
 POSITION_SIGMA_M = (1.0, 1.5)  # horizontal, vertical; where the receiver claims less
 UNKNOWN_SIGMA_M = 3.0
 VELOCITY_SIGMA_MPS = (0.3, 0.4)
+VELOCITY_VARIANCE = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS]) ** 2
 
 
 class Measured(NamedTuple):
@@ -52,7 +54,7 @@ def measure(fix: GpsFix) -> tuple[Measured | None, str]:
     """The fix in ECEF, or why it cannot be used."""
     if fix.fix_type < FIX_3D:
         return None, f"fix type {fix.fix_type}; 3 or more is a position"
-    if not np.isfinite([fix.lat_deg, fix.lon_deg, fix.alt_m]).all():
+    if not all(map(math.isfinite, (fix.lat_deg, fix.lon_deg, fix.alt_m))):
         return None, "the position is not finite"
     # Receivers that have no position send zeros.
     if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
@@ -60,14 +62,13 @@ def measure(fix: GpsFix) -> tuple[Measured | None, str]:
     lat, lon = np.radians(fix.lat_deg), np.radians(fix.lon_deg)
     # Claims are believed upwards only: many receivers are too sure of themselves.
     sigma = [
-        max(claimed, floor) if np.isfinite(claimed) and claimed > 0.0 else UNKNOWN_SIGMA_M
+        max(claimed, floor) if math.isfinite(claimed) and claimed > 0.0 else UNKNOWN_SIGMA_M
         for claimed, floor in zip((fix.eph_m, fix.epv_m), POSITION_SIGMA_M, strict=True)
     ]
     variance = np.array([sigma[0], sigma[0], sigma[1]]) ** 2
-    r_ecef_m = np.asarray(ecef_from_geodetic(lat, lon, fix.alt_m))
+    r_ecef_m = np.array(ecef_of(lat, lon, np.asarray(fix.alt_m)))
     axes = ned_axes(float(lat), float(lon))
-    v_sigma = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])
-    return Measured(r_ecef_m, axes, variance, fix.v_ned_mps, v_sigma**2), ""
+    return Measured(r_ecef_m, axes, variance, fix.v_ned_mps, VELOCITY_VARIANCE), ""
 
 
 def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[Check, Check | None]:
@@ -84,8 +85,11 @@ def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[C
     h = np.zeros((3, ERRORS))
     h[:, 3:6] = measured.axes
     v = measured.v_ned_mps - measured.axes @ motion.x[3:6]
-    variance = measured.v_variance[known]
-    return position, _check(motion.p, v[known], h[known], variance, config.p_other)
+    variance = measured.v_variance
+    # To pick all of them takes as long as the test.
+    if not known.all():
+        v, h, variance = v[known], h[known], variance[known]
+    return position, _check(motion.p, v, h, variance, config.p_other)
 
 
 def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:
@@ -98,6 +102,11 @@ def updated(motion: Motion, part: Check) -> Motion:
     h = np.ascontiguousarray(part.h)
     x, p = measured_update(motion.x, motion.p, h, part.variance, part.v)
     return motion._replace(x=x, p=p)
+
+
+def known_or_zero(v: Vector) -> Vector:
+    """A velocity (3,) without what is not known of it, which is rare."""
+    return v if np.isfinite(v).all() else np.nan_to_num(v)
 
 
 def start_at(t_us: int, measured: Measured) -> Motion:

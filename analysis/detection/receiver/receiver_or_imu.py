@@ -19,7 +19,12 @@ from analysis.detection.detector_state import LastFix
 from analysis.detection.filter.filter_state import Motion
 from analysis.detection.filter.propagation import Segment
 from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.receiver.position_test import VELOCITY_SIGMA_MPS, Check, Measured
+from analysis.detection.receiver.position_test import (
+    VELOCITY_SIGMA_MPS,
+    Check,
+    Measured,
+    known_or_zero,
+)
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
 
@@ -34,7 +39,7 @@ FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its
 def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: Motion) -> LastFix:
     """The fix as the next one needs it; `motion` is the filter after it."""
     velocity = np.full(3, np.nan) if measured.v_ned_mps is None else measured.v_ned_mps
-    off = np.nan_to_num(velocity - measured.axes @ motion.x[3:6])
+    off = known_or_zero(velocity - measured.axes @ motion.x[3:6])
     force = mean_force(part)
     past = () if before is None else before.forces_b_mps2[: SEVERAL - 1]
     forces = () if force is None else (force, *past)

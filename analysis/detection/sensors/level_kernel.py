@@ -30,15 +30,20 @@ NEVER_US = -(1 << 62)
 
 
 class Levels(NamedTuple):
-    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `follow` changes it."""
+    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `follow` changes them.
+
+    `rate` (1,) is how fast the vehicle turned when it was measured last, in rad/s.
+    """
 
     means: Vector
     stamps: NDArray[np.int64]
+    rate: Vector
 
 
 def no_levels() -> Levels:
     """Nothing came yet."""
-    return Levels(np.zeros((len(LEVELS), 4)), np.full((len(LEVELS), 4), NEVER_US))
+    stamps = np.full((len(LEVELS), 4), NEVER_US)
+    return Levels(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
 
 
 @compiled

@@ -11,15 +11,19 @@ import numpy as np
 from analysis.detection.sensors.level_kernel import (
     FIELD,
     HAS_FIX,
+    NEWEST,
     Levels,
     follow,
     no_levels,
 )
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import FIX, FIX_TYPE, KINDS, MAG, Block, Indices
+from analysis.samples.block import FIX, FIX_TYPE, IMU, IMU_ID, KINDS, MAG, Block, Indices
 from analysis.samples.sample import Vector
 
 FIX_3D = 3
+# A sample of a compass is a mean over the time since the one before, at most this time; turned so
+# far meanwhile it has lost 1 % of the field
+MEAN_US, TURN_RAD = 200_000, 0.5
 SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position"}
 REASONS = {
     FIELD: "the field's size is off by {:.3f} gauss",
@@ -44,7 +48,7 @@ class LevelWatch:
         """
         if not IN_LEVELS[block.kind].any():
             return [], state
-        quantities = [_field(block), _has_fix(block)]
+        quantities = [_field(block, state), _has_fix(block)]
         row = np.concatenate([rows for _, rows, _ in quantities])
         # By row, as the kernel follows the quantities in the order in which they came.
         order = np.argsort(row, kind="stable")
@@ -58,11 +62,24 @@ class LevelWatch:
         ], state
 
 
-def _field(block: Block) -> Quantities:
+def _field(block: Block, state: Levels) -> Quantities:
     rows = block.rows(MAG)
     size = np.linalg.norm(block.values[rows, :3], axis=1)
-    known = np.isfinite(size)
+    before_us = np.concatenate([state.stamps[FIELD, [NEWEST]], block.t_us[rows]])[:-1]
+    mean_us = np.minimum(block.t_us[rows] - before_us, MEAN_US)
+    turned_rad = _rates(block, rows, state) * mean_us * 1e-6
+    known = np.isfinite(size) & ~(turned_rad > TURN_RAD)
     return FIELD, rows[known], size[known]
+
+
+def _rates(block: Block, rows: Indices, state: Levels) -> Vector:
+    """How fast (n,) the vehicle turned at some rows, by the newest sample of the IMU; rad/s."""
+    imu = block.rows(IMU)
+    imu = imu[block.values[imu, IMU_ID] < 0.5]
+    rates = np.linalg.norm(block.values[imu, :3], axis=1)
+    known = np.concatenate([state.rate, rates])
+    state.rate[0] = known[-1]
+    return known[np.searchsorted(imu, rows)]
 
 
 def _has_fix(block: Block) -> Quantities:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.processes import spawning
 from analysis.search.evaluation.compiled_batch import Outcome
 from analysis.search.evaluation.evaluator import Evaluator, evaluator
 from analysis.search.space.test_file import TestFile
@@ -80,7 +80,7 @@ class Processes:
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
-        self._pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        self._pool = ProcessPoolExecutor(workers, mp_context=spawning())
 
     def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
         """As `Batch.evaluate`."""

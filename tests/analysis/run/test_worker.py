@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,19 @@ def test_a_monitor_that_was_killed_is_told() -> None:
         os.kill(monitor.pid, signal.SIGKILL)
         with pytest.raises(MonitorDiedError, match="the monitor's process ended by signal 9"):
             monitor.summary([], Criteria(), 1.0)
+
+
+def test_a_process_with_other_threads_is_not_forked() -> None:
+    over = threading.Event()
+    thread = threading.Thread(target=over.wait)
+    thread.start()
+    try:
+        with MonitorProcess(MonitorConfig()) as monitor:
+            words = Path(f"/proc/{monitor.pid}/cmdline").read_bytes()
+    finally:
+        over.set()
+        thread.join()
+    assert b"spawn_main" in words
 
 
 def test_records_lead_to_what_frames_lead_to() -> None:

@@ -23,6 +23,8 @@ from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -134,6 +136,58 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
             two.sendto(heartbeat(1, 2), address(master))
             assert station.recv(999) == heartbeat(1, 2), "the answer was for the other one"
             assert other.recv(999) == answer
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_what_comes_together_leaves_together_to_peers_of_a_server(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "HOLD_NS", 10**10)
+    master, outlet = open_link("udpin:127.0.0.1:0"), TcpServer("127.0.0.1", 0)
+    together: list[int] = []
+
+    def write_all(chunks: list[bytes]) -> None:
+        together.append(len(chunks))
+        TcpServer.write_all(outlet, chunks)
+
+    monkeypatch.setattr(outlet, "write_all", write_all)
+    running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
+    if compiled:
+        running.use_compiled()
+    frames = [heartbeat(seq) for seq in range(20)]
+    with udp() as vehicle, socket.create_connection(address(outlet), timeout=10) as peer:
+        while not outlet.peer_count:
+            outlet.read()
+        for frame in frames:
+            vehicle.sendto(frame, address(master))
+        peer.setblocking(False)
+        came = b""
+        while len(came) < len(b"".join(frames)):
+            running._step()
+            with contextlib.suppress(BlockingIOError):
+                came += peer.recv(9999)
+    assert came == b"".join(frames)
+    assert together == [20]
+    master.close()
+    outlet.close()
+
+
+@pytest.mark.parametrize("turn", ["_step", "_keep_time"])
+def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_bytes(
+    turn: str,
+) -> None:
+    master, outlet = TcpServer("127.0.0.1", 0), TcpServer("127.0.0.1", 0)
+    running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
+    with socket.create_connection(address(master)) as vehicle:
+        vehicle.sendall(sensor(0)[:30])
+        while not running.core._patience:
+            running._step()
+        vehicle.sendall(sensor(0)[30:])
+        running._base_ns += 2 * 10**9  # so long the process was not looked after
+        getattr(running, turn)()
+    assert (running.core.states[0].frames, running.core.states[0].junk) == (1, 0)
+    master.close()
+    outlet.close()
 
 
 def test_a_delayed_frame_leaves_by_itself() -> None:

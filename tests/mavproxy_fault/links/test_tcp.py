@@ -1,4 +1,5 @@
 import contextlib
+import resource
 import select
 import selectors
 import socket
@@ -71,6 +72,29 @@ def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog
         opened.enter_context(connect(server))
 
 
+def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
+    server: TcpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with socket.create_connection(("127.0.0.1", server.port), timeout=5) as peer:
+        # Below what is held: the reserve that is closed for the peer's sake cannot be had again.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+        try:
+            for _ in range(3):
+                server.read()
+                assert not select.select(server.filenos(), (), (), 0)[0], "the loop spins"
+                now_s[0] += tcp.REST_S
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        server.read()
+        assert server.peer_count == 1
+        server.write(b"word")
+        assert peer.recv(9) == b"word"
+    assert caplog.text.count("no descriptor for a further peer") == 1
+
+
 def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
     chunk = bytes(range(256)) * 64
     with connect(server) as slow, connect(server) as quick:
@@ -91,6 +115,21 @@ def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: T
                 received += slow.recv(1 << 20)
             server.read()
     assert bytes(received) == chunk * (sent - 5)
+
+
+def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpServer) -> None:
+    chunks = [b"one", b"two", b"three"]
+    server.write_all(chunks)
+    assert server.counters.drops == 3
+    with connect(server) as one, connect(server) as two:
+        server.write_all(chunks)
+        assert one.recv(99) == two.recv(99) == b"onetwothree"
+        assert server.counters.chunks_out == 6
+        # What would be dropped as a whole if it did not fit goes one by one.
+        large = [bytes(tcp.TOGETHER)] * (QUEUE_LIMIT // tcp.TOGETHER * 100)
+        server.write_all(large)
+        assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.TOGETHER
+        assert 3 < server.counters.drops < 3 + 2 * len(large)
 
 
 def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPatch) -> None:

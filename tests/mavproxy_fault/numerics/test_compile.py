@@ -24,17 +24,24 @@ def twice(x):
     return 2.0 * x
 
 assert twice(3.0) == 6.0
+if sys.argv[2:]:
+
+    @compiled
+    def squared(x):
+        return twice(x) * twice(x)
+
+    assert squared(3.0) == 36.0
 stats = twice.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
 
 
-def python(tmp_path: Path, installed: Path, **environment: str) -> list[str]:
+def python(tmp_path: Path, installed: Path, *words: str, **environment: str) -> list[str]:
     """What the script prints: functions that were loaded, and that were compiled."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     done = subprocess.run(
-        [sys.executable, str(script), str(installed)],
+        [sys.executable, str(script), str(installed), *words],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
@@ -52,6 +59,12 @@ def test_code_for_the_baseline_serves_every_later_processor(tmp_path: Path) -> N
     assert ["first use" in line for line in lines] == [True]
     assert python(tmp_path, built, MAVPROXY_FAULT_CACHE=str(own)) == ["1", "0"]
     assert not any(own.rglob("*.nbc"))
+
+
+def test_code_from_the_disk_is_inlined_by_what_is_compiled_later(tmp_path: Path) -> None:
+    code = {"MAVPROXY_FAULT_CACHE": str(tmp_path / "code")}
+    python(tmp_path, tmp_path, **code)
+    assert python(tmp_path, tmp_path, "further", **code)[:2] == ["1", "0"]
 
 
 def test_where_nothing_can_be_written_functions_still_work(

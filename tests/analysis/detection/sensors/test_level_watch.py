@@ -8,7 +8,7 @@ import pytest
 from analysis.detection.sensors.level_watch import LevelWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
-from analysis.samples.sample import GpsFix, MagSample, Sample
+from analysis.samples.sample import GpsFix, ImuSample, MagSample, Sample
 
 CHANGES_S, BACK_S, ENDS_S = 10.0, 15.0, 20.0
 FIELD_GAUSS = np.array([0.2, 0.0, 0.43])
@@ -68,6 +68,27 @@ def test_who_leaves_its_level_is_blamed_while_it_does(
 @pytest.mark.parametrize("make", [field_of(1.05), fix_of(4)])
 def test_small_changes_blame_nobody(make: Callable[[int, bool], Sample]) -> None:
     assert told(flight(make)) == []
+
+
+@pytest.mark.parametrize("block_s", [0.1, 1.0, 20.0])
+@pytest.mark.parametrize(("rate_rps", "blamed"), [(28.0, False), (0.1, True)])
+def test_a_field_that_a_tumble_averages_away_is_no_fault(
+    rate_rps: float, blamed: bool, block_s: float
+) -> None:
+    # As a falling hexacopter was logged: 25 samples of the gyro a second, some ten of the compass.
+    make, samples = field_of(0.8), list[Sample]()
+    for k in range(500):
+        t_us = k * 40_000
+        tumbles = CHANGES_S <= t_us * 1e-6 < CHANGES_S + 1.5
+        rates = np.array([rate_rps if tumbles else 0.1, 0.0, 0.0])
+        samples.append(ImuSample(t_us, rates, np.array([0.0, 0.0, -9.81])))
+        if k % 3 == 0:
+            samples.append(make(t_us, tumbles))
+    watch = LevelWatch()
+    state, found = watch.new_state(), []
+    for first in range(0, len(samples), n := round(block_s * 33)):
+        found += watch.step(block_of(samples[first : first + n]), state)[0]
+    assert bool(found) == blamed
 
 
 def test_a_noisy_field_has_to_change_by_more() -> None:
