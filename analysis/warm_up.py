@@ -153,7 +153,11 @@ def _chains(folder: Path) -> list[list[Step]]:
         _step(name, folder, "search", "--budget", "8", "--workers", "1") for name in ESTIMATORS
     ]
     other = [_step("multirotor", folder, "run", "--zenoh", "off")]
-    return [longest, searches, other, [Step("the proxy's machine code", _make_object_file)]]
+    proxied = [
+        Step("the proxy's machine code", _make_object_file),
+        Step("plain steps", partial(_make_plain_steps, folder / "multirotor.yaml")),
+    ]
+    return [longest, searches, other, proxied]
 
 
 def _step(name: str, folder: Path, *words: str, file: bool = True) -> Step:
@@ -166,6 +170,19 @@ def _make_object_file() -> None:
     from mavproxy_fault.compiled import object_file
 
     object_file.make()
+
+
+def _make_plain_steps(scenario: Path) -> None:
+    from analysis.autopilots.plain_flight import plain_flight
+    from analysis.run.proxied_flight import Flight
+    from mavproxy_fault.compiled.passage import new_passage
+    from mavproxy_fault.schedule.entries import Schedule
+    from simvehicle.hil.hil_frames import Hil
+    from simvehicle.scenario.scenario_file import read_scenario
+
+    flight = Flight(read_scenario(scenario), Schedule(0, ()))
+    # Made, not flown: for that an autopilot would have to answer.
+    plain_flight(flight.simulation, Hil(), new_passage(flight.core, flight.tape))
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:

@@ -15,14 +15,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from analysis.autopilots import autopilot_run
 from analysis.autopilots.px4_program import STARTED, environment, free_udp_port, streams
+from analysis.run.proxied_flight import HIL_COMPONENT
 from mavproxy_fault import cli
 from simvehicle.app.lockstep_loop import LockstepLoop
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.body import Truth
 
 SCENARIO = Path(__file__).parents[1] / "examples" / "px4_hover.yaml"
 FROM_US, TO_US = 25_000_000, 55_000_000  # of PX4's time
@@ -30,6 +31,7 @@ STEP_US = 4_000
 STEPS = (TO_US - FROM_US) // STEP_US
 PORT = 4560
 INSTANCE = 40  # none that a run takes by itself
+TRUTH, GROUND_STATION = 115, 255  # a message, a system
 ANSWER_S = 5.0
 ABOVE_NS = 1_000 * STEPS  # a thread with less than a microsecond a step is not listed
 
@@ -87,42 +89,43 @@ class Stretch:
 
 
 class Watched(LockstepLoop):
-    """A loop that is measured, and whose bytes are kept."""
+    """A loop that is measured."""
 
-    kept: list[tuple[int, bytes]]  # step and bytes, -1 for what leaves for PX4's own MAVLink
     stretch: Stretch
 
-    def run(self, until_us: int | None = None) -> None:
-        """Fly as ever."""
-        packer: Any = self._hil
-        self._keep(self._inbox.link, lambda: self.t_us + packer.start_us)
-        self._keep(packer._telemetry, lambda: -1)
-        super().run(until_us)
-
-    def _keep(self, link: Any, step_us: Callable[[], int]) -> None:
-        write = link.write
-
-        def kept(data: bytes) -> None:
-            self.kept.append((step_us(), data))
-            write(data)
-
-        link.write = kept
-
-    def _step(self) -> None:
-        super()._step()
+    def _flown(self, truth: Truth) -> None:
+        super()._flown(truth)
         self.stretch.at(self.t_us + self._hil.start_us)
+
+
+def left_for_px4(log: bytes) -> list[tuple[int, bytes]]:
+    """Step and bytes of what a flight's sent.tlog holds for PX4; -1 for its own MAVLink."""
+    kept: list[tuple[int, bytes]] = []
+    at, hil = 0, b""
+    while at < len(log):
+        raw = log[at + 8 : at + 20 + log[at + 9]]
+        at += 8 + len(raw)
+        if raw[6] == HIL_COMPONENT:
+            hil += raw
+            # The truth is the last one of a step.
+            if raw[7] == TRUTH:
+                kept.append((int.from_bytes(raw[10:18], "little"), hil))
+                hil = b""
+        elif raw[5] == GROUND_STATION:
+            kept.append((-1, raw))
+    return kept
 
 
 def fly(binary: str, folder: Path) -> list[tuple[int, bytes]]:
     """A flight as a user has it; the bytes that left for PX4."""
-    Watched.kept, Watched.stretch = [], Stretch(family)
+    Watched.stretch = Stretch(family)
     autopilot_run.LockstepLoop = Watched
     cli.main([
         "run", str(SCENARIO), "--autopilot", "px4", "--binary", binary,
         "--out", str(folder / "flight"), "--no-report",
     ])  # fmt: skip
     Watched.stretch.tell("flight")
-    return Watched.kept
+    return left_for_px4((folder / "flight" / "sent.tlog").read_bytes())
 
 
 @contextmanager

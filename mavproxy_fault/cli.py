@@ -6,9 +6,11 @@ parsed arguments that returns the exit code. Whatever is heavy is imported insid
 """
 
 import argparse
+import errno
+import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from signal import SIG_IGN, SIGINT, SIGTERM, default_int_handler, getsignal, signal
 from threading import current_thread, main_thread
@@ -113,8 +115,26 @@ def _stoppable(last: bool) -> Iterator[None]:
             signal(number, action)
 
 
+def _stand_in_for_closed() -> None:
+    """Open what a shell closed (`>&-`), or a socket would take its number and get our words."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+
+
+def _drop_output() -> None:
+    """Let go of what could not be written: Python would complain at exit."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with suppress(OSError):  # where a test has put something else in its place
+        os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
+    _stand_in_for_closed()
     for stream in (
         sys.stdout,
         sys.stderr,
@@ -137,6 +157,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader, `head` for example, has gone: Python would complain at exit.
         sys.stderr.close()
         return 0
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        print(f"mavproxy-fault: {error.strerror}: not all could be written", file=sys.stderr)
+        _drop_output()
+        return 2
     return code
 
 

@@ -85,6 +85,43 @@ def test_the_page_tells_who_holds_its_port(capsys: pytest.CaptureFixture[str]) -
     assert f"--port {port}: Address already in use ({held}" in capsys.readouterr().err
 
 
+SCHEMA = [sys.executable, "-m", "mavproxy_fault.cli", "faults", "schema"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no such device here")
+def test_an_output_that_is_full_is_told_in_a_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(SCHEMA, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "mavproxy-fault: No space left on device: not all could be written\n"
+
+
+def test_what_a_shell_has_closed_is_no_sockets_number() -> None:
+    code = "import os; from mavproxy_fault.cli import _stand_in_for_closed as stand_in; "
+    code += "stand_in(); os.write(3, b'%d' % os.dup(2))"
+    closed = ["sh", "-c", 'exec "$@" 3>&1 1>&- 2>&-', "sh"]
+    done = subprocess.run([*closed, sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert int(done.stdout) > 3
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no such device here")
+def test_a_device_without_an_end_is_not_read(
+    capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    assert main(("report", "log.tlog", "--labels", "/dev/zero")) == 2
+    assert "/dev/zero: is not a file" in capsys.readouterr().err
+
+
+def test_a_run_in_a_folder_that_is_gone_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "gone").mkdir()
+    monkeypatch.chdir(folder / "gone")
+    (folder / "gone").rmdir()
+    assert main(("run", "--zenoh", "off", "--gcs", "off")) == 2
+    assert "name a folder to write with --out" in capsys.readouterr().err
+
+
 def test_a_misspelt_command_is_answered_with_the_nearest(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

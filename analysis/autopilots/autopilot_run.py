@@ -18,11 +18,12 @@ from typing import Any
 import msgspec
 
 from analysis.autopilots import ardupilot_program, px4_program
-from analysis.autopilots.flight_operator import Operator, Requests
+from analysis.autopilots.flight_operator import LOOK_US, Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
 from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
+from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.program import Program, Start, Unhurried
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.idle import tell_idle
@@ -53,7 +54,6 @@ from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
 RECORD_US = 200_000  # simulated time between writes to the logs
-OPERATOR_US = 20_000  # of the vehicle's time between two looks of the operator
 START_S = 60.0  # wall time for the autopilot's program to come
 AUTOPILOTS = {"ardupilot": ardupilot_program, "px4": px4_program}
 LOAD = "@ctl/schedule/load"
@@ -234,27 +234,31 @@ class AutopilotRun:
         self._requests = requests
         self._operator = Operator(flight_plan(simulation), requests)
         mav_type, mix = airframe(simulation)
+        hil = Hil(mav_type=mav_type)
+        plain = plain_flight(simulation, hil, self._passage)
         with program as flying:
             self._start = Start(flying)
             patience = Patience(flying.links[0], flying.process, START_S)
             lockstep = Lockstep()
             outward = ToAutopilot(
                 self.flight,
-                Hil(mav_type=mav_type),
+                hil,
                 self._hear,
                 self._commands,
                 flying.links[-1],
                 flying.step,
                 self._passage,
             )
+            inward = FromAutopilot(outward, flying.links, patience, lockstep)
             loop = LockstepLoop(
                 simulation,
                 outward,
-                FromAutopilot(outward, flying.links, patience, lockstep),
+                inward,
                 mix,
                 speed,
                 self._progress,
                 lockstep,
+                plain if plain and plain.join(outward, inward, lockstep) else None,
             )
             reason = ""
             try:
@@ -311,7 +315,7 @@ class AutopilotRun:
         self._unhurried.hold(t_us, awaiting=self._requests.awaiting)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
-            self._operator_us = t_us + OPERATOR_US
+            self._operator_us = t_us + LOOK_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first stamp there is no time.
             started = self._start.over

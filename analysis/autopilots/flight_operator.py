@@ -19,6 +19,11 @@ COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER
 ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
 AGAIN_US = 1_000_000
+LOOK_US = 40_000  # of the vehicle's time between two looks of the operator
+# Streams that are recorded, and that nobody here reads
+UNREAD = frozenset(
+    known(name).id for name in ("ATTITUDE", "LOCAL_POSITION_NED", "VFR_HUD", "ALTITUDE")
+)
 # Of a position. PX4's detector of landings needs as long to see that a plane stands: armed before,
 # it takes it to fly, and banks it on the runway.
 SETTLED_US = 10_000_000

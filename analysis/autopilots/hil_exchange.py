@@ -12,11 +12,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
+from analysis.autopilots.flight_operator import UNREAD
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
 from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
-from mavproxy_fault.links.link import Link
+from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.dialect import known, layout
 from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
@@ -111,24 +112,39 @@ class ToAutopilot:
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """The frames of a step, with faults."""
         out: list[bytes] = []
-        self.step_us, self._left = None, True
-        core, now_us = self.flight.core, self.flight.now_us
+        self._left = True
         # The operator first: its commands belong to the state before this step.
         if self._answers or self._orders:
             self._leave_orders(out)
-        frames = self._packer.frames(t_us, truth, readings)
-        data = b"".join(frames)
+        data = b"".join(self._packer.frames(t_us, truth, readings))
+        return self.packed(data, self._packer.step_us, out)
+
+    def packed(
+        self, data: bytes, step_us: int | None, out: list[bytes] | None = None
+    ) -> list[bytes]:
+        """What becomes of a step's frames, behind what leaves before them."""
+        out = [] if out is None else out
+        now_us, self.step_us = self.flight.now_us, None
         if (passed := self.passed(SIMULATOR, data, now_us)) is not None:
             if passed.links >> VEHICLE & 1:
                 out.append(passed.data)
                 if passed.data == data:
-                    self.step_us = self._packer.step_us
+                    self.step_us = step_us
                 else:
                     self._note_step(passed.data)
             return out
-        for raw in frames:
-            self._sort(core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
+        for raw in split(data):
+            self._sort(self.flight.core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
         return out
+
+    def stepped(self, step_us: int) -> None:
+        """A step has left by another way, with this stamp."""
+        self.step_us, self._left = step_us, True
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something is to leave before the next step, or has come back for the plant."""
+        return bool(self._answers or self._orders or self.returned)
 
     def _leave_orders(self, out: list[bytes]) -> None:
         """One by one, for frames that come together leave together, and not all go the same way."""
@@ -272,29 +288,51 @@ class FromAutopilot:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
         self._inboxes = [Inbox(link) for link in links]
+        self._given: list[Chunk] = []  # of the HIL link, read by somebody else
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """What came and left the proxy for the simulator."""
         self._patience.check()
-        outward, flight = self._outward, self._outward.flight
+        outward = self._outward
         outward.meanwhile()
         found, outward.returned = outward.returned, []
+        if self._given:
+            given, self._given = self._given, []
+            self._read(self._inboxes[0], given, found)
+            return found
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
         ready, _, _ = select.select(by_fd, (), (), wait_s)
         # One link a call, the HIL link before the others: those wait until the step has left.
         for inbox in [by_fd[descriptor] for descriptor in ready[:1]]:
-            for stream, data in inbox.link.read():
-                passed = None
-                if data and not inbox.incomplete(stream):
-                    passed = outward.passed(VEHICLE, data, flight.now_us)
-                if passed is not None:
-                    self._take(data, passed, found)
-                    continue
-                for frame in inbox.parsed(stream, data):
-                    self._answered(frame)
-                    for send in outward.received(frame):
-                        outward.sort(send, found, frame)
+            self._read(inbox, inbox.link.read(), found)
         return found
+
+    def give(self, stream: int, data: bytes) -> None:
+        """Take bytes of the HIL link that somebody else has read."""
+        self._given.append((stream, data))
+
+    def incomplete(self, stream: int) -> bool:
+        """Whether a stream of the HIL link owes the rest of a frame."""
+        return self._inboxes[0].incomplete(stream)
+
+    def hear_others(self) -> None:
+        """Read the links behind the HIL link; what is for the simulator is returned to it."""
+        for inbox in self._inboxes[1:]:
+            self._read(inbox, inbox.link.read(), self._outward.returned)
+
+    def _read(self, inbox: Inbox, chunks: Sequence[Chunk], found: list[Frame]) -> None:
+        outward = self._outward
+        for stream, data in chunks:
+            passed = None
+            if data and not inbox.incomplete(stream):
+                passed = outward.passed(VEHICLE, data, outward.flight.now_us)
+            if passed is not None:
+                self._take(data, passed, found)
+                continue
+            for frame in inbox.parsed(stream, data):
+                self._answered(frame)
+                for send in outward.received(frame):
+                    outward.sort(send, found, frame)
 
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Frames that came and left together: `data` is what they were before."""
@@ -309,7 +347,7 @@ class FromAutopilot:
             at += len(raw)
             if passed.links >> SIMULATOR & 1 and number_of(raw) in FOR_SIMULATOR:
                 found.append(packed_frame(raw))
-            if passed.links >> GROUND & 1 and not of_lockstep(raw):
+            if passed.links >> GROUND & 1 and number_of(raw) not in UNREAD and not of_lockstep(raw):
                 self._outward.unheard.append(Send(GROUND, raw, now_us))
 
     def _answered(self, frame: Frame) -> None:

@@ -35,7 +35,12 @@ def make_folder(out: str | None, name: str) -> Path:
         folder = Path("runs") / f"{number:04d}-{name}"
         # A number is used once, whatever name stands behind it.
         if not any(Path("runs").glob(f"{number:04d}-*")):
-            folder.mkdir(parents=True)
+            try:
+                folder.mkdir(parents=True)
+            except OSError as error:
+                raise ConfigError(
+                    f"{folder}: {error.strerror}; name a folder to write with --out"
+                ) from error
             return folder
     raise AssertionError
 

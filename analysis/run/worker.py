@@ -12,6 +12,7 @@ import signal
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -53,6 +54,11 @@ class MonitorDiedError(RuntimeError):
     """The monitor's process ended before its work did."""
 
 
+def _rehearse(config: MonitorConfig, mark: Path) -> None:
+    die_with_parent()
+    rehearsal.rehearse(config, mark)
+
+
 @contextlib.contextmanager
 def _without(*signals: signal.Signals) -> Iterator[None]:
     """Signals are the parent's, who still wants a summary: what is started inherits the mask."""
@@ -83,7 +89,7 @@ class MonitorProcess:
         mark = rehearsal.due()
         with _without(signal.SIGINT):
             if mark is not None:
-                context.Process(target=rehearsal.rehearse, args=(config, mark), daemon=True).start()
+                context.Process(target=_rehearse, args=(config, mark), daemon=True).start()
             with _without(signal.SIGTERM):
                 self._process.start()
         # Only the child holds it then, so that its death is seen as the end of the pipe.

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from mavproxy_fault.live.session import Live
     from mavproxy_fault.proxy.engine import Engine
 
+MOST_KEY = 1 << 16  # characters of a passphrase
+
 
 def open_links(master: str, outs: Sequence[str]) -> list[Link]:
     """The vehicle's link and the others'; all closed again if one cannot be opened."""
@@ -103,7 +105,8 @@ def signing(args: argparse.Namespace) -> Signing | None:
     if args.signing_key is None:
         return Signing(strip=True) if args.strip_signatures else None
     try:
-        phrase = Path(args.signing_key).read_text().strip()
+        with open(args.signing_key) as file:
+            phrase = file.read(MOST_KEY).strip()  # a device may never end
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"{args.signing_key}: cannot be read ({error}); give a file with the passphrase"
@@ -202,7 +205,8 @@ def main(args: argparse.Namespace) -> int:
         gc.enable()
         with signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
-            print(f"ready: {links[0].name} <-> {others}", flush=True)
+            with contextlib.suppress(OSError):  # a full disk behind it stops nothing
+                print(f"ready: {links[0].name} <-> {others}", flush=True)
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)

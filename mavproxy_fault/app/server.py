@@ -188,8 +188,7 @@ class Server:
         if made:
             self.use_compiled()
         elif self._compiler is None:
-            print("first start: machine code is being made, once, while all goes a slower way",
-                  file=sys.stderr, flush=True)  # fmt: skip
+            _say("first start: machine code is being made, once, while all goes a slower way")
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
                 [sys.executable, "-m", machine.__name__],
@@ -338,8 +337,7 @@ class Server:
             if code == 0:
                 self.prepare()
             else:
-                print("no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way",
-                      file=sys.stderr, flush=True)  # fmt: skip
+                _say("no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way")
 
     def record(self) -> None:
         """Write and publish what has been gathered since the last time."""
@@ -395,6 +393,11 @@ class Server:
                 }
             )
         return found
+
+
+def _say(line: str) -> None:
+    with suppress(OSError):  # a full disk behind it stops nothing
+        print(line, file=sys.stderr, flush=True)
 
 
 def _tell_slower(error: OSError | MemoryError) -> None:

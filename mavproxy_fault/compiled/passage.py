@@ -1,5 +1,6 @@
 """The compiled form without sockets: for a process that has both ends of a link in itself."""
 
+import ctypes
 import sys
 from typing import Any, NamedTuple
 
@@ -33,6 +34,8 @@ class Passage(Tables):
         super().__init__(core, 0, tape)
         self.loop[k.COMPILED_LINKS] = (1 << len(core.links)) - 1
         self._data = self._arrays["data"]
+        function: Any = self._forward
+        self._address = ctypes.cast(function, ctypes.c_void_p).value or 0
 
     def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
         """What became of a datagram; None where the core has to carry it out."""
@@ -56,6 +59,24 @@ class Passage(Tables):
         if self._plans is not None or loop[k.RECEIVED_AT] > k.LOG_MARGIN:
             self._settle()
         return Passed(mask, bytes(self._data[:length]))
+
+    def open_until_us(self) -> int | None:
+        """The instant before which machine code may call `machine` by itself, until `settle`.
+
+        What is due then leaves first, by the core; None where nothing is.
+        """
+        self._refresh()
+        return self._core.next_due_us
+
+    @property
+    def machine(self) -> tuple[int, int]:
+        """Addresses of the compiled form and of what it is given; a datagram lies in `data`."""
+        return self._address, ctypes.addressof(self._addresses)
+
+    @property
+    def data(self) -> memoryview:
+        """Room for a datagram."""
+        return memoryview(self._data)
 
     def settle(self) -> None:
         """Give the engine what its faults did, and the tape what passed."""

@@ -42,6 +42,11 @@ class Stream:
         self.open = False
         self._await_room(wanted=True)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether something is still to be sent."""
+        return bool(self._queue)
+
     def write(self, data: bytes, chunks: int = 1) -> None:
         """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
         # Whole chunks: half a frame would make the receiver lose its place.

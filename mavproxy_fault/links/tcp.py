@@ -77,6 +77,13 @@ class TcpServer:
         """What to wait on for the listener and all connections."""
         return self._descriptors.filenos()
 
+    def lone_peer(self) -> tuple[int, int] | None:
+        """Descriptor and stream of the only peer, where all that was written has left."""
+        if len(self._peers) != 1:
+            return None
+        _, stream, number = next(iter(self._peers.values()))
+        return None if stream.waiting else (stream.fileno, number)
+
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []

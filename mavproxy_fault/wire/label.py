@@ -45,6 +45,8 @@ def read_labels(path: Path) -> list[Label]:
     ConfigError
         If the file cannot be read or holds something else.
     """
+    if path.exists() and not path.is_file():  # a device may never end
+        raise ConfigError(f"{path}: is not a file; give a labels.jsonl")
     try:
         return newest(_lines(path))
     except OSError as error:

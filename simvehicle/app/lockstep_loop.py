@@ -1,7 +1,8 @@
 """The loop that flies the simulation under an autopilot on the HIL link, in lockstep."""
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mavproxy_fault.links.link import Link
@@ -56,6 +57,17 @@ class Incoming(Protocol):
         """What has come since the last call, after waiting so long at most for something."""
 
 
+class Plain(Protocol):
+    """What flies plain steps in the loop's place; `simvehicle.plain` says what those are."""
+
+    def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
+        """Fly on until a step needs the loop, whose answer is still to come.
+
+        Takes the controls of the last answer, gives back those of the newest one, and tells
+        `flown` of where it has come now and then.
+        """
+
+
 class PeerGoneError(RuntimeError):
     """The autopilot closed the link."""
 
@@ -76,6 +88,8 @@ class LockstepLoop:
         Times real time, infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
         One that somebody else tells of answers too.
+    plain : Plain, optional
+        Flies plain steps at full speed, while the autopilot answers.
 
     Attributes
     ----------
@@ -95,6 +109,7 @@ class LockstepLoop:
         speed: float,
         progress: Progress,
         lockstep: Lockstep | None = None,
+        plain: Plain | None = None,
     ) -> None:
         self.t_us = 0
         self.lockstep = lockstep or Lockstep()
@@ -107,6 +122,7 @@ class LockstepLoop:
         self._progress = progress
         self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
         self._speed = speed
+        self._plain = plain if math.isinf(speed) else None
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
         self._answer_due_s: float | None = None  # the first; None where no more has to be told
@@ -156,14 +172,21 @@ class LockstepLoop:
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         # Whatever need not be done before, while the autopilot works.
-        self._battery.look(truth)
+        self._flown(truth)
         self._simulation.prepare()
+        if self._plain is not None and self._locked:
+            self._controls = self._plain.fly(self._controls, self._flown)
+            now_s = time.monotonic()
         self._await_answer()
         if self._answer_due_s is not None and now_s > self._answer_due_s:
             self._answer_due_s = None
             if not self.lockstep.answered:
                 self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {self.unanswered}")
         self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
+
+    def _flown(self, truth: Truth) -> None:
+        self.t_us = truth.t_us
+        self._battery.look(truth)
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""

@@ -69,6 +69,9 @@ class Hil:
     ----------
     step_us : int or None
         Stamp of the last step on the wire, which an autopilot answers.
+    seq, heartbeat_us, sensor_fields
+        The next frame's number, when the next heartbeat is due, and what HIL_SENSOR of each id
+        holds; steps that are flown elsewhere move them on.
     """
 
     def __init__(
@@ -80,14 +83,14 @@ class Hil:
     ) -> None:
         self.start_us = start_us
         self.step_us: int | None = None
-        self._system = system
-        self._component = component
+        self.system = system
+        self.component = component
         self._mav_type = mav_type
-        self._seq = 0
+        self.seq = 0
         self._rtcm = 0  # RTCM messages sent
-        self._heartbeat_us = 0
+        self.heartbeat_us = 0
         # HIL_SENSOR's floats, by id.
-        self._sensor_fields = [[0.0] * _FLOATS for _ in range(IMU_IDS)]
+        self.sensor_fields = [[0.0] * _FLOATS for _ in range(IMU_IDS)]
         self._truth = TruthPayload()
         self._consumed_mah = 0.0
         self._battery_us: int | None = None
@@ -119,9 +122,9 @@ class Hil:
                     out += self._tunnel(message)
             else:
                 out.append(self._build(*self._message(reading)))
-        if t_us >= self._heartbeat_us:
+        if t_us >= self.heartbeat_us:
             # The next whole second: a late heartbeat does not move those after it.
-            self._heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
+            self.heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
             out.append(self._build(*self._heartbeat()))
         out.append(self.truth(stamp, truth))
         return out
@@ -148,21 +151,21 @@ class Hil:
     ) -> None:
         """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
         if isinstance(reading, ImuReading):
-            fields = self._sensor_fields[reading.id]
+            fields = self.sensor_fields[reading.id]
             fields[_ACC] = reading.accel_b_mps2
             fields[_GYRO] = reading.gyro_b_rps
             updated[reading.id] |= ACCEL | GYRO
         elif isinstance(reading, MagReading):
-            self._sensor_fields[reading.id][_MAG] = reading.field_b_gauss
+            self.sensor_fields[reading.id][_MAG] = reading.field_b_gauss
             updated[reading.id] |= MAG
         elif isinstance(reading, PressureReading):
-            fields = self._sensor_fields[reading.id]
+            fields = self.sensor_fields[reading.id]
             fields[_PRESSURE] = reading.pressure_pa / PA_PER_HPA
             fields[_PRESSURE_ALT] = reading.pressure_alt_m
             fields[_TEMPERATURE] = reading.temperature_c
             updated[reading.id] |= BARO
         else:
-            self._sensor_fields[0][_DIFF_PRESSURE] = reading.diff_pressure_pa / PA_PER_HPA
+            self.sensor_fields[0][_DIFF_PRESSURE] = reading.diff_pressure_pa / PA_PER_HPA
             updated[0] |= DIFF_PRESSURE
 
     def _message(self, reading: Reading) -> Message:
@@ -175,10 +178,10 @@ class Hil:
     def _tunnel(self, message: bytes) -> list[bytes]:
         """TUNNEL frames around one RTCM message."""
         frames = tunnel_frames(
-            message, self._rtcm, seq=self._seq, system=self._system, component=self._component
+            message, self._rtcm, seq=self.seq, system=self.system, component=self.component
         )
         self._rtcm += 1
-        self._seq = (self._seq + len(frames)) & 0xFF
+        self.seq = (self.seq + len(frames)) & 0xFF
         return frames
 
     def _consume(self, reading: BatteryReading) -> float:
@@ -198,22 +201,20 @@ class Hil:
 
     def _sensor(self, stamp_us: int, updated: int, number: int) -> bytes:
         return self._frame(
-            HIL_SENSOR, _SENSOR.pack(stamp_us, *self._sensor_fields[number], updated, number)
+            HIL_SENSOR, _SENSOR.pack(stamp_us, *self.sensor_fields[number], updated, number)
         )
 
     def _frame(self, layout: Layout, payload: bytes) -> bytes:
         return framed(
-            layout, payload, seq=self._next(), system=self._system, component=self._component
+            layout, payload, seq=self._next(), system=self.system, component=self.component
         )
 
     def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
-        return build(
-            layout, values, seq=self._next(), system=self._system, component=self._component
-        )
+        return build(layout, values, seq=self._next(), system=self.system, component=self.component)
 
     def _next(self) -> int:
-        seq = self._seq
-        self._seq = (seq + 1) & 0xFF
+        seq = self.seq
+        self.seq = (seq + 1) & 0xFF
         return seq
 
 

@@ -10,7 +10,7 @@ from simvehicle.sensors.readings import PressureReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
 
-_ICE_K = 273.15
+ICE_K = 273.15
 
 
 class Barometer(SensorParameters, frozen=True, kw_only=True):
@@ -38,5 +38,5 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
         pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0] + drift
         # A huge bias may push it below zero, where the altitude has no logarithm.
         altitude = pressure_altitude(max(pressure, 1.0))
-        celsius = truth.temperature_k - _ICE_K
+        celsius = truth.temperature_k - ICE_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

@@ -36,10 +36,11 @@ class NoiseState(NamedTuple):
     """Errors to come, m at a time, and where bias, drift and walk stand after them (m,).
 
     Taking from `rows` moves it on, as drawing does a generator; a tuple made anew for each sample
-    would cost more than the sample.
+    would cost more than the sample. `block` (n, m) is what `rows` began with.
     """
 
     rows: Iterator[list[float]]
+    block: Array
     bias: Array
     drift: Array
     walk: Array
@@ -127,4 +128,4 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             block += path
             walk = path[-1]
         # Lists of floats, since each sample is used one number at a time.
-        return NoiseState(iter(block.tolist()), bias, drift, walk)
+        return NoiseState(iter(block.tolist()), block, bias, drift, walk)

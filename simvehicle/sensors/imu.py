@@ -1,9 +1,9 @@
 """Gyros and accelerometers: three axes each, sampled together."""
 
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simvehicle.sensors.error_model import Noise, NoiseState
 from simvehicle.sensors.readings import ImuReading, Triple
@@ -43,9 +43,12 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         accel_error, accel_state = self.accel.next(state.accel, rng, self.rate_hz)
         reading = ImuReading(
             truth.t_us,
-            _measured(truth.omega_b_rps, self.gyro.scale, gyro_error, self.gyro_range_rps),
-            _measured(
-                truth.specific_force_b_mps2, self.accel.scale, accel_error, self.accel_range_mps2
+            measured(truth.omega_b_rps.tolist(), self.gyro.scale, gyro_error, self.gyro_range_rps),
+            measured(
+                truth.specific_force_b_mps2.tolist(),
+                self.accel.scale,
+                accel_error,
+                self.accel_range_mps2,
             ),
             self.id,
         )
@@ -55,18 +58,15 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         return reading, state
 
 
-def _measured(true: NDArray[np.float64], scale: float, error: list[float], limit: float) -> Triple:
-    """A triad's values with scale and error, cut off at its range."""
+def measured(true: Sequence[float], scale: float, error: Sequence[float], limit: float) -> Triple:
+    """A triad's values with scale and error, cut off at its range; plain steps compile it."""
     # Single floats: numpy on three numbers takes ten times as long.
-    x, y, z = true.tolist()
+    x, y, z = true
     a, b, c = error
     gain = 1.0 + scale
     x, y, z = gain * x + a, gain * y + b, gain * z + c
     # Hardly ever out of range, so that one test stands for three.
     if -limit <= min(x, y, z) and max(x, y, z) <= limit:
         return x, y, z
-    return _cut(x, limit), _cut(y, limit), _cut(z, limit)
-
-
-def _cut(value: float, limit: float) -> float:
-    return min(limit, max(-limit, value))
+    x, y, z = max(-limit, x), max(-limit, y), max(-limit, z)
+    return min(limit, x), min(limit, y), min(limit, z)

@@ -8,7 +8,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -44,8 +44,21 @@ from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P, U
 from simvehicle.vehicles.vehicle import VOLTS, surroundings
 
 Array = NDArray[np.float64]
-_LONGEST_STEP_S = 0.005  # a ground contact is stiff
+LONGEST_STEP_S = 0.005  # a ground contact is stiff
 _WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+
+
+class Moment(NamedTuple):
+    """Where a flight stands, and what is known ahead of its next step; see `Simulation.step`."""
+
+    t_us: int
+    x: Array
+    number: int  # the next step's number
+    next_us: int
+    steps: int
+    dt: float
+    wind: Array
+    around: Array
 
 
 class Simulation:
@@ -62,6 +75,9 @@ class Simulation:
         `track` may be replaced in flight.
     truth : Truth
         The last one.
+    weather, fitted, late, place
+        The wind, the sensors on board, readings to come by their times, and home as `locate` takes
+        it.
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
@@ -74,20 +90,20 @@ class Simulation:
         self.kind = kind_of(scenario.vehicle.kind)
         self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
-        self._weather = Weather(scenario.environment, self.seed)
-        self._fitted = fit(scenario, self.seed)
-        self._rate_hz = self._fitted[0].sensor.rate_hz
+        self.weather = Weather(scenario.environment, self.seed)
+        self.fitted = fit(scenario, self.seed)
+        self._rate_hz = self.fitted[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
         # A heap by the time of delivery, then in the order of sampling.
-        self._late: list[tuple[int, int, Reading]] = []
+        self.late: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._commands = self._controls
-        self._place = self.home.packed
+        self.place = self.home.packed
         self._x = self._begin()
         # No step has been made: specific force and battery of this first truth are zero.
-        self.truth = self._observe(np.zeros(6), self._weather.steady_mps.copy())
+        self.truth = self._observe(np.zeros(6), self.weather.steady_mps.copy())
         # After the first truth, as its gains are made for the air density there.
         self.controller = self._controller()
         self._next_control_us = 0.0
@@ -136,6 +152,28 @@ class Simulation:
         is then settled, and a change of it comes a step later."""
         self._ahead = self._ahead or self._outside()
 
+    def moment(self) -> Moment:
+        """Where it stands now."""
+        self.prepare()
+        assert self._ahead is not None
+        return Moment(self._t_us, self._x, self._count, *self._ahead)
+
+    def observe(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
+        """Take over a state that was reached elsewhere, under a load (6,) and in a wind (3,).
+
+        Raises
+        ------
+        ConfigError
+            If the state has left the numbers.
+        """
+        self._t_us, self._x = t_us, x
+        self.truth = self._observe(load, wind)
+        return self.truth
+
+    def go_on_from(self, moment: Moment, controls: Array) -> None:
+        """Go on where steps that were flown elsewhere ended, after `observe`."""
+        self._count, self._ahead, self._controls = moment.number, moment[3:], controls
+
     def _outside(self) -> tuple[int, int, float, Array, Array]:
         """When the next step ends, into how many of how many seconds it is cut, the wind meanwhile,
         and `surroundings`."""
@@ -145,11 +183,11 @@ class Simulation:
         dt = (t_us - self._t_us) * 1e-6
         truth = self.truth
         # Held over the whole step: gusts are slow against it.
-        wind = self._weather.wind(self._x, truth, dt)
+        wind = self.weather.wind(self._x, truth, dt)
         ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
         around = surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
         # Slow sensors must not make the integration coarse.
-        steps = max(1, math.ceil(dt / _LONGEST_STEP_S - 1e-9))
+        steps = max(1, math.ceil(dt / LONGEST_STEP_S - 1e-9))
         return t_us, steps, dt / steps, wind, around
 
     def _checked(self, controls: Controls) -> Array:
@@ -176,7 +214,7 @@ class Simulation:
         if name in _WINDS:
             axis = _WINDS.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
-            self._weather.steady_mps[axis] = healthy if value is None else value
+            self.weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
             # Built anew from all faults that act: the order in which they came does not matter.
             changed = {k: v for k, v in self._plant.items() if k != name}
@@ -204,7 +242,7 @@ class Simulation:
     def pitot_offset_pa(self) -> float | None:
         """What the pitot tube shows without wind, as who calibrates it before a flight finds it;
         None without one."""
-        for fitted in self._fitted:
+        for fitted in self.fitted:
             if isinstance(fitted.sensor, Airspeed):
                 return float(fitted.state.bias[0] + fitted.state.drift[0])
         return None
@@ -215,7 +253,7 @@ class Simulation:
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[Fitted, Any]:
         """The sensor that receives satellites, and its state with one of its parameters set."""
-        for fitted in self._fitted:
+        for fitted in self.fitted:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
                 return fitted, sensor.with_plant(fitted.state, name, value)
@@ -247,7 +285,7 @@ class Simulation:
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         density, pull = self._around(level)
         speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
-        states, wind = [], self._weather.steady_mps
+        states, wind = [], self.weather.steady_mps
         for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
             try:
                 # All legs are tried now: a mission that cannot be flown must not fail in the air.
@@ -261,7 +299,7 @@ class Simulation:
     def _around(self, x: Array) -> tuple[float, float]:
         """Density of the air [kg/m^3] and gravity [m/s^2] where a state is."""
         place = np.empty(PLACE)
-        locate(x, np.zeros(3), self._place, place)
+        locate(x, np.zeros(3), self.place, place)
         self._gravity = place[PULL:]
         return float(place[AIR + 2]), float(np.linalg.norm(self._gravity))
 
@@ -282,7 +320,7 @@ class Simulation:
 
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
-        north_mps, east_mps, _ = self._weather.steady_mps.tolist()
+        north_mps, east_mps, _ = self.weather.steady_mps.tolist()
         path = plan(
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
@@ -296,7 +334,7 @@ class Simulation:
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
         x, place = self._x, np.empty(PLACE)
-        locate(x, wind, self._place, place)
+        locate(x, wind, self.place, place)
         lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
         # The height depends on all the rest, so that it shows any divergence.
         if not math.isfinite(height):
@@ -335,7 +373,7 @@ class Simulation:
         """Readings delivered by now, late ones of earlier samples included."""
         truth, t_us = self.truth, self._t_us
         out: list[Reading] = []
-        for fitted in self._fitted:
+        for fitted in self.fitted:
             if t_us < fitted.due_us:
                 continue
             if fitted.latency_us == 0:
@@ -343,10 +381,10 @@ class Simulation:
                 continue
             for reading in fitted.sample(truth):
                 # The number keeps readings of one time in order: a heap cannot compare readings.
-                heapq.heappush(self._late, (t_us + fitted.latency_us, next(self._order), reading))
-        while self._late and self._late[0][0] <= t_us:
+                heapq.heappush(self.late, (t_us + fitted.latency_us, next(self._order), reading))
+        while self.late and self.late[0][0] <= t_us:
             # Stamped at delivery: nobody on the link can see how old the measurement is.
-            out.append(msgspec.structs.replace(heapq.heappop(self._late)[2], t_us=t_us))
+            out.append(msgspec.structs.replace(heapq.heappop(self.late)[2], t_us=t_us))
         return out
 
 

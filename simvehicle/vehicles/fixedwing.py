@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing_flight import DRAWN, STATE, THROTTLE, fly, pack
+from simvehicle.vehicles.fixedwing_flight import STATE, fly, pack
 from simvehicle.vehicles.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing_parameters import (
     FixedWingParameters,
@@ -24,7 +24,7 @@ from simvehicle.vehicles.fixedwing_parameters import (
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 from simvehicle.vehicles.trim import Trim, trim
-from simvehicle.vehicles.vehicle import CHARGE, CURRENT, LOAD, VOLTS
+from simvehicle.vehicles.vehicle import LOAD
 
 Array = NDArray[np.float64]
 
@@ -67,8 +67,14 @@ class FixedWing:
             math.radians(throw.rudder),
         )
         shift_m = plant.get("load_shift_x_m", 0.0)
-        self._packed = pack(self.body, self.aero, self.gear, shift_m, self.throw_rad)
-        self._volts = plant.get("battery_voltage_scale", 1.0)
+        battery = parameters.battery
+        supply = battery.supply(
+            # With a motor model the kernel knows the current itself.
+            battery.full_throttle_a if parameters.motor is None else 0.0,
+            plant.get("battery_voltage_scale", 1.0),
+            1.0,
+        )
+        self.packed = pack(self.body, self.aero, self.gear, supply, shift_m, self.throw_rad)
 
     @classmethod
     def read(cls, name: str | Path) -> "FixedWing":
@@ -117,15 +123,5 @@ class FixedWing:
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
         after, load = np.empty(STATE), np.empty(LOAD)
-        fly(x, controls, around, steps, dt, self._packed, after, load)
-        battery = self.parameters.battery
-        # With a motor model the kernel gives the current itself.
-        if self.parameters.motor is None:
-            # The thrust law of the first edition knows no current: it is taken in proportion.
-            throttle = min(1.0, max(0.0, float(controls[THROTTLE])))
-            load[CURRENT] = battery.full_throttle_a * throttle
-            after[DRAWN] += load[CURRENT] * steps * dt
-        volts, load[CHARGE] = battery.state(float(after[DRAWN]), float(load[CURRENT]))
-        # A fault of the battery lowers the voltage that the vehicle sees.
-        load[VOLTS] = volts * self._volts
+        fly(x, controls, around, steps, dt, self.packed, after, load)
         return after, load

@@ -11,10 +11,20 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
+from simvehicle.vehicles.battery_kernel import Supply, supplied
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
 from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
-from simvehicle.vehicles.vehicle import CURRENT, DENSITY, FORCE, GRAVITY, GROUND, WIND
+from simvehicle.vehicles.vehicle import (
+    CHARGE,
+    CURRENT,
+    DENSITY,
+    FORCE,
+    GRAVITY,
+    GROUND,
+    VOLTS,
+    WIND,
+)
 
 Array = NDArray[np.float64]
 _CLEAR_M = 5.0  # above this height nothing can touch the ground
@@ -23,7 +33,9 @@ DRAWN, STATE = RIGID, RIGID + 1  # where the charge drawn is in a state, and a s
 ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # of the controls
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
-_END = _BODY + _AERO
+_SUPPLY = len(Supply._fields)
+_POWERED = _BODY + _AERO
+_END = _POWERED + _SUPPLY
 # What `pack` puts behind the named tuples; the contact points come last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _SHIFT, _THROW, _POINTS = (*range(_END, _END + 6), _END + 8)
 
@@ -41,14 +53,17 @@ class _Given(NamedTuple):
 
 
 def pack(
-    body: Inertia, aero: Aero, wheels: Gear, shift_x_m: float, throw_rad: tuple[float, float, float]
-) -> Array:
+    body: Inertia, aero: Aero, wheels: Gear, supply: Supply, shift_x_m: float,
+    throw_rad: tuple[float, float, float],
+) -> Array:  # fmt: skip
     """All parameters of `fly` in one array; the contact points are its end.
 
     `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold, `throw_rad`
     the largest deflections of elevator, aileron and rudder.
     """
-    return np.array([*body, *aero, *wheels[1:], shift_x_m, *throw_rad, *wheels.points_m.ravel()])
+    return np.array(
+        [*body, *aero, *supply, *wheels[1:], shift_x_m, *throw_rad, *wheels.points_m.ravel()]
+    )
 
 
 @inlined
@@ -108,18 +123,17 @@ def fly(
     controls : array, shape (4,)
         Elevator, aileron, rudder (-1 to 1 of full throw), throttle (0 to 1); clipped.
     around : array, shape (8,)
-        The wind [m/s] and gravity [m/s^2], both NED, the density of the air [kg/m^3] and the
-        ground's down coordinate [m]; from `vehicle.surroundings`.
+        From `vehicle.surroundings`.
     packed : array
         From `pack`; handing numba the named tuples themselves costs some microseconds each.
     after : array, shape (14,)
         Becomes the new state.
-    load : array, shape (>= 5,)
-        Becomes the specific force in body axes [m/s^2] at the new state, and the motor's current
-        [A]; places as in `vehicle`.
+    load : array, shape (6,)
+        Becomes what `vehicle.Vehicle.advance` gives beside the state.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
-    aero = Aero(*to_fixed_tuple(packed[_BODY:_END], _AERO))
+    aero = Aero(*to_fixed_tuple(packed[_BODY:_POWERED], _AERO))
+    supply = Supply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
     # A pilot who closes the throttle on the ground brakes.
     rolling = packed[_ALONG] if controls[THROTTLE] > 0.0 else _BRAKES
     points_m = packed[_POINTS:].reshape(-1, 3)
@@ -139,10 +153,13 @@ def fly(
     airspeed = np.sqrt((u - wx) ** 2 + (v - wy) ** 2 + (w - wz) ** 2)
     # The current of the last step stands for all of them.
     _, _, current = propulsion(airspeed, surfaces[THROTTLE], density, aero)
+    # The thrust law of the first edition knows no current: it is taken in proportion.
+    if supply.full_throttle_a > 0.0:
+        current = supply.full_throttle_a * surfaces[THROTTLE]
     for i in range(RIGID):
         after[i] = s[i]
     after[DRAWN] = x[DRAWN] + current * steps * dt
-    load[FORCE] = fx / body.mass_kg
-    load[FORCE + 1] = fy / body.mass_kg
+    load[FORCE], load[FORCE + 1] = fx / body.mass_kg, fy / body.mass_kg
     load[FORCE + 2] = fz / body.mass_kg
     load[CURRENT] = current
+    load[VOLTS], load[CHARGE] = supplied(supply, after[DRAWN], current)

@@ -18,7 +18,7 @@ from simvehicle.vehicles.contact_kernel import Gear, gear
 from simvehicle.vehicles.multirotor_flight import Airframe, fly, pack
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 from simvehicle.vehicles.rigidbody_kernel import RIGID
-from simvehicle.vehicles.vehicle import CHARGE, CURRENT, LOAD, SAG, VOLTS
+from simvehicle.vehicles.vehicle import LOAD
 
 Array = NDArray[np.float64]
 
@@ -103,9 +103,13 @@ class Multirotor:
                 for i, rotor in enumerate(parameters.rotors)
             ]
         )
-        self._volts = plant.get("battery_voltage_scale", 1.0)
-        self._resistance = plant.get("battery_resistance_scale", 1.0)
-        self._packed = pack(self.body, self.frame, self.gear, self.rotors)
+        battery = parameters.battery
+        supply = battery.supply(
+            battery.full_throttle_a,
+            plant.get("battery_voltage_scale", 1.0),
+            plant.get("battery_resistance_scale", 1.0),
+        )
+        self.packed = pack(self.body, self.frame, self.gear, supply, self.rotors)
 
     @classmethod
     def read(cls, name: str | Path) -> "Multirotor":
@@ -167,18 +171,6 @@ class Multirotor:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        battery = self.parameters.battery
-        # Of the last step: the voltage sags under it before the motors are computed.
-        current = float(x[-2])
-        volts, charge = battery.state(float(x[-1]), current * self._resistance)
-        volts *= self._volts
         after, load = np.empty(len(x)), np.empty(LOAD)
-        # 4.2 V is a full lithium cell: the full speed of the file is that of a full pack.
-        around[SAG] = min(1.0, volts / (battery.cells * 4.2))
-        fly(x, controls, around, steps, dt, self._packed, after, load)
-        # From the mean cube of the speeds over full speed.
-        current = battery.full_throttle_a * float(load[CURRENT])
-        after[-2] = current
-        after[-1] += current * steps * dt
-        load[VOLTS], load[CURRENT], load[CHARGE] = volts, current, charge
+        fly(x, controls, around, steps, dt, self.packed, after, load)
         return after, load

@@ -17,9 +17,20 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
+from simvehicle.vehicles.battery_kernel import Supply, supplied
 from simvehicle.vehicles.contact_kernel import Gear, contact
 from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
-from simvehicle.vehicles.vehicle import CURRENT, DENSITY, FORCE, GRAVITY, GROUND, SAG, WIND
+from simvehicle.vehicles.vehicle import (
+    CHARGE,
+    CURRENT,
+    DENSITY,
+    FORCE,
+    GRAVITY,
+    GROUND,
+    SAG,
+    VOLTS,
+    WIND,
+)
 
 Array = NDArray[np.float64]
 
@@ -59,16 +70,20 @@ class _Given(NamedTuple):
 
 _BODY = len(Inertia._fields)
 _FRAME = len(Airframe._fields)
-_END = _BODY + _FRAME
+_SUPPLY = len(Supply._fields)
+_POWERED = _BODY + _FRAME
+_END = _POWERED + _SUPPLY
 # What `pack` puts behind the named tuples; the rotors and then the contact points come last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _ROTORS = range(_END, _END + 5)
+_CURRENT, _DRAWN = -2, -1  # in the state
+_FULL_CELL_V = 4.2  # the full speed of a parameter file is that of a full pack
 _RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor behind x
 
 
-def pack(body: Inertia, frame: Airframe, wheels: Gear, rotors: Array) -> Array:
+def pack(body: Inertia, frame: Airframe, wheels: Gear, supply: Supply, rotors: Array) -> Array:
     """All parameters of `fly` in one array; rotors (n, 5) and contact points are its end."""
     ends = (rotors.ravel(), wheels.points_m.ravel())
-    return np.concatenate([[*body, *frame, *wheels[1:]], *ends])
+    return np.concatenate([[*body, *frame, *supply, *wheels[1:]], *ends])
 
 
 @inlined
@@ -178,17 +193,18 @@ def fly(
     Parameters
     ----------
     x, after : arrays, shape (15 + n,)
-        The last two entries of the new state are those of the old one.
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
     around : array, shape (9,)
-        The battery's sag, the last of them, lowers the full speed.
-    load : array, shape (>= 5,)
-        In the current's place comes the mean cube of the motors' speeds over full speed, which
-        power goes with.
+        The last of them becomes the battery's sag, which lowers the full speed.
+    load : array, shape (6,)
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
-    frame = Airframe(*to_fixed_tuple(packed[_BODY:_END], _FRAME))
+    frame = Airframe(*to_fixed_tuple(packed[_BODY:_POWERED], _FRAME))
+    supply = Supply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
+    # Of the last step: the voltage sags under it before the motors are computed.
+    load[VOLTS], load[CHARGE] = supplied(supply, x[_DRAWN], x[_CURRENT])
+    around[SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
     n = controls.shape[0]
     # Behind the fixed part of `packed` come five numbers a rotor, then the contact points.
     points = _ROTORS + _ROTOR * n
@@ -212,8 +228,9 @@ def fly(
         after[i] = s[i]
     for i in range(3):
         load[FORCE + i] = f[i] / body.mass_kg
-    load[CURRENT] = 0.0
+    power = 0.0  # goes with the mean cube of the speeds over full speed
     for i in range(n):
         after[RIGID + i] = speeds[0, i]
-        load[CURRENT] += (speeds[0, i] / frame.full) ** 3 / n
-    after[RIGID + n :] = x[RIGID + n :]
+        power += (speeds[0, i] / frame.full) ** 3 / n
+    after[_CURRENT] = load[CURRENT] = supply.full_throttle_a * power
+    after[_DRAWN] = x[_DRAWN] + load[CURRENT] * steps * dt

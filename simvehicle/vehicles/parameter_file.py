@@ -10,6 +10,7 @@ import msgspec
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
+from simvehicle.vehicles.battery_kernel import Supply
 from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
 
 T = TypeVar("T")
@@ -45,7 +46,7 @@ def body_of(parameters: Weighed, plant: Mapping[str, float]) -> Inertia:
 
 
 class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A lithium-polymer pack: open-circuit voltage over charge, and inner resistance.
+    """A lithium-polymer pack, as `battery_kernel` reckons with it.
 
     `full_throttle_a` is the current at full throttle of a vehicle without a motor model.
     """
@@ -55,17 +56,14 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     resistance_ohm: float
     full_throttle_a: float = 0.0
 
-    def state(self, drawn_as: float, current_a: float) -> tuple[float, float]:
-        """Terminal voltage [V] and the charge remaining (0 to 1) after `drawn_as` ampere seconds.
-
-        The open-circuit voltage falls from 4.2 to 3.7 V per cell over most of the charge and to
-        3.0 V over the last tenth, a straight-line picture of a lithium-polymer cell's curve.
-        """
-        # 3600 ampere seconds are an ampere hour.
-        charge = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * self.capacity_ah)))
-        # Two straight lines that meet at a tenth of the charge: 3.66 V per cell.
-        cell = 3.6 + 0.6 * charge if charge > 0.1 else 3.0 + 6.6 * charge
-        return max(0.0, self.cells * cell - self.resistance_ohm * current_a), charge
+    def supply(
+        self, full_throttle_a: float, voltage_scale: float, resistance_scale: float
+    ) -> Supply:
+        """The pack as the kernels take it, with faults."""
+        return Supply(
+            self.cells, self.capacity_ah, self.resistance_ohm, full_throttle_a,
+            voltage_scale, resistance_scale,
+        )  # fmt: skip
 
 
 def parameter_path(name: str | Path) -> Path:

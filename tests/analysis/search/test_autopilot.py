@@ -82,7 +82,8 @@ def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, ch
     found, error_deg = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
     assert error_deg.tolist() == pytest.approx([4.0, 0.0, 0.0, 4.0])  # 5^2 = 3^2 + 4^2
     assert (found.lasted_s, found.ended_early) == (10.0, "")
-    _, error_deg = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    # With the next test's noise; the flight without faults is that of the first.
+    _, error_deg = autopilot_flight.estimate(choice, {**DOCUMENT, "seed": 2}, 0.0)
     assert error_deg.tolist() == [0.0] * 4  # better than without: no fault has done that
     assert [bool(one["schedule"]["faults"]) for one in flown] == [False, True, True]
     assert flown[0]["words"][1:] == ["--autopilot", "px4"]

@@ -153,6 +153,7 @@ def test_what_comes_together_leaves_together_to_peers_of_a_server(
     monkeypatch.setattr(outlet, "write_all", write_all)
     running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
     if compiled:
+        machine.make()
         running.use_compiled()
     frames = [heartbeat(seq) for seq in range(20)]
     with udp() as vehicle, socket.create_connection(address(outlet), timeout=10) as peer:
@@ -382,6 +383,7 @@ print(len(tried), "bias" in compiled, "numpy" in sys.modules)
 
 
 def test_a_fault_that_draws_nothing_never_loads_numpy_amid_the_traffic() -> None:
+    machine.make()
     done = subprocess.run([sys.executable, "-c", FAULTS_THAT_DRAW_NOTHING], capture_output=True)
     assert done.returncode == 0, done.stderr
     count, has_bias, has_numpy = done.stdout.split()

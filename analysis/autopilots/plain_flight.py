@@ -1,0 +1,124 @@
+"""Plain steps of a flight under an autopilot, and between them whatever else has to be done."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from analysis.autopilots import stretch_kernel as s
+from analysis.autopilots.flight_operator import LOOK_US
+from analysis.autopilots.hil_exchange import FromAutopilot, ToAutopilot
+from analysis.run.proxied_flight import SIMULATOR, VEHICLE
+from mavproxy_fault.compiled.passage import Passage
+from mavproxy_fault.links.tcp import TcpServer
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.plain import plain_arrays as k
+from simvehicle.plain.plain_steps import PlainSteps, can_be_plain
+from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.body import Controls, Truth
+
+
+class PlainFlight:
+    """The loop's plain steps behind the proxy; `outward` and `inward` take every other one."""
+
+    def __init__(self, simulation: Simulation, hil: Hil, passage: Passage) -> None:
+        self._steps = PlainSteps(simulation, hil)
+        self._simulation, self._passage = simulation, passage
+        self._due_us: int | None = None  # when the core has something to send by itself
+        words = np.zeros(s.WORDS, dtype=np.int64)
+        words[s.SIMULATOR], words[s.VEHICLE] = SIMULATOR, VEHICLE
+        self._stretch = s.Stretch(
+            words=words,
+            poll=np.zeros(1, dtype=np.int64),
+            came=np.zeros(s.ROOM, dtype=np.uint8),
+            loop=np.asarray(passage.loop),
+            data=np.asarray(passage.data),
+        )
+        # Without a step to fly: where machine code has to be made, no autopilot waits yet.
+        s.stretch(self._steps.arrays, self._stretch)
+
+    def join(self, outward: ToAutopilot, inward: FromAutopilot, lockstep: Lockstep) -> bool:
+        """Take one's place between these; False where the link is none for plain steps."""
+        if not isinstance(inward.link, TcpServer):
+            return False
+        self._outward, self._inward, self._lockstep = outward, inward, lockstep
+        self._link, self._stream = inward.link, 0
+        return True
+
+    def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
+        """Fly on until a step needs the loop; see `lockstep_loop.Plain`."""
+        if self._outward.step_us is None:
+            return controls
+        words, began = self._stretch.words, False
+        words[s.STEP_US] = self._outward.step_us
+        until_us, left = self._steps.take()
+        while left > 0 and self._open():
+            words[s.UNTIL_US] = min(until_us, self._simulation.truth.t_us + LOOK_US + 1)
+            if self._due_us is not None:
+                words[s.UNTIL_US] = min(words[s.UNTIL_US], self._due_us - words[s.START_US])
+            words[s.LEFT], words[s.STEPS] = left, 0
+            reason = s.stretch(self._steps.arrays, self._stretch)
+            left = int(words[s.LEFT])
+            if words[s.STEPS] or reason == s.DIVERGED:
+                began = True
+                self._steps.observe()
+                self._account()
+                flown(self._simulation.truth)
+            if reason == s.OVER and words[s.STEPS] == 0:
+                break
+            if not self._see_to(reason):
+                break
+        return self._steps.give_back() if began else controls
+
+    def _open(self) -> bool:
+        """Whether nothing waits that the ordinary way has to see to before the next step."""
+        outward, inward, words = self._outward, self._inward, self._stretch.words
+        peer = self._link.lone_peer()
+        if peer is None or outward.waiting or inward.incomplete(peer[1]):
+            return False
+        words[s.FD], self._stream = peer
+        words[s.START_US] = outward.flight.now_us - outward.flight.t_us
+        self._due_us = self._passage.open_until_us()
+        words[s.FORWARD], words[s.ADDRESSES] = self._passage.machine
+        return True
+
+    def _account(self) -> None:
+        """Tell the lockstep and the link's counters what a stretch did."""
+        words, now_s = self._stretch.words, time.monotonic()
+        step_us, counters, steps = int(words[s.STEP_US]), self._link.counters, int(words[s.STEPS])
+        self._lockstep.received(int(words[s.ANSWERED_US]), now_s)
+        self._lockstep.sent(step_us, now_s)
+        self._outward.stepped(step_us)
+        counters.chunks_in += steps
+        counters.chunks_out += steps
+        counters.bytes_in += int(words[s.BYTES_IN])
+        counters.bytes_out += int(words[s.BYTES_OUT])
+        words[s.BYTES_IN] = words[s.BYTES_OUT] = 0
+
+    def _see_to(self, reason: int) -> bool:
+        """Do what a stretch ended for; whether a further one may follow."""
+        words, outward = self._stretch.words, self._outward
+        if reason == s.CAME:
+            self._inward.give(self._stream, self._stretch.came[: words[s.GOT]].tobytes())
+        elif reason == s.KEPT:
+            arrays = self._steps.arrays
+            packed = arrays.out[: arrays.words[k.LENGTH]].tobytes()
+            step_us = int(arrays.words[k.T_US] + arrays.words[k.START_US])
+            self._link.write(b"".join(outward.packed(packed, step_us)))
+            self._lockstep.sent(outward.step_us, time.monotonic())
+        elif reason == s.STAYED:
+            length, went = int(self._steps.arrays.words[k.LENGTH]), max(int(words[s.WENT]), 0)
+            self._link.write(self._stretch.data[went:length].tobytes())
+        elif reason != s.SILENT:
+            self._inward.hear_others()
+            outward.meanwhile()
+            return True
+        return False
+
+
+def plain_flight(simulation: Simulation, hil: Hil, passage: Passage | None) -> PlainFlight | None:
+    """The plain steps of a flight, where it has any."""
+    if passage is None or not can_be_plain(simulation):
+        return None
+    return PlainFlight(simulation, hil, passage)

@@ -1,0 +1,155 @@
+"""Plain steps against the simulation and the packer, whose bytes they have to give."""
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.frame import Frame, framed
+from simvehicle.hil.hil_frames import Hil
+from simvehicle.plain import plain_arrays as k
+from simvehicle.plain.plain_steps import PlainSteps, can_be_plain
+from simvehicle.plain.step_kernel import command, look_ahead, step
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.actuators import ARMED, CHANNELS, read_controls
+from simvehicle.vehicles.body import Controls
+
+ANSWER = known("HIL_ACTUATOR_CONTROLS")
+QUAD = """
+name: plain
+vehicle: {kind: multirotor, parameters: iris}
+environment: {wind_ned_mps: [2, -1, 0], gusts: moderate, shear: {reference_m: 10, exponent: 0.14}}
+sensors:
+  imu: [{preset: consumer-mems, rate_hz: 300}, {preset: consumer-mems, rate_hz: 300, id: 1}]
+  mag: {preset: consumer-mag, rate_hz: 50}
+  baro: {preset: consumer-baro, rate_hz: 40, drift_pa_per_k: 2.0}
+  gps: {preset: consumer, rate_hz: 5, latency_s: 0.11}
+  battery: {rate_hz: 2}
+"""
+PLANE = """
+name: plain
+vehicle: {kind: fixedwing, parameters: NAME}
+start: {height_m: 300}
+environment: {gusts: light}
+sensors:
+  imu: {preset: consumer-mems, rate_hz: 250}
+  mag: {preset: consumer-mag, rate_hz: 50, latency_s: 0.02}
+  baro: {preset: consumer-baro, rate_hz: 50}
+  gps: {preset: consumer, rate_hz: 5}
+  airspeed: {preset: mpxv5004dp, rate_hz: 50}
+"""
+VEHICLES = {
+    "quad": QUAD,
+    "plane": PLANE.replace("NAME", "aerosonde-2025"),
+    "plane without a motor model": PLANE.replace("NAME", "aerosonde-2025-thrust-law"),
+}
+STEPS = 1600  # over three blocks of drawn numbers
+
+
+def channels(number: int, kind: str) -> list[float]:
+    """What an autopilot might command at a step, some of it nonsense."""
+    draw = np.random.default_rng([7, number])
+    values = [0.0] * CHANNELS
+    if kind == "quad":
+        # Up, and around its axes a little.
+        values[:4] = (0.72 + 0.02 * draw.standard_normal(4)).tolist()
+    else:
+        values[2:8] = (0.1 * draw.standard_normal(6)).tolist()
+        values[4] = 0.6
+    if number % 97 == 0:
+        values[int(draw.integers(8))] = (math.nan, math.inf, -3.0, 3.0)[number % 4]
+    return values
+
+
+def answers(kind: str) -> Iterator[tuple[list[float], int]]:
+    """The channels of each step and the mode: armed from the hundredth on."""
+    for number in range(STEPS):
+        yield channels(number, kind), ARMED | 1 if number > 100 else 1
+
+
+def flight(kind: str, folder: Path) -> Simulation:
+    """A simulation of one of the vehicles."""
+    path = folder / "plain.yaml"
+    path.write_text(VEHICLES[kind])
+    return Simulation(read_scenario(path), seed=3)
+
+
+def read(simulation: Simulation, values: list[float], mode: int) -> Controls:
+    """The ordinary way of an answer to controls."""
+    payload = struct.pack("<QQ16fB", 1, 0, *values, mode)
+    raw = framed(ANSWER, payload, seq=0, system=1, component=1)
+    mix = simulation.kind.mix(simulation.vehicle)
+    return read_controls(Frame(raw, ANSWER), mix)[1]
+
+
+def ordinary(kind: str, folder: Path) -> tuple[list[bytes], Simulation]:
+    """The frames of each step by the simulation and the packer."""
+    simulation, hil, out = flight(kind, folder), Hil(), []
+    for number, (values, mode) in enumerate(answers(kind)):
+        if number == 700:
+            simulation.plant(simulation.vehicle.plant_names[0], 0.1)
+        told = simulation.step(read(simulation, values, mode))
+        out.append(b"".join(hil.frames(*told)))
+        simulation.prepare()
+    return out, simulation
+
+
+def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
+    """The same by plain steps wherever there is one; how many were."""
+    simulation, hil, out = flight(kind, folder), Hil(), []
+    assert can_be_plain(simulation)
+    steps = PlainSteps(simulation, hil)
+    count, left, until_us, taken = 0, 0, 0, False
+    for number, (values, mode) in enumerate(answers(kind)):
+        if taken and (left == 0 or steps.arrays.words[k.NEXT_US] >= until_us or number == 700):
+            steps.give_back()
+            taken = False
+        if number == 700:
+            simulation.plant(simulation.vehicle.plant_names[0], 0.1)
+        if not taken:
+            until_us, left = steps.take()
+            taken = left > 0 and steps.arrays.words[k.NEXT_US] < until_us
+        if taken:
+            arrays = steps.arrays
+            arrays.words[k.ARMED] = mode & ARMED
+            command(arrays, np.array(values, dtype=np.float32))
+            assert step(arrays)
+            out.append(arrays.out[: arrays.words[k.LENGTH]].tobytes())
+            look_ahead(arrays)
+            count, left = count + 1, left - 1
+            continue
+        told = simulation.step(read(simulation, values, mode))
+        out.append(b"".join(hil.frames(*told)))
+        simulation.prepare()
+    if taken:
+        steps.give_back()
+    return out, simulation, count
+
+
+@pytest.mark.parametrize("kind", VEHICLES)
+def test_plain_steps_give_the_bytes_of_the_ordinary_way(kind: str, tmp_path: Path) -> None:
+    expected, simulation = ordinary(kind, tmp_path)
+    found, flown, count = plain(kind, tmp_path)
+    assert found == expected
+    # At 50 Hz the plane's late compass needs the ordinary way, and each late reading once more.
+    assert count > (0.9 if kind == "quad" else 0.5) * STEPS
+    for name in simulation.truth.__struct_fields__:
+        np.testing.assert_array_equal(
+            getattr(flown.truth, name), getattr(simulation.truth, name), err_msg=name
+        )
+
+
+def test_a_state_that_leaves_the_numbers_is_told(tmp_path: Path) -> None:
+    simulation = flight("plane", tmp_path)
+    steps = PlainSteps(simulation, Hil())
+    steps.take()
+    steps.arrays.x[3] = math.nan
+    assert not step(steps.arrays)
+    with pytest.raises(ConfigError, match="left the numbers"):
+        steps.give_back()
