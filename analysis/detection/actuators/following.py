@@ -50,8 +50,10 @@ WANDERS = 4.0  # variances of half a second in that of the trim
 HELD = 6.0  # what a free constant has to explain
 STUCK = 0.4  # share of its moves that are missing, of one that is stuck since some seconds
 # r of who is suspected, and g^2 over its variance; what it may leave of each degree of freedom, or
-# which share; how far it is ahead of the next, in what it leaves, and the least of that
-EXPLAINS, SURE, FITS, FITS_SHARE, AHEAD, QUIET = 30.0, 14.0, 3.0, 0.15, 12.0, 0.25
+# which share; how far it is ahead of the next, in what it leaves, the least of it, and of
+# another actuator which share of r: one loud half second tells more than the model knows
+EXPLAINS, SURE, FITS, FITS_SHARE = 30.0, 14.0, 3.0, 0.15
+AHEAD, QUIET, AHEAD_SHARE = 12.0, 0.25, 0.2
 # Half seconds that V is learnt from before anybody is suspected, and of an unknown vehicle
 KNOWN, UNKNOWN_KNOWN = 20.0, 60.0
 LEAST = 2.5  # half seconds
@@ -249,7 +251,8 @@ def _decide(total: float, kept: Following) -> None:
     for i in range(HYPOTHESES):
         if i != first and kept.explained[i] > following:
             following = kept.explained[i]
-            if best - following < AHEAD * max(QUIET, left):
+            alike = AHEAD_SHARE * best if first < COMMANDS and i < COMMANDS else 0.0
+            if best - following < max(AHEAD * max(QUIET, left), alike):
                 kept.who[1] = i
     if kept.who[1] == PITOT or first == PITOT:
         # Noise of the airspeed scales what surfaces do: it proves nothing against them.
