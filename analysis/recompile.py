@@ -16,12 +16,14 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
 from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
 
+from mavproxy_fault.compiled import object_file
 from mavproxy_fault.numerics.code_cache import mark
 from mavproxy_fault.numerics.compile import MADE
 
 
 def main(draft: Path) -> None:
-    """Compile everything that is found under a folder."""
+    """Compile the proxy's object file, and everything that is found under a folder."""
+    object_file.make()  # first, as a function's number stands in one of its symbols
     numbers = count()
     # The module's calls of the builtin find this name first.
     array_exprs.hash = lambda _: next(numbers)

@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import io
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -118,8 +117,6 @@ def _again(draft: str, folder: str) -> None:
     environment = {**os.environ, "MAVPROXY_FAULT_CACHE": folder, "PYTHONHASHSEED": "0"}
     command = [sys.executable, "-m", "analysis.recompile", draft]
     subprocess.run(command, env=environment, check=True)
-    for file in Path(draft).rglob("*.o"):
-        shutil.copy(file, Path(folder) / file.relative_to(draft))
 
 
 def _aim_at_baseline(folder: str) -> None:
