@@ -14,10 +14,12 @@ def add_proxy(commands: Any) -> None:
     """`proxy`: the proxy alone, between a vehicle and any number of others."""
     parser = commands.add_parser("proxy", help="forward MAVLink between links and apply faults")
     parser.add_argument("--master", required=True, metavar="EP", help=f"the vehicle: {ENDPOINT}")
-    parser.add_argument(
-        "--to", "--out", action="append", required=True, metavar="EP",
-        help="ground station, autopilot ...; may be given again (--out, as MAVProxy has it)",
+    to = parser.add_argument(
+        "--to", action="append", required=True, metavar="EP",
+        help="ground station, autopilot ...; may be given again",
     )  # fmt: skip
+    # MAVProxy's word for it, taken but not shown: elsewhere it says where results are written.
+    parser._option_string_actions["--out"] = to
     parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
     parser.add_argument(

@@ -55,9 +55,10 @@ def test_a_misspelt_word_is_answered_with_the_nearest(
     assert meant in capsys.readouterr().err
 
 
-def test_the_proxy_takes_its_stations_by_either_name() -> None:
+def test_the_proxy_takes_its_stations_by_mavproxys_word_too_but_does_not_show_it() -> None:
     words = ["proxy", "--master", "udpin:127.0.0.1:1", "--to", "a", "--out", "b"]
     assert parser("proxy").parse_args(words).to == ["a", "b"]
+    assert "--out EP" not in parser("proxy").format_help()
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
