@@ -14,6 +14,12 @@ from mavproxy_fault.wire.frame import build
 
 PATIENCE_S = 60.0  # on a busy machine
 
+# libfaketime (Debian's `faketime`), which gives a whole process another clock, Zenoh and machine
+# code too; "" where it is not there.
+CLOCK_LIBRARY = os.environ.get("FAKETIME_LIBRARY") or str(
+    next(iter(sorted(Path("/usr/lib").glob("*/faketime/libfaketime.so.1"))), "")
+)
+
 
 def numbered(number: int) -> bytes:
     """A frame that tells its number, with a stamp that starts the schedule."""

@@ -3,13 +3,16 @@
     python -m tests.hardening.soak --minutes 240 --rate 20000 --page
     python -m tests.hardening.soak --minutes 240 --rate 20000 --speed 2.5
 
-The minutes, the frames a second and the edit a second are those of the vehicle's clock; with
-`--speed` it runs faster than the wall's, and the same work is done in less time. Prints a row of
-figures now and then (`--csv FILE` keeps them): what the proxy holds, how late its frames are, what
-the kernel dropped on the way (at the proxy, at the station, or in the queue of either processor),
-and with `--page` what a browser (Debian's Chromium), its frames at the end of the row's time, and
-the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM end it with a last row and
-what the proxy itself counted; SIGSTOP pauses it: traffic goes on where it was.
+The minutes, the frames a second and the edit a second are those of the vehicle's clock. With
+`--speed` it runs faster than the wall's, and so does every clock of the proxy's process, by
+libfaketime (Debian's `faketime`; `FAKETIME_LIBRARY` names another place): what happens in hours
+happens in less. How old the proxy is by its own clock is told by its statistics, which come once a
+second. Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how
+late its frames are, what the kernel dropped on the way (at the proxy, at the station, or in the
+queue of either processor), and with `--page` what a browser (Debian's Chromium), its frames at the
+end of the row's time, and the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM
+end it with a last row and what the proxy itself counted; SIGSTOP pauses it: traffic goes on where
+it was.
 """
 
 import argparse
@@ -32,12 +35,13 @@ from fastcrc.crc16 import mcrf4xx
 from mavproxy_fault.api.proxy_handle import LiveFault, Proxy
 from mavproxy_fault.compiled import object_file
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import open_bus
+from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 from tests.hardening.datagrams import Inbox, send_all
 from tests.hardening.page_watcher import FRAME_COLUMNS, PageWatcher, watched_page
+from tests.hardening.proxy_process import CLOCK_LIBRARY
 
 MARKED = 42  # the system whose heartbeats are timed
 MARK_EVERY = 50  # frames
@@ -50,7 +54,7 @@ FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
 )  # fmt: skip
 COLUMNS = (
-    "min", "vehicle min", "sent/s", "came/s", "edits", "unanswered", "marks missing",
+    "min", "vehicle min", "proxy min", "sent/s", "came/s", "edits", "unanswered", "marks missing",
     "lost before proxy", "before station", "between", "proxy, of a core",
     "proxy MB", "descriptors", "p50 ms", "p99 ms", "max ms", "server, of a core", "server MB",
     "script s/s", "heap MB", *FRAME_COLUMNS,
@@ -128,8 +132,8 @@ class Traffic:
             time.sleep(LOOK_S)  # many at once
             while len(rows := inbox.receive()):
                 self.came += len(rows)
-                # The sender's system in a frame of version 2.
-                for row in np.flatnonzero(rows[:, 5] == MARKED):
+                # The sender in a frame of version 2; the proxy's own have the system of another.
+                for row in np.flatnonzero((rows[:, 5] == MARKED) & (rows[:, 6] == 1)):
                     number = int.from_bytes(rows[row, 10:14].tobytes(), "little")
                     self.late_s.append(inbox.came_s(row) - self.due_s.pop(number))
 
@@ -162,10 +166,12 @@ def lost(*ports: int) -> list[int]:
 
 
 @contextlib.contextmanager
-def command(*words: str) -> Iterator[tuple[int, str]]:
+def command(*words: str, **environment: str) -> Iterator[tuple[int, str]]:
     """A command of ours in its own process: its number and its first line."""
     whole = [sys.executable, "-m", "mavproxy_fault.cli", *words]
-    with subprocess.Popen(whole, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        whole, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
+    ) as process:
         assert process.stdout is not None
         try:
             yield process.pid, process.stdout.readline()
@@ -220,14 +226,25 @@ class Edits:
                 self.unanswered += 1
 
 
-def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: str,
+def fast_clock(speed: float) -> dict[str, str]:
+    """What lets every clock of a process run faster than the wall's."""
+    if speed == 1.0:
+        return {}
+    if not CLOCK_LIBRARY:
+        sys.exit("--speed: libfaketime is not there; FAKETIME_LIBRARY can name it")
+    return {"LD_PRELOAD": CLOCK_LIBRARY, "FAKETIME": f"+0 x{speed}"}
+
+
+def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], bus: Bus,
           page: PageWatcher | None, ports: tuple[int, int]) -> None:  # fmt: skip
     """Edit faults, and add a row after each `--every` minutes, also the last."""
+    lived_s: list[str] = []  # an entry for each second of the proxy
+    bus.subscribe("proxy/stats", lambda key, _: lived_s.append(key))
     rows = Rows(args.csv)
     begin_s = time.monotonic()
     stopped = False
     between = lost()[0]
-    with Proxy.attach(router) as proxy:
+    with Proxy.attach(bus.url) as proxy:
         edits = Edits(proxy, traffic)
         while not stopped and not traffic.all_sent:
             from_s = time.monotonic()
@@ -246,6 +263,7 @@ def watch(args: argparse.Namespace, traffic: Traffic, pids: list[int], router: s
             share = [f"{(one[0] - before_s) / span_s:.1%}"
                      for one, before_s in zip(used, cpu_s, strict=True)]  # fmt: skip
             row = [f"{(time.monotonic() - begin_s) / 60:.1f}", f"{traffic.clock_s / 60:.1f}",
+                   f"{len(lived_s) / 60:.1f}",
                    f"{(traffic.sent - from_sent) / span_s:.0f}",
                    f"{(traffic.came - from_came) / span_s:.0f}",
                    edits.made - made, edits.unanswered - unanswered,
@@ -267,7 +285,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=240.0)
     parser.add_argument("--every", type=float, default=10.0, help="minutes between two rows")
     parser.add_argument("--rate", type=int, default=20_000, help="frames a second")
-    parser.add_argument("--speed", type=float, default=1.0, help="of the vehicle's clock")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="of the vehicle's and the proxy's clocks"
+    )
     parser.add_argument("--page", action="store_true", help="watch the page in a browser, too")
     parser.add_argument("--csv", help="file for the rows, besides the printed table")
     args = parser.parse_args()
@@ -277,9 +297,11 @@ def main() -> None:
     traffic = Traffic(args.rate, args.speed, round(60 * args.minutes * args.rate))
     station = traffic.station.getsockname()[1]
     with contextlib.ExitStack() as stack:
-        router = stack.enter_context(open_bus("tcp/127.0.0.1:0", run="soak", router=True)).url
+        # By the proxy's name, whose samples it takes.
+        bus = stack.enter_context(open_bus("tcp/127.0.0.1:0", run="live", router=True))
         links = ("--master", "udpin:127.0.0.1:0", "--to", f"udpout:127.0.0.1:{station}")
-        pid, ready = stack.enter_context(command("proxy", *links, "--zenoh", router))
+        proxy = command("proxy", *links, "--zenoh", bus.url, **fast_clock(args.speed))
+        pid, ready = stack.enter_context(proxy)
         pids, page = [pid], None
         port = int(ready.split()[1].rpartition(":")[2])
         traffic.vehicle.connect(("127.0.0.1", port))
@@ -289,11 +311,11 @@ def main() -> None:
             stack.callback(thread.join)
             stack.callback(traffic.over.set)  # before the join
         if args.page:
-            server, line = stack.enter_context(command("ui", "--port", "0", "--zenoh", router))
+            server, line = stack.enter_context(command("ui", "--port", "0", "--zenoh", bus.url))
             pids.append(server)
             address = "http://" + line.partition("http://")[2].strip()
             page = stack.enter_context(watched_page(address))
-        watch(args, traffic, pids, router, page, (port, station))
+        watch(args, traffic, pids, bus, page, (port, station))
 
 
 if __name__ == "__main__":

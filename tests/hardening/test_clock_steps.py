@@ -5,7 +5,6 @@ another place) the whole process has such a clock, Zenoh and the machine code to
 """
 
 import json
-import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,10 +13,8 @@ import pytest
 from mavproxy_fault.links.bus import open_bus, with_port
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_records
-from tests.hardening.proxy_process import driven
+from tests.hardening.proxy_process import CLOCK_LIBRARY, driven
 
-LIBRARIES = sorted(Path("/usr/lib").glob("*/faketime/libfaketime.so.1"))
-LIBRARY = os.environ.get("FAKETIME_LIBRARY") or str(next(iter(LIBRARIES), ""))
 FRAMES, STEP = 1500, 250  # a frame is a millisecond of the vehicle's clock
 SCHEDULE = """
 seed: 1
@@ -41,12 +38,12 @@ def environment(kind: str, folder: Path) -> dict[str, str]:
     (folder / "ahead").write_text("+0")
     found = {"FAKETIME_TIMESTAMP_FILE": str(folder / "ahead")}
     if kind == "libfaketime":
-        if not LIBRARY:
+        if not CLOCK_LIBRARY:
             pytest.skip("libfaketime is not there")
         # Looked for at every call; the monotonic clock is one that nobody can set.
         return {
-            **found, "LD_PRELOAD": LIBRARY, "FAKETIME_NO_CACHE": "1", "DONT_FAKE_MONOTONIC": "1",
-            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+            **found, "LD_PRELOAD": CLOCK_LIBRARY, "FAKETIME_NO_CACHE": "1",
+            "DONT_FAKE_MONOTONIC": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1",
         }  # fmt: skip
     (folder / "sitecustomize.py").write_text(STEPPED)
     return {**found, "PYTHONPATH": str(folder)}
