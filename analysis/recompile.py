@@ -17,13 +17,14 @@ from typing import Any
 
 
 def main(draft: Path) -> None:
-    """Compile the proxy's object file, and everything that is found under a folder."""
+    """Compile everything that is found under a folder: the proxy's object file and the kernels."""
     _forget_places()
     _number_what_has_addresses()
     from mavproxy_fault.compiled import object_file
     from mavproxy_fault.numerics.compile import MADE
 
-    object_file.make()  # first, as a function's number stands in one of its symbols
+    if any(draft.glob("*.o")):
+        object_file.make()  # first, as a function's number stands in one of its symbols
     indices = sorted(draft.rglob("*.nbi"))
     for index in indices:
         import_module(index.parent.name)  # a folder has its module's name
