@@ -181,7 +181,7 @@ def open_bus(
     Parameters
     ----------
     url : str, optional
-        Zenoh endpoint such as `tcp/127.0.0.1:7447` (the default). Port 0 is any free port.
+        Zenoh endpoint; `auto` and None are `tcp/127.0.0.1:7447`. Port 0 is any free port.
     run : str
         The run's name in the key space.
     router : bool
@@ -199,7 +199,7 @@ def open_bus(
     """
     if run != ANY:
         check_run(run)
-    address = with_port(DEFAULT_URL if url is None else url)
+    address = with_port(DEFAULT_URL if url is None or url == "auto" else url)
     config_file = config_file or os.environ.get("ZENOH_CONFIG", "")
     if config_file:
         return _opened(address, run, router, read_config(config_file))
@@ -324,14 +324,12 @@ def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
     ConfigError
         If neither can be had.
     """
-    url = None if choice == "auto" else choice
     try:
-        return open_bus(url, run=run, router=True, config_file=config_file)
+        return open_bus(choice, run=run, router=True, config_file=config_file)
     except ConfigError as error:
         try:
-            return open_bus(
-                url, run=run, config_file=config_file
-            )  # somebody else is the router already
+            # Somebody else is the router already.
+            return open_bus(choice, run=run, config_file=config_file)
         except ConfigError:
             raise error from None
 

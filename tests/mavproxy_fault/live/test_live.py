@@ -13,6 +13,7 @@ import pytest
 
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links import bus
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.live.session import Live
@@ -154,6 +155,14 @@ def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> N
         url = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
         assert main(["inject", "baro-freeze", "--zenoh", url]) == 2
     assert url in capsys.readouterr().err
+
+
+def test_auto_is_the_default_address_for_those_who_ask_too(
+    loop: Loop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bus, "DEFAULT_URL", loop.live.url)
+    assert main(["inject", "--list", "--zenoh", "auto"]) == 0
+    assert main(["inject", "--list"]) == 0
 
 
 def test_a_port_that_is_none_is_refused() -> None:
