@@ -39,6 +39,16 @@ def anything(kind: type) -> dict[str, Any]:
     return {"description": "a number, a text, or more of them"}
 
 
+def or_null(found: Any) -> Any:
+    """The same schema, with null wherever a number may not be finite: JSON has no word for it."""
+    if isinstance(found, list):
+        return [or_null(one) for one in found]
+    if not isinstance(found, dict):
+        return found
+    kinds = {"type": ["number", "null"]} if found.get("type") == "number" else {}
+    return {key: or_null(one) for key, one in found.items()} | kinds
+
+
 def schema() -> dict[str, Any]:
     """The whole document."""
     kinds = list(KEYS.values())
@@ -48,8 +58,8 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "What mavproxy-fault tells the bus, by key below mavfault/v1/{run}/",
-        "keys": dict(zip(KEYS, found, strict=True)),
-        "$defs": components,
+        "keys": dict(zip(KEYS, or_null(list(found)), strict=True)),
+        "$defs": or_null(components),
     }
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import itertools
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -27,10 +28,10 @@ class CommandParser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; an option that is none is refused before what is missing besides."""
-        # A parser with subcommands sees their options too.
-        if self._subparsers is None and args is not None:
-            for word in itertools.takewhile("--".__ne__, args):
-                self._check_option(word.partition("=")[0])
+        # A parser with subcommands sees their options too: its own stand before the first word.
+        ours = "--".__ne__ if self._subparsers is None else re.compile("--.").match
+        for word in itertools.takewhile(ours, args or ()):
+            self._check_option(word.partition("=")[0])
         return super().parse_known_args(args, namespace)
 
     def _check_option(self, word: str) -> None:

@@ -137,8 +137,9 @@ def add_bus(parser: argparse.ArgumentParser, what: str) -> None:
 def add_router(parser: argparse.ArgumentParser) -> None:
     """Whose router a command looks at."""
     parser.add_argument(
-        "--zenoh", metavar="URL", help="the proxy's router (default: tcp/127.0.0.1:7447)"
-    )
+        "--zenoh", default="auto", metavar="auto|URL",
+        help="the proxy's router (default: auto, tcp/127.0.0.1:7447)",
+    )  # fmt: skip
     _add_bus_config(parser)
 
 

@@ -15,6 +15,7 @@ from mavproxy_fault.faults.registry import fault_class, known_faults
 from mavproxy_fault.live.bus_types import ScheduleState
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names
+from mavproxy_fault.schedule.together import check_id
 
 
 def main(args: argparse.Namespace) -> int:
@@ -65,13 +66,17 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         If the fault does not exist, or lacks something.
     """
     if args.clear is not None:
+        if args.clear != "all":
+            check_id(args.clear, "--clear")
         # `all` is a word of the command, not an id that a fault could have.
         what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
         return what, {}
+    id = args.fault if args.id is None else args.id
+    check_id(id, "inject")
     several = args.target.split(",") if args.target is not None else None
     keys = {"for_s": args.for_s, **settings(args.set)}
     entry = live_entry(args.fault, several, args.value, keys)
-    return f"fault/{args.id or args.fault}/arm", entry
+    return f"fault/{id}/arm", entry
 
 
 def settings(pairs: Sequence[str]) -> dict[str, Any]:

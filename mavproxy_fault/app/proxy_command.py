@@ -167,6 +167,9 @@ def main(args: argparse.Namespace) -> int:
     # Before any socket is opened: a wrong name costs nothing then.
     if args.run is not None:
         check_run(args.run)
+    for folder in args.files:
+        if not Path(folder).is_dir():
+            raise ConfigError(f"--files {folder}: is no folder; give one that tables lie in")
     engine = None
     # `session.json` holds all that a replay needs, so it is gathered along the way.
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}

@@ -8,9 +8,7 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import Bus, open_bus, running_proxies
-
-ANY = "*"
+from mavproxy_fault.links.bus import ANY, Bus, check_run, open_bus, running_proxies
 
 
 @contextmanager
@@ -22,9 +20,11 @@ def joined(args: argparse.Namespace) -> Iterator[Bus]:
     ConfigError
         If there is no router, no such run, or a choice of several.
     """
+    if args.run is not None:
+        check_run(args.run)
     # A bus is opened for any run first: which ones there are is asked on it.
-    with open_bus(args.zenoh, run=args.run or ANY, config_file=args.zenoh_config) as bus:
-        bus.run = args.run or only_run(bus.who())
+    with open_bus(args.zenoh, run=ANY, config_file=args.zenoh_config) as bus:
+        bus.run = only_run(bus.who()) if args.run is None else args.run
         yield bus
 
 

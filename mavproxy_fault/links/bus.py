@@ -17,11 +17,14 @@ from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus_users import CONFIG, USERS, own_folder
+from mavproxy_fault.links.open_hint import holder
 
 DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"
 ENCODING = "application/json"
-RUN_NAME = re.compile(r"[\w.-]+|\*", re.ASCII)
+RUN_NAME = re.compile(r"[\w.-]+", re.ASCII)
+ANY = "*"  # a session for whichever run there is
+OPEN_MS = 3000
 LOG = logging.getLogger(__name__)
 
 Answer = Callable[[str, bytes], object]
@@ -178,7 +181,7 @@ def open_bus(
     Parameters
     ----------
     url : str, optional
-        Zenoh endpoint such as `tcp/127.0.0.1:7447` (the default). Port 0 is any free port.
+        Zenoh endpoint; `auto` and None are `tcp/127.0.0.1:7447`. Port 0 is any free port.
     run : str
         The run's name in the key space.
     router : bool
@@ -194,8 +197,9 @@ def open_bus(
         If the address is taken (router) or nobody listens there (client), or a name or the
         configuration is wrong.
     """
-    check_run(run)
-    address = with_port(url or DEFAULT_URL)
+    if run != ANY:
+        check_run(run)
+    address = with_port(DEFAULT_URL if url is None or url == "auto" else url)
     config_file = config_file or os.environ.get("ZENOH_CONFIG", "")
     if config_file:
         return _opened(address, run, router, read_config(config_file))
@@ -224,6 +228,8 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
         # Kept samples are ordered by their time.
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": False,
+        # Whoever holds the address and says nothing is given up soon.
+        "transport/unicast/open_timeout": OPEN_MS,
         "connect/retry": {
             "period_init_ms": 100,
             "period_max_ms": 500,
@@ -237,9 +243,9 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
             config.insert_json5(key, json.dumps(value))
         return Bus(zenoh.open(config), address, run, is_router=router)
     except zenoh.ZError as error:
-        wrong = "cannot be opened as the router" if router else _why_refused(address)
         # Behind it stands a path of Zenoh's own source.
         reason = str(error).split(" at /")[0]
+        wrong = _why_not_ours(address, reason) if router else _why_refused(address)
         raise ConfigError(
             f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
             + ("free" if router else "served by a proxy, a run or zenohd")
@@ -252,6 +258,13 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
             f"zenoh {address} cannot be opened ({error}); "
             "allow more descriptors, threads or memory (ulimit -n, -u, -v)"
         ) from None
+
+
+def _why_not_ours(address: str, reason: str) -> str:
+    """What a router is told: who has the address, where that is the reason."""
+    port = address.rpartition(":")[2]
+    held = f": {holder(int(port), tcp=True)}" if "address already in use" in reason.lower() else ""
+    return "cannot be opened as the router" + held
 
 
 def _why_refused(address: str) -> str:
@@ -311,14 +324,12 @@ def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
     ConfigError
         If neither can be had.
     """
-    url = None if choice == "auto" else choice
     try:
-        return open_bus(url, run=run, router=True, config_file=config_file)
+        return open_bus(choice, run=run, router=True, config_file=config_file)
     except ConfigError as error:
         try:
-            return open_bus(
-                url, run=run, config_file=config_file
-            )  # somebody else is the router already
+            # Somebody else is the router already.
+            return open_bus(choice, run=run, config_file=config_file)
         except ConfigError:
             raise error from None
 

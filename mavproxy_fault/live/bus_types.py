@@ -35,30 +35,35 @@ class ScheduleState(TypedDict):
 
 
 Latencies = TypedDict(
-    "Latencies", {"p50_us": float | None, "p99_us": float | None, "p99.9_us": float | None}
+    "Latencies",
+    {"p50_us": float | None, "p99_us": float | None, "p99.9_us": float | None},
+    total=False,
 )
 
 
-class EndpointStatistics(Latencies):
-    """What one endpoint has counted since the start; latencies are of the frames it received."""
+class EndpointStatistics(Latencies, total=False):
+    """What one endpoint has counted since the start; latencies are of the frames it received.
 
-    name: str
-    direction: str
+    A `run` has no sockets of its own: what only those count is not there.
+    """
+
+    name: Required[str]
+    direction: Required[str]
+    frames_in: Required[int]
+    chunks_out: Required[int]
+    junk_in: Required[int]
+    crc_errors: Required[int]
+    unknown: Required[int]
+    gaps: Required[int]
+    faulted: Required[int]
+    loops: Required[int]
+    doubted_stamps: Required[int]
+    bad_signatures: Required[int]
     peers: int
-    frames_in: int
     bytes_in: int
     chunks_in: int
     bytes_out: int
-    chunks_out: int
-    junk_in: int
-    crc_errors: int
-    unknown: int
-    gaps: int
     lost_in_kernel: int
-    faulted: int
-    loops: int
-    doubted_stamps: int
-    bad_signatures: int
     refused: int
     drops: int
     errors: int

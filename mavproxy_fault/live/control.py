@@ -5,6 +5,7 @@ that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehi
 """
 
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -29,6 +30,7 @@ from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.watching import View, Watched
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
+from mavproxy_fault.schedule.together import check_id
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 
@@ -39,6 +41,7 @@ PARAMETER = known("PARAM_VALUE").id
 ENABLES = b"SYS_FAILURE_EN"  # PX4's parameter; 0 in whatever type, is 0 in the bytes of all
 NAMES = {known(name).id: name for name in MESSAGES}
 QUESTIONS = ("state", "schedule/save")  # these change nothing
+LARGEST = sys.float_info.max
 AUTOPILOT = 1  # component that answers a command to all
 
 
@@ -213,7 +216,6 @@ class Control:
             return lambda _: {"yaml": self.engine.save(), "anew": self.engine.save(anew=True)}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
-        # An id may hold anything but a slash and wildcards.
         head, _, action = what.rpartition("/")
         edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
             "schedule/load": partial(self._load, what, anew=False),
@@ -238,33 +240,36 @@ class Control:
             return lambda: self._disarm(id)
         try:
             data = msgspec.json.decode(payload, type=dict[str, Any])
-        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
         if action == "arm":
+            check_id(id, "arm")
             check_files(data, self.folders, "arm")
             # The id of the key wins over one in the payload.
             entries = parse_entry({**data, "id": id}, "arm")
             return lambda: {"armed": self.engine.arm(entries)}
-        if action != "value" or not isinstance(data.get("value"), int | float):
+        value = data.get("value")
+        # JSON knows whole numbers that no float can hold.
+        if action != "value" or not isinstance(value, int | float) or abs(value) > LARGEST:
             raise ConfigError(
                 f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
             )
         sent_us = data.get("sent_us")
-        if not isinstance(sent_us, int | None):
+        if not isinstance(sent_us, int | None) or not 0 <= (sent_us or 0) < 1 << 63:
             raise ConfigError(
                 f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is no stamp; give whole "
                 "microseconds of Unix time"
             )
-        # By the wall clock of both: the vehicle's goes in steps, and at any speed.
-        latency_us = None if sent_us is None else time.time_ns() // 1000 - sent_us
-        return lambda: self._update(id, data["value"], latency_us)
+        return lambda: self._update(id, value, sent_us)
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
             raise ConfigError(f"disarm: {id} is no fault; {near(id, self.engine.ids())}")
         return {"cleared": id}
 
-    def _update(self, id: str, value: float, latency_us: int | None) -> Any:
+    def _update(self, id: str, value: float, sent_us: int | None) -> Any:
+        # By the wall clock of both: the vehicle's goes in steps, and at any speed.
+        latency_us = None if sent_us is None else time.time_ns() // 1000 - sent_us
         self.engine.update(id, value, latency_us)
         return {"id": id, "value": value}
 

@@ -233,7 +233,8 @@ class Live:
         self._port.setblocking(False)
         try:
             self._port.bind(("127.0.0.1", port))
-        except OSError as error:
+        except (OSError, OverflowError) as error:  # the second where it is no port at all
+            self._port.close()
             raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
         return int(self._port.getsockname()[1])
 
@@ -310,7 +311,8 @@ class Live:
         engine = self.control.engine
         self._shown = (engine.revision, engine.changes)
         # The newest state is kept for those who join later.
-        bus.put("schedule/state", msgspec.json.encode(engine.state()), history=1)
+        state = msgspec.json.encode(engine.state())
+        bus.put("schedule/state", state, "mavfault.v1.ScheduleState", history=1)
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
         """Tell the bus how the links and the faults are doing."""
@@ -318,7 +320,7 @@ class Live:
             self._listener.add_labels(labels)
         if self._bus is None:
             return
-        self._bus.put("proxy/stats", msgspec.json.encode(stats))
+        self._bus.put("proxy/stats", msgspec.json.encode(stats), "mavfault.v1.EndpointStatistics")
         self._show_faults(self._bus)
         for label in labels:
             self._bus.put(
@@ -329,7 +331,7 @@ class Live:
         """Tell the bus whether what passes is being recorded."""
         if self._bus is not None:
             state = {"failing": failing, "lost_records": lost}
-            self._bus.put("proxy/recording", msgspec.json.encode(state))
+            self._bus.put("proxy/recording", msgspec.json.encode(state), "mavfault.v1.Recording")
 
     @property
     def url(self) -> str | None:

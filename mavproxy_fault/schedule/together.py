@@ -7,11 +7,14 @@ import re
 from typing import Any
 
 from mavproxy_fault.documents.document_check import DocumentCheck
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
 
-# Ids are parts of keys on the bus, where these characters mean something.
-ID = re.compile(r"[^/*$?#]+")
+# Ids are parts of keys on the bus: these characters mean something there, as `@` does in front,
+# halves of characters cannot be written, and a key may not be long. `all` is every fault.
+ID = re.compile(r"(?!@|all\Z)[^/*$?#\ud800-\udfff]{1,200}")
+WRONG_ID = "cannot be a key; take up to 200 characters but / * $ ? #, no @ in front, and not `all`"
 
 
 def default_id(name: str, number: int) -> str:
@@ -28,6 +31,18 @@ def entry_ids(data: dict[str, Any], number: int) -> list[str]:
     return [f"{whole}.{i + 1}" for i in range(parts)] if parts > 1 else [str(whole)]
 
 
+def check_id(id: str, where: str) -> None:
+    """Refuse an id that no query could name.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be part of a key.
+    """
+    if not ID.fullmatch(id):
+        raise ConfigError(f"{where}: id = {id[:200]!r} {WRONG_ID}")
+
+
 def check_together(listed: list[Any], check: DocumentCheck) -> None:
     """Note ids that stand twice, and `after` that names no other fault or goes in a circle."""
     places: dict[str, int] = {}
@@ -37,7 +52,7 @@ def check_together(listed: list[Any], check: DocumentCheck) -> None:
                 check.wrong(("faults", i, "id"), f"= {id} stands twice; ids must differ")
             places.setdefault(id, i)
             if not ID.fullmatch(id):  # no query could name it
-                check.wrong(("faults", i, "id"), f"= {id!r} holds one of / * $ ? #; leave it out")
+                check.wrong(("faults", i, "id"), f"= {id[:200]!r} {WRONG_ID}")
     waits: dict[str, str] = {}
     for i, item in enumerate(listed):
         awaited = _awaited(item.get("after")) if isinstance(item, dict) else None

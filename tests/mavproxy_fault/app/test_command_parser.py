@@ -36,6 +36,8 @@ def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
     ("words", "meant"),
     [
         (("injct",), "did you mean inject?"),
+        (("--verson",), "there is no option --verson; did you mean version"),
+        (("schedule", "--rum=x", "state"), "there is no option --rum"),
         (("proxy", "--mastr=x"), "there is no option --mastr; did you mean master?"),
         (("run", "--sped", "3"), "there is no option --sped; did you mean speed"),
         (("schedule", "laod"), "there is no laod; did you mean load?"),

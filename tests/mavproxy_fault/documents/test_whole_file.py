@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,17 @@ from mavproxy_fault.documents.whole_file import write_whole
 def test_a_writer_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
     write_whole(path, "old\n")
-    with pytest.raises(UnicodeEncodeError):
-        write_whole(path, "half of it \ud800")  # no file can hold half a pair
+    in_the_way = tmp_path / "summary.json.new"
+    in_the_way.mkdir()
+    with pytest.raises(IsADirectoryError):
+        write_whole(path, "half of it")
+    in_the_way.rmdir()
     assert path.read_text() == "old\n"
     write_whole(path, "new é\n")
     assert path.read_text(encoding="utf-8") == "new é\n"
     assert [one.name for one in tmp_path.iterdir()] == ["summary.json"]
+
+
+def test_a_name_that_is_no_text_stands_in_it_as_on_the_terminal(tmp_path: Path) -> None:
+    write_whole(tmp_path / "report.html", os.fsdecode(b"of \xff.tlog"))
+    assert (tmp_path / "report.html").read_text() == "of \\udcff.tlog"

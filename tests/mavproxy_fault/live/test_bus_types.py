@@ -1,6 +1,7 @@
 """What is on the bus is what docs/zenoh.schema.json says."""
 
 import json
+import math
 import queue
 import runpy
 import signal
@@ -8,16 +9,30 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jsonschema
+import msgspec
 
+from analysis.results import AttitudeError, encode
 from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.proxy.statistics import figures
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
 
 DOCS = Path(__file__).parents[3] / "docs"
 FAULT = b'{"fault": "bias", "target": "SYSTEM_TIME.time_unix_usec", "value": 1}'
 WRITTEN = runpy.run_path(str(DOCS / "write_schemas.py"))
+
+
+def valid(key: str, data: bytes) -> dict[str, Any]:
+    """Hold a payload against the published schema of its key, which is given back."""
+    published = json.loads((DOCS / "zenoh.schema.json").read_text(encoding="utf-8"))
+    check = {**published["keys"][key], "$defs": published["$defs"]}
+    jsonschema.validate(json.loads(data), check)
+    return check
 
 
 def test_the_published_schema_is_that_of_the_sources() -> None:
@@ -29,6 +44,19 @@ def test_every_key_stands_on_the_page_and_the_page_names_no_other() -> None:
     page = (DOCS / "zenoh.md").read_text(encoding="utf-8")
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert set(WRITTEN["KEYS"]) == set(rows) - {"alive/{component}", "@ctl/..."}
+
+
+def test_a_number_that_is_not_finite_is_null_and_valid() -> None:
+    error = AttitudeError(
+        t_us=1, estimator="ekf", roll=math.nan, pitch=0.0, yaw=0.0, angle=math.inf
+    )
+    valid("att/{estimator}/score", encode(error))
+
+
+def test_what_a_run_counts_without_sockets_is_valid() -> None:
+    core = Core([LinkRole("simulator", "to-vehicle")])
+    # As `ProxiedFlight.stats` tells it.
+    valid("proxy/stats", msgspec.json.encode([{**figures(core, 0), "chunks_out": 0}]))
 
 
 def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
@@ -57,10 +85,8 @@ def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
         finally:
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=20)
-    published = json.loads((DOCS / "zenoh.schema.json").read_text(encoding="utf-8"))
     # Whatever it publishes is listed.
     assert set(found) == wanted
     for key in wanted:
-        check = {**published["keys"][key], "$defs": published["$defs"]}
-        jsonschema.validate(json.loads(found[key]), check)
+        check = valid(key, found[key])
         assert not jsonschema.Draft202012Validator(check).is_valid({"another": 1}), key

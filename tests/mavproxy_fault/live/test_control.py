@@ -1,6 +1,7 @@
 import json
 import math
 import struct
+import time
 
 import pytest
 
@@ -274,6 +275,7 @@ def test_a_wrong_schedule_leaves_the_right_one_running() -> None:
         ("fault/it/arm", [1]),
         ("fault/it/disarm", None),
         ("fault/it/value", {"value": "much"}),
+        ("fault/a/b/arm", {"fault": "drop", "target": "HIL_GPS"}),
         ("fault/it/explode", {}),
         ("schedule/lod", ""),
     ],
@@ -283,19 +285,42 @@ def test_a_wrong_query_says_so(what: str, payload: object) -> None:
         ask(control(), what, payload)
 
 
+def test_lists_nested_without_end_are_refused_as_the_asker_s_mistake() -> None:
+    nested = b'{"fault": ' + b"[" * 5000 + b"]" * 5000 + b"}"
+    with pytest.raises(ConfigError, match="send JSON"):
+        control().answer("mavfault/v1/live/@ctl/fault/a/arm", nested, 5_000_000)
+
+
+def test_a_streamed_value_s_age_is_that_of_the_moment_it_acts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    it = control()
+    streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}
+    del streamed["value"]
+    ask(it, "fault/it/arm", streamed)
+    act = it.prepare("mavfault/v1/live/@ctl/fault/it/value", b'{"value": 1, "sent_us": 1000000}')
+    monkeypatch.setattr(time, "time_ns", lambda: 1_250_000_000)
+    act(5_000_000)
+    (state,) = it.engine.state()["faults"]
+    assert state["latency_us"] == 250_000
+
+
 @pytest.mark.parametrize("action", ["arm", "value"])
 def test_a_payload_that_is_no_text_is_refused_as_the_asker_s_mistake(action: str) -> None:
     with pytest.raises(ConfigError, match="send JSON"):
         control().answer(f"mavfault/v1/live/@ctl/fault/a/{action}", b'{"\x88": 1}', 5_000_000)
 
 
-def test_a_streamed_value_whose_stamp_is_no_number_is_refused() -> None:
+def test_a_streamed_value_that_is_no_number_or_has_no_stamp_is_refused() -> None:
     it = control()
     streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}
     del streamed["value"]
     ask(it, "fault/it/arm", streamed)
-    with pytest.raises(ConfigError, match="sent_us = 'now' is no stamp"):
-        ask(it, "fault/it/value", {"value": 1, "sent_us": "now"})
+    with pytest.raises(ConfigError, match="value with a number"):  # no float holds it
+        ask(it, "fault/it/value", {"value": 10**400})
+    for stamp in ("now", 10**30, -1):
+        with pytest.raises(ConfigError, match=f"sent_us = {stamp!r} is no stamp"):
+            ask(it, "fault/it/value", {"value": 1, "sent_us": stamp})
 
 
 def test_queries_are_refused_when_live_control_is_off_but_the_state_is_told() -> None:

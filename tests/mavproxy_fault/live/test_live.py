@@ -13,6 +13,7 @@ import pytest
 
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.links import bus
 from mavproxy_fault.live.control import Control
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.live.session import Live
@@ -85,7 +86,17 @@ def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
     [
         (["bais"], "did you mean"),
         (["bias", "--target", "HIL_SENSOR.xgyr", "--value", "1"], "did you mean xgyro"),
-        (["--clear", "nothing"], "nothing is no fault"),
+        (["--clear", "nothing"], "nothing is no fault; there is none"),
+        (["--clear", "a*"], "--clear: id = 'a*' cannot be a key"),
+        (
+            ["--clear", "\udcf0"],
+            "cannot be a key",
+        ),  # what is no ASCII, where the shell knows no other
+        (["baro-freeze", "--id", "@x"], "inject: id = '@x' cannot be a key"),
+        (["baro-freeze", "--id", ""], "cannot be a key"),
+        (["baro-freeze", "--id", "x" * 70_000], "cannot be a key"),
+        (["baro-freeze", "--run", "*"], "--run '*' cannot be a key"),
+        (["baro-freeze", "--run", ""], "--run '' cannot be a key"),
         ([], "takes one of FAULT, --clear ID and --list"),
         (["bias", "--list"], "takes one of"),
         (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread"], "is no KEY=VALUE"),
@@ -144,6 +155,21 @@ def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> N
         url = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
         assert main(["inject", "baro-freeze", "--zenoh", url]) == 2
     assert url in capsys.readouterr().err
+
+
+def test_auto_is_the_default_address_for_those_who_ask_too(
+    loop: Loop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bus, "DEFAULT_URL", loop.live.url)
+    assert main(["inject", "--list", "--zenoh", "auto"]) == 0
+    assert main(["inject", "--list"]) == 0
+
+
+def test_a_port_that_is_none_is_refused() -> None:
+    live = Live(Control(Engine(Schedule(1))), lambda: 0)
+    with pytest.raises(ConfigError, match="--rflysim 99999"):
+        live.open_rflysim(99_999)
+    live.close()
 
 
 def test_rflysim_packets_reach_the_engine(loop: Loop) -> None:

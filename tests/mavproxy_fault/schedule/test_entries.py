@@ -145,10 +145,10 @@ def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
     assert found[0].startswith("night.yaml:2: ")
 
 
-@pytest.mark.parametrize("sign", ["/", "*", "$", "?", "#"])
-def test_an_id_that_no_query_could_name_is_refused_on_loading(sign: str) -> None:
-    (said,) = errors(f"faults:\n  - {{id: 'a{sign}b', fault: drop}}\n")
-    assert said == f"night.yaml:2: faults[0].id = 'a{sign}b' holds one of / * $ ? #; leave it out"
+@pytest.mark.parametrize("id", ["a/b", "a*b", "$", "a?b", "a#b", "@x", "all", "x" * 201])
+def test_an_id_that_no_query_could_name_is_refused_on_loading(id: str) -> None:
+    (said,) = errors(f"faults:\n  - {{id: '{id}', fault: drop}}\n")
+    assert said.startswith(f"night.yaml:2: faults[0].id = '{id[:200]}' cannot be a key; take ")
     assert parse_schedule("faults: [{id: gyro x bias, fault: drop}]").faults[0].id == "gyro x bias"
 
 
