@@ -213,7 +213,7 @@ def add_campaign(commands: Any) -> None:
     parser.add_argument(
         "--out", metavar="DIR", help="one that was begun goes on (default: runs/ and a number)"
     )
-    parser.add_argument("--export", metavar="DIR", help="the flights as a labelled data set")
+    parser.add_argument("--dataset", metavar="DIR", help="the flights as a labelled data set")
     parser.add_argument("--dry-run", action="store_true", help="tell the size and the time only")
     parser.set_defaults(main=_campaign)
 

@@ -35,7 +35,7 @@ connection strings (as in pymavlink)
 
 the same in every command
   --out     where it writes: a folder, or the one file of `replay` and `faults plot`
-  --link    a connection to watch or to play to
+  --link    a connection to watch, to play to or to speak through
   --run     a proxy's name on Zenoh; --zenoh its router
 
 completion

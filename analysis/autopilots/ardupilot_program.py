@@ -26,7 +26,7 @@ MODES = {"multirotor": COPTER, "fixedwing": PLANE}
 
 def command(binary: str) -> list[str]:
     """The words that start it; ConfigError where there is no such program."""
-    return check_command(binary, option="--binary")
+    return check_command(binary)
 
 
 @contextlib.contextmanager

@@ -44,17 +44,17 @@ def main(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.file[0])
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
-    keep = folder / "flights" if args.export or campaign.keep != "none" else None
+    keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
     plan = Plan(campaign, keep)
     # Before anything flies: with `--dry-run` this is the whole answer.
     print(size_of(plan, workers), flush=True)
     if args.dry_run:
         return 0
     fly(plan, folder, workers, args.ray)
-    if args.export:
+    if args.dataset:
         from analysis.campaign.results.data_set import export
 
-        export(folder, Path(args.export))
+        export(folder, Path(args.dataset))
     return 0
 
 

@@ -118,8 +118,8 @@ def add_inject(commands: Any) -> None:
         help="send the standard's failure command instead; FAULT is UNIT:TYPE[:INSTANCE]",
     )  # fmt: skip
     parser.add_argument(
-        "--vehicle", metavar="URL",
-        help="where --through finds it (default: udpin://127.0.0.1:14540)",
+        "--link", metavar="URL",
+        help="where --through finds the vehicle (default: udpin://127.0.0.1:14540)",
     )  # fmt: skip
     _add_run(parser)
     parser.set_defaults(main=_inject)
@@ -220,7 +220,7 @@ def add_ardupilot(commands: Any) -> None:
     parser.add_argument(
         "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
     )
-    parser.add_argument("--command", metavar="PATH", help="ArduPilot's SITL binary, with options")
+    parser.add_argument("--binary", metavar="PATH", help="ArduPilot's SITL program, with options")
     parser.add_argument(
         "--vectornav", metavar="EP", help="instead: the line to a board's external AHRS port"
     )
@@ -230,7 +230,7 @@ def add_ardupilot(commands: Any) -> None:
     )
     parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
     parser.add_argument(
-        "--dir", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"
+        "--out", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"
     )
     parser.set_defaults(main=_ardupilot)
 

@@ -26,7 +26,7 @@ REASONS = {
 def main(args: argparse.Namespace) -> int:
     """Send the failure; with `--for` take it back in the end. 1 where the vehicle refuses."""
     unit, kind, instance = failure_of(args.fault or "")
-    with vehicle(args.vehicle or USUAL) as failure:
+    with vehicle(args.link or USUAL) as failure:
         refusal = sent(failure, unit, kind, instance)
         if refusal:
             print(f"{args.fault}: {refusal}", file=sys.stderr)
@@ -113,10 +113,10 @@ def vehicle(address: str) -> Any:
         opened = mavsdk.add_any_connection(address)
         if opened.name != "SUCCESS":
             raise ConfigError(
-                f"--vehicle: {address} cannot be opened ({opened.name.lower()}); give a MAVSDK "
+                f"--link: {address} cannot be opened ({opened.name.lower()}); give a MAVSDK "
                 f"address such as {USUAL}, tcpout://HOST:PORT or serial:///dev/ttyACM0:57600"
             )
         system = mavsdk.first_autopilot(FIND_S)
         if system is None:
-            raise ConfigError(f"--vehicle: no vehicle speaks at {address} within {FIND_S:g} s")
+            raise ConfigError(f"--link: no vehicle speaks at {address} within {FIND_S:g} s")
         yield Failure(system)

@@ -24,7 +24,7 @@ class Ports:
     vectornav: int  # TCP
 
 
-def check_command(command: str, option: str = "--command") -> list[str]:
+def check_command(binary: str) -> list[str]:
     """The words of a command, its program found.
 
     Raises
@@ -32,11 +32,11 @@ def check_command(command: str, option: str = "--command") -> list[str]:
     ConfigError
         If there is no such program.
     """
-    words = shlex.split(command)
+    words = shlex.split(binary)
     found = shutil.which(words[0]) if words else None
     if found is None:
         raise ConfigError(
-            f"{option}: {command!r} is no program; give ArduPilot's SITL binary, which "
+            f"--binary: {binary!r} is no program; give ArduPilot's SITL binary, which "
             "`./waf configure --board sitl && ./waf copter` leaves in build/sitl/bin/arducopter"
         )
     return [str(Path(found).resolve()), *words[1:]]

@@ -38,13 +38,13 @@ def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed, or the
     program by a failure of its own."""
     check_lines(args)
-    words = [] if args.command is None else check_command(args.command)
+    words = [] if args.binary is None else check_command(args.binary)
     own = checked_parameters(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
         autopilot: Autopilot
         if words:
-            folder = Path(args.dir)
+            folder = Path(args.out)
             autopilot = BridgedAutopilot(words, args.vehicle, folder, own, say, link.name)
         else:
             lines = open_link(args.vectornav), open_link(args.mavlink)
@@ -71,11 +71,11 @@ def check_lines(args: argparse.Namespace) -> None:
     """
     # Sensors without outputs fly nothing, and outputs without sensors neither.
     wired = args.vectornav is not None, args.mavlink is not None
-    if args.command is not None and any(wired):
-        raise ConfigError("--command: is a program; --vectornav and --mavlink are lines to a board")
-    if args.command is None and not all(wired):
+    if args.binary is not None and any(wired):
+        raise ConfigError("--binary: is a program; --vectornav and --mavlink are lines to a board")
+    if args.binary is None and not all(wired):
         raise ConfigError(
-            "ardupilot: needs --command, ArduPilot's SITL program, or --vectornav and --mavlink, "
+            "ardupilot: needs --binary, ArduPilot's SITL program, or --vectornav and --mavlink, "
             "the lines to a board"
         )
 

@@ -16,7 +16,7 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.documents.yaml_document import read_yaml
+from mavproxy_fault.documents.yaml_document import MOST_BYTES, read_yaml
 from mavproxy_fault.live.failure_command import (
     MESSAGES,
     TYPES,
@@ -206,6 +206,8 @@ class Control:
         of the engine, so it may be made in any thread.
         """
         _, _, what = key.partition("@ctl/")
+        if len(payload) > MOST_BYTES:  # it would be recorded with the edit
+            raise ConfigError(f"{what}: is too large; at most {MOST_BYTES >> 20} MB are read")
         if what == "state":
             # State and schedule change nothing, so a proxy that takes no faults answers them too.
             return lambda t_us: {

@@ -40,7 +40,7 @@ def export(folder: Path, out: Path) -> None:
     campaign, results = read_folder(folder)
     kept = _kept_flights(folder / FLIGHTS)
     if not kept:
-        raise ConfigError(f"{folder}: no flight was kept; fly with --export, or with keep: all")
+        raise ConfigError(f"{folder}: no flight was kept; fly with --dataset, or with keep: all")
     (out / FLIGHTS).mkdir(parents=True, exist_ok=True)
     for name, path in kept.items():
         write_flight(path, out / FLIGHTS / name)

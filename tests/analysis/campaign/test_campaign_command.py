@@ -25,7 +25,7 @@ HERE = Path(__file__).parent
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the small campaign, its data set beside it."""
     folder = tmp_path_factory.mktemp("campaign")
-    words = ["--out", str(folder / "out"), "--export", str(folder / "data"), "--workers", "1"]
+    words = ["--out", str(folder / "out"), "--dataset", str(folder / "data"), "--workers", "1"]
     assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
     return folder
 

@@ -62,10 +62,10 @@ def bridge(
 ) -> Iterator[tuple[Simulator, "subprocess.Popen[str]"]]:
     with closing(TcpServer("127.0.0.1", 0)) as link:
         command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot"]
-        command += ["--hil", f"tcp:127.0.0.1:{link.port}", "--dir", str(folder)]
+        command += ["--hil", f"tcp:127.0.0.1:{link.port}", "--out", str(folder)]
         stand_in = " ".join([sys.executable, str(STAND_IN), *words])
         process = subprocess.Popen(
-            [*command, "--command", stand_in], stderr=subprocess.PIPE, text=True
+            [*command, "--binary", stand_in], stderr=subprocess.PIPE, text=True
         )
         simulator = Simulator(Inbox(link), gps=gps)
         deadline_s = time.monotonic() + PATIENCE_S
@@ -130,9 +130,9 @@ def test_a_simulator_without_gps_is_refused_before_the_autopilot_starts(tmp_path
 
 
 def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--out", str(tmp_path)]
     done = subprocess.run(
-        [*command, "--command", "no-such-arducopter"], capture_output=True, text=True, check=False
+        [*command, "--binary", "no-such-arducopter"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
     assert "'no-such-arducopter' is no program; give ArduPilot's SITL binary" in done.stderr
@@ -142,9 +142,9 @@ def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
 def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
     own = tmp_path / "own.parm"
     own.write_text(line + "\n")
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--out", str(tmp_path)]
     done = subprocess.run(
-        [*command, "--command", sys.executable, "--parameters", str(own)],
+        [*command, "--binary", sys.executable, "--parameters", str(own)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2

@@ -311,6 +311,11 @@ def test_a_payload_that_is_no_text_is_refused_as_the_asker_s_mistake(action: str
         control().answer(f"mavfault/v1/live/@ctl/fault/a/{action}", b'{"\x88": 1}', 5_000_000)
 
 
+def test_a_payload_that_is_too_large_is_refused_even_where_none_is_read() -> None:
+    with pytest.raises(ConfigError, match="at most 8 MB are read"):
+        control().answer("mavfault/v1/live/@ctl/schedule/stop", b" " * (8 << 20 | 1), 5_000_000)
+
+
 def test_a_streamed_value_that_is_no_number_or_has_no_stamp_is_refused() -> None:
     it = control()
     streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}

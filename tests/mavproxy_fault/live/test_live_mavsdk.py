@@ -113,7 +113,7 @@ def test_mavsdk_is_denied_when_live_faults_are_refused(tmp_path: Path) -> None:
 def injected(port: int, failure: str, *options: str) -> subprocess.CompletedProcess[str]:
     """The command that sends a failure through MAVSDK."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "inject", failure, *options]
-    command += ["--through", "mavsdk", "--vehicle", f"udpin://127.0.0.1:{port}"]
+    command += ["--through", "mavsdk", "--link", f"udpin://127.0.0.1:{port}"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
