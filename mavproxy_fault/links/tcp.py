@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 
 from mavproxy_fault.links.descriptors import Descriptors
-from mavproxy_fault.links.link import Chunk, LinkCounters
+from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
 from mavproxy_fault.links.peers import MOST_PEERS
 from mavproxy_fault.links.stream import READ_SIZE, Stream
 
@@ -60,12 +60,12 @@ class TcpServer:
         family, _, _, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        self._listener = socket.create_server(address[:2], family=family, backlog=16)
+        self._listener = socket.create_server(address, family=family, backlog=16)
         self._listener.setblocking(False)
         # Before connections come: the window of a connection is that of its listener.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port: int = self._listener.getsockname()[1]
-        self.name = f"tcpin:{host}:{self.port}"
+        self.name = f"tcpin:{host_port(host, self.port)}"
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
@@ -225,7 +225,7 @@ class TcpClient:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         self._family = found[0]
         self._address = found[4]
-        self.name = f"tcp:{host}:{port}"
+        self.name = f"tcp:{host_port(host, port)}"
         self.counters = LinkCounters()
         self._descriptors = Descriptors()
         self._peer: tuple[socket.socket, Stream] | None = None

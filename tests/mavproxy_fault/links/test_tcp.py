@@ -4,6 +4,8 @@ import select
 import selectors
 import socket
 from collections.abc import Callable, Iterator
+from ipaddress import ip_address
+from pathlib import Path
 
 import pytest
 
@@ -233,6 +235,17 @@ def test_either_side_finds_out_that_the_other_was_switched_off(server: TcpServer
             assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
     finally:
         client.close()
+
+
+def test_a_server_listens_at_an_address_that_needs_its_interface_named() -> None:
+    table = Path("/proc/net/if_inet6")  # Linux' own: address, ..., scope (20: of one link), name
+    rows = [line.split() for line in table.read_text().splitlines()] if table.exists() else []
+    found = [(row[0], row[5]) for row in rows if row[3] == "20"]
+    if not found:
+        pytest.skip("no interface has an address of its own link")
+    digits, interface = found[0]
+    link = TcpServer(f"{ip_address(int(digits, 16))}%{interface}", 0)
+    link.close()
 
 
 def test_fast_peers_share_what_is_read_in_one_turn(server: TcpServer) -> None:
