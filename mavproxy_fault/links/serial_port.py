@@ -36,7 +36,12 @@ class SerialPort:
             raise
 
     def _open(self) -> None:
-        port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+        from termios import error as gone_meanwhile  # which no OSError is; not on Windows
+
+        try:
+            port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+        except gone_meanwhile as error:
+            raise OSError(*error.args) from error
         number = port.fileno()
         os.set_blocking(number, False)
         calls = partial(os.read, number), partial(os.write, number)
