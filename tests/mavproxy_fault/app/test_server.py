@@ -333,6 +333,26 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
     assert "no machine code (`mavproxy-fault warm-up` tells why)" in caplog.text
 
 
+def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class NoThread:
+        def __init__(self, target: object) -> None:
+            pass
+
+        def start(self) -> None:
+            raise RuntimeError("can't start new thread")  # as Python says where `ulimit -u` is low
+
+    monkeypatch.setattr(proxy, "Thread", NoThread)
+    server = server_module.Server([], Core([]))
+    proxy.start_live(argparse.Namespace(), None, server)
+    server._keep_time()
+    assert server.live is None
+    assert (
+        "no live control, forwarding goes on: RuntimeError: can't start new thread" in caplog.text
+    )
+
+
 def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:
     schedule = Path(__file__).parents[3] / "examples" / "gyro_bias.yaml"
     script = (
