@@ -70,7 +70,9 @@ def test_a_device_that_goes_while_it_is_opened_is_opened_later(
     device.symlink_to(os.ttyname(slave))
 
     def gone(*_: object) -> None:
-        raise termios.error(5, "Input/output error")  # as the kernel says once its end is closed
+        raise serial_port.TerminalError(
+            5, "Input/output error"
+        )  # as the kernel says once its end is closed
 
     with monkeypatch.context() as meanwhile:
         meanwhile.setattr(termios, "tcsetattr", gone)
