@@ -7,6 +7,7 @@ parsed arguments that returns the exit code. Whatever is heavy is imported insid
 
 import argparse
 import errno
+import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from threading import current_thread, main_thread
 from mavproxy_fault import __version__
 from mavproxy_fault.app.command_parser import CommandParser, CompletionAction
 from mavproxy_fault.app.commands import OURS, Add
+from mavproxy_fault.app.lossy_log import LossyHandler
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import near
 
@@ -141,6 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ):  # names of the user's may be beyond the terminal's letters
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
         chosen = parser(given[0] if given else "").parse_args(given)
@@ -158,6 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 0
     except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            print(f"mavproxy-fault: {error.strerror}; allow more (ulimit -n)", file=sys.stderr)
+            return 2
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         print(f"mavproxy-fault: {error.strerror}: not all could be written", file=sys.stderr)

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import gc
+import logging
 import signal
 import socket
 from collections.abc import Iterator, Sequence
@@ -23,6 +24,7 @@ from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import table
 from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.wire.dialect import message_names
 from mavproxy_fault.wire.parser import begins_with_frame
 from mavproxy_fault.wire.signing import Signing, key_of
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from mavproxy_fault.live.session import Live
     from mavproxy_fault.proxy.engine import Engine
 
+LOG = logging.getLogger(__name__)
 MOST_KEY = 1 << 16  # characters of a passphrase
 
 
@@ -143,10 +146,13 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
     """Open live control in the background."""
-    from concurrent.futures import Future
+    try:
+        from concurrent.futures import Future
 
-    from mavproxy_fault.live.session import short_turns
-
+        from mavproxy_fault.live.session import short_turns
+    except OSError as error:  # no descriptor is left to read a module by
+        LOG.error("no live control, forwarding goes on: %s", error)
+        return
     coming: Future[Live] = Future()
 
     def work() -> None:
@@ -159,7 +165,10 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
             coming.set_exception(error)
 
     server.coming = coming
-    Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
+    try:
+        Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
+    except RuntimeError as error:  # the system allows no further thread
+        coming.set_exception(error)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -196,6 +205,7 @@ def main(args: argparse.Namespace) -> int:
         recorder = Recorder(Path(args.logdir), session) if args.logdir else None
         server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
         server.prepare()
+        message_names()  # reads their table: there may be no descriptor for it at the first frame
         by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
         if by_name:  # what was asked for by name is there when the proxy is ready
             try:

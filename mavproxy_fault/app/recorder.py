@@ -130,25 +130,39 @@ class Recorder:
         self.failing = why
 
     def _is_gone(self) -> bool:
-        """Whether somebody removed the files."""
-        # No name is left, although the open file still takes what is written.
-        return os.fstat(self._files[RECEIVED].fileno()).st_nlink == 0
+        """Whether somebody removed the files, or replaced the disk that failed."""
+        held = os.fstat(self._files[RECEIVED].fileno())
+        if held.st_nlink == 0:  # no name is left, although the open file still takes what comes
+            return True
+        if self.failing is None:
+            return False
+        try:
+            return not os.path.samestat(held, (self.folder / RECEIVED).stat())
+        except FileNotFoundError:
+            return True
 
     def _append(self, data: dict[str, bytes]) -> None:
         """Append to all files, or to none."""
+        if self.failing is not None:  # a disk that failed may not have let itself be cut either
+            for name in self._sizes:
+                self._cut(name)
         try:
             for name, added in data.items():
                 _write_whole(self._files[name], added)
         except (OSError, MemoryError):
-            for name, size in self._sizes.items():
+            for name in self._sizes:
                 with contextlib.suppress(OSError):
-                    # Half a record would make the rest of the file unreadable by its index.
-                    self._files[name].truncate(size)
-                    # Behind the cut, or the next write would leave a hole of zeros.
-                    self._files[name].seek(size)
+                    self._cut(name)
             raise
         for name, added in data.items():
             self._sizes[name] += len(added)
+
+    def _cut(self, name: str) -> None:
+        """Take back what a file has behind its last whole record."""
+        # Half a record would make the rest of the file unreadable by its index.
+        self._files[name].truncate(self._sizes[name])
+        # Behind the cut, or the next write would leave a hole of zeros.
+        self._files[name].seek(self._sizes[name])
 
     def close(self, t0_us: int | None, end_us: int) -> None:
         """Close the files; note the first vehicle stamp and the wall time of the end."""

@@ -188,7 +188,9 @@ class Server:
         if made:
             self.use_compiled()
         elif self._compiler is None:
-            _say("first start: machine code is being made, once, while all goes a slower way")
+            LOG.warning(
+                "first start: machine code is being made, once, while all goes a slower way"
+            )
             quiet = subprocess.DEVNULL  # it may outlive us: nobody must wait for its output to end
             self._compiler = subprocess.Popen(
                 [sys.executable, "-m", machine.__name__],
@@ -337,7 +339,9 @@ class Server:
             if code == 0:
                 self.prepare()
             else:
-                _say("no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way")
+                LOG.warning(
+                    "no machine code (`mavproxy-fault warm-up` tells why): all goes a slower way"
+                )
 
     def record(self) -> None:
         """Write and publish what has been gathered since the last time."""
@@ -393,11 +397,6 @@ class Server:
                 }
             )
         return found
-
-
-def _say(line: str) -> None:
-    with suppress(OSError):  # a full disk behind it stops nothing
-        print(line, file=sys.stderr, flush=True)
 
 
 def _tell_slower(error: OSError | MemoryError) -> None:

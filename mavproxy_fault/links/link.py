@@ -63,6 +63,11 @@ class Link(Protocol):
         """Release the link; pending bytes are given up."""
 
 
+def host_port(host: str, port: int) -> str:
+    """HOST:PORT as connection strings have it: an IPv6 address stands in brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def enlarge_buffers(sock: socket.socket) -> None:
     """Ask for 16 MiB of kernel buffer each way, beyond the system's limit where that is allowed."""
     for option, forced in (

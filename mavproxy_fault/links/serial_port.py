@@ -12,6 +12,13 @@ from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.links.stream import Stream
 
+try:
+    import termios
+
+    TerminalError: type[Exception] = termios.error  # no OSError
+except ImportError:  # Windows
+    TerminalError = OSError
+
 REOPEN_S = 0.5
 
 
@@ -36,7 +43,10 @@ class SerialPort:
             raise
 
     def _open(self) -> None:
-        port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+        try:
+            port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+        except TerminalError as error:
+            raise OSError(*error.args) from error
         number = port.fileno()
         os.set_blocking(number, False)
         calls = partial(os.read, number), partial(os.write, number)

@@ -77,13 +77,13 @@ class Stream:
             self._counters.chunks_out += chunks
         self._await_room(wanted=bool(queue))
 
-    def read(self) -> tuple[bytes, bool]:
-        """What has come, and whether the stream still stands.
+    def read(self, most: int = READ_SIZE) -> tuple[bytes, bool]:
+        """What has come, so many bytes at most, and whether the stream still stands.
 
         One read, however much waits: other links and due frames get their turn in between.
         """
         try:
-            data = self._read(READ_SIZE)
+            data = self._read(most)
         except BlockingIOError:
             return b"", True
         except OSError:

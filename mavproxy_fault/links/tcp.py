@@ -11,9 +11,9 @@ import time
 from collections.abc import Sequence
 
 from mavproxy_fault.links.descriptors import Descriptors
-from mavproxy_fault.links.link import Chunk, LinkCounters
+from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
 from mavproxy_fault.links.peers import MOST_PEERS
-from mavproxy_fault.links.stream import Stream
+from mavproxy_fault.links.stream import READ_SIZE, Stream
 
 LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
@@ -39,6 +39,14 @@ def _watch_over(sock: socket.socket) -> None:
             sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
+def _meets_itself(sock: socket.socket) -> bool:
+    """Whether a port was called that nobody serves and that the system chose for the caller."""
+    try:
+        return bool(sock.getsockname() == sock.getpeername())
+    except OSError:  # lost again already: the next read notices
+        return False
+
+
 def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounters) -> Stream:
     return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
@@ -52,12 +60,12 @@ class TcpServer:
         family, _, _, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        self._listener = socket.create_server(address[:2], family=family, backlog=16)
+        self._listener = socket.create_server(address, family=family, backlog=16)
         self._listener.setblocking(False)
         # Before connections come: the window of a connection is that of its listener.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port: int = self._listener.getsockname()[1]
-        self.name = f"tcpin:{host}:{self.port}"
+        self.name = f"tcpin:{host_port(host, self.port)}"
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
@@ -90,7 +98,7 @@ class TcpServer:
         now_s = time.monotonic()
         if len(self._peers) == 1 and now_s - self._looked_s < LOOK_S:
             # Nobody else to be asked for: one system call, not two.
-            self._read_from(next(iter(self._peers)), chunks)
+            self._read_from(next(iter(self._peers)), READ_SIZE, chunks)
             if chunks:
                 return chunks
         self._looked_s = now_s
@@ -98,18 +106,21 @@ class TcpServer:
             self._rests_until_s = None
             self._descriptors.add(self._listener.fileno())
         # Only those with something to do: a system call for each of the others is saved.
-        for descriptor in self._descriptors.ready():
+        ready = self._descriptors.ready()
+        # Or 32 that send as fast as they can would keep one that does not waiting for a second.
+        share = READ_SIZE // max(len(ready), 1)
+        for descriptor in ready:
             if descriptor == self._listener.fileno():
                 self._accept()
             else:
-                self._read_from(descriptor, chunks)
+                self._read_from(descriptor, share, chunks)
         return chunks
 
-    def _read_from(self, descriptor: int, chunks: list[Chunk]) -> None:
+    def _read_from(self, descriptor: int, most: int, chunks: list[Chunk]) -> None:
         """Carry on writing to a peer, and collect what it sent."""
         sock, stream, number = self._peers[descriptor]
         stream.flush()
-        data, stands = stream.read()
+        data, stands = stream.read(most)
         if data:
             chunks.append((number, data))
         if not stands:
@@ -214,12 +225,13 @@ class TcpClient:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         self._family = found[0]
         self._address = found[4]
-        self.name = f"tcp:{host}:{port}"
+        self.name = f"tcp:{host_port(host, port)}"
         self.counters = LinkCounters()
         self._descriptors = Descriptors()
         self._peer: tuple[socket.socket, Stream] | None = None
         self._number = 0
         self._retry_s = 0.0
+        self._told = False
         self._connect()
 
     @property
@@ -233,8 +245,16 @@ class TcpClient:
 
     def _connect(self) -> None:
         self._retry_s = time.monotonic() + RECONNECT_S
-        sock = socket.socket(self._family, socket.SOCK_STREAM)
+        try:
+            sock = socket.socket(self._family, socket.SOCK_STREAM)
+        except OSError as error:  # no descriptors: there may be some at the next attempt
+            self.counters.errors += 1
+            if not self._told:
+                LOG.warning("%s: no connection: %s", self.name, error)
+                self._told = True
+            return
         _prepare(sock)
+        _watch_over(sock)
         # It is under way when this returns; the descriptor tells when it stands or has failed.
         sock.connect_ex(self._address)
         stream = _stream(sock, self._descriptors, self.counters)
@@ -263,7 +283,7 @@ class TcpClient:
         if not self._descriptors.ready():
             return False
         # Writable also means failed: only the socket's error tells the two apart.
-        if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+        if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or _meets_itself(sock):
             self._lose(sock, stream)
             return False
         stream.open = True

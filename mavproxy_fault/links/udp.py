@@ -6,7 +6,7 @@ import time
 
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.datagram_plain import PlainDatagrams
-from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers
+from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers, host_port
 from mavproxy_fault.links.peers import Peers
 
 SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts losses
@@ -75,7 +75,7 @@ class UdpServer(_UdpSocket):
     def __init__(self, host: str, port: int) -> None:
         super().__init__(host, port, listen=True)
         self.port: int = self.sock.getsockname()[1]
-        self.name = f"udpin:{host}:{self.port}"
+        self.name = f"udpin:{host_port(host, self.port)}"
         self.peers = Peers()
 
     @property
@@ -115,7 +115,7 @@ class UdpClient(_UdpSocket):
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(host, port, listen=False)
-        self.name = f"udpout:{host}:{port}"
+        self.name = f"udpout:{host_port(host, port)}"
         self.peer_count = 1  # whether anybody listens there cannot be known
 
     def read(self) -> list[Chunk]:

@@ -1,6 +1,7 @@
 """Few descriptors, little memory, nothing that can be written: it says so and forwards."""
 
 import contextlib
+import fcntl
 import itertools
 import json
 import os
@@ -38,6 +39,41 @@ def test_a_limited_proxy_goes_without_live_control_and_forwards(limits: str, rea
         printed, told = proxy.end()
     assert told == ""
     assert printed.split("\n")[1].split()[2] == str(proxy.sent)
+
+
+def _told_with_descriptors(limit: int) -> str:
+    """What a proxy with so few tells: why it does not start, or what it passes frames without."""
+    try:
+        with driven("--zenoh", "off", limits=f"ulimit -n {limit}") as proxy:
+            for _ in range(20):
+                proxy.pass_frame()
+            return proxy.end()[1]
+    except AssertionError as refusal:
+        return str(refusal)
+
+
+def test_at_every_number_of_descriptors_it_forwards_or_says_why_not() -> None:
+    told = [_told_with_descriptors(limit) for limit in range(5, 10)]
+    assert not [one for one in told if "Traceback" in one]
+    assert "Too many open files" in told[0]
+    assert "no live control, forwarding goes on" in told[-1]
+
+
+def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as place:
+        port = place.getsockname()[1]
+    with driven("--zenoh", "off", "--to", f"tcpin:127.0.0.1:{port}") as proxy:
+        assert proxy.process.stderr is not None
+        fcntl.fcntl(proxy.process.stderr, fcntl.F_SETPIPE_SZ, 4096)
+        for _ in range(100):
+            with socket.create_connection(("127.0.0.1", port), timeout=20) as stranger:
+                stranger.sendall(b"x")
+                stranger.shutdown(socket.SHUT_WR)
+                while stranger.recv(99):
+                    pass
+            proxy.pass_frame()
+        _, told = proxy.end()
+    assert 0 < told.count("nobody is left") < 100
 
 
 def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:

@@ -4,6 +4,7 @@ import resource
 import shutil
 import warnings
 from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,51 @@ def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
     recorder.close(None, 0)  # and where it cannot end well, it ends
     assert not folder.exists()
     assert tape.count == 1
+
+
+def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    recorder = Recorder(folder, {})
+    tape = Tape()
+    for n in range(100):
+        tape.receive(WALL_US + n, 0, heartbeat(n))
+    with files_no_larger_than(200):
+        recorder.write(tape)
+    assert recorder.failing
+    folder.rename(tmp_path / "old")  # as what was mounted there goes with its files
+    tape.receive(WALL_US + 100, 0, heartbeat(100))
+    recorder.write(tape)
+    assert recorder.failing is None
+    recorder.close(None, 0)
+    assert [raw[4] for _, raw in split((folder / "received.tlog").read_bytes())] == [100]
+    assert len((folder / "received.index").read_bytes()) == 6
+
+
+class Uncut(FileIO):
+    """A file of a disk that has become read-only."""
+
+    def truncate(self, size: int | None = None) -> int:
+        raise OSError(30, "Read-only file system")
+
+
+def test_what_a_failed_disk_does_not_let_be_cut_is_cut_when_it_is_back(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, {})
+    tape = Tape()
+    for n in range(100):
+        tape.receive(WALL_US + n, 0, heartbeat(n))
+    whole = recorder._files
+    with contextlib.ExitStack() as opened, files_no_larger_than(200):
+        recorder._files = {
+            name: opened.enter_context(Uncut(file.name, "wb")) for name, file in whole.items()
+        }
+        recorder.write(tape)
+    recorder._files = whole
+    assert (tmp_path / "received.tlog").stat().st_size == 200
+    tape.receive(WALL_US + 100, 0, heartbeat(100))
+    recorder.write(tape)
+    recorder.close(None, 0)
+    assert recorder.failing is None
+    assert [raw[4] for _, raw in split((tmp_path / "received.tlog").read_bytes())] == [100]
 
 
 def test_a_folder_that_cannot_be_written_is_the_users_mistake(tmp_path: Path) -> None:

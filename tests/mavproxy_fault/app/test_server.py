@@ -312,7 +312,7 @@ def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures
 
 
 def test_without_machine_code_the_proxy_says_so_and_forwards(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(machine, "load", lambda: None)
     monkeypatch.setattr(sys, "executable", "/bin/false")
@@ -329,9 +329,28 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
             while running._compiler is not None:
                 vehicle.sendto(heartbeat(), ("127.0.0.1", links[0].port))
                 station.recv(1000)
-    told = capfd.readouterr().err
-    assert "first start" in told
-    assert "no machine code (`mavproxy-fault warm-up` tells why)" in told
+    assert "first start" in caplog.text
+    assert "no machine code (`mavproxy-fault warm-up` tells why)" in caplog.text
+
+
+def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class NoThread:
+        def __init__(self, target: object) -> None:
+            pass
+
+        def start(self) -> None:
+            raise RuntimeError("can't start new thread")  # as Python says where `ulimit -u` is low
+
+    monkeypatch.setattr(proxy, "Thread", NoThread)
+    server = server_module.Server([], Core([]))
+    proxy.start_live(argparse.Namespace(), None, server)
+    server._keep_time()
+    assert server.live is None
+    assert (
+        "no live control, forwarding goes on: RuntimeError: can't start new thread" in caplog.text
+    )
 
 
 def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:

@@ -1,9 +1,11 @@
 import os
 import select
+import termios
 from pathlib import Path
 
 import pytest
 
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import serial_port
 from mavproxy_fault.links.serial_port import SerialPort
 from mavproxy_fault.links.spec import open_link
@@ -47,6 +49,39 @@ def test_a_device_that_was_unplugged_is_opened_again(
     os.write(master, b"back")
     assert select.select(link.filenos(), [], [], 5)[0]
     assert link.read() == [(1, b"back")]
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_device_that_goes_while_it_is_opened_is_opened_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_port, "REOPEN_S", 0.0)
+    device = tmp_path / "tty"
+    master, slave = os.openpty()
+    device.symlink_to(os.ttyname(slave))
+    link = SerialPort(str(device), 57600)
+    os.close(slave)
+    os.close(master)
+    assert link.read() == [(0, b"")]
+    device.unlink()
+    master, slave = os.openpty()
+    device.symlink_to(os.ttyname(slave))
+
+    def gone(*_: object) -> None:
+        raise serial_port.TerminalError(
+            5, "Input/output error"
+        )  # as the kernel says once its end is closed
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(termios, "tcsetattr", gone)
+        assert link.read() == []
+        assert link.peer_count == 0
+        with pytest.raises(ConfigError, match="cannot be opened: Input/output error"):
+            open_link(f"{device},57600")
+    link.read()
+    assert link.peer_count == 1
     link.close()
     os.close(master)
     os.close(slave)

@@ -64,6 +64,16 @@ def test_an_address_in_use_is_the_users_error() -> None:
         first.close()
 
 
+@pytest.mark.parametrize("kind", ["udpin", "tcpin", "udpout", "tcp"])
+def test_the_name_of_an_open_link_can_be_given_again(kind: str) -> None:
+    try:
+        link = open_link(f"{kind}:[::1]:{0 if kind.endswith('in') else 9}")
+    except ConfigError as error:
+        pytest.skip(str(error))
+    link.close()
+    assert parse_spec(link.name).host == "::1"
+
+
 def test_a_further_kind_of_link_is_found_in_the_file_of_its_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

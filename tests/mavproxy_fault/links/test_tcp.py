@@ -4,6 +4,8 @@ import select
 import selectors
 import socket
 from collections.abc import Callable, Iterator
+from ipaddress import ip_address
+from pathlib import Path
 
 import pytest
 
@@ -169,6 +171,95 @@ def test_a_client_tells_of_a_connection_that_is_lost_but_of_no_attempt(server, c
     client.close()
     told = [record.message for record in caplog.records]
     assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; it is made again"]
+
+
+def test_a_client_that_the_system_connects_to_itself_tries_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as place:
+        port = place.getsockname()[1]
+    prepare = tcp._prepare
+
+    def prepare_at_port(sock: socket.socket) -> None:
+        """As the system now and then chooses it for a port in its own range."""
+        prepare(sock)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(("127.0.0.1", port))
+
+    monkeypatch.setattr(tcp, "_prepare", prepare_at_port)
+    client = TcpClient("127.0.0.1", port)
+    client.write(b"never heard")
+    try:
+        assert read_until(client, lambda _: client.counters.errors > 0) == []
+        assert client.peer_count == 0
+        assert client.counters.drops == 1
+        assert caplog.text == ""
+    finally:
+        client.close()
+
+
+def test_a_client_without_a_descriptor_tells_once_and_connects_later(
+    server: TcpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
+    client = TcpClient("127.0.0.1", server.port)
+    try:
+        read_until(server, lambda _: server.peer_count == 1)
+        read_until(client, lambda _: client.peer_count == 1)
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
+        try:
+            [(sock, _, _)] = server._peers.values()
+            sock.shutdown(socket.SHUT_RDWR)
+            read_until(client, lambda chunks: (0, b"") in chunks)
+            for _ in range(3):
+                now_s[0] += tcp.RECONNECT_S
+                assert client.read() == []
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert caplog.text.count("no connection: [Errno 24]") == 1
+        now_s[0] += tcp.RECONNECT_S
+        client.read()
+        read_until(client, lambda _: client.peer_count == 1)
+    finally:
+        client.close()
+
+
+def test_either_side_finds_out_that_the_other_was_switched_off(server: TcpServer) -> None:
+    client = TcpClient("127.0.0.1", server.port)
+    try:
+        read_until(server, lambda _: server.peer_count == 1)
+        [(accepted, _, _)] = server._peers.values()
+        for sock in (accepted, client._peer[0]):
+            assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+    finally:
+        client.close()
+
+
+def test_a_server_listens_at_an_address_that_needs_its_interface_named() -> None:
+    table = Path("/proc/net/if_inet6")  # Linux' own: address, ..., scope (20: of one link), name
+    rows = [line.split() for line in table.read_text().splitlines()] if table.exists() else []
+    found = [(row[0], row[5]) for row in rows if row[3] == "20"]
+    if not found:
+        pytest.skip("no interface has an address of its own link")
+    digits, interface = found[0]
+    link = TcpServer(f"{ip_address(int(digits, 16))}%{interface}", 0)
+    link.close()
+
+
+def test_fast_peers_share_what_is_read_in_one_turn(server: TcpServer) -> None:
+    with contextlib.ExitStack() as opened:
+        peers = [opened.enter_context(connect(server)) for _ in range(8)]
+        for peer in peers:
+            peer.sendall(bytes(READ_SIZE // 2))
+        while len(server._descriptors.ready()) < 8:
+            pass
+        turn = server.read()
+        assert {number for number, _ in turn} == set(range(8))
+        assert sum(len(data) for _, data in turn) <= READ_SIZE
+        everything = 8 * (READ_SIZE // 2)
+        read_until(server, lambda chunks: sum(len(data) for _, data in turn + chunks) == everything)
 
 
 def test_a_server_tells_that_nobody_is_left_but_of_none_who_only_knocked(server, caplog) -> None:
