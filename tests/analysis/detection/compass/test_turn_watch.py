@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.turn_watch import TurnWatch
+from analysis.detection.compass.turn_watch import TurnWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.detection.sensors.turn_kernel import EITHER, FIELD, RATES, Turns, follow, no_turns
+from analysis.detection.compass.turn_kernel import EITHER, FIELD, RATES, Turns, follow, no_turns
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import Block
 

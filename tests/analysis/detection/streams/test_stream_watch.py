@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.stream_watch import StreamWatch
+from analysis.detection.streams.stream_watch import StreamWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import block_of
 from analysis.samples.sample import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.sensors.field_kernel import ANGLE, SIZE, Earth, follow, no_earth
+from analysis.detection.compass.field_kernel import ANGLE, SIZE, Earth, follow, no_earth
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_TYPE, Block
 from analysis.samples.sample import Vector

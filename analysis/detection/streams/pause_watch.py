@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.detection.sensors.stream_kernel import NEVER_US, STREAM_OF
+from analysis.detection.streams.stream_kernel import NEVER_US, STREAM_OF
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import Block, Stamps
 

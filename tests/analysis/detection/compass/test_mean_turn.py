@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.mean_turn import MeanTurnWatch
+from analysis.detection.compass.mean_turn import MeanTurnWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample

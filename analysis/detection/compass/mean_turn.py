@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.sensors.turn_kernel import (
+from analysis.detection.compass.turn_kernel import (
     EITHER,
     FIELD,
     GYRO_RAD,
@@ -29,7 +29,7 @@ from analysis.detection.sensors.turn_kernel import (
     SIZE,
     STEP_US,
 )
-from analysis.detection.sensors.turn_watch import turned_apart
+from analysis.detection.compass.turn_watch import turned_apart
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import IMU, IMU_ID, MAG, Block
 from analysis.samples.sample import Vector

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.sensors.rate_kernel import SINKS, at_once, count, is_known, missing
+from analysis.detection.streams.rate_kernel import SINKS, at_once, count, is_known, missing
 from analysis.samples.block import FIX, FIX_VELOCITY, IMU, IMU_ID, SOURCES, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined

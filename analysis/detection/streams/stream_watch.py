@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.detection.sensors.rate_kernel import COLUMNS
-from analysis.detection.sensors.stream_kernel import (
+from analysis.detection.streams.rate_kernel import COLUMNS
+from analysis.detection.streams.stream_kernel import (
     AHEAD,
     BACK,
     BURSTING,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.pause_watch import IMU_SILENT
+from analysis.detection.streams.pause_watch import IMU_SILENT
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
 from analysis.results import SensorDecision
 from analysis.samples.block import IMU, Block, block_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.earth_watch import EarthWatch
+from analysis.detection.compass.earth_watch import EarthWatch
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import GpsFix, ImuSample, MagSample, Sample, Vector
