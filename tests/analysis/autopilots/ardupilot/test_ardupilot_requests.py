@@ -1,6 +1,6 @@
 """What an ArduPilot is asked that cannot do what was asked first."""
 
-from analysis.autopilots.ardupilot_requests import PLANE, ArduPilotRequests
+from analysis.autopilots.ardupilot.ardupilot_requests import PLANE, ArduPilotRequests
 from analysis.autopilots.flight_plan import Waypoint
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from analysis.autopilots.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
+from analysis.autopilots.ardupilot.ardupilot_requests import COPTER, PLANE, ArduPilotRequests
 from analysis.autopilots.flight_operator import Requests
 from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import BRIDGE_STEP

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.autopilots.flight_operator import Operator
 from analysis.autopilots.flight_plan import FlightPlan, Waypoint
-from analysis.autopilots.mavsdk_requests import MavsdkRequests
+from analysis.autopilots.px4.mavsdk_requests import MavsdkRequests
 from analysis.run.proxied_flight import Flight
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.dialect import known

@@ -2,7 +2,7 @@
 
 import pytest
 
-from analysis.autopilots.px4_parameters import parameters, rotors
+from analysis.autopilots.px4.px4_parameters import parameters, rotors
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 

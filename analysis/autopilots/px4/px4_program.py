@@ -21,7 +21,7 @@ from analysis.autopilots.flight_operator import Requests
 from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import PX4_STEP
 from analysis.autopilots.program import Program, ended
-from analysis.autopilots.px4_parameters import AIRFRAMES, parameters
+from analysis.autopilots.px4.px4_parameters import AIRFRAMES, parameters
 from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.tcp import TcpServer
@@ -71,7 +71,7 @@ def command(binary: str) -> list[str]:
 @contextlib.contextmanager
 def requests(simulation: Simulation) -> Iterator[Requests]:
     """How it is asked; MAVSDK is slow to import."""
-    from analysis.autopilots.mavsdk_requests import MavsdkRequests
+    from analysis.autopilots.px4.mavsdk_requests import MavsdkRequests
 
     with contextlib.closing(MavsdkRequests(flight_plan(simulation).landing)) as found:
         yield found

@@ -16,7 +16,7 @@ from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
 from analysis.autopilots.flight_plan import Waypoint
 from analysis.autopilots.mission_items import Item, along, approach
-from analysis.autopilots.px4_program import STREAMS_HZ
+from analysis.autopilots.px4.px4_program import STREAMS_HZ
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import Frame, build
 

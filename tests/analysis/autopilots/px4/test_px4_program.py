@@ -5,9 +5,9 @@ from contextlib import closing
 
 import pytest
 
-from analysis.autopilots import px4_program
 from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
 from analysis.autopilots.program import Program, Start, Unhurried
+from analysis.autopilots.px4 import px4_program
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
