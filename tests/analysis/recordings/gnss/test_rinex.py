@@ -9,9 +9,9 @@ import pytest
 
 from analysis.orbits.broadcast import pack_ephemeris
 from analysis.orbits.snapshot import solve
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.rinex_observations import gps_time, read_observations
 from analysis.recordings.recordings import read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.rinex_observations import gps_time, read_observations
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 

@@ -14,7 +14,7 @@ References
 import numpy as np
 
 from analysis.orbits.broadcast import BEIDOU_BEHIND_S
-from analysis.recordings.navigation_words import WEEK_S, week_near
+from analysis.recordings.gnss.navigation_words import WEEK_S, week_near
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.rtcm.ephemeris_messages import SEMICIRCLE, ephemeris_of
 

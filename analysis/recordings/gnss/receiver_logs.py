@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from analysis.recordings.dataflash_ranges import is_dataflash_name, read_dataflash_ranges
-from analysis.recordings.sbf_log import is_sbf, read_sbf
-from analysis.recordings.ubx_log import is_ubx, read_ubx
+from analysis.recordings.gnss.dataflash_ranges import is_dataflash_name, read_dataflash_ranges
+from analysis.recordings.gnss.sbf_log import is_sbf, read_sbf
+from analysis.recordings.gnss.ubx_log import is_ubx, read_ubx
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run
 from analysis.orbits.broadcast import pack_ephemeris
-from analysis.recordings.receiver_logs import is_receiver_log
+from analysis.recordings.gnss.receiver_logs import is_receiver_log
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.rinex_observations import read_observations
+from analysis.recordings.gnss.sbf_log import read_sbf
+from analysis.recordings.gnss.sbf_orbits import GPS_NAV, QZS_NAV, satellite_name
 from analysis.recordings.recordings import read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.rinex_observations import read_observations
-from analysis.recordings.sbf_log import read_sbf
-from analysis.recordings.sbf_orbits import GPS_NAV, QZS_NAV, satellite_name
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.cli import main
@@ -30,7 +30,7 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import ned_axes
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-TESTS = Path(__file__).parents[2]
+TESTS = Path(__file__).parents[3]
 LOG = TESTS / "data/septentrio/log.sbf"
 RTKLIB = TESTS / "authorities/rtklib_sbf"
 MEAS_EPOCH, PVT_GEODETIC = 4027, 4007

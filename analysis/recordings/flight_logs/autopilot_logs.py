@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.dataflash import DataflashFile, is_dataflash, read_dataflash
-from analysis.recordings.log_condition import (
+from analysis.recordings.flight_logs.dataflash import DataflashFile, is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.log_condition import (
     DAMAGED,
     LogCondition,
     dataflash_losses,
     ulog_losses,
 )
-from analysis.recordings.ulog import ULogFile, is_ulog, read_ulog
+from analysis.recordings.flight_logs.ulog import ULogFile, is_ulog, read_ulog
 from analysis.samples.block import (
     AIRSPEED,
     ATTITUDE,

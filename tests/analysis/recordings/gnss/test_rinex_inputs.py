@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.recordings import read_rinex, read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.rinex_observations import read_observations
 from analysis.samples.sample import EphemerisSample, ImuSample
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 
-QZSS = Path(__file__).parents[2] / "data/gnss_qzss"
+QZSS = Path(__file__).parents[3] / "data/gnss_qzss"
 
 
 def line(text: str, label: str) -> str:

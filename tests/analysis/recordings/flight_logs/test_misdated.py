@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from analysis.recordings.misdated import misdated
-from analysis.recordings.ulog import without_misdated
+from analysis.recordings.flight_logs.misdated import misdated
+from analysis.recordings.flight_logs.ulog import without_misdated
 
 
 def test_single_stamps_far_from_those_around_them_are_wrong_and_pauses_are_not() -> None:

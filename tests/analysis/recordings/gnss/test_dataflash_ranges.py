@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.recordings.dataflash_ranges import read_dataflash_ranges
-from analysis.recordings.rinex_observations import read_observations
-from analysis.recordings.ubx_log import read_ubx
+from analysis.recordings.gnss.dataflash_ranges import read_dataflash_ranges
+from analysis.recordings.gnss.rinex_observations import read_observations
+from analysis.recordings.gnss.ubx_log import read_ubx
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from tests.analysis.recordings.dataflash_encoding import raw_log
-from tests.analysis.recordings.ubx_encoding import rawx
+from tests.analysis.recordings.flight_logs.dataflash_encoding import raw_log
+from tests.analysis.recordings.gnss.ubx_encoding import rawx
 
-UBX = Path(__file__).parents[2] / "data" / "gnss_qzss" / "f9p.ubx"
+UBX = Path(__file__).parents[3] / "data" / "gnss_qzss" / "f9p.ubx"
 ANTENNA = "-3962108.6836,3381309.5672,3668678.6720"  # of the data's README
 RAWX = b"\xb5b\x02\x15"
 

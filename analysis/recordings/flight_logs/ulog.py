@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.misdated import misdated
-from analysis.recordings.ulog_words import printed, words
+from analysis.recordings.flight_logs.misdated import misdated
+from analysis.recordings.flight_logs.ulog_words import printed, words
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from analysis.recordings.ulog import read_ulog
-from analysis.recordings.ulog_words import MOST_CHARACTERS, printed, words
+from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.recordings.flight_logs.ulog_words import MOST_CHARACTERS, printed, words
 
 
 def log(texts: list[tuple[int, str]], events: list[tuple[int, str, str]], monkeypatch: Any) -> Any:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.recordings.dataflash import read_dataflash
-from analysis.recordings.log_condition import LogCondition
+from analysis.recordings.flight_logs.dataflash import read_dataflash
+from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.recordings import read_log
 from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG, SPARE
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample

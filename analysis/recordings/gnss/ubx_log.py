@@ -24,7 +24,8 @@ import numpy as np
 
 from analysis.orbits.broadcast import B1I_HZ
 from analysis.orbits.glonass import CENTRE_HZ
-from analysis.recordings.navigation_words import (
+from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.recordings.gnss.navigation_words import (
     WEEK_S,
     Subframe,
     gps_ephemeris,
@@ -33,8 +34,7 @@ from analysis.recordings.navigation_words import (
     klobuchar,
     subframe,
 )
-from analysis.recordings.rinex_observations import Measured, epoch_of
-from analysis.recordings.ulog import read_ulog
+from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ

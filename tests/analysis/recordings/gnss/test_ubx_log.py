@@ -11,15 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.orbits.broadcast import pack_ephemeris, satellite_states
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.ubx_log import read_ubx
 from analysis.recordings.recordings import read_rinex, read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.ubx_log import read_ubx
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
-from tests.analysis.recordings.ubx_encoding import broadcast, frame, klobuchar_page, rawx, sfrbx
-from tests.analysis.recordings.ulog_encoding import FIELDS, dump_log
+from tests.analysis.recordings.flight_logs.ulog_encoding import FIELDS, dump_log
+from tests.analysis.recordings.gnss.ubx_encoding import (
+    broadcast,
+    frame,
+    klobuchar_page,
+    rawx,
+    sfrbx,
+)
 
 WEEK, TOW_S = 2149, 475_200.0
 EPOCH = Epoch(

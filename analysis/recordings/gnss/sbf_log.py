@@ -23,9 +23,9 @@ from typing import NamedTuple
 
 from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ
-from analysis.recordings.navigation_words import WEEK_S
-from analysis.recordings.rinex_observations import Measured, epoch_of
-from analysis.recordings.sbf_orbits import ORBITS, read_orbit, satellite_name
+from analysis.recordings.gnss.navigation_words import WEEK_S
+from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
+from analysis.recordings.gnss.sbf_orbits import ORBITS, read_orbit, satellite_name
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ

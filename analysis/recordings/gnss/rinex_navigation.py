@@ -16,7 +16,7 @@ from pathlib import Path
 
 from analysis.orbits.broadcast import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
 from analysis.orbits.glonass import leap_seconds
-from analysis.recordings.rinex_observations import gps_time
+from analysis.recordings.gnss.rinex_observations import gps_time
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.navigation_record import (
