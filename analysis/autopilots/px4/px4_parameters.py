@@ -1,7 +1,7 @@
 """The parameters with which PX4 flies a scenario's vehicle; no I/O."""
 
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 AIRFRAMES = {"multirotor": "none_iris", "fixedwing": "gazebo-classic_plane"}
 FIRST_MOTOR = 101  # PWM_MAIN_FUNC of the first motor

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing_flight import STATE, fly, pack
-from simvehicle.vehicles.fixedwing_kernel import Aero
-from simvehicle.vehicles.fixedwing_parameters import (
+from simvehicle.vehicles.fixedwing.fixedwing_flight import STATE, fly, pack
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import (
     FixedWingParameters,
     aero_of,
     gear_of,
     read_fixedwing,
 )
+from simvehicle.vehicles.fixedwing.trim import Trim, trim
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
-from simvehicle.vehicles.trim import Trim, trim
 from simvehicle.vehicles.vehicle import LOAD
 
 Array = NDArray[np.float64]

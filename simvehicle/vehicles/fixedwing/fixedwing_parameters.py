@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from simvehicle.vehicles.contact_kernel import Gear, gear
-from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.vehicles.contact_kernel import Gear, gear
-from simvehicle.vehicles.multirotor_flight import Airframe, fly, pack
+from simvehicle.vehicles.multirotor.multirotor_flight import Airframe, fly, pack
 from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
 from simvehicle.vehicles.rigidbody_kernel import RIGID
 from simvehicle.vehicles.vehicle import LOAD

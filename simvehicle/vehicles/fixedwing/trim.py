@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
-from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, derivative
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
 Array = NDArray[np.float64]

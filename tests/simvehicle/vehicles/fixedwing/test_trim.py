@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.fixedwing.trim import euler_derivative, linearise, modes, trim
 from simvehicle.vehicles.parameter_file import body_of
-from simvehicle.vehicles.trim import euler_derivative, linearise, modes, trim
 
 # Set, airspeed [m/s], angle of attack [deg], elevator [rad], throttle, longitudinal and lateral
 # eigenvalues with non-negative imaginary part [1/s]; computed separately from the published

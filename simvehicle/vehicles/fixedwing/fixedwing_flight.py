@@ -13,7 +13,7 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.battery_kernel import Supply, supplied
 from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.fixedwing_kernel import Aero, forces_moments, propulsion
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, forces_moments, propulsion
 from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
 from simvehicle.vehicles.vehicle import (
     CHARGE,

@@ -11,7 +11,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import sin_cos
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 MOTORS = 4
 # As the built-in controller has them: angle to rate, rate to angular acceleration [1/s], the
