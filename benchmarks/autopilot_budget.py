@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analysis.autopilots import autopilot_run
-from analysis.autopilots.px4_program import STARTED, environment, free_udp_port, streams
+from analysis.autopilots.px4.px4_program import STARTED, environment, free_udp_port, streams
 from analysis.run.proxied_flight import HIL_COMPONENT
 from mavproxy_fault import cli
 from simvehicle.app.lockstep_loop import LockstepLoop

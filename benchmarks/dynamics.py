@@ -25,8 +25,8 @@ from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, step
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 

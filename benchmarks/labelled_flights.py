@@ -20,7 +20,7 @@ from typing import Any
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
-from analysis.recordings.log_condition import LogCondition
+from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.recordings import read_log
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, WARN

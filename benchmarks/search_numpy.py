@@ -5,7 +5,7 @@ Quaternion RK4, sensors with noise and Heun's estimator, written the straightfor
 
 import numpy as np
 
-from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 GRAVITY, DENSITY = 9.80665, 1.225

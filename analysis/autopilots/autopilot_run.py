@@ -17,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from analysis.autopilots import ardupilot_program, px4_program
+from analysis.autopilots.ardupilot import ardupilot_program
 from analysis.autopilots.flight_operator import LOOK_US, Operator, Requests
 from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
 from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
@@ -25,6 +25,7 @@ from analysis.autopilots.onlookers import Onlookers
 from analysis.autopilots.own_parameters import read_parameters
 from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.program import Program, Start, Unhurried
+from analysis.autopilots.px4 import px4_program
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.idle import tell_idle
 from analysis.run.proxied_flight import GROUND, Flight, session

@@ -14,7 +14,7 @@ from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import chi_square, p_value
 from analysis.detection.isolation.whole_receiver import FOLLOWED, LEAPT
 from analysis.detection.protection import WORST_M, Bounds, assumed
-from analysis.detection.sensors.pause_watch import IMU_SILENT
+from analysis.detection.streams.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
 

@@ -7,7 +7,7 @@ from analysis.detection.detector_state import RECEIVER, Core
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import p_value
 from analysis.detection.receiver.position_test import Check
-from analysis.detection.sensors.pause_watch import IMU_SILENT
+from analysis.detection.streams.pause_watch import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 

@@ -25,16 +25,16 @@ from analysis.detection.actuators.suspected_imu import (
 )
 from analysis.detection.actuators.tumble_kernel import follow as follow_tumble
 from analysis.detection.actuators.tumble_kernel import no_tumble
+from analysis.detection.compass.earth_watch import EarthWatch
+from analysis.detection.compass.mean_turn import MeanTurnWatch
+from analysis.detection.compass.turn_watch import TurnWatch
 from analysis.detection.receiver.frozen_fix import FrozenFix
-from analysis.detection.sensors.earth_watch import EarthWatch
 from analysis.detection.sensors.instance_vote import InstanceVote
 from analysis.detection.sensors.jamming_watch import JammingWatch
 from analysis.detection.sensors.level_watch import LevelWatch
-from analysis.detection.sensors.mean_turn import MeanTurnWatch
-from analysis.detection.sensors.pause_watch import Newest, PauseWatch, not_lost
 from analysis.detection.sensors.sensor_tests import References
-from analysis.detection.sensors.stream_watch import StreamWatch
-from analysis.detection.sensors.turn_watch import TurnWatch
+from analysis.detection.streams.pause_watch import Newest, PauseWatch, not_lost
+from analysis.detection.streams.stream_watch import StreamWatch
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import Block, Piece, block_of, pieces

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.recordings.autopilot_logs import is_autopilot_log, read_autopilot_log
-from analysis.recordings.log_condition import LogCondition
+from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log, read_autopilot_log
+from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.samples.block import IMU, Block, Part, joined
 from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample
@@ -68,9 +68,9 @@ def read_rinex(
     ConfigError
         If a file cannot be read as what it should be, or does not fit the others.
     """
-    from analysis.recordings.receiver_logs import is_receiver_log, read_receiver_log
-    from analysis.recordings.rinex_navigation import read_navigation
-    from analysis.recordings.rinex_observations import epochs_of, read_observations
+    from analysis.recordings.gnss.receiver_logs import is_receiver_log, read_receiver_log
+    from analysis.recordings.gnss.rinex_navigation import read_navigation
+    from analysis.recordings.gnss.rinex_observations import epochs_of, read_observations
 
     files = [navigation] if isinstance(navigation, Path) else list(navigation)
     broadcast: list[EphemerisSample | IonosphereSample] = []

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.dataflash import is_dataflash, read_dataflash
-from analysis.recordings.ulog import is_ulog, read_ulog
+from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.results import encode, read_results
 from mavproxy_fault.wire import tlog
 

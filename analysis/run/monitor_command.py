@@ -15,10 +15,10 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
 from analysis.monitor.watch import Watch
-from analysis.recordings.autopilot_logs import is_autopilot_log
-from analysis.recordings.log_condition import LogCondition
+from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log
+from analysis.recordings.flight_logs.log_condition import LogCondition
+from analysis.recordings.gnss.receiver_logs import is_receiver_log
 from analysis.recordings.position_reference import PositionReference, read_reference
-from analysis.recordings.receiver_logs import is_receiver_log
 from analysis.recordings.recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result

@@ -39,7 +39,7 @@ def _test_sensors(config: MonitorConfig) -> None:
 
 
 def _watch_streams() -> None:
-    from analysis.detection.sensors.stream_watch import StreamWatch
+    from analysis.detection.streams.stream_watch import StreamWatch
     from analysis.samples.block import block_of
     from analysis.samples.sample import BaroSample
 

@@ -16,8 +16,8 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.route import Aim, CircleTrack, PathTrack, Track
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.trim import Trim
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.trim import Trim
 
 _PITCH_LIMIT = math.radians(20.0)
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate

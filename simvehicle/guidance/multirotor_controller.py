@@ -17,7 +17,7 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed

@@ -9,8 +9,8 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.fixedwing_controller import FixedWingController
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.weave_kernel import Four, Motion, weave
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.weave_kernel import Four, Motion, weave
 
 if TYPE_CHECKING:
     from simvehicle.scenario.scenario_file import OpenLoop

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from simvehicle.guidance.fixedwing_controller import FixedWingController, Now
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.trim import LATERAL, Trim, linearise
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.trim import LATERAL, Trim, linearise
 
 _AILERON = 1  # column of the input matrix
 _ROLL = 1  # place of the roll angle among the lateral states v, roll, p, r

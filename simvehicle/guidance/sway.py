@@ -9,8 +9,8 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.multirotor_controller import MultirotorController
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.sway_kernel import Attitude, Four, Quad, Three, quad_of, sway
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.sway_kernel import Attitude, Four, Quad, Three, quad_of, sway
 
 
 @compiled

@@ -21,8 +21,8 @@ from simvehicle.simulation.onboard import Fitted
 from simvehicle.simulation.simulation import LONGEST_STEP_S, Moment, Simulation
 from simvehicle.simulation.weather import BLOCK
 from simvehicle.vehicles.body import Controls
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle
 
 KINDS: dict[type, int] = {Imu: k.IMU, Magnetometer: k.MAG, Barometer: k.BARO, Airspeed: k.PITOT}

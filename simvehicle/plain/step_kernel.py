@@ -26,7 +26,6 @@ from simvehicle.hil.state_kernel import fill
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_arrays import Octets, Plain
 from simvehicle.sensors import barometer, imu
-from simvehicle.vehicles import fixedwing_flight, multirotor_flight
 from simvehicle.vehicles.actuators import (
     ELEVATOR,
     LEFT_AILERON,
@@ -34,6 +33,8 @@ from simvehicle.vehicles.actuators import (
     RUDDER,
     THROTTLE,
 )
+from simvehicle.vehicles.fixedwing import fixedwing_flight
+from simvehicle.vehicles.multirotor import multirotor_flight
 from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P
 from simvehicle.vehicles.vehicle import DENSITY, FORCE, GRAVITY, GROUND, SAG, VOLTS, WIND
 

@@ -19,9 +19,9 @@ from simvehicle.guidance.route import Track
 from simvehicle.guidance.rudderless_controller import RudderlessController, has_rudder
 from simvehicle.vehicles.actuators import Mix, motors, plane
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing_flight import THROTTLE
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_flight import THROTTLE
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle
 
 GROUP = "simvehicle.kinds"

@@ -38,8 +38,8 @@ from simvehicle.simulation.kinds import Controller, kind_of
 from simvehicle.simulation.onboard import Fitted, fit
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P, U
 from simvehicle.vehicles.vehicle import VOLTS, surroundings
 

@@ -74,7 +74,7 @@ def parameter_path(name: str | Path) -> Path:
     ConfigError
         If there is no such set.
     """
-    shipped = Path(str(resources.files("simvehicle.vehicles")))
+    shipped = Path(str(resources.files("simvehicle.vehicles") / "parameters"))
     path = Path(name)
     # A name without an ending is a shipped set.
     if path.suffix not in (".yaml", ".yml"):

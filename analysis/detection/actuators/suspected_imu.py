@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from analysis.detection.sensors.pause_watch import IMU_SILENT
+from analysis.detection.streams.pause_watch import IMU_SILENT
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import IMU, Block, Indices, Stamps
 

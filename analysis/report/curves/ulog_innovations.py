@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.recordings.ulog import Topic
+from analysis.recordings.flight_logs.ulog import Topic
 from analysis.report.curves.field_values import DEG, column
 from analysis.report.recordings.recording import Signal, Vector
 

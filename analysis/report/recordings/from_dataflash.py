@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.dataflash import DataflashFile, Topic
+from analysis.recordings.flight_logs.dataflash import DataflashFile, Topic
 from analysis.report.curves.dataflash_curves import CURVES
 from analysis.report.curves.field_values import values_of
 from analysis.report.recordings.mode_names import (

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.ulog import Topic, ULogFile
+from analysis.recordings.flight_logs.ulog import Topic, ULogFile
 from analysis.report.curves.field_values import values_of
 from analysis.report.curves.ulog_curves import CURVES
 from analysis.report.curves.ulog_innovations import innovations

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from analysis.recordings.dataflash import is_dataflash, read_dataflash
-from analysis.recordings.ulog import is_ulog, read_ulog
+from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import merged, recording_of

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.ulog import Topic
+from analysis.recordings.flight_logs.ulog import Topic
 from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
 from analysis.report.recordings.recording import REFUSED_S, Span, active_spans
 

@@ -39,10 +39,10 @@ from analysis.search.space.test_file import StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.environment.air import GUSTS
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing_kernel import Aero
-from simvehicle.vehicles.multirotor import Multirotor
-from simvehicle.vehicles.sway_kernel import quad_of
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.sway_kernel import quad_of
 
 Array = NDArray[np.float64]
 # Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.

@@ -14,8 +14,8 @@ from analysis.search.lanes.noise_kernel import gauss_pair, next_bits
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
-from simvehicle.vehicles.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.fixedwing.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, derivative
 from simvehicle.vehicles.rigidbody_kernel import (
     DOWN,
     E0,

@@ -10,7 +10,8 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.polynomial import exp
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from mavproxy_fault.numerics.rotations.rotation_lanes import euler
-from simvehicle.vehicles.multirotor_flight import Airframe, body_drag, rotor_loads
+from simvehicle.vehicles.multirotor.multirotor_flight import Airframe, body_drag, rotor_loads
+from simvehicle.vehicles.multirotor.sway_kernel import Attitude, Four, Quad, sway
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,
     State13,
@@ -18,7 +19,6 @@ from simvehicle.vehicles.rigidbody_kernel import (
     rigid_body,
     runge_kutta,
 )
-from simvehicle.vehicles.sway_kernel import Attitude, Four, Quad, sway
 
 L = rows.LANES
 C, M, T, W = rows.CONTROL * L, rows.MOTOR * L, rows.MISSION * L, rows.WIND * L

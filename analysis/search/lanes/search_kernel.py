@@ -32,7 +32,7 @@ from analysis.search.lanes.score_lanes import (
 )
 from analysis.search.lanes.steer_lanes import steer
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.vehicles.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 L = rows.LANES

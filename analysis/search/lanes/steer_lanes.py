@@ -8,7 +8,7 @@ from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from mavproxy_fault.numerics.rotations.rotation_lanes import euler
-from simvehicle.vehicles.weave_kernel import Motion, weave
+from simvehicle.vehicles.fixedwing.weave_kernel import Motion, weave
 
 L = rows.LANES
 C, O, T, W = rows.CONTROL * L, rows.OPEN_LOOP * L, rows.MISSION * L, rows.WIND * L  # noqa: E741

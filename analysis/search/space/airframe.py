@@ -8,13 +8,13 @@ import numpy as np
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing_flight import ELEVATOR, THROTTLE
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_flight import ELEVATOR, THROTTLE
+from simvehicle.vehicles.fixedwing.trim import PITCH
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.sway_kernel import MOTORS
 from simvehicle.vehicles.parameter_file import parameter_path
 from simvehicle.vehicles.rigidbody_kernel import U, W
-from simvehicle.vehicles.sway_kernel import MOTORS
-from simvehicle.vehicles.trim import PITCH
 
 Airframe = FixedWing | Multirotor
 

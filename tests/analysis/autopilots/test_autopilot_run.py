@@ -19,7 +19,7 @@ from queue import Queue
 import pytest
 
 from analysis.autopilots.autopilot_run import ahead_of_logs
-from analysis.recordings.ulog import read_ulog
+from analysis.recordings.flight_logs.ulog import read_ulog
 from mavproxy_fault.links.bus import open_bus, with_port
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_columns

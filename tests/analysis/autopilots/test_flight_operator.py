@@ -1,6 +1,6 @@
 import pytest
 
-from analysis.autopilots.ardupilot_requests import COPTER, ArduPilotRequests
+from analysis.autopilots.ardupilot.ardupilot_requests import COPTER, ArduPilotRequests
 from analysis.autopilots.flight_operator import Operator, Phase
 from analysis.autopilots.flight_plan import FlightPlan, Waypoint
 from mavproxy_fault.wire.dialect import known

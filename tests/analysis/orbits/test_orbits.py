@@ -18,9 +18,9 @@ from analysis.orbits.broadcast import (
 )
 from analysis.orbits.glonass import leap_seconds
 from analysis.orbits.snapshot import Fix, solve
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.recordings import read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.rinex_observations import read_observations
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS

@@ -19,15 +19,15 @@ from analysis.orbits.broadcast import (
     predict_ranges,
     satellite_states,
 )
+from analysis.recordings.gnss.rinex_navigation import read_navigation
+from analysis.recordings.gnss.ubx_log import read_ubx
 from analysis.recordings.recordings import read_rinex_samples
-from analysis.recordings.rinex_navigation import read_navigation
-from analysis.recordings.ubx_log import read_ubx
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.numerics.constants import GPS_GM_M3PS2
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, l1_health
-from tests.analysis.recordings.ubx_encoding import broadcast, rawx
+from tests.analysis.recordings.gnss.ubx_encoding import broadcast, rawx
 
 TESTS = Path(__file__).parents[2]
 FOLDER, RTKLIB = TESTS / "data/gnss_qzss", TESTS / "authorities/rtklib_qzss"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.recordings.ulog import read_ulog
+from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.curves.derived_curves import derived, with_derived
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog

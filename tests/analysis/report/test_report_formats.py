@@ -8,8 +8,8 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from analysis.recordings.dataflash import read_dataflash
-from analysis.recordings.ulog import read_ulog
+from analysis.recordings.flight_logs.dataflash import read_dataflash
+from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.export import tables_of
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import armed_windows

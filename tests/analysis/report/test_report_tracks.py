@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.recordings.ulog import read_ulog
+from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.export_tracks import export_tracks
 from analysis.report.log_sky import sky_pictures
 from analysis.report.page.page_model import flown

@@ -24,7 +24,7 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.live.rflysim import SHIPPED, read_map
 from mavproxy_fault.schedule.entries import read_schedule
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.vehicles.fixedwing_parameters import FixedWingParameters
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import FixedWingParameters
 from simvehicle.vehicles.parameter_file import read_parameters
 
 ROOT = Path(__file__).parents[3]
@@ -81,7 +81,7 @@ KINDS: list[tuple[Callable[[Path], object], Path | str]] = [
     (lambda path: read_thresholds(str(path)), write_yaml({k: list(v) if isinstance(v, tuple) else v
         for k in Thresholds.__struct_fields__ for v in [getattr(Thresholds(), k)]})),
     (read_map, SHIPPED),
-    (parameters, ROOT / "simvehicle/vehicles/aerosonde-2025.yaml"),
+    (parameters, ROOT / "simvehicle/vehicles/parameters/aerosonde-2025.yaml"),
     *((read_test, path) for path in sorted((ROOT / "examples").glob("*search*.yaml"))[:2]),
     *((dry_run, campaign(path)) for path in sorted((ROOT / "examples").glob("campaign_*.yaml"))),
     *((read_schedule, path) for path in sorted((ROOT / "examples").glob("*.yaml"))

@@ -21,7 +21,7 @@ from simvehicle.scenario.scenario_file import (
 )
 from simvehicle.sensors.imu import Imu
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 
 WIND = Environment(wind_ned_mps=(3.0, 3.0, 0.0), gusts="light")
 

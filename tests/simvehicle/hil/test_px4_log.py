@@ -32,7 +32,7 @@ from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import motors, read_controls
 from simvehicle.vehicles.body import Controls
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 LIFT_OFF_US = 17_000_000  # the recorded vehicle stands until then
 LINK_US = 7_000_000  # stamp up to which it is played over TCP

@@ -10,11 +10,11 @@ from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import Scenario, VehicleChoice, read_scenario
 from simvehicle.simulation.kinds import kind_of
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing_parameters import read_fixedwing
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import read_fixedwing
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
-SHIPPED = Path(str(resources.files("simvehicle.vehicles")))
+SHIPPED = Path(str(resources.files("simvehicle.vehicles") / "parameters"))
 WINGS = ["aerosonde-2012", "aerosonde-2025", "aerosonde-2025-matlab", "zagi-2012"]
 
 

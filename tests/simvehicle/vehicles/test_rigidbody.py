@@ -5,13 +5,13 @@ import pytest
 
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
-from simvehicle.vehicles.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing_parameters import aero_of, read_fixedwing
-from simvehicle.vehicles.multirotor import Multirotor
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, step
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
+from simvehicle.vehicles.fixedwing.trim import trim
+from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_of
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
-from simvehicle.vehicles.trim import trim
 from simvehicle.vehicles.vehicle import surroundings
 
 PARAMETERS = read_fixedwing("aerosonde-2025")
@@ -152,7 +152,7 @@ def test_trimmed_flight_stays_trimmed() -> None:
 
 
 def test_thrust_of_the_dc_motor_falls_with_airspeed() -> None:
-    from simvehicle.vehicles.fixedwing_kernel import propulsion
+    from simvehicle.vehicles.fixedwing.fixedwing_kernel import propulsion
 
     @compiled
     def at(airspeed: float) -> tuple[float, float, float]:

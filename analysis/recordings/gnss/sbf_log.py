@@ -1,0 +1,202 @@
+"""Septentrio logs (SBF): pseudoranges of MeasEpoch, and the orbits the receiver has decoded.
+
+A satellite's first signal stands whole, its others as differences from it, so that L1 may be
+either [1]_. What else is in the log is passed over; a block whose checksum is wrong is looked for
+again behind its first byte, so that a damaged length swallows nothing.
+
+References
+----------
+.. [1] Septentrio, mosaic-X5 and PolaRx5 reference guides, 4.1.1 (blocks, checksum), 4.1.10 (signal
+   numbers), 4.2.1 (MeasEpoch).
+"""
+
+import gzip
+import math
+import re
+import zlib
+from binascii import crc_hqx
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from struct import Struct
+from typing import NamedTuple
+
+from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
+from analysis.orbits.glonass import CENTRE_HZ
+from analysis.recordings.gnss.navigation_words import WEEK_S
+from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
+from analysis.recordings.gnss.sbf_orbits import ORBITS, read_orbit, satellite_name
+from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import L1_HZ
+
+SUFFIX = re.compile(r"\.(sbf|\d\d_)(\.gz)?$", re.IGNORECASE)  # Septentrio's own: SEPT078M.21_
+SYNC = b"$@"
+AROUND = 8  # bytes of a block before its payload
+NUMBER = 0x1FFF  # of the block, below its revision
+MEAS_EPOCH = 4027
+# Time in ms and week; sub-blocks and the sizes of both kinds; flags.
+HEAD = Struct("<IHBBBB2x")
+# Of the first signal: type, satellite, range's high bits, low ones, Doppler, C/N0, information, and
+# how many further signals follow.
+FIRST = Struct("<xBBBIi3xB2xBB")
+# Of a further one: type, C/N0, high bits of the differences, information, low bits.
+FURTHER = Struct("<BxBBxBH2xH")
+SCRAMBLED = 0x80  # flag: the receiver lacks the permission to tell its ranges
+STEP_M, STEP_HZ, STEP_DB, LEAST_DB = 1e-3, 1e-4, 0.25, 10.0
+NO_DOPPLER, NO_CN0 = -(2**31), 255
+NO_RANGE_STEPS, NO_RATE_STEPS = -4 << 16, -16 << 16  # of a further signal
+MORE_SIGNALS = 31  # in the signal's five bits: 32 and above stand in the information
+CHANNEL_ZERO = 8  # of GLONASS, in the information
+SIGNALS = {  # by their numbers: RINEX's letter and name
+    0: ("G", "1C"),
+    6: ("J", "1C"),
+    38: ("J", "1E"),
+    8: ("R", "1C"),
+    17: ("E", "1C"),
+    28: ("C", "2I"),
+}
+L2_HZ, L5_HZ, E5B_HZ, E5_HZ, E6_HZ = 1227.6e6, 1176.45e6, 1207.14e6, 1191.795e6, 1278.75e6
+G2_HZ = 1246e6  # of channel 0, as CENTRE_HZ: their ratio is that of every channel
+CARRIERS_HZ = {
+    **dict.fromkeys((0, 1, 5, 6, 13, 17, 32, 38), L1_HZ),
+    **dict.fromkeys((2, 3, 7), L2_HZ),
+    **dict.fromkeys((4, 14, 20, 26), L5_HZ),
+    **dict.fromkeys((21, 29, 34), E5B_HZ),
+    **dict.fromkeys((8, 9), CENTRE_HZ),
+    **dict.fromkeys((10, 11), G2_HZ),
+    **{19: E6_HZ, 22: E5_HZ, 28: B1I_HZ, 30: B3I_HZ},
+}
+
+
+def is_sbf(path: Path) -> bool:
+    """Whether a file is named as a Septentrio log."""
+    return SUFFIX.search(path.name) is not None
+
+
+def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
+    """All epochs of a log, and the ephemerides and Klobuchar's coefficients in it, stamped 0.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or holds no block of pseudoranges.
+    """
+    try:
+        data = path.read_bytes()
+        data = gzip.decompress(data) if path.name.lower().endswith(".gz") else data
+    except (EOFError, OSError, zlib.error) as error:
+        raise ConfigError(f"{path}: cannot be read as a Septentrio log ({error})") from error
+    blocks = list(_blocks(data))
+    measured = [payload for number, payload in blocks if number == MEAS_EPOCH]
+    if not measured:
+        raise ConfigError(
+            f"{path}: has no whole MeasEpoch; let the receiver send it (Meas3Ranges is not read),"
+            " and GPSNav, GALNav, GLONav, BDSNav, QZSNav and GPSIon"
+        )
+    epochs = list(_epochs(measured))
+    near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
+    found = (read_orbit(number, payload, near_s) for number, payload in blocks if number in ORBITS)
+    return epochs, [sample for sample in found if sample is not None]
+
+
+def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Number and payload of the whole blocks that are read."""
+    at = data.find(SYNC)
+    while at >= 0:
+        summed, kind, length = (
+            int.from_bytes(data[at + k : at + k + 2], "little") for k in (2, 4, 6)
+        )
+        end, number = at + length, kind & NUMBER
+        # A start that was none, or a damaged length, must not swallow the blocks behind it.
+        if (number == MEAS_EPOCH or number in ORBITS) and AROUND <= length <= len(data) - at:
+            body = data[at + 4 : end]
+            if crc_hqx(body, 0) == summed:
+                yield number, body[4:]
+                at = end - 1
+        at = data.find(SYNC, at + 1)
+
+
+def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
+    """The epochs, of which one may come in several blocks, one behind the other."""
+    whole = (payload for payload in payloads if len(payload) >= HEAD.size)
+    for (tow_ms, week), together in groupby(whole, lambda payload: HEAD.unpack_from(payload)[:2]):
+        rows: dict[str, Measured] = {}
+        channels: dict[str, int] = {}
+        for tracked in (found for payload in together for found in _tracked(payload)):
+            name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal)
+            if name is None or known is None or name[0] != known[0] or not tracked.usable:
+                continue
+            values = tracked.range_m, tracked.doppler_hz, tracked.cn0_dbhz
+            rows.setdefault(name, (name, values, CARRIERS_HZ[tracked.signal], known[1]))
+            if name[0] == "R":
+                channels[name] = (tracked.information >> 3) - CHANNEL_ZERO
+        epoch = epoch_of(week, 1e-3 * tow_ms, list(rows.values()), channels)
+        if epoch is not None and tow_ms < 1000 * WEEK_S:
+            yield epoch
+
+
+class Tracked(NamedTuple):
+    """One signal of a satellite, NaN for what is not known."""
+
+    satellite: int
+    kind: int
+    information: int
+    range_m: float
+    doppler_hz: float
+    cn0: int
+
+    @property
+    def signal(self) -> int:
+        """Its number among Septentrio's signals."""
+        low = self.kind & MORE_SIGNALS
+        return low if low < MORE_SIGNALS else MORE_SIGNALS + 1 + (self.information >> 3)
+
+    @property
+    def usable(self) -> bool:
+        """Whether it has a range, and the main antenna received it."""
+        return self.kind >> 5 == 0 and self.range_m > 0.0
+
+    @property
+    def cn0_dbhz(self) -> float:
+        """C/N0 of a signal without encryption."""
+        return LEAST_DB + STEP_DB * self.cn0 if self.cn0 != NO_CN0 else math.nan
+
+
+def _tracked(payload: bytes) -> Iterator[Tracked]:
+    """All signals in a block, as far as it goes."""
+    _tow_ms, _week, count, first_size, further_size, flags = HEAD.unpack_from(payload)
+    at = HEAD.size
+    for _ in range(0 if flags & SCRAMBLED else count):
+        if at + max(first_size, FIRST.size) > len(payload):
+            return
+        kind, satellite, high, low, doppler, cn0, information, others = FIRST.unpack_from(
+            payload, at
+        )
+        at += max(first_size, FIRST.size)
+        doppler_hz = STEP_HZ * doppler if doppler != NO_DOPPLER else math.nan
+        range_m = STEP_M * ((high & 15) << 32 | low)
+        first = Tracked(satellite, kind, information, range_m, doppler_hz, cn0)
+        yield first
+        for _ in range(others):
+            if at + max(further_size, FURTHER.size) > len(payload):
+                return
+            yield _further(first, *FURTHER.unpack_from(payload, at))
+            at += max(further_size, FURTHER.size)
+
+
+def _further(
+    first: Tracked, kind: int, cn0: int, high: int, information: int, low: int, rate: int
+) -> Tracked:
+    """A further signal by its differences from the first; without either it has no range."""
+    range_steps = ((high & 7 ^ 4) - 4) << 16 | low
+    rate_steps = ((high >> 3 ^ 16) - 16) << 16 | rate
+    range_m = first.range_m + STEP_M * range_steps
+    found = Tracked(first.satellite, kind, information, range_m, math.nan, cn0)
+    carriers_hz = CARRIERS_HZ.get(found.signal), CARRIERS_HZ.get(first.signal)
+    if not first.range_m > 0.0 or range_steps == NO_RANGE_STEPS:
+        return found._replace(range_m=math.nan)
+    if carriers_hz[0] is None or carriers_hz[1] is None or rate_steps == NO_RATE_STEPS:
+        return found
+    ratio = carriers_hz[0] / carriers_hz[1]
+    return found._replace(doppler_hz=ratio * first.doppler_hz + STEP_HZ * rate_steps)

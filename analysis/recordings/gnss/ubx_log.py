@@ -1,0 +1,205 @@
+"""u-blox logs: pseudoranges (UBX-RXM-RAWX) and what the satellites sent (UBX-RXM-SFRBX).
+
+What else is in the log is passed over. A frame whose checksum is wrong, or whose end is missing, is
+looked for again behind its first byte, so that a damaged length swallows nothing. Orbits are read
+of GPS, QZSS and Galileo; ranges of GLONASS and BeiDou too, for navigation files beside the log
+[1]_.
+
+A PX4 log holds such bytes where GPS_DUMP_COMM had them logged (message GpsDump) [2]_.
+
+References
+----------
+.. [1] u-blox, F9 HPG 1.32 interface description (UBX-22008968): 3.2 and 3.4 (frame, checksum),
+   3.17.4 (RXM-RAWX), 3.17.6 (RXM-SFRBX); 1.5.3 (signal identifiers).
+.. [2] PX4, msg/GpsDump.msg: up to 79 bytes a message, the top bit of `len` set on those sent to
+   the receiver.
+"""
+
+import gzip
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from analysis.orbits.broadcast import B1I_HZ
+from analysis.orbits.glonass import CENTRE_HZ
+from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.recordings.gnss.navigation_words import (
+    WEEK_S,
+    Subframe,
+    gps_ephemeris,
+    inav_ephemeris,
+    inav_word,
+    klobuchar,
+    subframe,
+)
+from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
+from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import L1_HZ
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
+
+SYNC = b"\xb5b"
+AROUND = 8  # bytes of a frame beside its payload
+RAWX, SFRBX = b"\x02\x15", b"\x02\x13"
+HEAD = np.dtype([("tow_s", "<f8"), ("week", "<u2"), ("leap_s", "i1"), ("count", "u1"), ("", "V4")])
+RANGE = np.dtype(
+    [("pseudorange_m", "<f8"), ("phase", "<f8"), ("doppler_hz", "<f4")]
+    + [(name, "u1") for name in ("system", "satellite", "signal", "slot")]
+    + [("lock_ms", "<u2"), ("cn0_dbhz", "u1"), ("", "V3"), ("status", "u1"), ("", "V1")]
+)
+RANGE_VALID = 1
+# By system and signal of u-blox: RINEX's letter and name, and the carrier (GLONASS: channel 0).
+SIGNALS = {
+    (0, 0): ("G", "1C", L1_HZ),
+    (2, 0): ("E", "1C", L1_HZ),
+    (2, 1): ("E", "1B", L1_HZ),
+    (3, 0): ("C", "2I", B1I_HZ),
+    (3, 1): ("C", "2I", B1I_HZ),
+    (5, 0): ("J", "1C", L1_HZ),
+    (6, 0): ("R", "1C", CENTRE_HZ),
+}
+CHANNEL_ZERO = 7  # GLONASS's channels are sent as numbers from 0
+UNKNOWN_SATELLITE = 255
+HEAD_BYTES = 8  # of SFRBX before its words; RAWX has more
+GPS, GALILEO, QZSS = 0, 2, 5
+# C/A; E1 and E5b, 0 on receivers that know E1 alone. Other signals carry other messages.
+MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
+Broadcast = EphemerisSample | IonosphereSample
+ULOG = ".ulg"
+TO_RECEIVER = 0x80  # bit of a dump's length
+MOST_DUMPED = 79
+
+
+def is_ubx(path: Path) -> bool:
+    """Whether a file is named as a u-blox log, or as a PX4 log, which may hold one."""
+    return path.name.lower().endswith((".ubx", ".ubx.gz", ULOG))
+
+
+def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
+    """All epochs of a log, and the ephemerides and Klobuchar's coefficients in it, stamped 0.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or holds no frame of pseudoranges.
+    """
+    payloads: dict[bytes, list[bytes]] = {RAWX: [], SFRBX: []}
+    for kind, payload in _frames(_bytes(path)):
+        # Its checksum is right: a payload this short was meant so, by a receiver without a fix.
+        if len(payload) >= HEAD_BYTES:
+            payloads[kind].append(payload)
+    if not payloads[RAWX]:
+        raise ConfigError(
+            f"{path}: has no whole UBX-RXM-RAWX; let the receiver send it, and UBX-RXM-SFRBX"
+        )
+    found = (rawx_epoch(payload) for payload in payloads[RAWX])
+    epochs = [epoch for epoch in found if epoch is not None]
+    near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
+    return epochs, list(_broadcasts(payloads[SFRBX], near_s))
+
+
+def _bytes(path: Path) -> bytes:
+    if path.name.lower().endswith(ULOG):
+        return _dumped(path)
+    try:
+        data = path.read_bytes()
+        return gzip.decompress(data) if path.name.lower().endswith(".gz") else data
+    except (EOFError, OSError, zlib.error) as error:
+        raise ConfigError(f"{path}: cannot be read as a u-blox log ({error})") from error
+
+
+def _dumped(path: Path) -> bytes:
+    """What the first receiver of a PX4 log sent."""
+    dump = read_ulog(path).topics.get(("gps_dump", 0))
+    if dump is None:
+        raise ConfigError(f"{path}: has no gps_dump; set GPS_DUMP_COMM to 1 before the flight")
+    names = [f"data[{i}]" for i in range(MOST_DUMPED)]
+    for name in ("len", *names):
+        if name not in dump or dump[name].dtype != np.uint8:
+            raise ConfigError(
+                f"{path}: gps_dump has no bytes {name}, so the log is damaged or not PX4's; "
+                f"a dump has len and data[0] to {names[-1]}"
+            )
+    # Two receivers share the topic: their bytes must not be mixed. Early PX4 knew one alone.
+    receiver = dump.get("instance", np.zeros_like(dump["len"]))
+    first = (receiver == receiver.min()) & (dump["len"] < TO_RECEIVER)
+    data = np.column_stack([dump[name] for name in names])[first]
+    # A damaged length beyond the message takes all of it: the frames have checksums.
+    return bytes(data[np.arange(MOST_DUMPED) < dump["len"][first, None]])
+
+
+def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Class and number, and payload, of the whole frames of the two kinds that are read."""
+    at = data.find(SYNC)
+    while at >= 0:
+        kind, length = data[at + 2 : at + 4], int.from_bytes(data[at + 4 : at + 6], "little")
+        end = at + AROUND + length
+        body, summed = data[at + 2 : end - 2], data[end - 2 : end]
+        # A start that was none, or a damaged length, must not swallow the frames behind it.
+        if kind in (RAWX, SFRBX) and end <= len(data) and _checksum(body) == summed:
+            yield kind, data[at + 6 : end - 2]
+            at = end - 1
+        at = data.find(SYNC, at + 1)
+
+
+def _checksum(body: bytes) -> bytes:
+    """Fletcher's sum of 8 bits: the sum of the bytes, and that of its own values."""
+    values = np.frombuffer(body, np.uint8).astype(np.int64)
+    weights = np.arange(len(values), 0, -1)
+    return bytes([int(values.sum()) & 255, int(values @ weights) & 255])
+
+
+def rawx_epoch(payload: bytes) -> Epoch | None:
+    """The epoch of a RAWX message; None before the receiver knows the time, and without a range
+    that it trusts."""
+    count = (len(payload) - HEAD.itemsize) // RANGE.itemsize
+    if count < 0:
+        return None
+    head = np.frombuffer(payload, HEAD, 1)[0]
+    tow_s, week = float(head["tow_s"]), int(head["week"])
+    if week == 0 or not 0.0 <= tow_s < WEEK_S:
+        return None
+    rows: dict[str, Measured] = {}
+    channels: dict[str, int] = {}
+    for row in np.frombuffer(payload, RANGE, count, HEAD.itemsize):
+        signal = SIGNALS.get((int(row["system"]), int(row["signal"])))
+        number = int(row["satellite"])
+        if signal is None or number == UNKNOWN_SATELLITE or not row["status"] & RANGE_VALID:
+            continue
+        letter, code, carrier_hz = signal
+        name = f"{letter}{number:02d}"
+        values = float(row["pseudorange_m"]), float(row["doppler_hz"]), float(row["cn0_dbhz"])
+        rows.setdefault(name, (name, values, carrier_hz, code))
+        if letter == "R":
+            channels[name] = int(row["slot"]) - CHANNEL_ZERO
+    return epoch_of(week, tow_s, list(rows.values()), channels)
+
+
+def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
+    """What each satellite sent, once whenever it changed."""
+    subframes: dict[str, dict[int, Subframe]] = {}
+    inav: dict[str, dict[int, bytes]] = {}
+    newest: dict[str, Ephemeris] = {}
+    for payload in payloads:
+        system, number, signal, _, count = payload[:5]
+        short = len(payload) < HEAD_BYTES + 4 * count
+        if short or signal not in MESSAGE_SIGNALS.get(system, ()):
+            continue
+        words = np.frombuffer(payload, "<u4", count, HEAD_BYTES).tolist()
+        ephemeris = None
+        if system in (GPS, QZSS) and (part := subframe(words)) is not None:
+            name = f"{'G' if system == GPS else 'J'}{number:02d}"
+            subframes.setdefault(name, {})[part.number] = part
+            ephemeris = gps_ephemeris(name, subframes[name], near_s)
+            # QZSS's own coefficients are those of Japan alone.
+            if system == GPS and (ionosphere := klobuchar(part)) is not None:
+                yield IonosphereSample(0, *ionosphere)
+        elif system == GALILEO and (word := inav_word(words)) is not None:
+            name = f"E{number:02d}"
+            inav.setdefault(name, {})[word[0]] = word[1]
+            ephemeris = inav_ephemeris(name, inav[name], near_s)
+        if ephemeris is not None and newest.get(ephemeris.satellite) != ephemeris:
+            newest[ephemeris.satellite] = ephemeris
+            yield EphemerisSample(0, ephemeris)

@@ -1,0 +1,127 @@
+"""A fixed wing to fly in the simulator.
+
+Controls, in order: elevator, aileron, rudder (-1 to 1 of full throw; positive is trailing edge
+down, right roll, and trailing edge left as in Beard and McLain), throttle (0 to 1).
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
+from simvehicle.vehicles.contact_kernel import Gear
+from simvehicle.vehicles.fixedwing.fixedwing_flight import STATE, fly, pack
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import (
+    FixedWingParameters,
+    aero_of,
+    gear_of,
+    read_fixedwing,
+)
+from simvehicle.vehicles.fixedwing.trim import Trim, trim
+from simvehicle.vehicles.parameter_file import body_of
+from simvehicle.vehicles.rigidbody_kernel import Inertia
+from simvehicle.vehicles.vehicle import LOAD
+
+Array = NDArray[np.float64]
+
+
+class FixedWing:
+    """Parameters made ready for the kernel; changing the plant gives another one.
+
+    Attributes
+    ----------
+    parameters : FixedWingParameters
+    body, aero, gear
+        The kernel's tuples.
+    """
+
+    controls_count = 4
+    plant_names = (
+        "mass_kg_add",
+        "inertia_scale",
+        "load_shift_x_m",
+        "motor_efficiency[0]",
+        "propeller_efficiency[0]",
+        "elevator_efficiency",
+        "aileron_efficiency",
+        "rudder_efficiency",
+        "battery_voltage_scale",
+    )
+
+    def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
+        self.parameters = parameters
+        self.plant = dict(plant)
+        self.body: Inertia = body_of(parameters, plant)
+        self.aero: Aero = aero_of(parameters, plant)
+        # Height of the centre of mass above ground when the ground carries it.
+        self.standing_height_m = max(point[2] for point in parameters.gear_m)
+        self.gear: Gear = gear_of(parameters)
+        throw = parameters.throw_deg
+        self.throw_rad = (
+            math.radians(throw.elevator),
+            math.radians(throw.aileron),
+            math.radians(throw.rudder),
+        )
+        shift_m = plant.get("load_shift_x_m", 0.0)
+        battery = parameters.battery
+        supply = battery.supply(
+            # With a motor model the kernel knows the current itself.
+            battery.full_throttle_a if parameters.motor is None else 0.0,
+            plant.get("battery_voltage_scale", 1.0),
+            1.0,
+        )
+        self.packed = pack(self.body, self.aero, self.gear, supply, shift_m, self.throw_rad)
+
+    @classmethod
+    def read(cls, name: str | Path) -> "FixedWing":
+        """Read a shipped set by name, or a parameter file."""
+        return cls(read_fixedwing(name))
+
+    def with_plant(self, plant: Mapping[str, float]) -> "FixedWing":
+        """The same airframe with plant faults (`plant_names`)."""
+        return FixedWing(self.parameters, plant)
+
+    def trim(self, airspeed_mps: float, density: float, gravity: float) -> Trim:
+        """Straight flight at this speed."""
+        return trim(airspeed_mps, self.body, self.aero, density, gravity)
+
+    def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
+        """State array (14,) at a position, velocity and attitude, battery full."""
+        # Rates and the charge drawn begin at zero.
+        return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
+
+    def cruise(
+        self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
+        density: float, gravity: float,
+    ) -> Array:  # fmt: skip
+        """State (14,) of trimmed flight at a place (3,) in a wind (3,).
+
+        Raises
+        ------
+        ValueError
+            If this airspeed cannot be flown.
+        """
+        point = self.trim(speed_mps, density, gravity)
+        q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
+        # The air's velocity in body axes, and the wind's share on top.
+        relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
+        return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
+
+    def advance(
+        self, x: Array, controls: Array, around: Array, steps: int, dt: float
+    ) -> tuple[Array, Array]:
+        """Fly `steps` steps of `dt` seconds in `surroundings`.
+
+        Returns
+        -------
+        x : array, shape (14,)
+        load : array, shape (6,)
+            Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
+        """
+        after, load = np.empty(STATE), np.empty(LOAD)
+        fly(x, controls, around, steps, dt, self.packed, after, load)
+        return after, load

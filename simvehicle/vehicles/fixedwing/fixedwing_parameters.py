@@ -1,0 +1,190 @@
+"""A fixed wing's parameter file: what it holds and how it becomes the kernel's tuples."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from simvehicle.vehicles.contact_kernel import Gear, gear
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
+from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
+
+
+class _Struct(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections."""
+
+
+class Wing(_Struct, frozen=True):
+    """Reference area, span, chord and Oswald efficiency."""
+
+    area_m2: float
+    span_m: float
+    chord_m: float
+    oswald: float
+
+
+class Longitudinal(_Struct, frozen=True):
+    """Lift or pitching-moment coefficients."""
+
+    zero: float
+    alpha: float
+    q: float
+    elevator: float
+
+
+class Drag(_Struct, frozen=True):
+    """Drag coefficients beside the induced drag."""
+
+    parasitic: float
+    q: float
+    elevator: float
+
+
+class Stall(_Struct, frozen=True):
+    """Blending of linear lift into that of a flat plate."""
+
+    sharpness: float
+    alpha_rad: float
+
+
+class Lateral(_Struct, frozen=True):
+    """Side-force, rolling- or yawing-moment coefficients."""
+
+    zero: float
+    beta: float
+    p: float
+    r: float
+    aileron: float
+    rudder: float
+
+
+class ThrustLaw(_Struct, frozen=True):
+    """T = rho S/2 ((k_motor throttle)^2 - Va^2)."""
+
+    disc_m2: float
+    k_motor: float
+    k_torque: float
+
+
+class Polynomial(_Struct, frozen=True):
+    """Propeller coefficient over the advance ratio J."""
+
+    zero: float
+    j: float
+    j2: float
+
+
+class Motor(_Struct, frozen=True):
+    """Direct-current motor and propeller."""
+
+    diameter_m: float
+    kv_rpm_per_v: float
+    resistance_ohm: float
+    no_load_a: float
+    supply_v: float
+    torque: Polynomial
+    thrust: Polynomial
+
+
+class Throw(_Struct, frozen=True):
+    """Largest deflections."""
+
+    elevator: float
+    aileron: float
+    rudder: float
+
+
+class FixedWingParameters(_Struct, frozen=True):
+    """The whole file; one of `thrust_law` and `motor` is there."""
+
+    name: str
+    source: str
+    mass_kg: float
+    inertia_kgm2: Moments
+    wing: Wing
+    lift: Longitudinal
+    drag: Drag
+    pitch: Longitudinal
+    stall: Stall
+    side_force: Lateral
+    roll: Lateral
+    yaw: Lateral
+    throw_deg: Throw
+    gear_m: list[tuple[float, float, float]]
+    battery: Battery
+    cruise_mps: float
+    thrust_law: ThrustLaw | None = None
+    motor: Motor | None = None
+
+    def __post_init__(self) -> None:
+        # Two laws at once would add their thrusts.
+        if (self.thrust_law is None) == (self.motor is None):
+            raise ValueError("exactly one of thrust_law and motor is needed")
+        body_of(self, {})  # refuses what is no body
+
+
+def read_fixedwing(name: str | Path) -> FixedWingParameters:
+    """Read a shipped set by name (`aerosonde-2012`) or a file by path."""
+    return read_parameters(name, FixedWingParameters)
+
+
+def gear_of(parameters: FixedWingParameters) -> Gear:
+    """Wheels that roll along the body and hold across it."""
+    # Wheels: little friction ahead, much aside.
+    return gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
+
+
+def aero_of(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
+    """The kernel's coefficients, with plant faults.
+
+    `motor_efficiency[0]` and `propeller_efficiency[0]` scale the thrust, `elevator_efficiency`,
+    `aileron_efficiency` and `rudder_efficiency` the effect of the surfaces.
+    """
+    par, wing = parameters, parameters.wing
+    de = plant.get("elevator_efficiency", 1.0)
+    da = plant.get("aileron_efficiency", 1.0)
+    dr = plant.get("rudder_efficiency", 1.0)
+    side, roll, yaw = par.side_force, par.roll, par.yaw
+    # Aspect ratio.
+    ratio = wing.span_m**2 / wing.area_m2
+    return Aero(
+        wing.area_m2,
+        wing.span_m,
+        wing.chord_m,
+        *(par.lift.zero, par.lift.alpha, par.lift.q, par.lift.elevator * de),
+        1.0 / (math.pi * wing.oswald * ratio),
+        *(par.drag.parasitic, par.drag.q, par.drag.elevator * de),
+        *(par.pitch.zero, par.pitch.alpha, par.pitch.q, par.pitch.elevator * de),
+        par.stall.sharpness,
+        math.exp(par.stall.sharpness * par.stall.alpha_rad),
+        *(side.zero, side.beta, side.p, side.r, side.aileron * da, side.rudder * dr),
+        *(roll.zero, roll.beta, roll.p, roll.r, roll.aileron * da, roll.rudder * dr),
+        *(yaw.zero, yaw.beta, yaw.p, yaw.r, yaw.aileron * da, yaw.rudder * dr),
+        *_propulsion(par, plant),
+    )
+
+
+def _propulsion(par: FixedWingParameters, plant: Mapping[str, float]) -> tuple[float, ...]:
+    """The last 15 entries of `Aero`; the thrust law not in use gets terms without effect."""
+    blade = plant.get("propeller_efficiency[0]", 1.0)
+    power = plant.get("motor_efficiency[0]", 1.0)
+    law, motor = par.thrust_law, par.motor
+    if law is not None:
+        # Ones stand where the kernel divides.
+        rest = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0)
+        return (law.disc_m2 * blade, law.k_motor * power, law.k_torque * power, 0.0, *rest)
+    assert motor is not None
+    # The torque constant equals the inverse of the speed constant in SI units.
+    kq = 60.0 / (2.0 * math.pi * motor.kv_rpm_per_v)
+    return (
+        *(0.0, 0.0, 0.0, 1.0),
+        motor.diameter_m,
+        *(motor.torque.zero, motor.torque.j, motor.torque.j2),
+        *(motor.thrust.zero * blade, motor.thrust.j * blade, motor.thrust.j2 * blade),
+        motor.supply_v * power,
+        kq,
+        motor.resistance_ohm,
+        motor.no_load_a,
+    )

@@ -1,0 +1,153 @@
+"""Trim of the fixed wing and its linear model about the trim.
+
+The 12 states here are those of Beard and McLain (3-2-1 Euler angles in the place of the
+quaternion): position NED, u, v, w, roll, pitch, yaw, p, q, r.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
+
+Array = NDArray[np.float64]
+ROLL, PITCH, RATES = 6, 7, 9  # where they are, or begin, among the 12
+_LONGITUDINAL = [U, W, PITCH, RATES + 1]
+LATERAL = [V, ROLL, RATES, RATES + 2]
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """Straight, unaccelerated flight without wind: angles and deflections in rad."""
+
+    airspeed_mps: float
+    alpha_rad: float
+    pitch_rad: float
+    elevator_rad: float
+    throttle: float
+    roll_rad: float = 0.0
+    aileron_rad: float = 0.0
+    rudder_rad: float = 0.0
+
+    def state12(self) -> Array:
+        """The 12 states at the origin, heading north."""
+        x = np.zeros(12)
+        x[U] = self.airspeed_mps * math.cos(self.alpha_rad)
+        x[W] = self.airspeed_mps * math.sin(self.alpha_rad)
+        x[ROLL], x[PITCH] = self.roll_rad, self.pitch_rad
+        return x
+
+    def controls(self) -> Array:
+        """Elevator, aileron, rudder [rad], throttle."""
+        return np.array([self.elevator_rad, self.aileron_rad, self.rudder_rad, self.throttle])
+
+
+@compiled
+def _derivative(
+    state: State13,
+    controls: tuple[float, float, float, float],
+    gravity: float,
+    density: float,
+    body: Inertia,
+    aero: Aero,
+) -> State13:
+    return derivative(state, controls, (0.0, 0.0, 0.0), (0.0, 0.0, gravity), density, body, aero)
+
+
+def euler_derivative(
+    x: Array, controls: Array, body: Inertia, aero: Aero, density: float, gravity: float
+) -> Array:
+    """Time derivative (12,) of the Euler-angle state, from the quaternion kernel."""
+    roll, pitch, yaw = x[ROLL:RATES]
+    q = quat_from_euler(roll, pitch, yaw)
+    state = cast(State13, tuple(np.concatenate([x[:ROLL], q, x[RATES:]]).tolist()))
+    de, da, dr, dt = controls.tolist()
+    rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
+    p, qq, r = x[RATES:]
+    yaw_part = qq * math.sin(roll) + r * math.cos(roll)
+    angles = (
+        p + yaw_part * math.tan(pitch),
+        qq * math.cos(roll) - r * math.sin(roll),
+        yaw_part / math.cos(pitch),
+    )
+    return np.array([*rate[:E0], *angles, *rate[P:]])
+
+
+def trim(
+    airspeed_mps: float,
+    body: Inertia,
+    aero: Aero,
+    density: float = 1.2682,
+    gravity: float = 9.81,
+    climb_rad: float = 0.0,
+) -> Trim:
+    """Find angle of attack, roll, deflections and throttle for straight flight without sideslip.
+
+    The default density and gravity are those of the model's source [1]_.
+
+    Raises
+    ------
+    ValueError
+        If the airframe cannot fly straight at this speed.
+
+    References
+    ----------
+    .. [1] Beard and McLain, Small Unmanned Aircraft, 2012, appendix E.
+    """
+    from scipy.optimize import least_squares
+
+    def at(z: Array) -> Trim:
+        # The square of the throttle is sought: thrust laws are even in the throttle, and their
+        # negative root is no answer.
+        alpha, elevator, square, *rest = z.tolist()
+        throttle = math.sqrt(max(square, 0.0))
+        return Trim(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, *rest)
+
+    def residual(z: Array) -> Array:
+        guess = at(z)
+        rate = euler_derivative(guess.state12(), guess.controls(), body, aero, density, gravity)
+        # Accelerations and angular accelerations; position and attitude may move on.
+        return np.concatenate([rate[3:6], rate[9:]])
+
+    # Near the cruise of every airframe we ship: a few degrees nose up, throttle at half.
+    start = [0.05, -0.05, 0.25, 0.0, 0.0, 0.0]
+    solution = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    found = at(solution.x)
+    # The solver also stops in a local minimum, where the residual is not zero.
+    missed = np.max(np.abs(solution.fun)) > 1e-6
+    if missed or found.throttle > 1.0 or abs(found.alpha_rad) > 0.4:
+        raise ValueError(
+            f"no straight flight at {airspeed_mps} m/s: angle of attack {found.alpha_rad:.2f} rad, "
+            f"throttle {found.throttle:.2f}; the airframe needs another speed"
+        )
+    return found
+
+
+def linearise(
+    point: Trim, body: Inertia, aero: Aero, density: float = 1.2682, gravity: float = 9.81
+) -> tuple[Array, Array]:
+    """Jacobians A (12, 12) and B (12, 4) of the Euler-angle model, by central differences."""
+    x, u = point.state12(), point.controls()
+
+    def f(dx: Array, du: Array) -> Array:
+        return euler_derivative(x + dx, u + du, body, aero, density, gravity)
+
+    # About the cube root of the rounding error: best for central differences.
+    h = 1e-6
+    zero_x, zero_u = np.zeros(12), np.zeros(4)
+    a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]
+    b = [(f(zero_x, d) - f(zero_x, -d)) / (2.0 * h) for d in h * np.eye(4)]
+    return np.array(a).T, np.array(b).T
+
+
+def modes(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Eigenvalues [1/s] of the longitudinal (u, w, pitch, q) and lateral (v, roll, p, r) blocks."""
+    longitudinal = np.linalg.eigvals(a[np.ix_(_LONGITUDINAL, _LONGITUDINAL)])
+    lateral = np.linalg.eigvals(a[np.ix_(LATERAL, LATERAL)])
+    return np.sort(longitudinal.astype(complex)), np.sort(lateral.astype(complex))

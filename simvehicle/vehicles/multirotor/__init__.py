@@ -1,0 +1,1 @@
+"""The multirotor: its equations, and a flight of the search that *sways*."""

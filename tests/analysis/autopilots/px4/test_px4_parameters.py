@@ -1,0 +1,56 @@
+"""PX4's parameters of a vehicle, held against PX4's own airframe of it."""
+
+import pytest
+
+from analysis.autopilots.px4.px4_parameters import parameters, rotors
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+
+
+def simulation(tmp_path, kind, name):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(
+        f"name: it\nvehicle: {{kind: {kind}, parameters: {name}}}\nsensors: {{imu: {{}}}}"
+    )
+    return Simulation(read_scenario(str(file)))
+
+
+def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
+    found = rotors(simulation(tmp_path, "multirotor", "iris").vehicle)
+    signs = [
+        tuple(found[f"CA_ROTOR{number}_{name}"] > 0 for name in ("PX", "PY", "KM"))
+        for number in range(4)
+    ]
+    # none_iris (10016): front right and rear left turn counter-clockwise, which PX4 counts positive
+    assert signs == [
+        (True, True, True),
+        (False, False, True),
+        (True, False, False),
+        (False, True, False),
+    ]
+    assert [found[f"PWM_MAIN_FUNC{number}"] for number in range(1, 5)] == [101, 102, 103, 104]
+
+
+def test_every_rotor_of_a_hexa_is_told(tmp_path):
+    found = rotors(simulation(tmp_path, "multirotor", "hexa").vehicle)
+    assert found["CA_ROTOR_COUNT"] == 6
+    assert found["CA_ROTOR1_PY"] == pytest.approx(-0.3)
+    assert found["CA_ROTOR5_KM"] == pytest.approx(-0.06)
+
+
+def test_a_plane_takes_off_to_the_plans_height_with_its_own_speeds(tmp_path):
+    found = parameters(simulation(tmp_path, "fixedwing", "aerosonde-2025"), 50.0)
+    assert found["MIS_TAKEOFF_ALT"] == 50.0
+    assert found["FW_AIRSPD_TRIM"] == 25
+    assert "CA_ROTOR_COUNT" not in found
+
+
+@pytest.mark.parametrize(("bias_pa", "offset"), [(35.0, 35.0), (0.0, 1e-3)])
+def test_a_planes_pitot_tube_is_calibrated_before_the_flight(tmp_path, bias_pa, offset):
+    file = tmp_path / "scenario.yaml"
+    file.write_text(
+        "name: it\nvehicle: {kind: fixedwing, parameters: aerosonde-2025}\n"
+        f"sensors: {{imu: {{}}, airspeed: {{noise: {{bias: {bias_pa}}}}}}}"
+    )
+    found = parameters(Simulation(read_scenario(str(file))), 50.0)
+    assert found["SENS_DPRES_OFF"] == pytest.approx(offset)
