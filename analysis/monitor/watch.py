@@ -6,6 +6,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 
@@ -20,7 +21,7 @@ class Watch:
     """
 
     def __init__(self) -> None:
-        self._console = Console()
+        self._console = Console(markup=False)
         self._rows: dict[str, tuple[str, str, str]] = {}
         self._told_s: dict[str, float] = {}
         # Redrawn by hand: a thread of its own would cost more than the table.
@@ -65,7 +66,7 @@ class Watch:
             colour = "green" if verdict in ("sound", "none", "") else "red"
             if old_s > OLD_S:
                 colour, remark = "dim", f"{remark} ({old_s:.0f} s ago)".lstrip()
-            table.add_row(name, value, f"[{colour}]{verdict}[/]", remark)
+            table.add_row(name, value, Text(verdict, colour), remark)
         return table
 
 

@@ -136,24 +136,24 @@ def write_report(
 def print_outcome(outcome: Outcome, folder: Path) -> None:
     """The verdict and what led to it, on the terminal."""
     from rich.console import Console
-    from rich.markup import escape
+    from rich.text import Text
 
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, markup=False)
     colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
     recording = outcome.flight.recording
-    console.print(f"[bold]{escape(recording.name)}[/]  {recording.duration_s:.0f} s")
+    console.print(Text(recording.name, "bold"), f" {recording.duration_s:.0f} s")
     for check in sorted(outcome.checks, key=_worst_first):
         if check.verdict in ("WARN", "FAIL"):
-            word = f"[{colours[check.verdict]}]{check.verdict}[/]"
-            console.print(f"  {word}  {escape(check.name)}: {escape(check.evidence)}")
+            word = Text(check.verdict, colours[check.verdict])
+            console.print(" ", word, f" {check.name}: {check.evidence}")
     passed = sum(check.verdict == "PASS" for check in outcome.checks)
     unjudged = sum(check.verdict == "not judged" for check in outcome.checks)
     console.print(f"  {passed} checks passed, {unjudged} had no data")
     for row in outcome.summary["faults"]:
         delay = "" if row["delay_s"] is None else f" after {row['delay_s']:.2f} s"
-        console.print(f"  fault {escape(row['id'])}: {row['verdict']}{delay}")
-    colour = colours.get(outcome.verdict, "white")
-    console.print(f"  verdict [{colour}]{outcome.verdict}[/]  {folder / 'report.html'}")
+        console.print(f"  fault {row['id']}: {row['verdict']}{delay}")
+    verdict = Text(outcome.verdict, colours.get(outcome.verdict, "white"))
+    console.print("  verdict", verdict, f" {folder / 'report.html'}")
 
 
 def _worst_first(check: Check) -> int:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
 MANY = 20.0  # alarms an hour; noise as assumed brings at most 1 at 1 Hz, 8 at 10 Hz
@@ -15,15 +15,15 @@ COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
-    console = Console()
+    console = Console(markup=False)  # users' and autopilots' words may hold brackets
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
         for line in remarks(summary["faults"]):
             console.print(f"                {line}", soft_wrap=True)
     for word in summary.get("never_acted", ()):
-        console.print(f"never acted     [yellow]{word}[/]: it met nothing that it names")
+        console.print(f"never acted     {word}: it met nothing that it names", style="yellow")
     for line in summary.get("edited", ()):
-        console.print(f"edited live     {escape(line)}", style="yellow", soft_wrap=True)
+        console.print(f"edited live     {line}", style="yellow", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
@@ -63,7 +63,7 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
             )
     for row in summary.get("effects", ()):
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
-    console.print(f"verdict         {_coloured(summary['verdict'])}")
+    console.print("verdict        ", _coloured(summary["verdict"]))
     if folder is not None and (folder / "report.html").is_file():
         console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
 
@@ -100,8 +100,8 @@ def remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def _coloured(word: str) -> str:
-    return f"[{COLOURS.get(word, 'yellow')}]{word}[/]"
+def _coloured(word: str) -> Text:
+    return Text(word, COLOURS.get(word, "yellow"))
 
 
 def _effect(row: Mapping[str, Any]) -> str:

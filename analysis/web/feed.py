@@ -23,7 +23,8 @@ LISTED = ("fdi/events", "proxy/labels")  # every sample counts
 BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
 PAST = 300  # samples of a curve that a late joiner is shown
 CURVES = ("fdi/main/", "att/")
-STATES = ("schedule/state", "proxy/stats", "page/status")  # only the newest counts
+# Only the newest counts.
+STATES = ("schedule/state", "proxy/stats", "proxy/recording", "page/status")
 MOST_KEYS = 500
 MOST_VIEWERS = 100
 STATUS = "page/status"

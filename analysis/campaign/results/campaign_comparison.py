@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 from scipy.stats import binomtest
 
 from analysis.campaign.cell import CellResult
@@ -67,7 +68,7 @@ def compare_folders(before: Path, after: Path) -> int:
     found = changes(old, new)
     if not found:
         raise ConfigError(f"{before} and {after}: have no cell in common; fly the same file twice")
-    console = Console()
+    console = Console(markup=False)
     console.print(_table(found))
     for change in found:
         if change.regressed:
@@ -147,7 +148,7 @@ def _table(found: Sequence[Change]) -> Table:
     for name in ("subject", "fault", "pairs", "worse", "better", "p", ""):
         table.add_column(name)
     for change in found:
-        word = "[red]worse[/]" if change.regressed else ""
+        word = Text("worse" if change.regressed else "", "red")
         numbers = (str(change.pairs), str(change.worse), str(change.better))
         table.add_row(change.subject, change.fault, *numbers, f"{change.p_value:.3g}", word)
     return table

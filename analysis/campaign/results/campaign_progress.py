@@ -18,7 +18,7 @@ class CampaignProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[worst]}"),
+            TextColumn("{task.fields[worst]}", markup=False),
             console=Console(stderr=True),
             transient=True,
             # Into a file or a pipe nothing is drawn.

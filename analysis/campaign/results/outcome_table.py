@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from analysis.campaign.ledger import read_folder
 from analysis.campaign.plan import Plan
@@ -19,32 +20,32 @@ COLOURS = {
 def print_outcomes(folder: Path, plan: Plan) -> None:
     """One row for each subject and fault."""
     _, results = read_folder(folder)
-    console = Console()
+    console = Console(markup=False)
     table = Table(box=None, pad_edge=False)
     for name in ("subject", "fault", "worst outcome from each magnitude on"):
         table.add_column(name)
     for row in grid_of(results, plan.campaign):
         # Only where the outcome changes, from the smallest magnitude on.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
-        table.add_row(row.subject, row.fault, "  ".join(map(_text, steps)))
+        table.add_row(row.subject, row.fault, Text("  ").join(map(_text, steps)))
     console.print(table)
     if plan.campaign.find == "critical":
         console.print(_criticals(plan, {result.cell.key: result for result in results}))
     aborted = [result for result in results if result.outcome == "aborted"]
     # Five are enough to see why; the rest stands in the files.
     for result in aborted[:5]:
-        console.print(f"aborted: {result.cell.key}: {result.note}", markup=False, soft_wrap=True)
+        console.print(f"aborted: {result.cell.key}: {result.note}", soft_wrap=True)
     console.print(f"{len(results)} cells, {len(aborted)} aborted")
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)
 
 
-def _text(cell: GridCell) -> str:
+def _text(cell: GridCell) -> Text:
     name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
     outcome = cell.worst.outcome
     count = cell.outcomes[outcome]
     # A share only where there are several flights in the cell.
     share = f" {count}/{len(cell.results)}" if len(cell.results) > 1 else ""
-    return f"{name}[{COLOURS[outcome]}]{outcome}{share}[/]"
+    return Text.assemble(name, (f"{outcome}{share}", COLOURS[outcome]))
 
 
 def _criticals(plan: Plan, known: dict[str, object]) -> Table:

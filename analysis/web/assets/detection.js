@@ -96,7 +96,7 @@ function showFused(state) {
 
 // -- links ------------------------------------------------------------------------------------
 
-const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", crc_errors: "bad CRC",
+const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", lost_in_kernel: "lost in kernel", crc_errors: "bad CRC",
   drops: "drops", p50_us: "median µs", p99_us: "99 % µs" };
 
 function showLinks(points) {
@@ -104,6 +104,14 @@ function showLinks(points) {
   $("links-title").hidden = !list.length;
   const used = Object.keys(FIGURES).filter((key) => list.some((one) => one[key] != null));
   fillTable($("links"), used.map((key) => FIGURES[key]), list.map((one) => used.map((key) => one[key])));
+}
+
+// What is not recorded, and why; what was lost stays in sight when recording goes on.
+function showRecording({ failing = null, lost_records: lost = 0 }) {
+  const missing = lost ? `${lost} records are missing in the logs.` : "";
+  $("recording").hidden = !failing && !lost;
+  $("recording").className = failing ? "gone" : "note";
+  $("recording").textContent = failing ? `Nothing is recorded now: ${failing}. ${missing}` : missing;
 }
 
 // -- events -----------------------------------------------------------------------------------

@@ -53,6 +53,7 @@ function begin() {
   scene.clear();
   $("events").replaceChildren();
   showFaults({ faults: [] });
+  showRecording({});
   if (gone) offerFaults(gone);
   else forgetFaults(); // another was chosen
   gone = null;
@@ -64,6 +65,7 @@ const TAKERS = {
   "schedule/state": showFaults,
   "proxy/labels": showLabel,
   "proxy/stats": showLinks,
+  "proxy/recording": showRecording,
   "proxy/watched": (batch) => { store.take(batch); showAnswers(batch); },
   "fdi/events": showEvent,
   "fdi/main/stat": showDecision,

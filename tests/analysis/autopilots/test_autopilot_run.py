@@ -4,6 +4,7 @@ A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program
 MAVPROXY_FAULT_PX4 does.
 """
 
+import contextlib
 import gc
 import json
 import os
@@ -43,17 +44,29 @@ schedule:
 IMU_HZ = {"ardupilot": 400, "px4": 250}
 
 
-def run(tmp_path, *options, scenario=None, autopilot="ardupilot"):
-    file = tmp_path / "hover.yaml"
-    scenario = scenario or SCENARIO.format(duration_s=12)
-    file.write_text(
-        scenario.replace("rate_hz: 400", f"rate_hz: {IMU_HZ[autopilot.partition(':')[0]]}")
-    )
-    return subprocess.Popen(
-        [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file), "--autopilot", autopilot,
-         "--zenoh", "off", "--out", str(tmp_path / "out"), *options],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-    )  # fmt: skip
+@pytest.fixture
+def run(tmp_path):
+    """Begins runs; those that a test leaves behind end with it."""
+    with contextlib.ExitStack() as stack:
+
+        def begin(*options, scenario=None, autopilot="ardupilot"):
+            file = tmp_path / "hover.yaml"
+            scenario = scenario or SCENARIO.format(duration_s=12)
+            file.write_text(
+                scenario.replace("rate_hz: 400", f"rate_hz: {IMU_HZ[autopilot.partition(':')[0]]}")
+            )
+            process = subprocess.Popen(
+                [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file),
+                 "--autopilot", autopilot, "--zenoh", "off", "--out", str(tmp_path / "out"),
+                 *options],
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                start_new_session=True,
+            )  # fmt: skip
+            stack.enter_context(process)  # waits, and closes what it said
+            stack.callback(process.kill)
+            return process
+
+        yield begin
 
 
 @pytest.fixture
@@ -105,40 +118,40 @@ def children(number):
     return [int(n) for n in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
-def test_a_missing_program_is_told_with_what_to_do(tmp_path):
-    process = run(tmp_path, "--binary", "no-such-autopilot")
+def test_a_missing_program_is_told_with_what_to_do(run):
+    process = run("--binary", "no-such-autopilot")
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "--binary: 'no-such-autopilot' is no program; give ArduPilot's SITL binary" in said
 
 
-def test_a_moment_that_no_flight_has_is_refused(tmp_path):
-    process = run(tmp_path, "--binary", sys.executable, "--from", "breakfast")
+def test_a_moment_that_no_flight_has_is_refused(run):
+    process = run("--binary", sys.executable, "--from", "breakfast")
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "--from breakfast: is no moment of a flight; known: first-stamp, arming" in said
 
 
-def test_a_start_in_the_air_is_refused(tmp_path):
+def test_a_start_in_the_air_is_refused(run):
     scenario = SCENARIO.format(duration_s=12) + "start: {height_m: 30}\n"
-    process = run(tmp_path, "--binary", sys.executable, scenario=scenario)
+    process = run("--binary", sys.executable, scenario=scenario)
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "start.height_m = 30 is in the air" in said
 
 
-def test_a_vehicle_that_is_not_the_scenarios_is_refused(tmp_path):
-    process = run(tmp_path, "--binary", "true", autopilot="ardupilot:plane")
+def test_a_vehicle_that_is_not_the_scenarios_is_refused(run):
+    process = run("--binary", "true", autopilot="ardupilot:plane")
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "the scenario's vehicle is a multirotor, which arducopter flies" in said
 
 
-def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path):
+def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, run):
     program = tmp_path / "autopilot.sh"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
     program.chmod(0o755)
-    process = run(tmp_path, "--binary", str(program))
+    process = run("--binary", str(program))
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
     assert "the flight ended early: " in said
@@ -153,8 +166,8 @@ def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) > 100
 
 
-def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducopter):
-    process = run(tmp_path, "--binary", arducopter)
+def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducopter, run):
+    process = run("--binary", arducopter)
     said, _ = process.communicate(timeout=600)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     flown = summary["autopilot"]
@@ -172,8 +185,8 @@ def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducop
     assert list((tmp_path / "out" / "autopilot" / "logs").glob("*.BIN"))
 
 
-def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter):
-    process = run(tmp_path, "--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
+def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter, run):
+    process = run("--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
     os.kill(autopilot_of(process), signal.SIGKILL)
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
@@ -182,8 +195,8 @@ def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter):
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_run_killed_in_flight_takes_its_arducopter_along(tmp_path, arducopter):
-    process = run(tmp_path, "--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
+def test_a_run_killed_in_flight_takes_its_arducopter_along(tmp_path, arducopter, run):
+    process = run("--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
     with open(os.pidfd_open(autopilot_of(process)), "rb", buffering=0) as autopilot:
         process.kill()
         process.communicate(timeout=240)
@@ -192,8 +205,8 @@ def test_a_run_killed_in_flight_takes_its_arducopter_along(tmp_path, arducopter)
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_STATE_QUATERNION"]) > 900
 
 
-def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recorded_px4):
-    process = run(tmp_path, "--binary", recorded_px4, "--no-report", autopilot="px4")
+def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recorded_px4, run):
+    process = run("--binary", recorded_px4, "--no-report", autopilot="px4")
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
     assert not (tmp_path / "out" / "report.html").exists()
@@ -207,8 +220,8 @@ def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recor
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4, number):
-    process = run(tmp_path, "--binary", recorded_px4, "--speed", "0.5", autopilot="px4")
+def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4, number, run):
+    process = run("--binary", recorded_px4, "--speed", "0.5", autopilot="px4")
     fly_until(process, "in lockstep")
     os.killpg(process.pid, number)  # as a terminal and a container do
     said, _ = process.communicate(timeout=240)
@@ -218,10 +231,10 @@ def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4,
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4):
+def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4, run):
     url = with_port("tcp/127.0.0.1:0")
     options = ("--binary", recorded_px4, "--speed", "0.5", "--zenoh", url, "--no-report")
-    process = run(tmp_path, *options, autopilot="px4")
+    process = run(*options, autopilot="px4")
     fly_until(process, "in lockstep")
     with open_bus(url, run="out") as bus:
         states: Queue[bytes] = Queue()
@@ -244,8 +257,10 @@ def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4):
     assert "edited live" in said
 
 
-def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(tmp_path, recorded_px4):
-    process = run(tmp_path, "--binary", f"{recorded_px4} --stays", autopilot="px4")
+def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(
+    tmp_path, recorded_px4, run
+):
+    process = run("--binary", f"{recorded_px4} --stays", autopilot="px4")
     fly_until(process, "no answer to the step")
     watched = [os.pidfd_open(number) for number in children(process.pid)]
     process.kill()
@@ -256,8 +271,8 @@ def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(tmp_path
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_STATE_QUATERNION"]) > 900
 
 
-def test_a_real_px4_takes_off_meets_the_fault_and_lands(tmp_path, px4):
-    process = run(tmp_path, "--binary", px4, autopilot="px4")
+def test_a_real_px4_takes_off_meets_the_fault_and_lands(tmp_path, px4, run):
+    process = run("--binary", px4, autopilot="px4")
     said, _ = process.communicate(timeout=600)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["autopilot"]["landed"], said
@@ -272,9 +287,9 @@ def test_a_real_px4_takes_off_meets_the_fault_and_lands(tmp_path, px4):
     assert read_ulog(log).start_us * 1e-6 < summary["autopilot"]["moments_s"]["arming"]
 
 
-def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4):
+def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4, run):
     scenario = SCENARIO.format(duration_s=600)
-    process = run(tmp_path, "--binary", px4, scenario=scenario, autopilot="px4")
+    process = run("--binary", px4, scenario=scenario, autopilot="px4")
     fly_until(process, "flying")
     (autopilot,) = (
         number
@@ -337,8 +352,8 @@ def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
     assert gc.get_freeze_count() == 0
 
 
-def test_an_autopilots_flight_has_no_twin(tmp_path):
-    process = run(tmp_path, "--against-clean")
+def test_an_autopilots_flight_has_no_twin(run):
+    process = run("--against-clean")
     said, _ = process.communicate()
     assert process.returncode == 2
     assert "--against-clean: two flights of ardupilot differ" in said

@@ -36,6 +36,16 @@ def test_autopilot_and_estimator_say_how_they_are(page: Any) -> None:
     ]  # fmt: skip
 
 
+def test_a_recording_that_stops_is_told_and_what_it_lost_stays_in_sight(
+    page: Any, loop: Any
+) -> None:
+    assert page.is_hidden("#recording")
+    loop.live.publish_recording("[Errno 28] No space left on device", 0)
+    page.wait_for_selector("#recording.gone:has-text('Nothing is recorded now: [Errno 28] No')")
+    loop.live.publish_recording(None, 17)
+    page.wait_for_selector("#recording.note:has-text('17 records are missing in the logs.')")
+
+
 def test_what_was_received_is_saved_by_time(page: Any, loop: Any) -> None:
     loop.epoch(2.0)
     page.wait_for_selector("#now:has-text('4.0 is below 16.8')")
