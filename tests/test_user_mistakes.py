@@ -30,6 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ((*PROXY, "udpin:127.0.0.1:0", "--logdir", "file/logs"), "file/logs: "),
         ((*PROXY, "udpin:127.0.0.1:99999"), "port 99999 is too large"),
         ((*PROXY, "udpin:127.0.0.1:0", "--run", ""), "--run ''"),
+        ((*PROXY, "udpin:127.0.0.1:0", "--files", "file"), "--files file: is no folder"),
         ((*PROXY, "udpin:127.0.0.1:0", "--rflysim-map", "file"), "give --rflysim PORT too"),
         (
             (*PROXY, "udpin:127.0.0.1:0", "--schedule", "not-text.yaml"),

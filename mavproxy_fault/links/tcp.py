@@ -29,10 +29,7 @@ def _prepare(sock: socket.socket) -> None:
     # Frames are small and wanted now: Nagle would hold them back for the next acknowledgement.
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-
-
-def _watch_over(sock: socket.socket) -> None:
-    """Let the system find out that a peer is gone that never said so: its place is wanted."""
+    # The system finds out that a peer is gone that never said so.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (("TCP_KEEPIDLE", SILENT_S), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, name):  # some systems know only the first, or none
@@ -154,7 +151,6 @@ class TcpServer:
                 self._refused(f"{MOST_PEERS} peers are connected; a further one is turned away")
                 continue
             _prepare(sock)
-            _watch_over(sock)
             stream = _stream(sock, self._descriptors, self.counters)
             self._peers[sock.fileno()] = (sock, stream, self._next_stream)
             self._next_stream += 1
@@ -254,7 +250,6 @@ class TcpClient:
                 self._told = True
             return
         _prepare(sock)
-        _watch_over(sock)
         # It is under way when this returns; the descriptor tells when it stands or has failed.
         sock.connect_ex(self._address)
         stream = _stream(sock, self._descriptors, self.counters)
