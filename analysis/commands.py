@@ -86,17 +86,17 @@ def _add_scenario(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     # Imported here, and so below: numba and GTSAM load slowly, and `--help` needs neither.
-    from analysis.run.worker import MonitorDiedError
+    from analysis.run.monitor_process import MonitorDiedError
 
     try:
-        return _fly(args)
+        return _run_scenario(args)
     except MonitorDiedError as died:
         # No mistake of the user's, hence 1 and not 2.
         print(f"mavproxy-fault: {died}; the logs up to then are in the run folder", file=sys.stderr)
         return 1
 
 
-def _fly(args: argparse.Namespace) -> int:
+def _run_scenario(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         if args.ui:
             from analysis.web.page_server import serve_beside

@@ -8,7 +8,7 @@ from multiprocessing.context import BaseContext, ForkContext, SpawnContext
 from mavproxy_fault.documents.errors import ConfigError
 
 
-def spawning() -> SpawnContext:
+def spawn_context() -> SpawnContext:
     """What makes them, each a fresh interpreter: a fork would copy threads' locks.
 
     Raises
@@ -17,11 +17,11 @@ def spawning() -> SpawnContext:
         If the system gives no semaphores; Linux keeps them in `/dev/shm`.
     """
     context = get_context("spawn")
-    _ask_for_semaphores(context)
+    _check_semaphores(context)
     return context
 
 
-def forking() -> ForkContext | None:
+def fork_context() -> ForkContext | None:
     """What makes copies of this one, with all modules at once; None where that is not sound.
 
     It would copy other threads' locks as they stand, and only Linux does it soundly.
@@ -29,16 +29,16 @@ def forking() -> ForkContext | None:
     Raises
     ------
     ConfigError
-        As `spawning` does.
+        As `spawn_context` does.
     """
     if sys.platform != "linux" or threading.active_count() > 1:
         return None
     context = get_context("fork")
-    _ask_for_semaphores(context)
+    _check_semaphores(context)
     return context
 
 
-def _ask_for_semaphores(context: BaseContext) -> None:
+def _check_semaphores(context: BaseContext) -> None:
     try:
         context.Lock()
     except (ImportError, OSError) as error:

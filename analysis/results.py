@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-EITHER = "-or-"  # joins those whom a detector cannot tell apart
+OR_SEPARATOR = "-or-"  # joins those whom a detector cannot tell apart
 
 
 class Stamped(msgspec.Struct, frozen=True, kw_only=True, gc=False):

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from analysis import commands
-from analysis.processes import spawning
+from analysis.processes import spawn_context
 from mavproxy_fault.documents.errors import ConfigError
 
 SENSORS = """
@@ -107,7 +107,7 @@ def _warm_up() -> None:
         chains = _chains(Path(folder))
         # Whichever comes second to a function waits for the other, and loads it.
         workers = min(len(chains), os.cpu_count() or 1)
-        with ProcessPoolExecutor(workers, spawning()) as pool:
+        with ProcessPoolExecutor(workers, spawn_context()) as pool:
             list(pool.map(_carry_out_chain, chains))
 
 
@@ -171,15 +171,15 @@ def _make_object_file() -> None:
 
 def _make_plain_steps(scenario: Path) -> None:
     from analysis.autopilots.plain_flight import plain_flight
-    from analysis.run.proxied_flight import Flight
+    from analysis.run.proxied_flight import ProxiedFlight
     from mavproxy_fault.compiled.passage import new_passage
     from mavproxy_fault.schedule.entries import Schedule
-    from simvehicle.hil.hil_frames import Hil
+    from simvehicle.hil.hil_frames import HilPacker
     from simvehicle.scenario.scenario_file import read_scenario
 
-    flight = Flight(read_scenario(scenario), Schedule(0, ()))
+    flight = ProxiedFlight(read_scenario(scenario), Schedule(0, ()))
     # Made, not flown: for that an autopilot would have to answer.
-    plain_flight(flight.simulation, Hil(), new_passage(flight.core, flight.tape))
+    plain_flight(flight.simulation, HilPacker(), new_passage(flight.core, flight.tape))
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.actuator_detector import ActuatorDetector
 from analysis.detection.actuators.effects import COMMANDS, unknown_effects
-from analysis.run.setup import read_setup
+from analysis.run.run_setup import read_setup
 from analysis.run.vehicle_effects import vehicle_effects
 from analysis.samples.block import AIRSPEED, COMMAND, CONTROLS, FIX, IMU, WIDTH, Block
 from mavproxy_fault.wire.frame import Frame
@@ -24,8 +24,8 @@ from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.readings import AirspeedReading, ImuReading
-from simvehicle.simulation.kinds import kind_of
 from simvehicle.simulation.simulation import Simulation
+from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.body import Controls
 
 SEEDS, GUSTY_SEEDS = range(1, 7), range(11, 24)
@@ -90,7 +90,7 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
     simulation = Simulation(
         msgspec.structs.replace(scenario, seed=seed, duration_s=duration_s, environment=air)
     )
-    kind = kind_of(scenario.vehicle.kind)
+    kind = find_vehicle_kind(scenario.vehicle.kind)
     commands = ActuatorCommands(kind.actuators(simulation.vehicle), kind.mix(simulation.vehicle))
     parser, rows, held = Parser(), [], None
     while simulation.truth.t_us < duration_s * 1e6 and simulation.truth.height_agl_m > LOW_M:
@@ -122,7 +122,7 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
 def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
     """Who was blamed or suspected with another, and when, once for each."""
     known = vehicle != LEARNT
-    watch = ActuatorWatch(vehicle_effects(scenario_of(vehicle)) if known else unknown_effects())
+    watch = ActuatorDetector(vehicle_effects(scenario_of(vehicle)) if known else unknown_effects())
     results, _ = watch.step(block, watch.new_state())
     first: dict[str, float] = {}
     for _, result in results:
@@ -133,7 +133,7 @@ def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
 
 def cell(vehicle: str, faults: list[Fault]) -> str:
     """A cell of the table: how many of the flights were named right, and how soon."""
-    names = kind_of(scenario_of(vehicle).vehicle.kind)
+    names = find_vehicle_kind(scenario_of(vehicle).vehicle.kind)
     actuators = names.actuators(names.read(scenario_of(vehicle).vehicle.parameters))
     counts, delays = Counter[str](), []
     for fault in faults:

@@ -17,7 +17,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analysis.autopilots import autopilot_run
-from analysis.autopilots.px4.px4_program import STARTED, environment, free_udp_port, streams
+from analysis.autopilots.px4.px4_process import (
+    STARTUP_TEXT,
+    free_udp_port,
+    process_environment,
+    stream_script,
+)
 from analysis.run.proxied_flight import HIL_COMPONENT
 from mavproxy_fault import cli
 from simvehicle.app.lockstep_loop import LockstepLoop
@@ -132,12 +137,12 @@ def fly(binary: str, folder: Path) -> list[tuple[int, bytes]]:
 def px4(binary: str, place: Path, ports: tuple[int, int]) -> Iterator["subprocess.Popen[bytes]"]:
     """PX4 as a run starts it, its own MAVLink between two UDP ports."""
     place.mkdir()
-    (place / "px4-rc.mavlink").write_text(streams(*ports))
+    (place / "px4-rc.mavlink").write_text(stream_script(*ports))
     words = [binary, "-d", str(Path(binary).parents[1] / "etc"), "-w", str(place)]
     with (place / "px4.log").open("wb") as log:
         process = subprocess.Popen(
             [*words, "-i", str(INSTANCE)],
-            env=environment(Simulation(read_scenario(SCENARIO)), place, {}),
+            env=process_environment(Simulation(read_scenario(SCENARIO)), place, {}),
             cwd=place, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
         )  # fmt: skip
         try:
@@ -161,7 +166,7 @@ def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             stretch = Stretch(lambda: {"PX4": spent(process.pid), "simulator": spent(os.getpid())})
             answering = started = False
-            with link, autopilot_run.ahead_of_logs():
+            with link, autopilot_run.real_time_priority():
                 for step_us, data in kept:
                     if step_us < 0:
                         telemetry.sendto(data, ("127.0.0.1", port))
@@ -172,7 +177,7 @@ def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
                     # PX4's logger is started by the last lines of its start script.
                     if answering and not started and step_us % 100_000 == 0:
                         time.sleep(0.02)
-                        started = STARTED in (place / "px4.log").read_text(errors="replace")
+                        started = STARTUP_TEXT in (place / "px4.log").read_text(errors="replace")
             stretch.tell("its bytes from memory")
 
 

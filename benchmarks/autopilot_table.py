@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from pyulog import ULog
 
-from analysis.campaign.cell import PATH, Evidence, Mark
-from analysis.campaign.flying.autopilot_evidence import evidence_of
+from analysis.campaign.cell import PATH, Evidence, FlightMark
+from analysis.campaign.flying.autopilot_evidence import collect_evidence
 from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.wire.tlog import read_columns
 
@@ -71,7 +71,7 @@ def row(name: str, autopilot: str, binary: str, runs: Path) -> str:
     folder = runs / f"{autopilot}-{name}"
     if not (folder / "summary.json").exists():
         fly(name, autopilot, binary, folder)
-    evidence, _ = evidence_of(folder)
+    evidence, _ = collect_evidence(folder)
     marks = [mark for mark in evidence.marks if mark.t_s >= AT_S - 0.1]
     return (
         f"| `{name}` | {autopilot} | "
@@ -139,7 +139,7 @@ def flags(folder: Path) -> str:
     return listed(found.items())
 
 
-def resets(folder: Path, marks: list[Mark]) -> str:
+def resets(folder: Path, marks: list[FlightMark]) -> str:
     """Resets of the estimate: PX4's counters, ArduPilot's words."""
     found = said(marks, "reset")
     for word, (topic, counter) in COUNTERS.items():
@@ -149,13 +149,13 @@ def resets(folder: Path, marks: list[Mark]) -> str:
     return listed(found)
 
 
-def lane_switch(folder: Path, marks: list[Mark]) -> str:
+def lane_switch(folder: Path, marks: list[FlightMark]) -> str:
     """Changes of the estimator that flies."""
     times = changes(folder, "estimator_selector_status", "primary_instance")
     return listed([*said(marks, "lane switch"), *(("to another", t_s) for t_s in times[:1])])
 
 
-def failsafe(folder: Path, marks: list[Mark]) -> str:
+def failsafe(folder: Path, marks: list[FlightMark]) -> str:
     """Modes that nobody asked for, and what says so."""
     begin_us, landing_us = fault_us(folder)
     until_s = AT_S + (landing_us - begin_us) * 1e-6 - 0.1
@@ -207,12 +207,12 @@ def changes(folder: Path, topic: str, name: str) -> list[float]:
     return sorted(times)
 
 
-def said(marks: list[Mark], word: str) -> list[tuple[str, float]]:
+def said(marks: list[FlightMark], word: str) -> list[tuple[str, float]]:
     """The first warning that holds a word."""
     return [(text, t_s) for text, t_s in warnings(marks) if word in text.lower()][:1]
 
 
-def warnings(marks: list[Mark]) -> list[tuple[str, float]]:
+def warnings(marks: list[FlightMark]) -> list[tuple[str, float]]:
     """What the autopilot warned of, each with its time after the fault's begin [s]."""
     return [
         (mark.text.strip(), mark.t_s - AT_S)

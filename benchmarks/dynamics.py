@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
@@ -20,14 +20,14 @@ from simvehicle.scenario.scenario_file import (
     read_scenario,
 )
 from simvehicle.sensors.battery import BatteryMonitor
-from simvehicle.sensors.error_model import Noise
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
-from simvehicle.vehicles.parameter_file import body_of
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.parameter_file import body_inertia
 from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 LANES = 32
@@ -75,7 +75,7 @@ def best(call: Callable[[], object]) -> float:
 def kernels() -> None:
     """Vehicle-steps per second of the Runge-Kutta kernel."""
     parameters = read_fixedwing("aerosonde-2025")
-    body, aero = body_of(parameters, {}), aero_of(parameters, {})
+    body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
     x = np.zeros(13 * LANES)
     x[96:128], x[192:224] = 25.0, 1.0
     u = np.zeros(4 * LANES)
@@ -90,7 +90,7 @@ def kernels() -> None:
 
 def simulation(name: str, scenario: Scenario, frames: bool) -> None:
     """Times real time of a simulation at 250 Hz, with or without HIL frames packed."""
-    flight, packer = Simulation(scenario), Hil()
+    flight, packer = Simulation(scenario), HilPacker()
 
     def second() -> None:
         for _ in range(250):
@@ -106,7 +106,7 @@ def simulation(name: str, scenario: Scenario, frames: bool) -> None:
 def main() -> None:
     """Print the table."""
     demo = read_scenario(None)
-    white = Noise(sigma=0.01)
+    white = NoiseModel(sigma=0.01)
     every = msgspec.structs.replace(
         demo.sensors,
         range=Rangefinder(noise=white, max_m=200.0),

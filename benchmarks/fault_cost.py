@@ -8,15 +8,15 @@ import contextlib
 import socket
 import time
 
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 FRAMES, BATCH, STRETCH = 19_200, 64, 1920
 SIMPLE = ["bias", "scale", "drift", "noise", "constant"]
@@ -46,7 +46,9 @@ def traffic() -> list[bytes]:
     """HIL_SENSOR at 250 Hz."""
     values = dict.fromkeys(FIELDS, 0.3)
     return [
-        build(known("HIL_SENSOR"), {"time_usec": 1_000_000 + 4000 * n, **values}, seq=n & 255)
+        build_frame(
+            message_layout("HIL_SENSOR"), {"time_usec": 1_000_000 + 4000 * n, **values}, seq=n & 255
+        )
         for n in range(FRAMES)
     ]
 
@@ -77,7 +79,9 @@ def compiled_us(text: str, frames: list[bytes]) -> float:
             open_link(f"udpout:127.0.0.1:{station.getsockname()[1]}"),
         ]
         vehicle.connect(("127.0.0.1", int(links[0].name.rsplit(":", 1)[1])))
-        server = Server(links, Core(roles(links), Engine(parse_schedule(text)) if text else None))
+        server = Server(
+            links, Core(link_roles(links), Engine(parse_schedule(text)) if text else None)
+        )
         server.use_compiled()
         best_s = min(stretch_s(server, frames[n : n + STRETCH], vehicle, station)
                      for n in range(0, FRAMES, STRETCH))  # fmt: skip

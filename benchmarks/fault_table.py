@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavproxy_fault.fault_parts.profile import Profile, Table
+from mavproxy_fault.fault_parts.profile import Profile, SeriesTable
 
 RATE_HZ = 250
 
@@ -38,7 +38,7 @@ def main() -> None:
         write(path, rows)
         size_mb = path.stat().st_size / 1e6
         before_mb = peak_mb()
-        profile = Profile(table=Table(str(path)))
+        profile = Profile(table=SeriesTable(str(path)))
         state = profile.new_state(np.random.default_rng(0))
         start_s = time.perf_counter()
         wrong = sum(

@@ -10,11 +10,11 @@ from fdi_static import STATIC_TRUTH_M
 from fdi_theory import RNG, covariance, geometry
 
 from analysis.detection import Detector
-from analysis.detection.detector_state import State
+from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.inertial import propagate_inertial
-from analysis.detection.filter.measurement import model, observe
-from analysis.detection.isolation.hypotheses import judge
-from analysis.recordings.recordings import read_rinex, read_rinex_samples
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
+from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.samples.block import EPOCH, IMU, Block, block_of
 from analysis.samples.sample import Epoch, Sample
 
@@ -55,7 +55,10 @@ def speed(data: Path) -> None:
     m = np.linalg.inv(covariance(design))
     v = np.full(12, 10.0) * RNG.choice([-1.0, 1.0], 12)
     position, clock = design[:, :3].copy(), design[:, 3:].copy()
-    bank_us = least_s(lambda: [judge(m, v, position, clock, 1e-4, 2) for _ in range(200)]) * 5e3
+    bank_us = (
+        least_s(lambda: [select_hypothesis(m, v, position, clock, 1e-4, 2) for _ in range(200)])
+        * 5e3
+    )
     unit_us = least_s(lambda: [np.linalg.inv(p) for _ in range(500)]) * 2e3
     flight_s = float(np.ptp(walked.t_us[walked.rows(IMU)])) * 1e-6
     print("\n## Speed, CPU time of one core\n\n| what | measured |\n|---|---|")
@@ -80,7 +83,10 @@ def single_epochs(samples: list[Sample]) -> None:
     that the recording led to: as it is, and with 50 m on one satellite, which asks the bank."""
     print("\n| one epoch of 12 satellites, us | median | 99 % | most |\n|---|---|---|---|")
     detector, state = Detector(), Detector().new_state()
-    jobs: dict[str, list[tuple[Block, State]]] = {"quiet": [], "with its bank and verdict": []}
+    jobs: dict[str, list[tuple[Block, DetectorState]]] = {
+        "quiet": [],
+        "with its bank and verdict": [],
+    }
     for sample in with_rates(samples):
         if isinstance(sample, Epoch):
             place = len(jobs["quiet"]) % len(sample.satellites)
@@ -111,8 +117,10 @@ def with_rates(samples: list[Sample]) -> list[Sample]:
         if isinstance(s, Epoch):
             core = state.core
             still = replace(s, doppler_mps=np.zeros(len(s.satellites)))
-            observed = observe(still, core.chosen)
-            seen = model(observed, core.motion.x, detector.config.sigma, core.ionosphere)
+            observed = observe_epoch(still, core.chosen)
+            seen = predict_innovations(
+                observed, core.motion.x, detector.config.sigma, core.ionosphere
+            )
             noise = np.sqrt(seen.rate_variance) * rng.standard_normal(len(s.satellites))
             s = replace(s, doppler_mps=noise - seen.v_mps)
         out.append(s)

@@ -9,19 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
-from analysis.detection.filter.measurement import choose, model, observe
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.detector import run_detector
+from analysis.detection.filter.measurement import (
+    observe_epoch,
+    predict_innovations,
+    select_ephemerides,
+)
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 STATIC_TRUTH_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 
 
 def horizontal_m(position: tuple[float, float, float]) -> float:
     """Distance from the static antenna in the horizontal."""
-    lat, lon, _ = geodetic(STATIC_TRUTH_M)
+    lat, lon, _ = geodetic_position(STATIC_TRUTH_M)
     off = ned_axes(lat, lon) @ (np.array(position) - STATIC_TRUTH_M)
     return float(np.hypot(off[0], off[1]))
 
@@ -95,7 +99,7 @@ def whole(data: Path) -> None:
         epochs = alarms = 0
         for seed in range(8):
             drawn = with_noise(samples, config, np.random.default_rng(seed))
-            found = [r for r in run(Detector(config), drawn) if isinstance(r, Decision)]
+            found = [r for r in run_detector(Detector(config), drawn) if isinstance(r, Decision)]
             epochs += len(found)
             alarms += sum(d.alarm for d in found)
         print(f"| {p:g} | {p:g} | {epochs} | {2 * p * epochs:.1f} | {alarms} |")
@@ -122,11 +126,11 @@ def with_noise(
         x[3:6] += pushed
         x[16] += dt * x[17] + noise.clock_m * np.sqrt(dt) * rng.standard_normal()
         x[17] += noise.drift_mps * np.sqrt(dt) * rng.standard_normal()
-        chosen = choose(s, state.core.ephemerides)
-        observed = observe(s, chosen)
+        chosen = select_ephemerides(s, state.core.ephemerides)
+        observed = observe_epoch(s, chosen)
         if observed is None:
             continue
-        seen = model(observed, x, config.sigma, state.core.ionosphere)
+        seen = predict_innovations(observed, x, config.sigma, state.core.ionosphere)
         drawn = np.sqrt(seen.variance) * rng.standard_normal(len(seen.v_m))
         out.append(
             Epoch(
@@ -151,7 +155,7 @@ def static(data: Path) -> None:
     peer = shutil.which("rnx2rtkp") is not None
     for label, systems, mask in (("GPS", "G", 1), ("GPS + Galileo", "GE", 9)):
         samples = [only(s, systems) for s in every]
-        clean = [r for r in run(Detector(), samples) if isinstance(r, Decision)]
+        clean = [r for r in run_detector(Detector(), samples) if isinstance(r, Decision)]
         wrong = sum(bool(d.excluded) for d in clean)
         rms = np.sqrt(np.mean([horizontal_m(d.position_ecef_m) ** 2 for d in clean[60:]]))
         ratio = np.mean([d.statistic / d.dof for d in clean])
@@ -199,7 +203,9 @@ def static_case(name, size, number, samples, clean, lines, navigation, base, mas
         from_us = epochs[start].t_us
         changed = faulted(part, faults, from_us, from_us + 60_000_000)
         window = [
-            r for r in run(Detector(), changed) if isinstance(r, Decision) and r.t_us >= from_us
+            r
+            for r in run_detector(Detector(), changed)
+            if isinstance(r, Decision) and r.t_us >= from_us
         ]
         first_right += window[0].excluded == bad
         found = next((d for d in window if bad[0] in d.excluded), None)
@@ -207,7 +213,11 @@ def static_case(name, size, number, samples, clean, lines, navigation, base, mas
             sizes.append(size[1] * (found.t_us - from_us) * 1e-6)
         right += sum(d.excluded == bad for d in window)
         total += len(window)
-        usual = [r for r in run(Detector(), part) if isinstance(r, Decision) and r.t_us >= from_us]
+        usual = [
+            r
+            for r in run_detector(Detector(), part)
+            if isinstance(r, Decision) and r.t_us >= from_us
+        ]
         ratios.append(
             np.sqrt(np.mean([horizontal_m(d.position_ecef_m) ** 2 for d in window]))
             / np.sqrt(np.mean([horizontal_m(d.position_ecef_m) ** 2 for d in usual]))

@@ -5,18 +5,18 @@ from collections import Counter
 import numpy as np
 from scipy.stats import binom
 
-from analysis.detection.filter.inertial import CLOCK, ERRORS
-from analysis.detection.filter.information import normal_of
-from analysis.detection.isolation.bank import normalised, projected_weights
-from analysis.detection.isolation.chi_square import chi_square, two_sided
-from analysis.detection.isolation.hypotheses import judge
+from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE
+from analysis.detection.filter.information import normal_equations_over
+from analysis.detection.isolation.bank import normalised_by_weights, projected_weights
+from analysis.detection.isolation.chi_square import chi_square_threshold, two_sided_bound
+from analysis.detection.isolation.hypotheses import select_hypothesis
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
     WINDOW_COUNT,
     YOUNGEST_S,
-    Windows,
+    RampWindows,
     ramp_statistics,
-    respond,
+    respond_to_ranges,
 )
 
 RNG = np.random.default_rng(20260101)
@@ -49,7 +49,7 @@ def statistics(design: np.ndarray, draws: int, bias: float) -> tuple[np.ndarray,
     v = RNG.standard_normal((draws, count)) @ np.linalg.cholesky(s).T
     v[np.arange(draws), RNG.integers(count, size=draws)] += bias
     projected = projected_weights(design, np.ones(count))
-    single = np.array([normalised(m, m @ row) for row in v[:50]])
+    single = np.array([normalised_by_weights(m, m @ row) for row in v[:50]])
     return (
         np.einsum("ni,ij,nj->n", v, m, v),
         np.einsum("ni,ij,nj->n", v, projected, v),
@@ -67,8 +67,8 @@ def alarms() -> None:
         total = 1000 * len(sets)
         for p in (1e-3, 1e-4):
             low, high = binom.interval(0.99, total, p)
-            full = sum(int((q > chi_square(count, p)).sum()) for q, _, _ in sets)
-            snap = sum(int((q > chi_square(count - 4, p)).sum()) for _, q, _ in sets)
+            full = sum(int((q > chi_square_threshold(count, p)).sum()) for q, _, _ in sets)
+            snap = sum(int((q > chi_square_threshold(count - 4, p)).sum()) for _, q, _ in sets)
             print(f"| {count} | {total} | {p:g} | {low:.0f} to {high:.0f} | {full} | {snap} |")
 
 
@@ -86,9 +86,11 @@ def power() -> None:
         cells = []
         for bias, known in zip((5.0, 6.0, 8.0, 10.0, 15.0), row, strict=True):
             sets = [statistics(geometry(count), 100, bias) for _ in range(1500)]
-            full = np.mean(np.concatenate([q for q, _, _ in sets]) > chi_square(count, p))
-            snap = np.mean(np.concatenate([q for _, q, _ in sets]) > chi_square(count - 4, p))
-            each = np.mean(np.concatenate([z for _, _, z in sets]) > two_sided(p / count))
+            full = np.mean(np.concatenate([q for q, _, _ in sets]) > chi_square_threshold(count, p))
+            snap = np.mean(
+                np.concatenate([q for _, q, _ in sets]) > chi_square_threshold(count - 4, p)
+            )
+            each = np.mean(np.concatenate([z for _, _, z in sets]) > two_sided_bound(p / count))
             cells.append(f"{snap:.2f}/{full:.2f}/{each:.2f} ({known})")
         print(f"| {count}, {p:g} | " + " | ".join(cells) + " |")
 
@@ -109,8 +111,10 @@ def verdicts(kind: str, bias: float, trials: int, rule: str, largest: int) -> Co
             v[list(bad)] += bias * RNG.choice([-1.0, 1.0], len(bad))
         m = np.linalg.inv(s)
         name = "none"
-        if v @ m @ v > chi_square(10, 1e-4):
-            found = judge(m, v, design[:, :3].copy(), design[:, 3:].copy(), 1e-4, largest, rule)
+        if v @ m @ v > chi_square_threshold(10, 1e-4):
+            found = select_hypothesis(
+                m, v, design[:, :3].copy(), design[:, 3:].copy(), 1e-4, largest, rule
+            )
             name = found.hypothesis
             if name == "satellites":
                 name = "right satellites" if found.subset == bad else "wrong satellites"
@@ -147,11 +151,11 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
     m = np.linalg.inv(covariance(h))
     gain = p @ h.T @ m
     kick = np.linalg.cholesky(gain @ h @ p + 1e-12 * np.eye(4))
-    states, ones, after = np.array([0, 1, 2, CLOCK]), np.ones(count), np.zeros((ERRORS, 4))
+    states, ones, after = np.array([0, 1, 2, CLOCK]), np.ones(count), np.zeros((ERROR_SIZE, 4))
     after[states] = p - gain @ h @ p
-    phi, zero = np.eye(ERRORS), np.zeros((WINDOW_COUNT, count))
+    phi, zero = np.eye(ERROR_SIZE), np.zeros((WINDOW_COUNT, count))
     each = count + 3
-    d, sums = np.zeros((ERRORS, WINDOW_COUNT * each)), np.zeros((WINDOW_COUNT, 5 * count + 12))
+    d, sums = np.zeros((ERROR_SIZE, WINDOW_COUNT * each)), np.zeros((WINDOW_COUNT, 5 * count + 12))
     starts, error, false = np.zeros(WINDOW_COUNT), np.zeros(4), []
     noise, drift = RNG.standard_normal((epochs, count)), RNG.standard_normal((epochs, 4))
     for k in range(epochs):
@@ -161,9 +165,9 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
             starts[w], d[:, w * each : (w + 1) * each], sums[w] = t, 0.0, 0.0
-        windows = Windows(starts.astype(np.int64), d, sums, zero[0], zero[0], zero, zero)
-        ranges = normal_of(states, h, ones, v)
-        d, sums = respond(windows, t - starts, phi, after, ranges, dt)
+        windows = RampWindows(starts.astype(np.int64), d, sums, zero[0], zero[0], zero, zero)
+        ranges = normal_equations_over(states, h, ones, v)
+        d, sums = respond_to_ranges(windows, t - starts, phi, after, ranges, dt)
         old = t - starts >= YOUNGEST_S
         if (ramp_statistics(sums, zero, 0.0)[old] > threshold).any():
             if k >= onset:
@@ -176,7 +180,7 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
 
 def ramps() -> None:
     """Delays of the tests with memory."""
-    threshold = chi_square(1, 1e-4 / 10)
+    threshold = chi_square_threshold(1, 1e-4 / 10)
     false = epochs = 0
     for _ in range(40):
         false += len(ramp_run(0.0, 10**9, 5000, threshold)[1])

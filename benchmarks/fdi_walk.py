@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.filter.measurement import choose, model, observe
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.filter.measurement import (
+    observe_epoch,
+    predict_innovations,
+    select_ephemerides,
+)
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
@@ -18,8 +22,8 @@ from mavproxy_fault.numerics.earth_kernel import ned_axes
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 
 FROM_S, UNTIL_S = 55.0, 70.0
@@ -51,7 +55,7 @@ def through_proxy(samples: list[Sample], fault: str) -> list[Sample]:
         values = dict(zip(("xgyro", "ygyro", "zgyro"), s.gyro_b_rps.tolist(), strict=True))
         values |= dict(zip(("xacc", "yacc", "zacc"), s.accel_b_mps2.tolist(), strict=True))
         stamp = {"time_usec": s.t_us - first, "fields_updated": 0x3F}
-        data = build(known("HIL_SENSOR"), values | stamp, component=51)
+        data = build_frame(message_layout("HIL_SENSOR"), values | stamp, component=51)
         for send in core.received(0, data, s.t_us):
             for frame in Parser().push(send.data, datagram=True):
                 if isinstance(frame, Frame):
@@ -85,12 +89,12 @@ def range_errors(
             state = detector.step(s, state)[1]
         if not isinstance(s, Epoch) or round(s.t_us * 4e-6) not in where:
             continue
-        observed = observe(s, choose(s, state.core.ephemerides))
+        observed = observe_epoch(s, select_ephemerides(s, state.core.ephemerides))
         if observed is None:
             continue
         x = np.zeros(21)
         x[0:3], x[6] = where[round(s.t_us * 4e-6)], 1.0
-        seen = model(observed, x, detector.config.sigma, state.core.ionosphere)
+        seen = predict_innovations(observed, x, detector.config.sigma, state.core.ionosphere)
         for system in "GE":
             own = np.array([name[0] == system for name in observed.satellites])
             high = own & (seen.elevation_rad > np.radians(20.0))

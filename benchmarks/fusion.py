@@ -21,18 +21,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from analysis.detection import DetectorConfig
-from analysis.detection.detector_state import Core
+from analysis.detection.detector_state import DetectorCore
 from analysis.detection.sensors.sensor_models import density_kgpm3
-from analysis.detection.sensors.sensor_tests import References
+from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.local_frame import frame_at
 from analysis.fusion.smoother import Fusion
 from analysis.monitor.pipeline import Pipeline, monitor_config
-from analysis.recordings.recordings import read_log, read_rinex_samples
+from analysis.recordings.read_recordings import read_log, read_rinex_samples
 from analysis.results import Decision, FusedState, Result
-from analysis.run.proxied_flight import Flight
-from analysis.run.setup import read_setup
-from analysis.samples.block import TRUTH, Block, block_of, pieces
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.run_setup import read_setup
+from analysis.samples.block import TRUTH, Block, block_of, split_at_events
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import (
     AirspeedSample,
@@ -56,7 +56,7 @@ from simvehicle.gnss.gnss_sensor import gnss_sensor
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "analysis"))
 import conftest  # the tests' flight
 
-Row = tuple[Sample, list[Result], Core]
+Row = tuple[Sample, list[Result], DetectorCore]
 Truths = dict[int, tuple[float, float, float]]
 SETTINGS = {
     "isolated (default)": FusionConfig(),
@@ -78,7 +78,7 @@ GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 def detected(samples: Iterable[Sample], detector: DetectorConfig = DEFAULT) -> list[Row]:
     """Every sample with what the detector said, so that settings share its work."""
-    references = References(detector)
+    references = NavigationDetector(detector)
     state = references.new_state()
     rows = []
     for sample in samples:
@@ -331,14 +331,14 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
 
     As the pipeline does it, with a block of samples per epoch.
     """
-    references, fusion = References(DetectorConfig()), Fusion()
+    references, fusion = NavigationDetector(DetectorConfig()), Fusion()
     detector_state, state = references.new_state(), fusion.new_state()
     spent: list[tuple[float, float]] = []
     for block in blocks(samples):
         detecting = fusing = 0.0
         said: list[Result] = []
         start = time.process_time()
-        for piece in pieces(block):
+        for piece in split_at_events(block):
             results, detector_state = references.step_piece(piece, detector_state)
             middle = time.process_time()
             found, state = fusion.step_piece(piece, results, detector_state.detector.core, state)
@@ -401,7 +401,7 @@ def pressure_pa(height_m: float) -> float:
 def demo_flight(seed: int) -> tuple[list[Sample], DetectorConfig]:
     """The demo scenario's flight without faults, and what its monitor is told."""
     setup = read_setup(None, None, seed)
-    flown = Flight(msgspec.structs.replace(setup.scenario, duration_s=NEES_S), Schedule())
+    flown = ProxiedFlight(msgspec.structs.replace(setup.scenario, duration_s=NEES_S), Schedule())
     parser, decoder = Parser(), Decoder()
     samples: list[Sample] = []
     while not flown.over:

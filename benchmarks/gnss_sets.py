@@ -22,13 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from analysis.detection import DetectorConfig
-from analysis.detection.sensors.sensor_tests import References
+from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.smoother import Fusion
 from analysis.recordings.position_reference import PositionReference, read_reference
-from analysis.recordings.recordings import read_rinex
+from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision, FusedState
-from analysis.samples.block import EPOCH, pieces
+from analysis.samples.block import EPOCH, split_at_events
 from analysis.scoring.integrity import ALERT_LIMITS_M, ERROR, LEVEL, Integrity
 from analysis.scoring.position_scores import PositionScores
 from mavproxy_fault.app.rinex_faults import faulted_lines
@@ -86,12 +86,12 @@ def recordings(path: Path) -> Iterable[Recording]:
 def judged(recording: Recording, lines: list[str]) -> Found:
     """The detector with the fusion behind it."""
     config = DetectorConfig(systems=recording.systems)
-    references, fusion = References(config), Fusion(FusionConfig(), config)
+    references, fusion = NavigationDetector(config), Fusion(FusionConfig(), config)
     detecting, fusing = references.new_state(), fusion.new_state()
     excluded, filtered, alarms, scores = {}, {}, 0, PositionScores()
     integrity = Integrity(recording.truth)
     counts: dict[str, int] = {}
-    for piece in pieces(read_rinex(recording.obs, recording.nav, None, lines)):
+    for piece in split_at_events(read_rinex(recording.obs, recording.nav, None, lines)):
         results, detecting = references.step_piece(piece, detecting)
         fused, fusing = fusion.step_piece(piece, results, detecting.detector.core, fusing)
         integrity.add(results)

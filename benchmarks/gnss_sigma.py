@@ -16,9 +16,9 @@ from gnss_sets import Recording, recordings
 from msgspec.structs import replace
 
 from analysis.detection import DetectorConfig
-from analysis.detection.calibrate import calibrate
-from analysis.detection.detector import Detector, run
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.calibrate import calibrate_sigma
+from analysis.detection.detector import Detector, run_detector
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
 from mavproxy_fault.documents.errors import ConfigError
@@ -34,7 +34,7 @@ def row(recording: Recording) -> str:
     config = DetectorConfig(systems=recording.systems)
     cells = [judged(recording, samples, config)]
     try:
-        found = calibrate(part(samples, 0, middle_us), config)
+        found = calibrate_sigma(part(samples, 0, middle_us), config)
     except ConfigError:  # too few epochs
         cells.append("- | - | - | - | -")
     else:
@@ -80,7 +80,7 @@ def errors_of(recording: Recording, decisions: Sequence[Decision]) -> list[tuple
 def judged(recording: Recording, samples: Sequence[Sample], config: DetectorConfig) -> str:
     """Alarms; error over sigma at 50 and 95 %; chi-square per degree of freedom; the levels and how
     often an error was above one."""
-    decisions = [r for r in run(Detector(config), samples) if isinstance(r, Decision)]
+    decisions = [r for r in run_detector(Detector(config), samples) if isinstance(r, Decision)]
     ratios, levels, above = [], [], 0
     for decision, error in errors_of(recording, decisions):
         ratios.append(error.all_m / error.sigma_m)
@@ -99,7 +99,7 @@ def outside(recording: Recording) -> str:
     """The line of a recording about its errors above three sigmas."""
     samples = read_rinex_samples(recording.obs, recording.nav)
     detector = Detector(DetectorConfig(systems=recording.systems))
-    decisions = [r for r in run(detector, samples) if isinstance(r, Decision)]
+    decisions = [r for r in run_detector(detector, samples) if isinstance(r, Decision)]
     errors = [error for _, error in errors_of(recording, decisions)]
     far = [error.all_m > OUTSIDE * error.sigma_m for error in errors]
     runs = [len(list(same)) for is_far, same in groupby(far) if is_far]

@@ -14,11 +14,11 @@ import numpy as np
 from gnss_sets import Recording, recordings, stanford
 
 from analysis.detection import DetectorConfig
-from analysis.detection.sensors.jamming_watch import JammingWatch
-from analysis.detection.sensors.sensor_tests import References
-from analysis.recordings.recordings import read_rinex
+from analysis.detection.sensors.jamming_detector import JammingDetector
+from analysis.detection.sensors.sensor_tests import NavigationDetector
+from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision, SensorDecision
-from analysis.samples.block import pieces
+from analysis.samples.block import split_at_events
 from analysis.scoring.integrity import Integrity
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -77,13 +77,13 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
     entries = [{**fault, "at_s": at_s, "for_s": FOR_S} for fault in faults]
     schedule = parse_schedule({"faults": entries})
     lines, _labels = faulted_lines(recording.obs, schedule, recording.nav)
-    references = References(DetectorConfig(systems=recording.systems))
+    references = NavigationDetector(DetectorConfig(systems=recording.systems))
     state, found = references.new_state(), []
     block = read_rinex(recording.obs, recording.nav, None, lines)
-    for piece in pieces(block):
+    for piece in split_at_events(block):
         results, state = references.step_piece(piece, state)
         found += results
-    watch = JammingWatch()
+    watch = JammingDetector()
     beside = [result for _, result in watch.step(block, watch.new_state())[0]]
     beside += [result for result in found if isinstance(result, SensorDecision)]
     decisions = [result for result in found if isinstance(result, Decision)]

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.detection.sensors.instance_vote import VOTERS, InstanceVote, Voters
-from analysis.recordings.recordings import read_log
+from analysis.detection.sensors.instance_vote import VOTERS, InstanceVoteDetector, VoterKind
+from analysis.recordings.read_recordings import read_log
 from analysis.samples.block import (
     BARO,
     FIX,
@@ -88,14 +88,14 @@ def instances(block: Block, kind: int) -> list[int]:
     return [number for number in range(3) if len(of(block, kind, number)[0])]
 
 
-def reasons(block: Block, voters: Voters) -> list[tuple[int, str]]:
+def reasons(block: Block, voters: VoterKind) -> list[tuple[int, str]]:
     """When and what the vote tells of a kind."""
-    vote = InstanceVote()
+    vote = InstanceVoteDetector()
     found, _ = vote.step(block, vote.new_state())
     return [(result.t_us, result.reason) for _, result in found if result.sensor == voters.sensor]
 
 
-def outcome(block: Block, voters: Voters, number: int, first: int, bias: float) -> str:
+def outcome(block: Block, voters: VoterKind, number: int, first: int, bias: float) -> str:
     """What the vote makes of a bias on one sensor."""
     begin_us = int(np.median(block.t_us))
     rows, column = of(block, voters.kind, number)

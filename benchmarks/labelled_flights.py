@@ -21,11 +21,11 @@ from typing import Any
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.recordings.flight_logs.log_condition import LogCondition
-from analysis.recordings.recordings import read_log
+from analysis.recordings.read_recordings import read_log
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, WARN
-from analysis.report.judging.flight_verdict import judged
-from analysis.report.recordings.sources import read_flight
+from analysis.report.judging.flight_verdict import assess_flight
+from analysis.report.recordings.flight_sources import read_flight
 from analysis.results import SensorDecision
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.errors import ConfigError
@@ -115,7 +115,7 @@ def print_monitor(flown: list[tuple[str, dict[str, Any]]]) -> None:
 def verdicts(path: Path) -> dict[str, str]:
     """The verdict on a log, and of each check that warned or failed."""
     try:
-        found = judged(read_flight([path], ()), Thresholds())
+        found = assess_flight(read_flight([path], ()), Thresholds())
     except ConfigError:
         return {"verdict": UNREADABLE}
     bad = {check.name: check.verdict for check in found.checks if check.verdict in (WARN, FAIL)}

@@ -22,12 +22,12 @@ import msgspec
 import numpy as np
 
 from analysis.detection import Detector
-from analysis.detection.sensors.sensor_tests import References
+from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
-from analysis.recordings.recordings import read_log
+from analysis.recordings.read_recordings import read_log
 from analysis.results import encode_lines
-from analysis.run.monitor_command import settings
+from analysis.run.monitor_command import monitor_settings
 from analysis.samples.block import EPHEMERIS, EPOCH, FIX, IMU, IONOSPHERE, Block
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from mavproxy_fault.wire import tlog
@@ -112,7 +112,7 @@ def measure(log: Path, config: MonitorConfig) -> None:
         "columns of the log": lambda: read_columns(log),
         "samples": lambda: list(read_log(log)),
         "detector": lambda: stepped(Detector(config.detector), blocks),
-        "other sensors": lambda: stepped(References(config.detector), blocks),
+        "other sensors": lambda: stepped(NavigationDetector(config.detector), blocks),
         "attitude": lambda: stepped(AttitudeScorer(config.attitude), blocks),
     }
     spent = median_s(whole | steps)
@@ -143,7 +143,7 @@ def command(log: Path, scenario: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         short = Path(folder) / "short.tlog"
         records = ((t_us, raw) for t_us, raw, _ in islice(read_records(log), SHORT_FRAMES))
-        tlog.write(short, records)
+        tlog.write_log(short, records)
         runs = {
             "a second of it: start-up": [str(short)],
             "no files": [str(log)],
@@ -176,7 +176,7 @@ def main() -> None:
             line = [sys.executable, "-m", "mavproxy_fault.cli", "run", "--zenoh", "off"]
             subprocess.run([*line, "--out", folder + "/demo"], check=False)
             log = Path(folder) / "demo" / "received.tlog"
-        config, _ = settings(str(args.scenario), None)
+        config, _ = monitor_settings(str(args.scenario), None)
         measure(log, config)
         print("\n| by the clock, from start to end of the process | |\n|---|---:|")
         command(log, args.scenario)

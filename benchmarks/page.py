@@ -21,7 +21,7 @@ import msgspec
 import websockets
 
 from mavproxy_fault.links.bus import Bus, open_bus
-from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.live.subscriptions import Watched
 
 SECONDS = 8.0
 RATE_HZ = 50

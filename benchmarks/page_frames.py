@@ -11,9 +11,9 @@ import time
 
 import msgspec
 
-from analysis.web.page_server import serve
+from analysis.web.page_server import serve_page
 from mavproxy_fault.links.bus import Bus, open_bus
-from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.live.subscriptions import Watched
 from tests.hardening.page_watcher import FRAME_COLUMNS, watched_page
 
 SECONDS = 15.0
@@ -60,7 +60,7 @@ def main() -> None:
         thread = threading.Thread(target=publish, args=(bus, over))
         thread.start()
         try:
-            with serve(bus.url, port=0) as address, watched_page(address) as watcher:
+            with serve_page(bus.url, port=0) as address, watched_page(address) as watcher:
                 watcher.page.wait_for_function(
                     "() => store.tables.get('HIL_SENSOR')?.received.length"
                 )

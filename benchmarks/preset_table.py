@@ -20,8 +20,8 @@ import numpy as np
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
-from analysis.run.proxied_flight import Flight
-from analysis.run.setup import read_setup
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.run_setup import read_setup
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
@@ -101,7 +101,7 @@ def setting(vehicle: str) -> tuple[Scenario, MonitorConfig]:
 def flown(vehicle: str, schedule: Schedule) -> Flown:
     """Fly a schedule through the proxy into the monitor, all in this process."""
     scenario, config = setting(vehicle)
-    flight, monitor = Flight(scenario, schedule), Monitor(config)
+    flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
     places, batch = [], bytearray()
     while not flight.over:
         batch += flight.advance([]).monitor

@@ -17,19 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.report.page.page_file import html
-from analysis.report.page.page_parts import Page
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.page.page_file import page_html
+from analysis.report.page.page_parts import ReportPage
+from analysis.report.recordings.recording import FlightData, Signal
 from mavproxy_fault.wire import tlog
 
 SAMPLES, PANELS = 60_000, ("roll", "pitch", "yaw", "accel", "gyro")
 TIMES = 3
 
 
-def recording() -> Recording:
+def recording() -> FlightData:
     rng = np.random.default_rng(1)
     t_s = np.arange(SAMPLES) * 0.004 + rng.normal(0, 1e-4, SAMPLES)
-    return Recording(
+    return FlightData(
         "benchmark",
         signals=[
             Signal(panel, name, t_s, np.cumsum(rng.normal(0, 0.1, SAMPLES)))
@@ -46,7 +46,7 @@ def repeated(log: Path, megabytes: int, path: Path) -> None:
     with path.open("wb") as file:
         moved_us = 0
         while file.tell() < megabytes * 1_000_000:
-            file.write(b"".join(tlog.record(t_us + moved_us, raw) for t_us, raw in records))
+            file.write(b"".join(tlog.log_record(t_us + moved_us, raw) for t_us, raw in records))
             moved_us += length_us
 
 
@@ -94,7 +94,7 @@ def main() -> int:
             open_in_browser(reported(args.log, args.megabytes, folder))
             return 0
         start_s = time.perf_counter()
-        text = html(Page("benchmark", "PASS", [], []), recording())
+        text = page_html(ReportPage("benchmark", "PASS", [], []), recording())
         print(f"written in {time.perf_counter() - start_s:.2f} s")
         path = folder / "report.html"
         path.write_text(text, encoding="utf-8")

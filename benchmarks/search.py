@@ -165,12 +165,12 @@ def speed():
 
 def workers():
     """Tests of 60 s a minute of wall time on two processes, noise drawn for each flight."""
-    from analysis.search.evaluation.pool import Processes
+    from analysis.search.evaluation.pool import LocalProcessPool
     from analysis.search.space.test_file import TestFile
 
     test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
     points = np.random.default_rng(1).random((4096, 4))
-    pool = Processes(2)
+    pool = LocalProcessPool(2)
     pool.evaluate(test, points[:64], 1, 0, 1)
     for _ in range(3):
         started = time.perf_counter()
@@ -182,7 +182,7 @@ def workers():
 
 def loop():
     """Seconds of flight per second of wall time with a stand-in for an autopilot on the link."""
-    from analysis.search.evaluation.flown_cases import Flown
+    from analysis.search.evaluation.simulated_batch import SimulatedBatch
     from analysis.search.space.test_file import AutopilotChoice, TestFile
 
     stand_in = HERE.parent / "tests/analysis/search/stand_in.py"
@@ -191,7 +191,7 @@ def loop():
     choice = AutopilotChoice(link=link, command=command)
     for estimator, autopilot in (("autopilot", choice), ("fusion", None)):
         test = TestFile(estimator=estimator, autopilot=autopilot, duration_s=60.0, noise_draws=1)
-        flown = Flown(test)
+        flown = SimulatedBatch(test)
         point = np.zeros((1, flown.space.dimension))
         flown.evaluate(point, 1, 0)
         started = time.perf_counter()
@@ -216,9 +216,9 @@ def start():
 def one_search(batch, method, seed):
     """Best fitness after each evaluation, and the winner's on fresh noise."""
     from analysis.search.archive import Archive
-    from analysis.search.searchers import searcher
+    from analysis.search.searchers import make_searcher
 
-    made = searcher(method, batch.space.dimension, seed, BUDGET)
+    made = make_searcher(method, batch.space.dimension, seed, BUDGET)
     archive, best, tests = Archive(1), [], 0
     while tests < BUDGET:
         points = made.ask()[: BUDGET - tests]

@@ -16,11 +16,11 @@ from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
     Scenario,
-    Sensors,
-    Start,
+    SensorSuite,
+    StartConfig,
     VehicleChoice,
 )
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.simulation.simulation import Simulation
 
 WIND = Environment(wind_ned_mps=(5.657, 5.657, 0.0), gusts="light")
@@ -56,11 +56,11 @@ def fly(kind: str, shape: str) -> tuple[Any, np.ndarray, np.ndarray]:
     choice, speed, wind, least = VEHICLES[kind]
     accel = 6.87 if kind == "fixedwing" else 3.0
     scenario = Scenario(
-        start=Start(height_m=80.0),
+        start=StartConfig(height_m=80.0),
         vehicle=choice,
         environment=WIND,
         mission=legs(shape, speed, wind, accel, least),
-        sensors=Sensors(imu=Imu(rate_hz=125.0)),
+        sensors=SensorSuite(imu=ImuSensor(rate_hz=125.0)),
     )
     simulation = Simulation(scenario)
     track = simulation.controller.track

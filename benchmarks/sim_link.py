@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mavproxy_fault.links.spec import open_link
-from simvehicle.app.sim_server import datagrams
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.app.sim_server import join_datagrams
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 
@@ -66,7 +66,7 @@ def times_real(seconds: float, step: Callable[[], object]) -> float:
 def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
     """Times real time of the steps alone, with frames packed, and with frames sent."""
     flight = simulation(text)
-    hil = Hil()
+    hil = HilPacker()
     link = open_link(f"udpout:127.0.0.1:{port}")
 
     def pack() -> list[bytes]:
@@ -74,7 +74,7 @@ def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
         return hil.frames(t_us, truth, readings)
 
     def send() -> None:
-        for chunk in datagrams(pack()):
+        for chunk in join_datagrams(pack()):
             link.write(chunk)
 
     speeds = (

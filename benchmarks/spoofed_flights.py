@@ -23,8 +23,8 @@ import numpy as np
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import Decision
-from analysis.run.proxied_flight import Flight
-from analysis.run.setup import read_setup
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.run_setup import read_setup
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
@@ -96,7 +96,7 @@ def flown(job: tuple[str, str, int]) -> Flown:
     entry = {"id": "it", "at_s": START_S, "for_s": END_S - START_S, **FAULTS[fault]}
     faults = [entry] if FAULTS[fault] else []
     schedule = parse_schedule({"seed": seed, "faults": faults}) if faults else Schedule()
-    flight, monitor = Flight(scenario, schedule), Monitor(MonitorConfig())
+    flight, monitor = ProxiedFlight(scenario, schedule), Monitor(MonitorConfig())
     results, truth, batch = [], {}, bytearray()
     while not flight.over:
         batch += flight.advance([]).monitor

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis.run.proxied_flight import Flight
+from analysis.run.proxied_flight import ProxiedFlight
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import Epoch, GpsFix
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -54,7 +54,7 @@ def flown(preset: str) -> Heard:
     scenario = msgspec.structs.replace(scenario, sensors=sensors, duration_s=FLOWN_S)
     entry = {"preset": preset, "id": "it", "at_s": AT_S}
     schedule = parse_schedule({"seed": 1, "faults": [entry]}) if preset else Schedule()
-    flight, parser, decoder = Flight(scenario, schedule), Parser(), Decoder()
+    flight, parser, decoder = ProxiedFlight(scenario, schedule), Parser(), Decoder()
     heard = Heard({}, {})
     while not flight.over:
         frames = parser.push(flight.advance([]).monitor, datagram=False)

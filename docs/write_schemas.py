@@ -13,7 +13,7 @@ import msgspec
 
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 from mavproxy_fault.live.bus_types import EndpointStatistics, Recording, ScheduleState
-from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.live.subscriptions import Watched
 from mavproxy_fault.wire.label import Label
 
 FILE = Path(__file__).with_name("zenoh.schema.json")

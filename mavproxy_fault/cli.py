@@ -18,10 +18,10 @@ from threading import current_thread, main_thread
 
 from mavproxy_fault import __version__
 from mavproxy_fault.app.command_parser import CommandParser, CompletionAction
-from mavproxy_fault.app.commands import OURS, Add
+from mavproxy_fault.app.commands import BUILT_IN_COMMANDS, AddCommand
 from mavproxy_fault.app.lossy_log import LossyHandler
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 
 EPILOG = """\
 examples
@@ -51,13 +51,13 @@ exit codes
   0 fine    1 the verdict failed    2 the input is wrong
 """
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # those that shtab knows
-ORDER = (
+HELP_ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
     "search", "report", "ui", "warm-up",
 )  # fmt: skip
 
 
-def parser(command: str = "") -> argparse.ArgumentParser:
+def build_parser(command: str = "") -> argparse.ArgumentParser:
     """The parser with every subcommand; with ours alone if `command` is one of them.
 
     Raises
@@ -77,16 +77,20 @@ def parser(command: str = "") -> argparse.ArgumentParser:
     )  # fmt: skip
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     # Looking for plugins takes longer than a command of ours needs to start.
-    adders = OURS if command in OURS else {**_registered(), **OURS}
+    adders = (
+        BUILT_IN_COMMANDS
+        if command in BUILT_IN_COMMANDS
+        else {**_registered(), **BUILT_IN_COMMANDS}
+    )
     if command and not command.startswith("-") and command not in adders:
-        raise ConfigError(f"{command}: is no command; {near(command, adders)}")
+        raise ConfigError(f"{command}: is no command; {suggest_known(command, adders)}")
     # The order of the help; others' commands follow by name.
-    for name in [*(n for n in ORDER if n in adders), *sorted(adders.keys() - set(ORDER))]:
+    for name in [*(n for n in HELP_ORDER if n in adders), *sorted(adders.keys() - set(HELP_ORDER))]:
         adders[name](commands)
     return top
 
 
-def _registered() -> dict[str, Add]:
+def _registered() -> dict[str, AddCommand]:
     """Other packages' subcommands by name; to look for them takes longer than to parse ours."""
     from importlib.metadata import entry_points
 
@@ -117,7 +121,7 @@ def _stoppable(last: bool) -> Iterator[None]:
             signal(number, action)
 
 
-def _stand_in_for_closed() -> None:
+def _reopen_closed_streams() -> None:
     """Open what a shell closed (`>&-`), or a socket would take its number and get our words."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
@@ -136,7 +140,7 @@ def _drop_output() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
-    _stand_in_for_closed()
+    _reopen_closed_streams()
     for stream in (
         sys.stdout,
         sys.stderr,
@@ -146,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        chosen = parser(given[0] if given else "").parse_args(given)
+        chosen = build_parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
         with _stoppable(last=arguments is None):
             code: int = chosen.main(chosen)

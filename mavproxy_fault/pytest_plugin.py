@@ -27,13 +27,13 @@ MASTER, OUT, COMMAND = "fault_master", "fault_out", "fault_autopilot"
 SIMULATED = (
     f"{shlex.quote(sys.executable)} -m mavproxy_fault.cli sim --gcs udpout:127.0.0.1:{{port}}"
 )
-ENDS_S = 10.0  # for a vehicle to close its logs, before it is killed
+SHUTDOWN_TIMEOUT_S = 10.0  # for a vehicle to close its logs, before it is killed
 FOLDERS = pytest.StashKey[dict[Path, Path]]()  # a folder of logs to the report that it has
 FAILED = pytest.StashKey[bool]()
 
 
 @dataclass(frozen=True)
-class Autopilot:
+class ProxiedAutopilot:
     """A vehicle behind a proxy; `url` is MAVSDK's address of it, `link` pymavlink's."""
 
     proxy: "Proxy"
@@ -83,7 +83,7 @@ def fault_proxy(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator["Pro
 @pytest.fixture
 def autopilot(
     request: pytest.FixtureRequest, fault_proxy: "Proxy", tmp_path: Path
-) -> Iterator[Autopilot]:
+) -> Iterator[ProxiedAutopilot]:
     """A vehicle behind `fault_proxy`, started by the command `fault_autopilot`."""
     vehicle, station = fault_proxy.addresses
     words = shlex.split(request.config.getini(COMMAND).replace("{port}", vehicle.rsplit(":", 1)[1]))
@@ -94,7 +94,7 @@ def autopilot(
         )
         try:
             host = station.partition(":")[2]
-            yield Autopilot(fault_proxy, f"udpout://{host}", f"udpout:{host}")
+            yield ProxiedAutopilot(fault_proxy, f"udpout://{host}", f"udpout:{host}")
         finally:
             _end(process)
 
@@ -147,7 +147,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, 15)
     try:
-        process.wait(ENDS_S)
+        process.wait(SHUTDOWN_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, 9)
         process.wait()

@@ -31,7 +31,7 @@ from simvehicle.hil.hil_messages import MESSAGES
 from simvehicle.scenario.scenario_file import Sensors
 from simvehicle.sensors.readings import TemperatureReading
 from simvehicle.sensors.thermometer import Thermometer
-from simvehicle.simulation.kinds import kind_of
+from simvehicle.simulation.vehicle_kinds import kind_of
 
 path = tempfile.mkdtemp() + "/it"
 server = socket.socket(socket.AF_UNIX)

@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 import mavproxy_fault
-from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.links.bus import choose_free_port, open_bus
 
 BRIDGE = Path(__file__).parents[1] / "examples" / "ros2" / "ros2_bridge.py"
 STRING = (
@@ -33,7 +33,7 @@ def message(text: str) -> bytes:
 @pytest.fixture
 def ros() -> Iterator[tuple[zenoh.Session, str]]:
     """A router where rmw_zenohd would be, and its address."""
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([url]))
@@ -44,7 +44,7 @@ def ros() -> Iterator[tuple[zenoh.Session, str]]:
 
 @pytest.fixture
 def proxy() -> Iterator[tuple[mavproxy_fault.Proxy, str]]:
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     with mavproxy_fault.Proxy(ANY, ANY, zenoh=url) as owner:
         yield owner, url
 

@@ -17,53 +17,60 @@ from typing import Any
 
 import msgspec
 
-from analysis.autopilots.ardupilot import ardupilot_program
-from analysis.autopilots.flight_operator import LOOK_US, Operator, Requests
-from analysis.autopilots.flight_plan import HEIGHTS_M, flight_plan
-from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot, of_lockstep
-from analysis.autopilots.onlookers import Onlookers
-from analysis.autopilots.own_parameters import read_parameters
+from analysis.autopilots.ardupilot import ardupilot_process
+from analysis.autopilots.bus_session import AutopilotBusSession
+from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, AutopilotCommands, Operator
+from analysis.autopilots.flight_plan import DEFAULT_HEIGHTS_M, flight_plan
+from analysis.autopilots.hil_exchange import (
+    AutopilotReceiver,
+    AutopilotSender,
+    ConnectionDeadline,
+    is_lockstep_traffic,
+)
 from analysis.autopilots.plain_flight import plain_flight
-from analysis.autopilots.program import Program, Start, Unhurried
-from analysis.autopilots.px4 import px4_program
+from analysis.autopilots.px4 import px4_process
+from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
+from analysis.autopilots.user_parameters import read_parameters
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.idle import tell_idle
-from analysis.run.proxied_flight import GROUND, Flight, session
-from analysis.run.run_command import EXIT_CODES, report
-from analysis.run.setup import Setup, setup_of
-from analysis.run.stop import Stop, stop_requests
-from analysis.run.terminal import print_summary
-from analysis.run.worker import MonitorProcess
-from analysis.scoring.criteria import Check
+from analysis.run.monitor_process import MonitorProcess
+from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
+from analysis.run.run_command import EXIT_CODES, write_flight_report
+from analysis.run.run_setup import RunSetup, setup_from_args
+from analysis.run.stop_signal import StopCheck, stop_requests
+from analysis.run.terminal_summary import print_summary
+from analysis.run.unmatched_faults import report_unmatched_faults
+from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
-from mavproxy_fault.live.journal import JOIN, Journal, read_edits, told_edits
+from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Schedule
-from mavproxy_fault.schedule.saving import as_yaml
+from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.tlog import read_columns
 from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.pace import parse_speed
 from simvehicle.app.sim_progress import Progress
-from simvehicle.app.sim_server import airframe
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.app.sim_server import mav_type_and_mix
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
-RECORD_US = 200_000  # simulated time between writes to the logs
-START_S = 60.0  # wall time for the autopilot's program to come
-AUTOPILOTS = {"ardupilot": ardupilot_program, "px4": px4_program}
-LOAD = "@ctl/schedule/load"
-MOMENTS = ("first-stamp", "arming", "take-off", "landing")
-PRIORITY = 80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
+RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
+CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot's program to come
+AUTOPILOTS = {"ardupilot": ardupilot_process, "px4": px4_process}
+LOAD_TOPIC = "@ctl/schedule/load"
+START_EVENTS = ("first-stamp", "arming", "take-off", "landing")
+THREAD_PRIORITY = (
+    80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
+)
 
 
 @contextlib.contextmanager
-def ahead_of_logs() -> Iterator[None]:
+def real_time_priority() -> Iterator[None]:
     """Run this thread at a real-time priority where that is allowed.
 
     PX4 started by root runs all its threads so: its logger would hold up the step that it waits
@@ -76,12 +83,12 @@ def ahead_of_logs() -> Iterator[None]:
         with contextlib.suppress(AttributeError, PermissionError):
             before = os.sched_getscheduler(0), os.sched_getparam(0)
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
-            undo.callback(_step_back, *before)
+            os.sched_setscheduler(0, policy, os.sched_param(THREAD_PRIORITY))
+            undo.callback(_restore_priority, *before)
         yield
 
 
-def _step_back(policy: int, priority: "os.sched_param") -> None:
+def _restore_priority(policy: int, priority: "os.sched_param") -> None:
     """Give a real-time priority back; the flag about forks only a privileged thread may drop."""
     try:
         os.sched_setscheduler(0, policy, priority)
@@ -102,9 +109,9 @@ def main(args: argparse.Namespace) -> int:
             f"--against-clean: two flights of {name} differ without any fault, too; run both"
             " schedules, and hold their logs against each other by report --against"
         )
-    check_moment(args.count_from)
+    check_start_event(args.count_from)
     own = read_parameters(args.parameters)
-    setup = setup_of(args)
+    setup = setup_from_args(args)
     check_vehicle(setup.scenario)
     binary = autopilot.BINARIES[setup.scenario.vehicle.kind]
     if vehicle and binary != f"ardu{vehicle}":
@@ -135,21 +142,21 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flown.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    tell_idle(summary, setup.schedule, labels)
+    report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
-        tell_early_end(summary, reason)
+        report_early_end(summary, reason)
     summary["autopilot"] = flown.account(reason)
     summary["edited"] = flown.edited(folder)
     write_summary(folder, summary)
     if args.report:
-        report(folder, summary, columns)
+        write_flight_report(folder, summary, columns)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
 
 
-def tell_early_end(summary: dict[str, Any], reason: str) -> None:
+def report_early_end(summary: dict[str, Any], reason: str) -> None:
     """Put into a summary that the flight was not flown to its end: whatever was seen, it fails."""
-    check = Check(name="flown to the landing", limit="landed", value=reason, passed=False)
+    check = CriterionCheck(name="flown to the landing", limit="landed", value=reason, passed=False)
     summary["criteria"].append(msgspec.structs.asdict(check))
     summary["verdict"] = "FAIL"
 
@@ -162,10 +169,10 @@ def check_vehicle(scenario: Scenario) -> None:
     ConfigError
         With what is wrong.
     """
-    if scenario.vehicle.kind not in HEIGHTS_M:
+    if scenario.vehicle.kind not in DEFAULT_HEIGHTS_M:
         raise ConfigError(
             f"vehicle.kind = {scenario.vehicle.kind} is not flown by an autopilot here; "
-            f"{' or '.join(HEIGHTS_M)} is"
+            f"{' or '.join(DEFAULT_HEIGHTS_M)} is"
         )
     if scenario.start.height_m > 0.0:
         raise ConfigError(
@@ -174,7 +181,7 @@ def check_vehicle(scenario: Scenario) -> None:
         )
 
 
-def check_moment(moment: str) -> None:
+def check_start_event(moment: str) -> None:
     """Refuse a moment that no flight has.
 
     Raises
@@ -183,9 +190,9 @@ def check_moment(moment: str) -> None:
         If it is none.
     """
     head, _, number = moment.partition(":")
-    if moment not in MOMENTS and not (head == "mission-item" and number.isdigit()):
+    if moment not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
         raise ConfigError(
-            f"--from {moment}: is no moment of a flight; known: {', '.join(MOMENTS)}, "
+            f"--from {moment}: is no moment of a flight; known: {', '.join(START_EVENTS)}, "
             "mission-item:N"
         )
 
@@ -195,53 +202,56 @@ class AutopilotRun:
 
     def __init__(
         self,
-        setup: Setup,
+        setup: RunSetup,
         folder: Path,
         count_from: str,
         monitor: MonitorProcess,
-        stop: Stop,
+        stop: StopCheck,
     ) -> None:
         # The faults come once the chosen moment is there, but for those that name one themselves.
         own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
-        self.flight = Flight(setup.scenario, Schedule(setup.schedule.seed, own))
+        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, own))
         self.results: list[Any] = []
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
         self._monitor = monitor
-        self._journal = Journal(self.flight.core, self.flight.tape)
+        self._journal = EditLog(self.flight.core, self.flight.tape)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
         self._recorder = Recorder(
-            folder, session(setup.scenario.name, setup.schedule.seed, self.flight)
+            folder, recorder_session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.tape)
-        self._unhurried = Unhurried()
+        self._unhurried = RealTimePacer()
         self._recorded_us = self._operator_us = 0
         self._loaded: str | None = None  # the schedule as it began
         self._progress = Progress(time.monotonic())
         self._phase = ""
-        self._onlookers: Onlookers | None = None
+        self._onlookers: AutopilotBusSession | None = None
 
     def show_on(self, bus: Bus | None) -> None:
         """Publish the flight on a bus, and let faults be armed from there."""
         if bus is not None:
-            self._onlookers = Onlookers(bus, self.flight, self._journal)
+            self._onlookers = AutopilotBusSession(bus, self.flight, self._journal)
 
     def fly(
-        self, program: AbstractContextManager[Program], requests: Requests, speed: float
+        self,
+        program: AbstractContextManager[RunningAutopilot],
+        requests: AutopilotCommands,
+        speed: float,
     ) -> str:
         """Fly to the landing; why it did not come to it, or nothing."""
         simulation = self.flight.simulation
         self._requests = requests
         self._operator = Operator(flight_plan(simulation), requests)
-        mav_type, mix = airframe(simulation)
-        hil = Hil(mav_type=mav_type)
+        mav_type, mix = mav_type_and_mix(simulation)
+        hil = HilPacker(mav_type=mav_type)
         plain = plain_flight(simulation, hil, self._passage)
         with program as flying:
-            self._start = Start(flying)
-            patience = Patience(flying.links[0], flying.process, START_S)
+            self._start = StartupPacer(flying)
+            patience = ConnectionDeadline(flying.links[0], flying.process, CONNECT_TIMEOUT_S)
             lockstep = Lockstep()
-            outward = ToAutopilot(
+            outward = AutopilotSender(
                 self.flight,
                 hil,
                 self._hear,
@@ -250,7 +260,7 @@ class AutopilotRun:
                 flying.step,
                 self._passage,
             )
-            inward = FromAutopilot(outward, flying.links, patience, lockstep)
+            inward = AutopilotReceiver(outward, flying.links, patience, lockstep)
             loop = LockstepLoop(
                 simulation,
                 outward,
@@ -263,7 +273,7 @@ class AutopilotRun:
             )
             reason = ""
             try:
-                with ahead_of_logs():
+                with real_time_priority():
                     loop.run()
             except FlightOverError as over:
                 reason = str(over)
@@ -293,11 +303,11 @@ class AutopilotRun:
     def edited(self, folder: Path) -> list[str]:
         """What was asked live, for people; not that the schedule began."""
         edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
-        return told_edits(edits, self.flight.core.clock.t0_us or 0)
+        return describe_edits(edits, self.flight.core.clock.t0_us or 0)
 
     def _hear(self, sends: list[Send]) -> None:
         for send in sends:
-            if send.link == GROUND and not of_lockstep(send.data):
+            if send.link == GROUND and not is_lockstep_traffic(send.data):
                 for item in self._parser.push(send.data, datagram=True):
                     if isinstance(item, Frame):
                         self._operator.heard(item)
@@ -316,7 +326,7 @@ class AutopilotRun:
         self._unhurried.hold(t_us, awaiting=self._requests.awaiting)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
-            self._operator_us = t_us + LOOK_US
+            self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first stamp there is no time.
             started = self._start.over
@@ -327,7 +337,7 @@ class AutopilotRun:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
         # Ctrl-C is looked at here as well: between two writes the logs are whole.
-        if self.flight.t_us - self._recorded_us >= RECORD_US:
+        if self.flight.t_us - self._recorded_us >= RECORD_PERIOD_US:
             self._record()
             if self._stop():
                 raise FlightOverError("stopped")
@@ -342,11 +352,11 @@ class AutopilotRun:
         entries = [
             (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
         ]
-        self._loaded = as_yaml(self._schedule.seed, entries)
+        self._loaded = write_schedule(self._schedule.seed, entries)
         text = self._loaded.encode()
         at_us = self._journal.begin(self.flight.now_us)
-        self.flight.control.answer(LOAD, text, at_us)
-        self._journal.note(LOAD, text, at_us)
+        self.flight.control.answer(LOAD_TOPIC, text, at_us)
+        self._journal.note(LOAD_TOPIC, text, at_us)
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us

@@ -10,30 +10,34 @@ from enum import StrEnum
 from typing import Protocol
 
 from analysis.autopilots.flight_plan import FlightPlan, Waypoint
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-HEARTBEAT = known("HEARTBEAT")
+HEARTBEAT = message_layout("HEARTBEAT")
 GROUND_STATION, TYPE_GCS, NO_AUTOPILOT = 255, 6, 8
 COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER
-ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
-AGAIN_US = 1_000_000
-LOOK_US = 40_000  # of the vehicle's time between two looks of the operator
+RETRY_US = 1_000_000
+OPERATOR_PERIOD_US = 40_000  # of the vehicle's time between two looks of the operator
 # Streams that are recorded, and that nobody here reads
-UNREAD = frozenset(
-    known(name).id for name in ("ATTITUDE", "LOCAL_POSITION_NED", "VFR_HUD", "ALTITUDE")
+IGNORED_STREAMS = frozenset(
+    message_layout(name).id for name in ("ATTITUDE", "LOCAL_POSITION_NED", "VFR_HUD", "ALTITUDE")
 )
 # Of a position. PX4's detector of landings needs as long to see that a plane stands: armed before,
 # it takes it to fly, and banks it on the runway.
-SETTLED_US = 10_000_000
-REACHED = 0.9  # of the height, where the take-off is over
-OFF_THE_GROUND_M = 1.0
-KINDS = {1: "fixedwing"} | dict.fromkeys((2, 3, 4, 13, 14, 15), "multirotor")  # by MAV_TYPE_
-LYING_S = 30.0  # on the ground with motors on, after which nothing more will come of a flight
+POSITION_SETTLED_US = 10_000_000
+CLIMB_DONE_SHARE = 0.9  # of the height, where the take-off is over
+TAKEN_OFF_M = 1.0
+VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
+    (2, 3, 4, 13, 14, 15), "multirotor"
+)  # by MAV_TYPE_
+GROUNDED_LIMIT_S = (
+    30.0  # on the ground with motors on, after which nothing more will come of a flight
+)
 
 
-class Requests(Protocol):
+class AutopilotCommands(Protocol):
     """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
 
     @property
@@ -74,7 +78,7 @@ class Phase(StrEnum):
     LANDED = "landed"
 
 
-PATIENCE_S = {  # of the vehicle's time, for phases that the autopilot has to end
+PHASE_TIMEOUTS_S = {  # of the vehicle's time, for phases that the autopilot has to end
     Phase.WAITING: 180.0,
     Phase.UPLOADING: 30.0,
     Phase.ARMING: 60.0,
@@ -97,7 +101,7 @@ class Operator:
         Why the flight did not go on; empty while it does.
     """
 
-    def __init__(self, plan: FlightPlan, requests: Requests) -> None:
+    def __init__(self, plan: FlightPlan, requests: AutopilotCommands) -> None:
         self.phase = Phase.WAITING
         self.moments_us: dict[str, int] = {}
         self.texts: list[tuple[int, str]] = []
@@ -120,10 +124,10 @@ class Operator:
         self._requests.heard(frame)
         name = frame.layout.name
         if name == "HEARTBEAT" and frame.component == 1:
-            self._armed = bool(int(frame.number("base_mode")) & ARMED)
+            self._armed = bool(int(frame.number("base_mode")) & ARMED_FLAG)
             if self._armed:
                 self._note("arming")
-            flown = KINDS.get(int(frame.number("type")), "")
+            flown = VEHICLE_KINDS.get(int(frame.number("type")), "")
             if flown and self._plan.kind not in ("", flown):
                 self.gave_up = (
                     f"the autopilot says it flies a {flown}, the scenario's vehicle is a "
@@ -138,7 +142,7 @@ class Operator:
                 self._positioned_us = self._t_us if positioned else None
         elif name == "GLOBAL_POSITION_INT":
             self._height_m = frame.number("relative_alt") * 1e-3
-            if self._armed and self._height_m > OFF_THE_GROUND_M:
+            if self._armed and self._height_m > TAKEN_OFF_M:
                 self._note("take-off")
         elif name == "MISSION_ACK":
             self._uploaded = frame.number("type") == 0
@@ -162,11 +166,11 @@ class Operator:
             self._aloft_us = t_us
         self._go_on()
         if t_us >= self._again_us and not self.over:
-            self._again_us = t_us + AGAIN_US
+            self._again_us = t_us + RETRY_US
             self._ask()
         frames = self._requests.pending()
         if t_us >= self._hello_us:
-            self._hello_us = t_us + AGAIN_US
+            self._hello_us = t_us + RETRY_US
             frames.append(self._hello())
         return frames
 
@@ -181,23 +185,23 @@ class Operator:
         if self.phase is Phase.CLIMBING and not self._armed:
             self.gave_up = f"disarmed while {self.phase}"
         # Its estimator may be lost: an autopilot that has crashed would fly on for minutes.
-        elif lying_s > LYING_S and not self.over:
-            self.gave_up = f"on the ground for {LYING_S:.0f} s with its motors on"
-        elif waited_s > PATIENCE_S.get(self.phase, float("inf")):
+        elif lying_s > GROUNDED_LIMIT_S and not self.over:
+            self.gave_up = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
+        elif waited_s > PHASE_TIMEOUTS_S.get(self.phase, float("inf")):
             self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
 
     def _done(self) -> bool:
         match self.phase:
             case Phase.WAITING:
                 since_us = self._positioned_us
-                settled = since_us is not None and self._t_us - since_us >= SETTLED_US
+                settled = since_us is not None and self._t_us - since_us >= POSITION_SETTLED_US
                 return settled and self._started
             case Phase.UPLOADING:
                 return self._uploaded or not self._plan.waypoints
             case Phase.ARMING:
                 return self._armed
             case Phase.CLIMBING:
-                return self._height_m > REACHED * self._plan.height_m
+                return self._height_m > CLIMB_DONE_SHARE * self._plan.height_m
             case Phase.FLYING:
                 return self._flown_s() >= self._plan.duration_s
             case Phase.LANDING:
@@ -222,7 +226,7 @@ class Operator:
             requests.upload(plan.waypoints)
         elif self.phase is Phase.ARMING:
             requests.arm()
-        elif self.phase is Phase.CLIMBING and self._height_m < OFF_THE_GROUND_M:
+        elif self.phase is Phase.CLIMBING and self._height_m < TAKEN_OFF_M:
             requests.take_off(plan.height_m)
         elif self.phase is Phase.FLYING and plan.waypoints and self._t_us == self._since_us:
             requests.fly_mission()
@@ -233,7 +237,9 @@ class Operator:
         """A ground station's sign of life."""
         self._seq = (self._seq + 1) & 0xFF
         values = {"type": TYPE_GCS, "autopilot": NO_AUTOPILOT, "mavlink_version": 3}
-        return build(HEARTBEAT, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
+        return build_frame(
+            HEARTBEAT, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT
+        )
 
     def _note(self, moment: str) -> None:
         """Keep the first time of a moment."""

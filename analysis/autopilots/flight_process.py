@@ -16,12 +16,12 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
-WRONG_INPUT = 2
-LAST_LINES = 3
-RUN = "run"  # the run folder within a flight's own
+EXIT_WRONG_INPUT = 2
+ERROR_LINES = 3
+RUN_FOLDER = "run"  # the run folder within a flight's own
 
 
-def fly_in_process(
+def run_flight_process(
     subject: str, run: Sequence[str], schedule: dict[str, Any], folder: Path, *, kept: bool
 ) -> Path:
     """Fly `mavproxy-fault run` with the words `run` and the faults of a schedule, its logs in
@@ -33,7 +33,7 @@ def fly_in_process(
         If the command refuses the scenario or the autopilot, or leaves no result.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    flown = folder / RUN
+    flown = folder / RUN_FOLDER
     faults = folder / "schedule.yaml"
     faults.write_text(write_yaml(schedule))
     words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
@@ -48,9 +48,9 @@ def fly_in_process(
         check=False,
         preexec_fn=_end_with_parent,
     )
-    if done.returncode == WRONG_INPUT or not (flown / "summary.json").is_file():
+    if done.returncode == EXIT_WRONG_INPUT or not (flown / "summary.json").is_file():
         # Its last lines say why.
-        last = done.stderr.strip().splitlines()[-LAST_LINES:]
+        last = done.stderr.strip().splitlines()[-ERROR_LINES:]
         raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
     return flown
 

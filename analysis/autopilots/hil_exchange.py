@@ -12,26 +12,26 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
-from analysis.autopilots.flight_operator import UNREAD
-from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, Flight, is_hil
+from analysis.autopilots.flight_operator import IGNORED_STREAMS
+from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, ProxiedFlight, is_hil_frame
 from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.wire.dialect import known, layout
+from mavproxy_fault.wire.dialect import find_layout, message_layout
 from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
 from mavproxy_fault.wire.parser import Parser
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
-Hear = Callable[[list[Send]], None]  # what leaves for monitor and ground station
-STAMP = slice(10, 18)  # time_usec, of every message that steps are answered by
-ANSWER = known("HIL_ACTUATOR_CONTROLS")
-ANSWER_ID = ANSWER.id.to_bytes(3, "little")
-FOR_SIMULATOR = {ANSWER.id, known("TUNNEL").id}
+SendListener = Callable[[list[Send]], None]  # what leaves for monitor and ground station
+STAMP_BYTES = slice(10, 18)  # time_usec, of every message that steps are answered by
+STEP_REPLY = message_layout("HIL_ACTUATOR_CONTROLS")
+STEP_REPLY_ID = STEP_REPLY.id.to_bytes(3, "little")
+SIMULATOR_MESSAGES = {STEP_REPLY.id, message_layout("TUNNEL").id}
 
 
 class StepMessage(NamedTuple):
@@ -45,22 +45,22 @@ PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR; the id is its last byte, and cut 
 BRIDGE_STEP = StepMessage(115, 256)  # HIL_STATE_QUATERNION
 
 
-def of_answer(data: bytes) -> bool:
+def is_step_reply(data: bytes) -> bool:
     """Whether a frame is an autopilot's answer to a step."""
-    return data[0] == STX_V2 and data[7:10] == ANSWER_ID
+    return data[0] == STX_V2 and data[7:10] == STEP_REPLY_ID
 
 
-def of_lone_answer(data: bytes) -> bool:
+def is_single_step_reply(data: bytes) -> bool:
     """Whether whole frames are one alone, an answer to a step."""
-    return of_answer(data) and len(data) == HEADER_V2 + data[1] + CRC_LENGTH
+    return is_step_reply(data) and len(data) == HEADER_V2 + data[1] + CRC_LENGTH
 
 
-def of_lockstep(data: bytes) -> bool:
+def is_lockstep_traffic(data: bytes) -> bool:
     """Whether a frame is of the HIL link's own traffic, which no ground station needs."""
-    return is_hil(data) or of_answer(data)
+    return is_hil_frame(data) or is_step_reply(data)
 
 
-class ToAutopilot:
+class AutopilotSender:
     """The loop's packer: frames as they leave the proxy.
 
     Parameters
@@ -89,9 +89,9 @@ class ToAutopilot:
 
     def __init__(
         self,
-        flight: Flight,
-        packer: Hil,
-        hear: Hear,
+        flight: ProxiedFlight,
+        packer: HilPacker,
+        hear: SendListener,
         commands: Callable[[], list[bytes]] = list,
         telemetry: Link | None = None,
         step: StepMessage = PX4_STEP,
@@ -134,7 +134,7 @@ class ToAutopilot:
                     self._note_step(passed.data)
             return out
         for raw in split(data):
-            self._sort(self.flight.core.received_frame(SIMULATOR, packed_frame(raw), now_us), out)
+            self._sort(self.flight.core.received_frame(SIMULATOR, trusted_frame(raw), now_us), out)
         return out
 
     def stepped(self, step_us: int) -> None:
@@ -195,7 +195,7 @@ class ToAutopilot:
             self.unheard.append(send)
         elif origin is None or send.data is not origin.raw:
             returned += self._decoded(send)
-        elif origin.id in FOR_SIMULATOR:
+        elif origin.id in SIMULATOR_MESSAGES:
             returned.append(origin)
 
     def hear_all(self) -> None:
@@ -208,11 +208,11 @@ class ToAutopilot:
     def _decoded(self, send: Send) -> list[Frame]:
         """What left for the simulator and means something to it."""
         items = self._parser.push(send.data, datagram=True)
-        return [item for item in items if isinstance(item, Frame) and item.id in FOR_SIMULATOR]
+        return [item for item in items if isinstance(item, Frame) and item.id in SIMULATOR_MESSAGES]
 
     def _leave(self, data: bytes, out: list[bytes]) -> None:
         """To the HIL link with the step, or at once to where telemetry comes from."""
-        if self._telemetry is not None and not is_hil(data):
+        if self._telemetry is not None and not is_hil_frame(data):
             self._telemetry.write(data)
             return
         out.append(data)
@@ -225,23 +225,23 @@ class ToAutopilot:
         at, end = 0, len(data) - HEADER_V2
         while at < end:
             if data[at + 7] == number and data[at + 1] < below_bytes:
-                self.step_us = int.from_bytes(data[at:][STAMP], "little")
+                self.step_us = int.from_bytes(data[at:][STAMP_BYTES], "little")
             at += HEADER_V2 + data[at + 1] + CRC_LENGTH
 
 
-def number_of(raw: bytes) -> int:
+def frame_message_id(raw: bytes) -> int:
     """The number of a frame's message."""
     return int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
 
 
-def packed_frame(raw: bytes) -> Frame:
+def trusted_frame(raw: bytes) -> Frame:
     """A frame that nobody has to verify: the packer's, or one that was verified."""
-    described = layout(number_of(raw))
+    described = find_layout(frame_message_id(raw))
     assert described is not None
     return Frame(raw, described)
 
 
-class Ending(Protocol):
+class WaitableProcess(Protocol):
     """What is asked of a program; `subprocess.Popen` is one."""
 
     def poll(self) -> int | None:
@@ -251,10 +251,10 @@ class Ending(Protocol):
         """Its exit code; TimeoutExpired where it does not end in time."""
 
 
-class Patience:
+class ConnectionDeadline:
     """Gives up where no autopilot comes; one that came and went is the loop's to tell."""
 
-    def __init__(self, link: Link, process: Ending | None, seconds: float) -> None:
+    def __init__(self, link: Link, process: WaitableProcess | None, seconds: float) -> None:
         self._came = False
         self._link, self._process, self._seconds = link, process, seconds
         self._deadline = time.monotonic() + seconds
@@ -276,14 +276,18 @@ class Patience:
             )
 
 
-class FromAutopilot:
+class AutopilotReceiver:
     """The loop's inbox: what the autopilot says, on the HIL link and on its telemetry.
 
     An answer frees the step when it comes, whatever a fault does to it then.
     """
 
     def __init__(
-        self, outward: ToAutopilot, links: Sequence[Link], patience: Patience, lockstep: Lockstep
+        self,
+        outward: AutopilotSender,
+        links: Sequence[Link],
+        patience: ConnectionDeadline,
+        lockstep: Lockstep,
     ) -> None:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
@@ -336,20 +340,24 @@ class FromAutopilot:
 
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Frames that came and left together: `data` is what they were before."""
-        if data == passed.data and passed.links >> SIMULATOR & 1 and of_lone_answer(data):
-            found.append(Frame(data, ANSWER))  # which frees the step where it is received
+        if data == passed.data and passed.links >> SIMULATOR & 1 and is_single_step_reply(data):
+            found.append(Frame(data, STEP_REPLY))  # which frees the step where it is received
             return
         at, now_us = 0, self._outward.flight.now_us
         for raw in split(passed.data):
-            if of_answer(raw):
+            if is_step_reply(raw):
                 # As it came: a fault may have set another stamp.
-                self._answered(packed_frame(data[at : at + len(raw)]))
+                self._answered(trusted_frame(data[at : at + len(raw)]))
             at += len(raw)
-            if passed.links >> SIMULATOR & 1 and number_of(raw) in FOR_SIMULATOR:
-                found.append(packed_frame(raw))
-            if passed.links >> GROUND & 1 and number_of(raw) not in UNREAD and not of_lockstep(raw):
+            if passed.links >> SIMULATOR & 1 and frame_message_id(raw) in SIMULATOR_MESSAGES:
+                found.append(trusted_frame(raw))
+            if (
+                passed.links >> GROUND & 1
+                and frame_message_id(raw) not in IGNORED_STREAMS
+                and not is_lockstep_traffic(raw)
+            ):
                 self._outward.unheard.append(Send(GROUND, raw, now_us))
 
     def _answered(self, frame: Frame) -> None:
-        if frame.layout is ANSWER:
+        if frame.layout is STEP_REPLY:
             self._lockstep.received(int(frame.number("time_usec")), time.monotonic())

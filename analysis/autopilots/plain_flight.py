@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 
 from analysis.autopilots import stretch_kernel as s
-from analysis.autopilots.flight_operator import LOOK_US
-from analysis.autopilots.hil_exchange import FromAutopilot, ToAutopilot
+from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US
+from analysis.autopilots.hil_exchange import AutopilotReceiver, AutopilotSender
 from analysis.run.proxied_flight import SIMULATOR, VEHICLE
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.links.tcp import TcpServer
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_steps import PlainSteps, can_be_plain
@@ -22,7 +22,7 @@ from simvehicle.vehicles.body import Controls, Truth
 class PlainFlight:
     """The loop's plain steps behind the proxy; `outward` and `inward` take every other one."""
 
-    def __init__(self, simulation: Simulation, hil: Hil, passage: Passage) -> None:
+    def __init__(self, simulation: Simulation, hil: HilPacker, passage: Passage) -> None:
         self._steps = PlainSteps(simulation, hil)
         self._simulation, self._passage = simulation, passage
         self._due_us: int | None = None  # when the core has something to send by itself
@@ -38,7 +38,7 @@ class PlainFlight:
         # Without a step to fly: where machine code has to be made, no autopilot waits yet.
         s.stretch(self._steps.arrays, self._stretch)
 
-    def join(self, outward: ToAutopilot, inward: FromAutopilot, lockstep: Lockstep) -> bool:
+    def join(self, outward: AutopilotSender, inward: AutopilotReceiver, lockstep: Lockstep) -> bool:
         """Take one's place between these; False where the link is none for plain steps."""
         if not isinstance(inward.link, TcpServer):
             return False
@@ -54,7 +54,7 @@ class PlainFlight:
         words[s.STEP_US] = self._outward.step_us
         until_us, left = self._steps.take()
         while left > 0 and self._open():
-            words[s.UNTIL_US] = min(until_us, self._simulation.truth.t_us + LOOK_US + 1)
+            words[s.UNTIL_US] = min(until_us, self._simulation.truth.t_us + OPERATOR_PERIOD_US + 1)
             if self._due_us is not None:
                 words[s.UNTIL_US] = min(words[s.UNTIL_US], self._due_us - words[s.START_US])
             words[s.LEFT], words[s.STEPS] = left, 0
@@ -117,7 +117,9 @@ class PlainFlight:
         return False
 
 
-def plain_flight(simulation: Simulation, hil: Hil, passage: Passage | None) -> PlainFlight | None:
+def plain_flight(
+    simulation: Simulation, hil: HilPacker, passage: Passage | None
+) -> PlainFlight | None:
     """The plain steps of a flight, where it has any."""
     if passage is None or not can_be_plain(simulation):
         return None

@@ -14,12 +14,12 @@ from numba.extending import intrinsic
 
 from mavproxy_fault.compiled import layout as c
 from mavproxy_fault.numerics.compile import compiled, inlined, unlocked
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import STX_V2
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_arrays import Integers, Octets, Plain
 from simvehicle.plain.step_kernel import command, look_ahead, step
-from simvehicle.vehicles.actuators import ARMED, CHANNELS
+from simvehicle.vehicles.actuators import ARMED_FLAG, CHANNEL_COUNT
 
 # Entries of `words`; the last two are numbers of links
 (FD, UNTIL_US, LEFT, STEP_US, START_US, FORWARD, ADDRESSES, GOT, WENT, STEPS, BYTES_IN,
@@ -31,7 +31,7 @@ WAIT_MS = 50  # for an answer, before the loop has a look at its time-outs
 ROOM = 32_768
 DONTWAIT, NOSIGNAL, POLLIN = 0x40, 0x4000, 1
 
-HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
+HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 _ANSWER = HIL_ACTUATOR_CONTROLS.id
 _HEAD, _CRC = 10, 2
 _STAMP, _CHANNELS, _MODE, _SIZE = 0, 16, 80, 81  # places in its payload
@@ -101,8 +101,8 @@ def _answers(s: Stretch) -> bool:
 @compiled
 def _obey(p: Plain, payload: Octets) -> None:
     """Take over what an answer's payload (81,) commands."""
-    p.words[k.ARMED] = payload[_MODE] & ARMED
-    command(p, payload[_CHANNELS : _CHANNELS + 4 * CHANNELS].view(np.float32))
+    p.words[k.ARMED] = payload[_MODE] & ARMED_FLAG
+    command(p, payload[_CHANNELS : _CHANNELS + 4 * CHANNEL_COUNT].view(np.float32))
 
 
 @compiled

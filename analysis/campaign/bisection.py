@@ -14,7 +14,7 @@ HALVINGS = 6
 
 
 @dataclass(frozen=True)
-class Critical:
+class CriticalMagnitude:
     """`magnitude` is the smallest found that is worse, `harmless` the largest below it that is not.
 
     Without `magnitude` the whole interval is harmless; without `harmless` all of it is worse.
@@ -25,13 +25,13 @@ class Critical:
     flights: int
 
 
-def bisect(interval: Magnitudes) -> Generator[float, bool, Critical]:
+def bisect_magnitude(interval: Magnitudes) -> Generator[float, bool, CriticalMagnitude]:
     """Yields magnitudes to fly and is sent whether each was worse."""
     # The upper end first: where it does no harm, one flight answers the question.
     if not (yield interval.high):
-        return Critical(None, interval.high, 1)
+        return CriticalMagnitude(None, interval.high, 1)
     if (yield interval.low):
-        return Critical(interval.low, None, 2)
+        return CriticalMagnitude(interval.low, None, 2)
     # Shares of the way and not magnitudes: the spacing may be logarithmic.
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
@@ -40,4 +40,4 @@ def bisect(interval: Magnitudes) -> Generator[float, bool, Critical]:
             high = middle
         else:
             low = middle
-    return Critical(interval.between(high), interval.between(low), HALVINGS + 2)
+    return CriticalMagnitude(interval.between(high), interval.between(low), HALVINGS + 2)

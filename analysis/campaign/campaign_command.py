@@ -5,19 +5,21 @@ import os
 from pathlib import Path
 
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
-from analysis.campaign.campaign_fleet import fleet_of
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import CampaignRun
 from analysis.campaign.cell import CellResult
-from analysis.campaign.ledger import Ledger
-from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_progress import CampaignProgress
 from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.live_heat_map import LiveHeatMap
 from analysis.campaign.results.outcome_table import print_outcomes
+from analysis.campaign.results_store import ResultsStore
+from analysis.campaign.worker_pool import open_worker_pool
 from mavproxy_fault.documents.errors import ConfigError
 
 # Rough: they only say whether it takes minutes or days.
-SPEED = 15.0  # simulated seconds a worker flies in one of wall time, before anything is known
+SIMULATOR_SPEED = (
+    15.0  # simulated seconds a worker flies in one of wall time, before anything is known
+)
 LANE_SPEED = 20_000.0
 # Of an autopilot, with its start, take-off and landing: 26 s of PX4 took 13 s, of ArduCopter 27 s.
 AUTOPILOT_SPEED = 1.0
@@ -45,24 +47,24 @@ def main(args: argparse.Namespace) -> int:
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
-    plan = Plan(campaign, keep)
+    plan = CampaignPlan(campaign, keep)
     # Before anything flies: with `--dry-run` this is the whole answer.
-    print(size_of(plan, workers), flush=True)
+    print(describe_size(plan, workers), flush=True)
     if args.dry_run:
         return 0
-    fly(plan, folder, workers, args.ray)
+    run_campaign(plan, folder, workers, args.ray)
     if args.dataset:
-        from analysis.campaign.results.data_set import export
+        from analysis.campaign.results.data_set import export_data_set
 
-        export(folder, Path(args.dataset))
+        export_data_set(folder, Path(args.dataset))
     return 0
 
 
-def fly(plan: Plan, folder: Path, workers: int, ray_address: str | None) -> None:
+def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> None:
     """Fly what is missing, then write and print what is known; also after Ctrl-C."""
     campaign = plan.campaign
-    ledger = Ledger(folder, campaign)
-    fleet = fleet_of(workers, ray_address, campaign.flight_limit_s)
+    ledger = ResultsStore(folder, campaign)
+    fleet = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
     try:
         with CampaignProgress(plan.most_cells, len(ledger.results)) as progress:
             heat_map = LiveHeatMap(folder, plan)
@@ -89,23 +91,23 @@ def new_folder(parent: Path, name: str) -> Path:
     return parent / f"campaign-{name}-{number}"
 
 
-def size_of(plan: Plan, workers: int) -> str:
+def describe_size(plan: CampaignPlan, workers: int) -> str:
     """What is about to be flown, and how long that may take."""
     campaign: CampaignFile = plan.campaign
     # Twins are flights too, but no cells.
     flights, cells = plan.most_flights + len(plan.twins()), plan.most_cells
-    speed = LANE_SPEED if campaign.compiled else SPEED
+    speed = LANE_SPEED if campaign.compiled else SIMULATOR_SPEED
     if any(map(campaign.autopilot, campaign.subject_names)):
         speed = AUTOPILOT_SPEED
     wall_s = flights * plan.flight_s / speed / workers
     most = "at most " if campaign.find == "critical" else ""
     return (
         f"{campaign.name}: {most}{cells} cells in {flights} flights of {plan.flight_s:g} s, "
-        f"some {duration(wall_s)} on {workers} workers"
+        f"some {format_duration(wall_s)} on {workers} workers"
     )
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     if seconds < 90.0:
         return f"{max(1, round(seconds))} s"

@@ -7,15 +7,15 @@ from typing import Any, Literal
 
 import msgspec
 
-from analysis.autopilots.own_parameters import read_parameters
+from analysis.autopilots.user_parameters import read_parameters
 from analysis.campaign.cell import MONITOR
-from analysis.campaign.outcomes import Limits
-from analysis.estimators import names
+from analysis.campaign.outcomes import OutcomeLimits
+from analysis.estimators import estimator_names
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
-from mavproxy_fault.documents.document_kind import refuse_others
+from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
 
@@ -154,7 +154,7 @@ class CampaignFile(_Section, frozen=True):
     durations_s: tuple[float, ...] = (10.0,)
     seeds: tuple[int, ...] = (1,)
     find: Literal["outcomes", "critical"] = "outcomes"
-    limits: Limits = Limits()
+    limits: OutcomeLimits = OutcomeLimits()
     keep: Literal["none", "interesting", "all"] = "none"
     flight_limit_s: float = 600.0
     folder: str = "."
@@ -228,7 +228,7 @@ def read_campaign(path: Path | str) -> CampaignFile:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
-    refuse_others(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
+    refuse_other_kinds(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
     # Scenarios lie beside the campaign's file.
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
@@ -239,11 +239,11 @@ def read_campaign(path: Path | str) -> CampaignFile:
     for i, scenario in enumerate(campaign.scenarios):
         if isinstance(scenario, CompiledScenario):
             decode(document, TestFile, ("scenarios", i, "compiled"))
-    known = [MONITOR, *names()]
+    known = [MONITOR, *estimator_names()]
     check = DocumentCheck(document.where, document.lines)
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:
-            check.wrong(("subjects", i), f"= {subject} is unknown; {near(subject, known)}")
+            check.wrong(("subjects", i), f"= {subject} is unknown; {suggest_known(subject, known)}")
         elif not isinstance(subject, str) and subject.parameters:
             # Before the first flight: each would end for the same reason.
             read_parameters(str(Path(campaign.folder) / subject.parameters))

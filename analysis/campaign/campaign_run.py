@@ -3,24 +3,24 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from analysis.campaign.campaign_fleet import Fleet
-from analysis.campaign.cell import CellResult, Flown
-from analysis.campaign.flying.flight_job import Answer
-from analysis.campaign.ledger import Ledger
-from analysis.campaign.plan import Plan, Thread
+from analysis.campaign.campaign_plan import CampaignPlan, JobSequence
+from analysis.campaign.cell import CampaignFlight, CellResult
+from analysis.campaign.flying.flight_job import JobAnswer
+from analysis.campaign.results_store import ResultsStore
+from analysis.campaign.worker_pool import WorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
-Progress = Callable[[list[CellResult]], None]
+ProgressCallback = Callable[[list[CellResult]], None]
 
 
 @dataclass
 class CampaignRun:
     """Flies a plan with a fleet into a ledger; `progress` is shown each job's results."""
 
-    plan: Plan
-    fleet: Fleet
-    ledger: Ledger
-    progress: Progress
+    plan: CampaignPlan
+    fleet: WorkerPool
+    ledger: ResultsStore
+    progress: ProgressCallback
 
     def fly(self) -> None:
         """Fly all that the ledger does not know yet.
@@ -32,7 +32,7 @@ class CampaignRun:
         """
         self._twins()
         todo = self.plan.threads(self.ledger.results, self.ledger.twins)
-        in_air: dict[int, Thread] = {}
+        in_air: dict[int, JobSequence] = {}
         count = 0
         while True:
             while len(in_air) < self.fleet.capacity and (thread := next(todo, None)) is not None:
@@ -53,7 +53,7 @@ class CampaignRun:
             in_air[count] = thread
             self.fleet.start(count, job)
 
-    def _begin(self, thread: Thread, count: int, in_air: dict[int, Thread]) -> int:
+    def _begin(self, thread: JobSequence, count: int, in_air: dict[int, JobSequence]) -> int:
         """Start a thread's first job; how many were started (0 if all of it is known)."""
         job = next(thread, None)
         if job is None:
@@ -74,10 +74,10 @@ class CampaignRun:
                 in_air[number] = key
                 self.fleet.start(number, jobs[key])
             number, answer = self.fleet.finished()
-            self.ledger.add_twin(in_air.pop(number), twin_of(answer))
+            self.ledger.add_twin(in_air.pop(number), reference_flight_of(answer))
 
 
-def twin_of(answer: Answer) -> Flown:
+def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
     """The flight of an answer to a twin's job.
 
     Raises

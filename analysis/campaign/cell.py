@@ -65,7 +65,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float = 0.0
 
 
-class Mark(msgspec.Struct, frozen=True):
+class FlightMark(msgspec.Struct, frozen=True):
     """Something that happened: `kind` is detected, failsafe, landed, lost or crashed."""
 
     t_s: float
@@ -73,7 +73,7 @@ class Mark(msgspec.Struct, frozen=True):
     text: str = ""
 
 
-class Curve(msgspec.Struct, frozen=True):
+class EvidenceCurve(msgspec.Struct, frozen=True):
     """Samples of one quantity over the flight."""
 
     t_s: list[float]
@@ -83,15 +83,15 @@ class Curve(msgspec.Struct, frozen=True):
 class Evidence(msgspec.Struct, frozen=True):
     """What a flight showed of a subject: curves by name, and marks in order of time."""
 
-    curves: dict[str, Curve] = {}
-    marks: list[Mark] = []
+    curves: dict[str, EvidenceCurve] = {}
+    marks: list[FlightMark] = []
 
 
 ATTITUDE, POSITION = "attitude error, deg", "position error, m"
 PATH = ("north, m", "east, m", "up, m")  # curves of where the vehicle truly was
 
 
-class Verdict(msgspec.Struct, frozen=True):
+class CellVerdict(msgspec.Struct, frozen=True):
     """What the monitor made of a flight's fault: the word, whom it blamed, after how long."""
 
     word: str = ""
@@ -99,18 +99,18 @@ class Verdict(msgspec.Struct, frozen=True):
     delay_s: float | None = None
 
 
-def verdict_of(faults: Sequence[Mapping[str, Any]]) -> Verdict:
+def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
     """The monitor's verdict from the `faults` of a summary; of a preset's parts the first found."""
     if not faults:
-        return Verdict()
+        return CellVerdict()
     found = [fault for fault in faults if fault["delay_s"] is not None]
     first = min(found, key=lambda fault: fault["delay_s"]) if found else faults[0]
     # Somebody may have been blamed several times.
     blamed = dict.fromkeys([*first["isolated"], *(blame["who"] for blame in first["wrongly"])])
-    return Verdict(first["verdict"], ", ".join(blamed), first["delay_s"])
+    return CellVerdict(first["verdict"], ", ".join(blamed), first["delay_s"])
 
 
-class Flown(msgspec.Struct, frozen=True):
+class CampaignFlight(msgspec.Struct, frozen=True):
     """A flight that is over: evidence by subject, when each phase began, and how long it took."""
 
     evidence: dict[str, Evidence]
@@ -118,10 +118,10 @@ class Flown(msgspec.Struct, frozen=True):
     duration_s: float = 0.0
     wall_s: float = 0.0
     folder: str = ""
-    verdict: Verdict = Verdict()
+    verdict: CellVerdict = CellVerdict()
 
 
-def key_of(*parts: Any) -> str:
+def file_key(*parts: Any) -> str:
     """A name for a file, made of parts."""
     # Keys hold bars and slashes, which no file's name should.
     return "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in str(p)) for p in parts)

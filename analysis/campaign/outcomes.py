@@ -10,15 +10,24 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import ATTITUDE, PATH, POSITION, Cell, CellResult, Curve, Evidence, Mark
+from analysis.campaign.cell import (
+    ATTITUDE,
+    PATH,
+    POSITION,
+    Cell,
+    CellResult,
+    Evidence,
+    EvidenceCurve,
+    FlightMark,
+)
 
 RANKS = ("unaffected", "detected", "degraded", "failsafe", "landed", "lost", "crashed")
 ABORTED = "aborted"  # the flight could not be made; it says nothing of the subject
-SAME_S = 1.0  # a mark of the twin within so much of one of the flight's is the same event
+SAME_EVENT_S = 1.0  # a mark of the twin within so much of one of the flight's is the same event
 Vector = NDArray[np.float64]
 
 
-class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """From where an excursion counts.
 
     Beyond `attitude_deg` or `position_m` a flight is degraded, beyond `lost_deg` or `lost_m` it is
@@ -42,22 +51,26 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def worse(self, outcome: str) -> bool:
         """Whether an outcome is at least as bad as `worse_from`."""
-        return rank(outcome) >= rank(self.worse_from)
+        return outcome_rank(outcome) >= outcome_rank(self.worse_from)
 
 
-def rank(outcome: str) -> int:
+def outcome_rank(outcome: str) -> int:
     """0 for unaffected, more for worse; -1 for a flight that could not be made."""
     return RANKS.index(outcome) if outcome in RANKS else -1
 
 
-def judged(
-    cell: Cell, onset_s: float, flight: Evidence, twin: Evidence, limits: Limits
+def classify_flight(
+    cell: Cell, onset_s: float, flight: Evidence, twin: Evidence, limits: OutcomeLimits
 ) -> CellResult:
     """The outcome of a cell from what its flight and its twin showed."""
-    angle = excursion(flight, twin, ATTITUDE, onset_s)
+    angle = error_excursion(flight, twin, ATTITUDE, onset_s)
     flown = PATH[0] in flight.curves
     # By its place where that is known; an estimator moves nothing and is judged by its error.
-    place = off_path(flight, twin, onset_s) if flown else excursion(flight, twin, POSITION, onset_s)
+    place = (
+        path_excursion(flight, twin, onset_s)
+        if flown
+        else error_excursion(flight, twin, POSITION, onset_s)
+    )
     excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
     # What the healthy twin shows too is not the fault's doing.
     new = new_marks(flight.marks, twin.marks, onset_s)
@@ -85,7 +98,9 @@ def judged(
     )
 
 
-def outcome_of(excursion_deg: float, excursion_m: float, kinds: set[str], limits: Limits) -> str:
+def outcome_of(
+    excursion_deg: float, excursion_m: float, kinds: set[str], limits: OutcomeLimits
+) -> str:
     """The worst that happened."""
     # Marks of a kind that is itself an outcome.
     happened = kinds & set(RANKS)
@@ -94,10 +109,12 @@ def outcome_of(excursion_deg: float, excursion_m: float, kinds: set[str], limits
     if excursion_deg > limits.lost_deg or excursion_m > limits.lost_m:
         happened.add("lost")
     # Nothing happened, or only what has no rank.
-    return max(happened, key=rank, default="unaffected")
+    return max(happened, key=outcome_rank, default="unaffected")
 
 
-def excursion(flight: Evidence, twin: Evidence, name: str, onset_s: float) -> tuple[Vector, Vector]:
+def error_excursion(
+    flight: Evidence, twin: Evidence, name: str, onset_s: float
+) -> tuple[Vector, Vector]:
     """Times (n,) [s] from the onset on, and the curve beyond the twin's (n,); empty without it."""
     if name not in flight.curves or name not in twin.curves:
         return np.empty(0), np.empty(0)
@@ -111,13 +128,13 @@ def excursion(flight: Evidence, twin: Evidence, name: str, onset_s: float) -> tu
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)
 
 
-def off_path(flight: Evidence, twin: Evidence, onset_s: float) -> tuple[Vector, Vector]:
+def path_excursion(flight: Evidence, twin: Evidence, onset_s: float) -> tuple[Vector, Vector]:
     """Times (n,) [s], and how far the vehicle was from where its twin was at that time (n,) [m]."""
-    axes = [excursion(flight, twin, name, onset_s) for name in PATH]
+    axes = [error_excursion(flight, twin, name, onset_s) for name in PATH]
     return axes[0][0], np.linalg.norm([difference for _, difference in axes], axis=0)
 
 
-def _arrays(curve: Curve) -> tuple[Vector, Vector]:
+def _arrays(curve: EvidenceCurve) -> tuple[Vector, Vector]:
     return np.array(curve.t_s), np.array(curve.value)
 
 
@@ -134,13 +151,15 @@ def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> floa
     return max(0.0, float(t_s[outside[-1] + 1]) - ends_s)
 
 
-def new_marks(flight: Sequence[Mark], twin: Sequence[Mark], onset_s: float) -> list[Mark]:
+def new_marks(
+    flight: Sequence[FlightMark], twin: Sequence[FlightMark], onset_s: float
+) -> list[FlightMark]:
     """The marks from the onset on that the twin does not show at the same time."""
 
-    def known(mark: Mark) -> bool:
+    def known(mark: FlightMark) -> bool:
         return any(
             (other.kind, other.text) == (mark.kind, mark.text)
-            and abs(other.t_s - mark.t_s) <= SAME_S
+            and abs(other.t_s - mark.t_s) <= SAME_EVENT_S
             for other in twin
         )
 

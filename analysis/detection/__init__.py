@@ -1,6 +1,6 @@
 """Detection and isolation of faults on pseudoranges; docs/fdi.md has the equations."""
 
-from analysis.detection.detection_config import DetectorConfig, Noise, SigmaModel
+from analysis.detection.detection_config import DetectorConfig, ProcessNoise, SigmaModel
 from analysis.detection.detector import Detector
 
-__all__ = ["Detector", "DetectorConfig", "Noise", "SigmaModel"]
+__all__ = ["Detector", "DetectorConfig", "ProcessNoise", "SigmaModel"]

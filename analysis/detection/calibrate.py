@@ -19,22 +19,22 @@ from scipy.special import chdtri
 
 from analysis.detection.detection_config import DetectorConfig, SigmaModel
 from analysis.detection.detector import Detector
-from analysis.detection.detector_state import State
-from analysis.detection.filter.measurement import model, observe
+from analysis.detection.detector_state import DetectorState
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import Epoch, Sample, Vector
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document, write_yaml
 
-EPOCHS_MIN = 20
-FLOOR_M = 0.05
-NEVER = 1e-100  # a false-alarm probability
-OUTLIER = 5.0  # residuals beyond this many sigma are no noise
+LEAST_EPOCHS = 20
+LEAST_FLOOR_M = 0.05
+NEGLIGIBLE_P = 1e-100  # a false-alarm probability
+OUTLIER_SIGMAS = 5.0  # residuals beyond this many sigma are no noise
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class SigmaCalibration:
     """A sigma model and what it was made from."""
 
     sigma: SigmaModel
@@ -42,7 +42,7 @@ class Calibration:
     chi_square_per_dof: float
 
 
-def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
+def calibrate_sigma(samples: Iterable[Sample], config: DetectorConfig) -> SigmaCalibration:
     """Fit the sigma model to a recording without faults.
 
     Raises
@@ -54,9 +54,9 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
     # What the recording is fitted with remembers nothing; `slow` is put back at the end.
     wanted, config = config, _memoryless(config)
     rows, decisions, rates = _pass(kept, config)
-    if len(decisions) < EPOCHS_MIN:
+    if len(decisions) < LEAST_EPOCHS:
         raise ConfigError(
-            f"calibrate: {len(decisions)} epochs can be tested; at least {EPOCHS_MIN} are needed"
+            f"calibrate: {len(decisions)} epochs can be tested; at least {LEAST_EPOCHS} are needed"
         )
     shaped = _shape(rows, config.sigma)
     # The second pass weighs with the fitted shape: only a scale is left to find.
@@ -72,12 +72,14 @@ def calibrate(samples: Iterable[Sample], config: DetectorConfig) -> Calibration:
         # A floor: no receiver's rates are better than that for long.
         scaled = replace(scaled, rate_mps=max(config.sigma.rate_mps * factor, 0.02))
     _, decisions, _ = _pass(kept, replace(config, sigma=scaled))
-    return Calibration(replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions))
+    return SigmaCalibration(
+        replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions)
+    )
 
 
 def _memoryless(config: DetectorConfig) -> DetectorConfig:
     """The configuration without tests that have a memory, which is what they would remember."""
-    return replace(config, p_slow=NEVER, sigma=replace(config.sigma, slow=0.0))
+    return replace(config, p_slow=NEGLIGIBLE_P, sigma=replace(config.sigma, slow=0.0))
 
 
 def _per_dof(decisions: list[Decision]) -> float:
@@ -105,16 +107,16 @@ def _pass(
     return rows, decisions, rates
 
 
-def _residuals(epoch: Epoch, state: State, config: DetectorConfig) -> Vector:
+def _residuals(epoch: Epoch, state: DetectorState, config: DetectorConfig) -> Vector:
     core = state.core
-    observed = observe(epoch, core.chosen) if core.chosen is not None else None
+    observed = observe_epoch(epoch, core.chosen) if core.chosen is not None else None
     if observed is None or core.motion is None:
         return np.empty((3, 0))
-    modelled = model(observed, core.motion.x, config.sigma, core.ionosphere)
+    modelled = predict_innovations(observed, core.motion.x, config.sigma, core.ionosphere)
     # Satellites that were excluded are no noise either.
     keep = np.array([name not in core.excluded for name in observed.satellites])
     keep &= modelled.elevation_rad >= np.radians(config.mask_deg)
-    keep &= np.abs(modelled.v_m) < OUTLIER * np.sqrt(modelled.variance)
+    keep &= np.abs(modelled.v_m) < OUTLIER_SIGMAS * np.sqrt(modelled.variance)
     return np.array([modelled.v_m[keep], modelled.elevation_rad[keep], observed.cn0_dbhz[keep]])
 
 
@@ -140,7 +142,7 @@ def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
         before,
         scale=1.0,
         # A floor of zero would trust a strong satellite in the zenith without limit.
-        floor_m=max(float(floor), FLOOR_M),
+        floor_m=max(float(floor), LEAST_FLOOR_M),
         zenith_m=float(zenith),
         thermal_m=float(thermal),
     )
@@ -152,7 +154,7 @@ class SigmaFile(msgspec.Struct, frozen=True):
     sigma: SigmaModel
 
 
-def write_sigma(path: Path, calibration: Calibration) -> None:
+def write_sigma(path: Path, calibration: SigmaCalibration) -> None:
     """The sigma model as YAML, as the `sigma` of a monitor's configuration."""
     numbers = msgspec.structs.asdict(calibration.sigma).items()
     # Four digits: what a recording can tell.

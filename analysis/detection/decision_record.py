@@ -5,22 +5,22 @@ from collections.abc import Iterable
 from typing import Any
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core
-from analysis.detection.epoch_outcome import Outcome, shown
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.initial_fix import Start
-from analysis.detection.filter.measurement import Observed
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.epoch_outcome import EpochOutcome, reported_hypothesis
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.initial_fix import InitialFix
+from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
-from analysis.detection.isolation.chi_square import chi_square, p_value
-from analysis.detection.isolation.whole_receiver import FOLLOWED, LEAPT
-from analysis.detection.protection import WORST_M, Bounds, assumed
-from analysis.detection.streams.pause_watch import IMU_SILENT
+from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.isolation.chi_square import chi_square_threshold, p_value
+from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
+from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import Epoch
 
 
-def decision(
-    epoch: Epoch, outcome: Outcome, core: Core, late: bool, config: DetectorConfig
+def build_decision(
+    epoch: Epoch, outcome: EpochOutcome, core: DetectorCore, late: bool, config: DetectorConfig
 ) -> Decision:
     """The decision on a tested epoch; `late` says that a fault was found by its past."""
     motion, slow, dof = core.motion, outcome.slow, outcome.parity_dof
@@ -50,17 +50,21 @@ def decision(
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=outcome.parity if dof else 0.0,
-        parity_threshold=chi_square(dof, config.p_false_alarm) if dof else 0.0,
+        parity_threshold=chi_square_threshold(dof, config.p_false_alarm) if dof else 0.0,
         parity_dof=dof,
         slow_statistic=slow.statistic if slow is not None else None,
         slow_threshold=slow.threshold if slow is not None else None,
     )
 
 
-def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decision:
+def build_start_decision(
+    epoch: Epoch, observed: EpochObservation, begun: InitialFix, core: DetectorCore
+) -> Decision:
     """The decision on the epoch the filter started with."""
     motion = begun.motion
-    unbounded = LEAPT if core.leapt_m is not None else FOLLOWED if core.unbounded else ""
+    unbounded = (
+        JUMP_REASON if core.leapt_m is not None else FOLLOWED_REASON if core.unbounded else ""
+    )
     assert motion is not None
     few = "" if begun.dof > 1 else "a start with 1 degree of freedom: it tests little"
     bounds = None if unbounded else begun.bounds
@@ -71,7 +75,7 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
         dof=begun.dof,
         p_value=p_value(begun.statistic, begun.dof),
         alarm=bool(begun.faulty),
-        hypothesis=shown(core, "none", False, False),
+        hypothesis=reported_hypothesis(core, "none", False, False),
         excluded=tuple(sorted(core.excluded)),
         satellites=observed.satellites,
         position_ecef_m=_position(motion),
@@ -83,7 +87,7 @@ def started(epoch: Epoch, observed: Observed, begun: Start, core: Core) -> Decis
     )
 
 
-def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
+def untestable_decision(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
     """No decision, and why."""
     return Decision(
         t_us=t_us,
@@ -98,7 +102,7 @@ def untestable(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision
     )
 
 
-def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[Result]:
+def imu_results(epoch: Epoch, outcome: EpochOutcome, config: DetectorConfig) -> list[Result]:
     """What the epoch says of the IMU: silence, and the test of the velocity it predicts."""
     silent = is_silent(outcome.gap_s, outcome.core.imu_interval_s, config)
     faulty = silent or (outcome.imu_blamed and outcome.hypothesis == "imu")
@@ -119,7 +123,7 @@ def imu_results(epoch: Epoch, outcome: Outcome, config: DetectorConfig) -> list[
     ]
 
 
-def rate_results(epoch: Epoch, outcome: Outcome) -> list[Result]:
+def rate_results(epoch: Epoch, outcome: EpochOutcome) -> list[Result]:
     """The satellites whose Doppler rate contradicts the others' and the prediction: left out of the
     velocity alone."""
     return [
@@ -138,12 +142,12 @@ def rate_results(epoch: Epoch, outcome: Outcome) -> list[Result]:
     ]
 
 
-def _position(motion: Motion) -> tuple[float, float, float]:
+def _position(motion: MotionEstimate) -> tuple[float, float, float]:
     x = motion.x
     return x.item(0), x.item(1), x.item(2)
 
 
-def _sigma(motion: Motion, bounds: Bounds | None) -> tuple[float, float, float]:
+def _sigma(motion: MotionEstimate, bounds: PositionBounds | None) -> tuple[float, float, float]:
     """What averages out and what lasts, together."""
     p, (x, y, z) = motion.p, bounds.lasting_m2 if bounds is not None else (0.0, 0.0, 0.0)
     f = bounds.factor if bounds is not None else 1.0
@@ -154,14 +158,14 @@ def _sigma(motion: Motion, bounds: Bounds | None) -> tuple[float, float, float]:
     )
 
 
-def _levels(bounds: Bounds | None, names: Iterable[str]) -> dict[str, Any]:
+def _levels(bounds: PositionBounds | None, names: Iterable[str]) -> dict[str, Any]:
     """The protection levels, with what they assume of the satellites in use."""
     if bounds is None:
         return {}
     levels = {"hpl_m": _level(bounds.hpl_m), "vpl_m": _level(bounds.vpl_m)}
-    return {**levels, "level_assumes": assumed(names)} if any(levels.values()) else levels
+    return {**levels, "level_assumes": level_assumptions(names)} if any(levels.values()) else levels
 
 
 def _level(level_m: float) -> float | None:
     """A protection level as it is told; None where there is none."""
-    return round(level_m, 3) if level_m < WORST_M else None
+    return round(level_m, 3) if level_m < LARGEST_LEVEL_M else None

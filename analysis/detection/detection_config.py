@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.hypotheses import RULES
+from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.isolation.hypotheses import ISOLATION_RULES
 from analysis.orbits.broadcast import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-MOST = 64  # satellites whose thresholds are kept in a table
+MOST_SATELLITES = 64  # satellites whose thresholds are kept in a table
 
 Probability = Annotated[float, Meta(gt=0, lt=0.5)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -90,7 +90,7 @@ def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: SigmaNumbers)
 
 
 class NoiseDensities(NamedTuple):
-    """Squares of the densities of `Noise`."""
+    """Squares of the densities of `ProcessNoise`."""
 
     gyro_rps: float
     accel_mps2: float
@@ -102,7 +102,7 @@ class NoiseDensities(NamedTuple):
     motion_mps2: float
 
 
-class Noise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """Process noise: densities of the IMU, the receiver's clock, and motion without an IMU.
 
     The densities of the IMU are those of a small MEMS part with room for vibration and timing.
@@ -141,7 +141,7 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     p_slow: Probability = 1e-4
     p_other: Probability = 1e-5
     rule: str = "explicit"
-    left_out: Annotated[int, Meta(ge=0, le=MOST)] = 3
+    left_out: Annotated[int, Meta(ge=0, le=MOST_SATELLITES)] = 3
     systems: str = "GE"
     antenna_b_m: Axes = (0.0, 0.0, 0.0)
     mask_deg: Annotated[float, Meta(ge=0, lt=90)] = 10.0
@@ -153,7 +153,7 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     slow_accel_mps2: NotNegative = 0.1
     doppler: bool = True
     sigma: SigmaModel = SigmaModel()
-    noise: Noise = Noise()
+    noise: ProcessNoise = ProcessNoise()
     ionosphere: Klobuchar = (*TYPICAL_ALPHA, *TYPICAL_BETA)
 
     def __post_init__(self) -> None:
@@ -164,8 +164,10 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         ValueError
             Naming the field, its value and what is allowed.
         """
-        if self.rule not in RULES:
-            raise ValueError(f"rule = {self.rule!r} is unknown; known: {', '.join(sorted(RULES))}")
+        if self.rule not in ISOLATION_RULES:
+            raise ValueError(
+                f"rule = {self.rule!r} is unknown; known: {', '.join(sorted(ISOLATION_RULES))}"
+            )
         if not self.systems or not set(self.systems) <= set(SYSTEMS):
             raise ValueError(
                 f"systems = {self.systems!r} names no or other systems; letters of {SYSTEMS} are"
@@ -186,7 +188,9 @@ class DetectorConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def thresholds(self) -> Vector:
         """Thresholds (2, 65) of the main test and of the rates' by degrees of freedom."""
         levels = (self.p_false_alarm, self.p_other)
-        return np.array([[chi_square(dof, p) for dof in range(MOST + 1)] for p in levels])
+        return np.array(
+            [[chi_square_threshold(dof, p) for dof in range(MOST_SATELLITES + 1)] for p in levels]
+        )
 
     @cached_property
     def ramp_numbers(self) -> RampNumbers:

@@ -2,15 +2,20 @@
 
 from typing import NamedTuple
 
-from analysis.detection.filter.filter_state import Exclusion, Motion, Pending, Stored
-from analysis.detection.filter.lasting_errors import Misfit
-from analysis.detection.filter.measurement import Chosen, Observed
-from analysis.detection.filter.propagation import Segment, segment
-from analysis.detection.isolation.common_shift import Watched
+from analysis.detection.filter.filter_state import (
+    Exclusion,
+    MotionEstimate,
+    PendingImu,
+    StoredOrbit,
+)
+from analysis.detection.filter.lasting_errors import VarianceFactor
+from analysis.detection.filter.measurement import EphemerisSelection, EpochObservation
+from analysis.detection.filter.propagation import ImuSegment, imu_segment
+from analysis.detection.isolation.common_shift import CommonShift
 from analysis.detection.isolation.ramp_test import RampBank
-from analysis.detection.receiver.carry_off import Carried, Carry
+from analysis.detection.receiver.carry_off_windows import CarryOff, CarryOffWindows
 from analysis.detection.receiver.fix_latency import Latency
-from analysis.detection.receiver.frozen_fix import Repeats
+from analysis.detection.receiver.frozen_fix import FixRepeats
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -45,7 +50,7 @@ class FrozenOffsets(Value, frozen=True):
 NOTHING_FROZEN = FrozenOffsets(0, {})
 
 
-class Core(Value, frozen=True):
+class DetectorCore(Value, frozen=True):
     """Everything but the pending IMU samples.
 
     `ionosphere` (9,) are Klobuchar's coefficients and how much more than broadcast ones they may be
@@ -66,8 +71,8 @@ class Core(Value, frozen=True):
     `watched` is for a velocity that all rates show.
     """
 
-    motion: Motion | None
-    ephemerides: dict[str, tuple[Stored, ...]]
+    motion: MotionEstimate | None
+    ephemerides: dict[str, tuple[StoredOrbit, ...]]
     ionosphere: Vector
     excluded: dict[str, Exclusion] = NOTHING_EXCLUDED
     frozen: FrozenOffsets = NOTHING_FROZEN
@@ -78,45 +83,45 @@ class Core(Value, frozen=True):
     unknown_since_us: int | None = None
     distrusted: str = ""
     ranges_us: int | None = None
-    chosen: Chosen | None = None
+    chosen: EphemerisSelection | None = None
     ramps: RampBank | None = None
-    history: "tuple[Record, ...]" = ()
+    history: "tuple[EpochRecord, ...]" = ()
     gps_source: str | None = None
     last_fix: LastFix | None = None
     latency: Latency = Latency()
-    repeats: Repeats = Repeats()
-    carry: Carry | None = None
-    carried: Carried | None = None
+    repeats: FixRepeats = FixRepeats()
+    carry: CarryOffWindows | None = None
+    carried: CarryOff | None = None
     unbounded: bool = False
     led: bool = False
     spacing_us: int = 0
     gap_us: int = 0
-    before: Motion | None = None
-    misfit: Misfit = Misfit()
+    before: MotionEstimate | None = None
+    misfit: VarianceFactor = VarianceFactor()
     leapt_m: Vector | None = None
     rates_off: dict[str, int] = NO_RATES_OFF
-    watched: Watched = Watched()
+    watched: CommonShift = CommonShift()
 
 
-class Record(Value, frozen=True, eq=False):
+class EpochRecord(Value, frozen=True, eq=False):
     """A snapshot of one epoch, for a replay: the core before it, what was observed, and what the
     IMU gave until then. Itself alone is its equal: what was reckoned of it is kept by it."""
 
     t_us: int
-    core: Core
-    observed: Observed
+    core: DetectorCore
+    observed: EpochObservation
     run: ImuRun
 
     @property
-    def part(self) -> Segment:
+    def part(self) -> ImuSegment:
         """The IMU since the epoch before."""
         assert self.core.motion is not None
-        return segment(self.run, self.core.motion, self.t_us)
+        return imu_segment(self.run, self.core.motion, self.t_us)
 
 
-class State(NamedTuple):
+class DetectorState(NamedTuple):
     """The detector's state; `mag_b` (3,) is the newest sample of the magnetometer."""
 
-    core: Core
-    pending: Pending | None = None
+    core: DetectorCore
+    pending: PendingImu | None = None
     mag_b: Vector | None = None

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core
-from analysis.detection.isolation.ramp_test import SlowVerdict
-from analysis.detection.protection import Bounds
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.isolation.ramp_test import RampVerdict
+from analysis.detection.protection_levels import PositionBounds
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.values import Value
 
 
-class Outcome(Value, frozen=True):
+class EpochOutcome(Value, frozen=True):
     """The core after an epoch and what the epoch showed; nothing but `reason` where it could not be
     tested.
 
@@ -23,7 +23,7 @@ class Outcome(Value, frozen=True):
     says why there are none.
     """
 
-    core: Core
+    core: DetectorCore
     reason: str = ""
     names: tuple[str, ...] = ()
     faulty: tuple[int, ...] = ()
@@ -39,17 +39,17 @@ class Outcome(Value, frozen=True):
     rate_threshold: float | None = None
     rate_dof: int = 0
     rate_faulty: tuple[str, ...] = ()
-    slow: SlowVerdict | None = None
+    slow: RampVerdict | None = None
     hypothesis: str = "untestable"
     alarm: bool = False
     imu_blamed: bool = False
     was_inertial: bool = False
     gap_s: float = 0.0
-    bounds: Bounds | None = None
+    bounds: PositionBounds | None = None
     unbounded: str = ""
 
 
-def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
+def reported_hypothesis(core: DetectorCore, hypothesis: str, imu: bool, leapt: bool) -> str:
     """The hypothesis of the epoch; an isolation holds until it is taken back."""
     accused = UNDECIDED if core.unbounded else "imu"
     if imu:
@@ -65,7 +65,9 @@ def shown(core: Core, hypothesis: str, imu: bool, leapt: bool) -> str:
     return "satellites" if core.excluded else "none"
 
 
-def imu_bad_until_us(core: Core, blamed: bool, t_us: int, config: DetectorConfig) -> int | None:
+def next_imu_suspension_us(
+    core: DetectorCore, blamed: bool, t_us: int, config: DetectorConfig
+) -> int | None:
     """Until when the IMU is held out: for a while once it was blamed."""
     if blamed:
         return t_us + round(config.imu_hold_s * 1e6)

@@ -3,24 +3,30 @@
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import RECEIVER, Core
+from analysis.detection.detector_state import RECEIVER, DetectorCore
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.chi_square import p_value
-from analysis.detection.receiver.position_test import Check
-from analysis.detection.streams.pause_watch import IMU_SILENT
+from analysis.detection.receiver.position_test import FixTest
+from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
-UNBOUNDED = "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
-LASTING = 0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
-COASTING = "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
+UNBOUNDED_REASON = (
+    "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+)
+LASTING_SHARE = (
+    0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
+)
+COASTING_REASON = (
+    "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
+)
 
 
-def fix_decision(
+def build_fix_decision(
     fix: GpsFix,
-    core: Core,
-    position: Check | None,
-    velocity: Check | None,
+    core: DetectorCore,
+    position: FixTest | None,
+    velocity: FixTest | None,
     hypothesis: str,
     alarm: bool,
     mode: str,
@@ -29,12 +35,14 @@ def fix_decision(
     motion = core.motion
     assert motion is not None
     sigma = np.sqrt(np.diag(motion.p)[:3])
-    reason = UNBOUNDED if core.unbounded else ""
+    reason = UNBOUNDED_REASON if core.unbounded else ""
     # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
     if RECEIVER in core.excluded and position and sigma @ sigma > position.variance.sum():
-        reason = COASTING
+        reason = COASTING_REASON
     if position is not None:
-        sigma = np.sqrt(sigma**2 + LASTING**2 * (position.h[:, :3] ** 2).T @ position.variance)
+        sigma = np.sqrt(
+            sigma**2 + LASTING_SHARE**2 * (position.h[:, :3] ** 2).T @ position.variance
+        )
     return Decision(
         t_us=fix.t_us,
         statistic=position.statistic if position else None,
@@ -53,11 +61,11 @@ def fix_decision(
     )
 
 
-def fix_sensors(
+def fix_sensor_decisions(
     fix: GpsFix,
-    core: Core,
-    position: Check,
-    velocity: Check | None,
+    core: DetectorCore,
+    position: FixTest,
+    velocity: FixTest | None,
     gap_s: float,
     hypothesis: str,
     config: DetectorConfig,

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import Stored
-from analysis.detection.filter.measurement import choose, observe
-from analysis.detection.sky import NO_IONOSPHERE, orbits_of
+from analysis.detection.filter.filter_state import StoredOrbit
+from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.sky_geometry import NO_IONOSPHERE, orbits_of
 from analysis.orbits.broadcast import POSITION, VELOCITY
-from analysis.orbits.snapshot import solve
-from analysis.recordings.recordings import read_rinex
+from analysis.orbits.snapshot import solve_position
+from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.block import EPOCH
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
-FEW = 6  # satellites that give a place with one to spare
+LEAST_SATELLITES = 6  # satellites that give a place with one to spare
 
 
 def recorded_sky(
@@ -37,16 +37,18 @@ def recorded_sky(
     samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
     epochs = {sample.t_us: sample for sample in samples if isinstance(sample, Epoch)}
     orbits = orbits_of(block)
-    fixes = (place_of(epoch, orbits) for epoch in epochs.values())
+    fixes = (locate_receiver(epoch, orbits) for epoch in epochs.values())
     r_ecef_m = next((place for place in fixes if place is not None), None)
     if r_ecef_m is None:
         raise ConfigError(f"{observations}: no epoch gives a place; a spoof needs one to move")
-    lat, lon, _ = geodetic(r_ecef_m)
+    lat, lon, _ = geodetic_position(r_ecef_m)
     axes = ned_axes(lat, lon)
 
     def sky(t_us: int) -> dict[str, Vector]:
         epoch = epochs.get(t_us)
-        observed = None if epoch is None else observe(epoch, choose(epoch, orbits))
+        observed = (
+            None if epoch is None else observe_epoch(epoch, select_ephemerides(epoch, orbits))
+        )
         if observed is None:
             return {}
         states = observed.states
@@ -57,11 +59,11 @@ def recorded_sky(
     return sky
 
 
-def place_of(epoch: Epoch, orbits: dict[str, tuple[Stored, ...]]) -> Vector | None:
+def locate_receiver(epoch: Epoch, orbits: dict[str, tuple[StoredOrbit, ...]]) -> Vector | None:
     """The receiver (3,), ECEF [m], by one epoch alone."""
-    chosen = choose(epoch, orbits)
+    chosen = select_ephemerides(epoch, orbits)
     kept = epoch if chosen.keep is None else epoch.select(chosen.keep.tolist())
-    if len(chosen.names) < FEW:
+    if len(chosen.names) < LEAST_SATELLITES:
         return None
-    fix = solve(kept, chosen.packed, NO_IONOSPHERE, np.ones(len(chosen.names)))
+    fix = solve_position(kept, chosen.packed, NO_IONOSPHERE, np.ones(len(chosen.names)))
     return None if fix is None else fix.r_ecef_m

@@ -8,10 +8,17 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from analysis.estimators.estimator import AttitudeEstimate, Estimator, Prior, follow
+from analysis.estimators.estimator import AttitudeEstimate, Estimator, Prior, estimate_block
 from mavproxy_fault.documents.errors import ConfigError
 
-__all__ = ["AttitudeEstimate", "Estimator", "Prior", "follow", "make", "names"]
+__all__ = [
+    "AttitudeEstimate",
+    "Estimator",
+    "Prior",
+    "estimate_block",
+    "estimator_names",
+    "make_estimator",
+]
 
 GROUP = "mavproxy_fault.estimators"
 BUILT_IN = {
@@ -24,12 +31,12 @@ BUILT_IN = {
 }
 
 
-def names() -> list[str]:
+def estimator_names() -> list[str]:
     """Names of all estimators, built in and registered, sorted."""
     return sorted(BUILT_IN.keys() | {point.name for point in entry_points(group=GROUP)})
 
 
-def make(name: str) -> Estimator:
+def make_estimator(name: str) -> Estimator:
     """The estimator of that name with its default parameters.
 
     Raises
@@ -47,4 +54,4 @@ def make(name: str) -> Estimator:
     for point in entry_points(group=GROUP, name=name):
         factory = point.load()
         return factory()
-    raise ConfigError(f"estimator: {name!r} is unknown; known: {', '.join(names())}")
+    raise ConfigError(f"estimator: {name!r} is unknown; known: {', '.join(estimator_names())}")

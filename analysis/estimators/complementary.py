@@ -21,7 +21,7 @@ from analysis.estimators.estimator import (
     AttitudeEstimate,
     Prior,
     airspeed_mps,
-    room_for_estimates,
+    empty_estimates,
 )
 from analysis.samples.block import (
     AIRSPEED,
@@ -41,13 +41,13 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
     gravity_error,
     heading_error,
-    matrix,
-    turned,
+    rotate_attitude,
+    rotation_matrix,
 )
 
 Vector = NDArray[np.float64]
 BIAS, SIZE = 4, 7  # where it begins in x, and its length
-NOW, FIELD = 0, 1  # stamps: of the state, of the newest field sample
+STATE, FIELD = 0, 1  # stamps: of the state, of the newest field sample
 
 
 class Gains(NamedTuple):
@@ -77,26 +77,28 @@ def predict(
     error = gravity_error(x[:BIAS], accel, rate, speed_mps, STANDARD_GRAVITY_MPS2)
     step = (rate + gains.tilt * error) * dt_s
     out = np.empty(SIZE)
-    out[:BIAS] = turned(x[:BIAS], step[0], step[1], step[2])
+    out[:BIAS] = rotate_attitude(x[:BIAS], step[0], step[1], step[2])
     out[BIAS:] = x[BIAS:] - gains.bias * dt_s * error
     return out
 
 
 @compiled
-def head(x: Vector, field: Vector, declination_rad: float, dt_s: float, gains: Gains) -> Vector:
+def correct_heading(
+    x: Vector, field: Vector, declination_rad: float, dt_s: float, gains: Gains
+) -> Vector:
     """x (7,) after one field sample (3,): turned about down towards the declination."""
     error = heading_error(x[:BIAS], field, declination_rad)
-    down = matrix(x[:BIAS])[2]
+    down = rotation_matrix(x[:BIAS])[2]
     # After a gap at most to where the field points, never beyond.
     step = min(1.0, gains.heading * dt_s) * error * down
     out = np.empty(SIZE)
-    out[:BIAS] = turned(x[:BIAS], step[0], step[1], step[2])
+    out[:BIAS] = rotate_attitude(x[:BIAS], step[0], step[1], step[2])
     out[BIAS:] = x[BIAS:] - gains.bias * dt_s * error * down
     return out
 
 
 @compiled
-def follow(
+def filter_block(
     kind: Indices,
     t_us: Stamps,
     values: Vector,
@@ -111,20 +113,20 @@ def follow(
     `stamps` (2,) are those of the state and of the newest field sample. Returns stamps (m,) and
     q_nb (m, 4) after each IMU sample, then the state.
     """
-    when, q_nb = room_for_estimates(kind)
+    when, q_nb = empty_estimates(kind)
     stamps = stamps.copy()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            dt_s = (t_us[i] - stamps[NOW]) * 1e-6
+            dt_s = (t_us[i] - stamps[STATE]) * 1e-6
             # A longer pause is not integrated over; the estimate waits for the field and for
             # gravity.
             if 0.0 < dt_s <= MAX_GAP_S:
                 gyro, accel = values[i, RATES:FORCE], values[i, FORCE:IMU_ID]
                 x = predict(x, gyro, accel, speed_mps, dt_s, gains)
             # The newest stamp: a late sample must not set the clock back.
-            stamps[NOW] = max(t_us[i], stamps[NOW])
-            when[done] = stamps[NOW]
+            stamps[STATE] = max(t_us[i], stamps[STATE])
+            when[done] = stamps[STATE]
             for k in range(BIAS):
                 q_nb[done, k] = x[k]
             done += 1
@@ -132,7 +134,7 @@ def follow(
         elif kind[i] == MAG and t_us[i] > stamps[FIELD]:
             # Bounded: after a long pause the field may not turn the attitude by more than it knows.
             dt_s = min((t_us[i] - stamps[FIELD]) * 1e-6, MAX_GAP_S)
-            x = head(x, values[i, 0:3], declination_rad, dt_s, gains)
+            x = correct_heading(x, values[i, 0:3], declination_rad, dt_s, gains)
             stamps[FIELD] = t_us[i]
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
@@ -164,7 +166,7 @@ class Mahony:
 
     def follow(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
-        t_us, q_nb, x, stamps, airspeed_mps = follow(
+        t_us, q_nb, x, stamps, airspeed_mps = filter_block(
             block.kind,
             block.t_us,
             block.values,

@@ -75,7 +75,7 @@ class Ekf:
     def follow(self, block: Block, state: EkfState) -> tuple[Stamps, Vector, EkfState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
         stamps = np.array([state.t_us, state.gps_t_us, state.tilt_t_us])
-        t_us, q_nb, x, stamps, airspeed_mps = ekf_kernel.follow(
+        t_us, q_nb, x, stamps, airspeed_mps = ekf_kernel.filter_block(
             block.kind,
             block.t_us,
             block.values,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.estimator import MAX_GAP_S, airspeed_mps, room_for_estimates
+from analysis.estimators.estimator import MAX_GAP_S, airspeed_mps, empty_estimates
 from analysis.samples.block import (
     AIRSPEED,
     FIX,
@@ -28,8 +28,8 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     Axis,
     body_axes,
     quaternion_of_rotation,
-    rotate,
-    wrapped,
+    rotate_in_place,
+    wrap_angle,
 )
 
 Vector = NDArray[np.float64]
@@ -37,9 +37,9 @@ BIAS, VELOCITY, P = 4, 7, 10  # where they and the covariance begin in x, behind
 N = 9  # error states: attitude, bias, velocity
 D_BIAS, D_VELOCITY = 3, 6  # where these begin among them
 MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
-NOW, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
+STATE, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
 
-Room = NDArray[np.float64]  # (6, 12), for what is only needed in between
+Workspace = NDArray[np.float64]  # (6, 12), for what is only needed in between
 FP = 3  # where the rows of F P begin in it, behind the three columns of F
 
 
@@ -58,7 +58,7 @@ class Tuning(NamedTuple):
 
 
 @compiled
-def new_room() -> Room:
+def new_workspace() -> Workspace:
     """Room to work in: made once, used at every sample."""
     return np.empty((6, 12))
 
@@ -69,7 +69,7 @@ def predict(
     imu: Vector,
     dt_s: float,
     tuning: Tuning,
-    room: Room,
+    room: Workspace,
 ) -> None:
     """Move state and covariance over one IMU sample, rates and specific force (6,).
 
@@ -79,9 +79,9 @@ def predict(
     fx, fy, fz = imu[FORCE], imu[FORCE + 1], imu[FORCE + 2]
     # The force is turned to NED by the attitude in the middle of the step: exact to second order.
     half_way = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
-    rotate(x, half_way)
+    rotate_in_place(x, half_way)
     rows = body_axes(x)
-    rotate(x, half_way)
+    rotate_in_place(x, half_way)
     for i in range(3):
         a, b, c = rows[i]
         x[VELOCITY + i] += dt_s * (a * fx + b * fy + c * fz)
@@ -93,7 +93,7 @@ def predict(
     room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
     room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
     room[2, 0], room[2, 1], room[2, 2] = dt_s * ry, -dt_s * rx, 1.0
-    spread(x, room, dt_s)
+    propagate_covariance(x, room, dt_s)
     for i in range(3):
         x[P + (N + 1) * i] += dt_s * tuning.gyro_density * tuning.gyro_density
         x[P + (N + 1) * (D_BIAS + i)] += dt_s * tuning.bias_density * tuning.bias_density
@@ -101,7 +101,7 @@ def predict(
 
 
 @compiled
-def spread(x: Vector, room: Room, dt_s: float) -> None:
+def propagate_covariance(x: Vector, room: Workspace, dt_s: float) -> None:
     """Put F P F' in the place of P in x (91,), in place.
 
     F is the identity but for what the attitude error does to itself and to the velocity's, the
@@ -121,25 +121,25 @@ def spread(x: Vector, room: Room, dt_s: float) -> None:
             room[3 + i, FP + j] = sum_ + x[P + N * (D_VELOCITY + i) + j]
     for i in range(3):
         for j in range(3):
-            put(x, i, D_BIAS + j, room[i, FP + D_BIAS + j])
-            put(x, D_BIAS + j, D_VELOCITY + i, room[3 + i, FP + D_BIAS + j])
-            moved_velocity = through(room, i, 3 + j) + room[i, FP + D_VELOCITY + j]
-            put(x, i, D_VELOCITY + j, moved_velocity)
+            set_symmetric(x, i, D_BIAS + j, room[i, FP + D_BIAS + j])
+            set_symmetric(x, D_BIAS + j, D_VELOCITY + i, room[3 + i, FP + D_BIAS + j])
+            moved_velocity = attitude_product(room, i, 3 + j) + room[i, FP + D_VELOCITY + j]
+            set_symmetric(x, i, D_VELOCITY + j, moved_velocity)
         for j in range(i, 3):
-            put(x, i, j, through(room, i, j) - dt_s * room[i, FP + D_BIAS + j])
-            moved_velocity = through(room, 3 + i, 3 + j) + room[3 + i, FP + D_VELOCITY + j]
-            put(x, D_VELOCITY + i, D_VELOCITY + j, moved_velocity)
+            set_symmetric(x, i, j, attitude_product(room, i, j) - dt_s * room[i, FP + D_BIAS + j])
+            moved_velocity = attitude_product(room, 3 + i, 3 + j) + room[3 + i, FP + D_VELOCITY + j]
+            set_symmetric(x, D_VELOCITY + i, D_VELOCITY + j, moved_velocity)
 
 
 @inlined
-def put(x: Vector, i: int, j: int, value: float) -> None:
+def set_symmetric(x: Vector, i: int, j: int, value: float) -> None:
     """Write an element of the covariance in x (91,) and its mirror image."""
     x[P + N * i + j] = value
     x[P + N * j + i] = value
 
 
 @inlined
-def through(room: Room, i: int, j: int) -> float:
+def attitude_product(room: Workspace, i: int, j: int) -> float:
     """What row i of F P, in `room`, brings about by row j of the attitude's columns."""
     row, column = room[i], room[j]
     value: float = row[FP] * column[0] + row[FP + 1] * column[1] + row[FP + 2] * column[2]
@@ -147,31 +147,34 @@ def through(room: Room, i: int, j: int) -> float:
 
 
 @compiled
-def correct(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
+def apply_correction(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
     """Take one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
     for i in range(N):
-        # The upper half; `put` mirrors it, so that the covariance stays symmetric to the last bit.
+        # The upper half; `set_symmetric` mirrors it, so that the covariance stays symmetric to the
+        # last bit.
         for j in range(i, N):
-            put(x, i, j, x[P + N * i + j] - gain[i] * gain[j] / variance)
+            set_symmetric(x, i, j, x[P + N * i + j] - gain[i] * gain[j] / variance)
     size = innovation / variance
     # The error is a rotation, not a number to add to the quaternion; its length stays one.
-    rotate(x, quaternion_of_rotation(gain[0] * size, gain[1] * size, gain[2] * size))
+    rotate_in_place(x, quaternion_of_rotation(gain[0] * size, gain[1] * size, gain[2] * size))
     for i in range(N - D_BIAS):
         x[BIAS + i] += gain[D_BIAS + i] * size
 
 
 @compiled
-def correct_by_rotation(x: Vector, h: Axis, innovation: float, variance: float, room: Room) -> None:
+def correct_by_rotation(
+    x: Vector, h: Axis, innovation: float, variance: float, room: Workspace
+) -> None:
     """Take a scalar measurement that only the attitude error moves, by h (3,), into x (91,)."""
     gain = room[0]
     for i in range(N):
         gain[i] = x[P + N * i] * h[0] + x[P + N * i + 1] * h[1] + x[P + N * i + 2] * h[2]
     variance = variance + h[0] * gain[0] + h[1] * gain[1] + h[2] * gain[2]
-    correct(x, gain, innovation, variance)
+    apply_correction(x, gain, innovation, variance)
 
 
 @compiled
-def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) -> None:
+def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Workspace) -> None:
     """Take a velocity over ground (3,), axis by axis."""
     gain = room[0]
     for axis in range(3):
@@ -179,7 +182,7 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Room) 
             # h picks one velocity out, so that P h is a column of P.
             gain[i] = x[P + N * i + D_VELOCITY + axis]
         innovation = v_ned_mps[axis] - x[VELOCITY + axis]
-        correct(x, gain, innovation, variance + gain[D_VELOCITY + axis])
+        apply_correction(x, gain, innovation, variance + gain[D_VELOCITY + axis])
 
 
 @compiled
@@ -188,14 +191,16 @@ def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
     other errors."""
     for i in range(D_VELOCITY, N):
         for j in range(N):
-            put(x, i, j, 0.0)
+            set_symmetric(x, i, j, 0.0)
     for axis in range(3):
         x[VELOCITY + axis] = v_ned_mps[axis]
-        put(x, D_VELOCITY + axis, D_VELOCITY + axis, variance)
+        set_symmetric(x, D_VELOCITY + axis, D_VELOCITY + axis, variance)
 
 
 @compiled
-def head(x: Vector, field: Vector, declination_rad: float, variance: float, room: Room) -> None:
+def correct_heading(
+    x: Vector, field: Vector, declination_rad: float, variance: float, room: Workspace
+) -> None:
     """Take the heading of the field (3,): a small rotation e in NED moves it by
 
     e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not taken for heading.
@@ -211,12 +216,14 @@ def head(x: Vector, field: Vector, declination_rad: float, variance: float, room
         d_y + tilt * (north * n_y + east * e_y),
         d_z + tilt * (north * n_z + east * e_z),
     )
-    innovation = wrapped(declination_rad - atan2(east, north))
+    innovation = wrap_angle(declination_rad - atan2(east, north))
     correct_by_rotation(x, h, innovation, variance, room)
 
 
 @compiled
-def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room) -> None:
+def correct_tilt(
+    x: Vector, imu: Vector, speed_mps: float, variance: float, room: Workspace
+) -> None:
     """Take the specific force of an IMU sample (6,) as gravity plus the centripetal part of a
     flight along the nose, axis by axis.
 
@@ -240,17 +247,17 @@ def level(x: Vector, imu: Vector, speed_mps: float, variance: float, room: Room)
 
 
 @compiled
-def moved(
+def advance_to_sample(
     x: Vector,
     stamps: Stamps,
     t_us: int,
     imu: Vector,
     speed_mps: float,
     tuning: Tuning,
-    room: Room,
+    room: Workspace,
 ) -> None:
     """Move the state to an IMU sample (6,), and its `stamps` with it."""
-    dt_s = (t_us - stamps[NOW]) * 1e-6
+    dt_s = (t_us - stamps[STATE]) * 1e-6
     if dt_s <= 0.0:
         return
     # Over a longer gap the IMU tells nothing: the state waits for the other sensors.
@@ -258,14 +265,14 @@ def moved(
         predict(x, imu, dt_s, tuning, room)
     due = t_us - stamps[TILT] >= 1e6 * tuning.gravity_period_s
     if due and t_us - stamps[GPS] >= 1e6 * tuning.gps_timeout_s:
-        level(x, imu, speed_mps, tuning.gravity_variance, room)
+        correct_tilt(x, imu, speed_mps, tuning.gravity_variance, room)
         stamps[TILT] = t_us
-    stamps[NOW] = t_us
+    stamps[STATE] = t_us
 
 
 @compiled
-def with_velocity(
-    x: Vector, stamps: Stamps, t_us: int, fix: Vector, tuning: Tuning, room: Room
+def correct_from_fix(
+    x: Vector, stamps: Stamps, t_us: int, fix: Vector, tuning: Tuning, room: Workspace
 ) -> None:
     """Take the numbers (11,) of a fix; one that does not tell the climb is no use."""
     v_ned_mps = fix[FIX_VELOCITY:FIX_TYPE]
@@ -280,7 +287,7 @@ def with_velocity(
 
 
 @compiled
-def follow(
+def filter_block(
     kind: Indices,
     t_us: Stamps,
     values: Vector,
@@ -302,20 +309,20 @@ def follow(
     -------
     Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
     """
-    when, q_nb = room_for_estimates(kind)
-    x, stamps, room = x.copy(), stamps.copy(), new_room()
+    when, q_nb = empty_estimates(kind)
+    x, stamps, room = x.copy(), stamps.copy(), new_workspace()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            moved(x, stamps, t_us[i], values[i], speed_mps, tuning, room)
-            when[done] = stamps[NOW]
+            advance_to_sample(x, stamps, t_us[i], values[i], speed_mps, tuning, room)
+            when[done] = stamps[STATE]
             for k in range(4):
                 q_nb[done, k] = x[k]
             done += 1
         elif kind[i] == MAG:
-            head(x, values[i], declination_rad, tuning.heading_variance, room)
+            correct_heading(x, values[i], declination_rad, tuning.heading_variance, room)
         elif kind[i] == FIX:
-            with_velocity(x, stamps, t_us[i], values[i], tuning, room)
+            correct_from_fix(x, stamps, t_us[i], values[i], tuning, room)
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
     return when, q_nb, x, stamps, speed_mps

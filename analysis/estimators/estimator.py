@@ -58,7 +58,7 @@ class Estimator(Protocol):
         """The attitude after one reading, and the next state."""
 
 
-def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vector, Any]:
+def estimate_block(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vector, Any]:
     """Estimates of a block, stamps (m,) and q_nb (m, 4) at its m IMU samples; the next state."""
     at_once = getattr(estimator, "follow", None)
     # A compiled estimator takes the block at once; any other sample by sample.
@@ -77,7 +77,7 @@ def follow(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vect
 
 
 @compiled
-def room_for_estimates(kind: Indices) -> tuple[Stamps, Vector]:
+def empty_estimates(kind: Indices) -> tuple[Stamps, Vector]:
     """Stamps (m,) and q_nb (m, 4), to be filled, of the m IMU samples among some kinds."""
     count = 0
     for i in range(len(kind)):

@@ -11,20 +11,20 @@ from functools import cached_property
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import PSI, X_Q, R
-from analysis.detection.sensors.sensor_tests import References, ReferenceState
+from analysis.detection.sensors.sensor_tests import NavigationDetector, NavigationState
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState
-from analysis.fusion.local_frame import quaternion
+from analysis.fusion.local_frame import quaternion_of_matrix
 from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
-PRIOR_RAD = 0.05  # how sure the first attitude is
+PRIOR_SIGMA_RAD = 0.05  # how sure the first attitude is
 
 
 @dataclass(slots=True)
@@ -32,7 +32,7 @@ class FusedAttitudeState:
     """What moves, in place: the detector and the graph, the attitude (4,) and its time, gyro bias
     (3,), the rates (time, rate (3,), length in s) since the last epoch."""
 
-    detector: ReferenceState
+    detector: NavigationState
     fusion: FusionState
     q_nb: Vector
     t_us: int
@@ -48,8 +48,8 @@ class FusedAttitude:
     detector: DetectorConfig = field(default_factory=DetectorConfig)
 
     @cached_property
-    def _references(self) -> References:
-        return References(self.detector)
+    def _references(self) -> NavigationDetector:
+        return NavigationDetector(self.detector)
 
     @cached_property
     def _fusion(self) -> Fusion:
@@ -72,7 +72,7 @@ class FusedAttitude:
             dt_s = (reading.t_us - state.t_us) * 1e-6
             if dt_s <= MAX_GAP_S:
                 state.rates.append((reading.t_us, reading.gyro_b_rps, dt_s))
-                state.q_nb = _after(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
+                state.q_nb = _rotate_by(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
             state.t_us = reading.t_us
         results, state.detector = self._references.step(reading, state.detector)
         decision = next((result for result in results if isinstance(result, Decision)), None)
@@ -87,14 +87,14 @@ class FusedAttitude:
         return AttitudeEstimate(max(reading.t_us, state.t_us), state.q_nb), state
 
     @staticmethod
-    def _align_detector(motion: Motion, state: FusedAttitudeState) -> None:
+    def _align_detector(motion: MotionEstimate, state: FusedAttitudeState) -> None:
         """The detector's filter begins with the attitude that is known here."""
         x, p = motion.x.copy(), motion.p.copy()
-        lat, lon, _ = geodetic(x[R : R + 3])
-        x[X_Q : X_Q + 4] = quaternion(ned_axes(lat, lon).T @ matrix(state.q_nb))
+        lat, lon, _ = geodetic_position(x[R : R + 3])
+        x[X_Q : X_Q + 4] = quaternion_of_matrix(ned_axes(lat, lon).T @ rotation_matrix(state.q_nb))
         # The prior has nothing to do with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
-        p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_RAD**2 * np.eye(3)
+        p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_SIGMA_RAD**2 * np.eye(3)
         inner = state.detector.detector
         core = inner.core._replace(motion=motion._replace(x=x, p=p, inertial=True))
         state.detector = replace(state.detector, detector=inner._replace(core=core))
@@ -111,11 +111,11 @@ class FusedAttitude:
         state.bias_rps = graph.node.bias.gyroscope()
         q_nb = np.array(fused.q_nb)
         for _, rate, dt_s in state.rates:
-            q_nb = _after(q_nb, rate - state.bias_rps, dt_s)
+            q_nb = _rotate_by(q_nb, rate - state.bias_rps, dt_s)
         state.q_nb = q_nb
 
 
-def _after(q_nb: Vector, rate_rps: Vector, dt_s: float) -> Vector:
+def _rotate_by(q_nb: Vector, rate_rps: Vector, dt_s: float) -> Vector:
     rotvec = rate_rps * dt_s
-    result: Vector = turned(q_nb, float(rotvec[0]), float(rotvec[1]), float(rotvec[2]))
+    result: Vector = rotate_attitude(q_nb, float(rotvec[0]), float(rotvec[1]), float(rotvec[2]))
     return result

@@ -28,7 +28,11 @@ from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, b
 from analysis.samples.sample import Sample
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.rotations.rotation_kernel import euler, matrix, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import (
+    euler_of_quaternion,
+    quaternion_of_euler,
+    rotation_matrix,
+)
 
 Vector = NDArray[np.float64]
 VELOCITY, POSITION, SIZE = 3, 6, 9  # where they begin in x, behind the angles; its length
@@ -36,7 +40,7 @@ MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole
 
 
 @compiled
-def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
+def state_derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
     """The right-hand side: x (9,), gyro (3,) in rad/s, accel (3,) in m/s^2 -> (9,)."""
     sf, cf, st, ct = sin(x[0]), cos(x[0]), sin(x[1]), cos(x[1])
     sy, cy = sin(x[2]), cos(x[2])
@@ -58,19 +62,19 @@ def derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
 
 
 @compiled
-def heun(
+def heun_step(
     x: Vector, gyro0: Vector, accel0: Vector, gyro1: Vector, accel1: Vector, dt_s: float
 ) -> Vector:
     """One step of x (9,) of length `dt_s` between two samples, rates (3,) in rad/s and specific
     force (3,) in m/s^2 each."""
-    slope0 = derivative(x, gyro0, accel0)
+    slope0 = state_derivative(x, gyro0, accel0)
     # With the sample at its own end: that is why the step uses both.
-    slope1 = derivative(x + dt_s * slope0, gyro1, accel1)
+    slope1 = state_derivative(x + dt_s * slope0, gyro1, accel1)
     return x + 0.5 * dt_s * (slope0 + slope1)
 
 
 @compiled
-def follow(
+def integrate_block(
     kind: Indices, t_us: Stamps, values: Vector, x: Vector, now_us: int, before: Vector
 ) -> tuple[Stamps, Vector, Vector, int, Vector]:
     """Integrate over a block (see `analysis.samples.block`).
@@ -92,7 +96,7 @@ def follow(
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6
         if 0.0 < dt_s <= MAX_GAP_S:
-            x = heun(x, before[:FORCE], before[FORCE:], v[:FORCE], v[FORCE:], dt_s)
+            x = heun_step(x, before[:FORCE], before[FORCE:], v[:FORCE], v[FORCE:], dt_s)
         before, now_us = v, max(t_us[i], now_us)
         q = quaternion_of_euler(x[0], x[1], x[2])
         when[done] = now_us
@@ -117,7 +121,11 @@ class InverseModel:
     def start(self, prior: Prior) -> HeunState:
         """The prior as Euler angles, body velocity and position."""
         start = np.concatenate(
-            [euler(prior.q_nb), matrix(prior.q_nb).T @ prior.v_ned_mps, prior.r_ned_m]
+            [
+                euler_of_quaternion(prior.q_nb),
+                rotation_matrix(prior.q_nb).T @ prior.v_ned_mps,
+                prior.r_ned_m,
+            ]
         )
         return HeunState(prior.t_us, start, np.full(6, np.nan))
 
@@ -129,7 +137,7 @@ class InverseModel:
 
     def follow(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
-        t_us, q_nb, x, now_us, before = follow(
+        t_us, q_nb, x, now_us, before = integrate_block(
             block.kind, block.t_us, block.values, state.x, state.t_us, state.before
         )
         return t_us, q_nb, HeunState(now_us, x, before)

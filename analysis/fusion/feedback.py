@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from analysis.detection.detector_state import Core
+from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.inertial import (
     BA,
     BG,
     CLOCK,
     DRIFT,
-    ERRORS,
+    ERROR_SIZE,
     ISB,
     PSI,
     X_ISB,
@@ -18,14 +18,14 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.fusion.graph import Graph
 from analysis.fusion.graph_start import navigation_state
-from analysis.fusion.window import key
+from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
-SIZE = 17  # errors of a node: rotation, shift (body axes), velocity, biases, clock, drift
+NODE_ERRORS = 17  # errors of a node: rotation, shift (body axes), velocity, biases, clock, drift
 
 
-def fed_back(core: Core, graph: Graph | None) -> Core:
+def feed_back(core: DetectorCore, graph: Graph | None) -> DetectorCore:
     """The detector's state with its filter taken from the graph.
 
     Both must be at the same epoch and know the attitude; systems' offsets stay the filter's own.
@@ -37,8 +37,8 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
     if motion.t_us != node.t_us:
         return core
     x = navigation_state(graph.frame, node, motion.x[X_ISB:])
-    names = [key(letter, node.epoch) for letter in "xvbc"]
-    to_filter = _to_filter(graph.frame.axes.T, matrix(x[X_Q : X_Q + 4]))
+    names = [variable_key(letter, node.epoch) for letter in "xvbc"]
+    to_filter = _to_filter(graph.frame.axes.T, rotation_matrix(x[X_Q : X_Q + 4]))
     p = to_filter @ graph.window.covariance(names) @ to_filter.T
     p[ISB:, ISB:] = motion.p[ISB:, ISB:]
     # Rounding leaves the product a little asymmetric; a filter expects symmetry.
@@ -47,7 +47,7 @@ def fed_back(core: Core, graph: Graph | None) -> Core:
 
 def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:
     """Errors (20) of the filter from those (17) of a node: (20, 17)."""
-    jacobian = np.zeros((ERRORS, SIZE))
+    jacobian = np.zeros((ERROR_SIZE, NODE_ERRORS))
     jacobian[PSI : PSI + 3, 0:3] = rot_eb
     jacobian[R : R + 3, 3:6] = rot_eb
     jacobian[V : V + 3, 6:9] = to_ecef

@@ -15,30 +15,37 @@ import math
 import msgspec
 import numpy as np
 
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R
-from analysis.detection.isolation.chi_square import chi_square
-from analysis.fusion.factors.factor_weights import weight
+from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.graph import Graph
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
+from mavproxy_fault.numerics.linear import (
+    invert_positive_definite,
+    multiply_matrices,
+    multiply_vector,
+    transpose_matrix,
+)
 
 P_CONTRADICTION = 1e-4  # sound flights and walks reach 17, a chi-square of 3 has 21 here
-VAGUER = 2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
+MAX_SIGMA_RATIO = (
+    2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
+)
 POSE_SHIFT = 3  # where the shift is among the errors of a pose
 DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2
-SAME, APART = 0.25, 0.5  # of the filter's sigma, which holds what lasts
+USE_FILTER_BELOW, USE_GRAPH_ABOVE = 0.25, 0.5  # of the filter's sigma, which holds what lasts
 FILTER = "filter"  # the source's name among the weights
 
 
-def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> str:
+def filter_contradiction(graph: Graph, motion: MotionEstimate | None, correlation: float) -> str:
     """Why the filter's answer is to be used in place of the graph's; empty where it is not."""
     if motion is None:
         return ""
     frame = graph.frame
-    compared = _compared(
+    compared = _compare(
         graph.node.pose.matrix(),
         graph.covariance,
         frame.local(motion.x[R : R + 3]),
@@ -47,14 +54,14 @@ def against_filter(graph: Graph, motion: Motion | None, correlation: float) -> s
     )
     distance_m, q, ratio = compared.tolist()
     # Written so that NaN contradicts, here and below.
-    if not q <= chi_square(3, P_CONTRADICTION):
+    if not q <= chi_square_threshold(3, P_CONTRADICTION):
         return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) off the filter"
-    if not ratio <= VAGUER * correlation:
+    if not ratio <= MAX_SIGMA_RATIO * correlation:
         return f"the graph was {ratio:.0f} times less sure than the filter"
     return ""
 
 
-def told_apart(fused: FusedState, decision: Decision, tied: bool = True) -> FusedState:
+def blend_with_filter(fused: FusedState, decision: Decision, tied: bool = True) -> FusedState:
     """The fused state with the filter's position where the two are not told apart or nothing `tied`
     the epoch to the last, smoothly the graph's where they are; the weights say how much of it is
     the filter's."""
@@ -62,7 +69,7 @@ def told_apart(fused: FusedState, decision: Decision, tied: bool = True) -> Fuse
         return fused
     ours, theirs = np.array(fused.position_ecef_m), np.array(decision.position_ecef_m)
     off = math.dist(ours, theirs) / math.hypot(*decision.position_sigma_m)
-    share = weight(off, SAME, APART) if tied else 1.0
+    share = residual_weight(off, USE_FILTER_BELOW, USE_GRAPH_ABOVE) if tied else 1.0
     x, y, z = (ours + share * (theirs - ours)).tolist()
     return msgspec.structs.replace(
         fused, position_ecef_m=(x, y, z), weights=fused.weights | {FILTER: share}
@@ -70,7 +77,7 @@ def told_apart(fused: FusedState, decision: Decision, tied: bool = True) -> Fuse
 
 
 @compiled
-def _compared(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes: Vector) -> Vector:
+def _compare(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes: Vector) -> Vector:
     """Distance in m, its square over both covariances, and the graph's sigma over the filter's.
 
     `pose` (4, 4) and `p` (9, 9) are the graph's, in its own frame and in body axes; `filter_m` (3,)
@@ -79,14 +86,14 @@ def _compared(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes:
     # Copies lie in a row: for slices the products would be compiled once more.
     rot = pose[:3, :3].copy()
     shift = p[POSE_SHIFT : POSE_SHIFT + 3, POSE_SHIFT : POSE_SHIFT + 3].copy()
-    own = multiply(multiply(rot, shift), transposed(rot))
-    known = multiply(multiply(axes, filter_p.copy()), transposed(axes))
+    own = multiply_matrices(multiply_matrices(rot, shift), transpose_matrix(rot))
+    known = multiply_matrices(multiply_matrices(axes, filter_p.copy()), transpose_matrix(axes))
     off, both = np.empty(3), np.empty((3, 3))
     for i in range(3):
         off[i] = pose[i, 3] - filter_m[i]
         for k in range(3):
             both[i, k] = own[i, k] + known[i, k]
-    weighted, out = apply(inverse(both), off), np.zeros(3)
+    weighted, out = multiply_vector(invert_positive_definite(both), off), np.zeros(3)
     graph_m2 = filter_m2 = 0.0
     for i in range(3):
         out[DISTANCE_M] += off[i] ** 2

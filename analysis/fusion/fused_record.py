@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 
 from analysis.fusion.graph import Graph
-from analysis.fusion.local_frame import quaternion
+from analysis.fusion.local_frame import quaternion_of_matrix
 from analysis.results import FusedState
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.linear import apply, multiply, transposed
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.linear import multiply_matrices, multiply_vector, transpose_matrix
 
 UNKNOWN_DEG = (180.0, 180.0, 180.0)
 
@@ -21,7 +21,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
     """Position, velocity and attitude with sigmas; those of position and velocity north, east,
     down, those of attitude about the body's axes."""
     node, frame = graph.node, graph.frame
-    rows = _rows(
+    rows = _state_numbers(
         node.pose.matrix(),
         node.velocity,
         graph.covariance,
@@ -46,7 +46,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
     )
 
 
-def gap(last: FusedState, t_us: int, why: str) -> FusedState:
+def repeat_last_state(last: FusedState, t_us: int, why: str) -> FusedState:
     """The last good state once more, where there is no other."""
     return msgspec.structs.replace(
         last,
@@ -57,7 +57,7 @@ def gap(last: FusedState, t_us: int, why: str) -> FusedState:
 
 
 @compiled
-def _rows(
+def _state_numbers(
     pose: Vector, velocity: Vector, p: Vector, anchor_m: Vector, axes: Vector, slow_m2: Vector
 ) -> Vector:
     """Numbers (19,): position in ECEF; velocity north, east, down; sigmas of position and velocity,
@@ -67,11 +67,11 @@ def _rows(
         out[i] = anchor_m[i]
         for k in range(3):
             out[i] += axes[k, i] * pose[k, 3]
-    lat, lon, _ = geodetic(out[0:3])
+    lat, lon, _ = geodetic_position(out[0:3])
     ned = ned_axes(lat, lon)
-    to_ned = multiply(ned, transposed(axes))
-    rotation = multiply(to_ned, pose[0:3, 0:3])
-    speed, q = apply(to_ned, velocity), quaternion(rotation)
+    to_ned = multiply_matrices(ned, transpose_matrix(axes))
+    rotation = multiply_matrices(to_ned, pose[0:3, 0:3])
+    speed, q = multiply_vector(to_ned, velocity), quaternion_of_matrix(rotation)
     here, slow = _variances(rotation, p[3:6, 3:6]), _variances(ned, slow_m2)
     change = _variances(to_ned, p[6:9, 6:9])
     for i in range(3):
@@ -88,7 +88,7 @@ def _rows(
 @compiled
 def _variances(a: Vector, p: Vector) -> Vector:
     """Diagonal (3,) of a p a'."""
-    out, ap = np.zeros(3), multiply(a, p)
+    out, ap = np.zeros(3), multiply_matrices(a, p)
     for i in range(3):
         for k in range(3):
             out[i] += ap[i, k] * a[i, k]

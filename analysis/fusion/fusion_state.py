@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detector_state import Core, Record
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.propagation import PENDING_MAX
 from analysis.detection.values import Value
-from analysis.fusion.factors.sensor_factors import Others
+from analysis.fusion.factors.sensor_factors import SensorFactors
 from analysis.fusion.graph import Graph
 from analysis.fusion.graph_start import Node
-from analysis.fusion.learnt_noise import Learnt
-from analysis.fusion.local_frame import Frame
+from analysis.fusion.learned_noise import LearnedNoise
+from analysis.fusion.local_frame import LocalFrame
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices, Stamps
 from analysis.samples.sample import ImuSample, Sample, Vector
@@ -24,31 +24,31 @@ from mavproxy_fault.numerics.compile import compiled
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
 
-class Now(Value, frozen=True):
+class FusionEpoch(Value, frozen=True):
     """One epoch: the sample that made it, what the detector said, and its state after it."""
 
     sample: Sample
     decision: Decision
     results: Sequence[Result]
-    core: Core
+    core: DetectorCore
 
     @property
-    def motion(self) -> Motion | None:
+    def motion(self) -> MotionEstimate | None:
         """The detector's filter if it is at this epoch."""
         motion = self.core.motion
         return motion if motion and motion.t_us == self.decision.t_us else None
 
     @property
-    def record(self) -> Record | None:
+    def record(self) -> EpochRecord | None:
         """What the detector keeps of this epoch, where it does."""
         history = self.core.history
         return history[-1] if history and history[-1].t_us == self.decision.t_us else None
 
 
-class Good(NamedTuple):
+class LastGoodState(NamedTuple):
     """What a graph was after its last commit."""
 
-    frame: Frame
+    frame: LocalFrame
     node: Node
     covariance: Vector
     aligned: bool
@@ -69,9 +69,9 @@ class FusionState:
     depth: int = 0  # samples in `imu`
     waiting: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
-    others: Others | None = None
-    learnt: Learnt = field(default_factory=Learnt)
-    good: Good | None = None
+    others: SensorFactors | None = None
+    learnt: LearnedNoise = field(default_factory=LearnedNoise)
+    good: LastGoodState | None = None
     excluded: frozenset[str] = frozenset()
     isolated: frozenset[str] = frozenset()
     lost: bool = False
@@ -85,7 +85,7 @@ class FusionState:
 
         The oldest are forgotten where there are too many.
         """
-        if self.graph is not None and _later(run.t_us, self.graph.node.t_us) < len(run.t_us):
+        if self.graph is not None and _count_later(run.t_us, self.graph.node.t_us) < len(run.t_us):
             late = run.t_us <= self.graph.node.t_us
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
                 self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
@@ -110,7 +110,7 @@ class FusionState:
         """Drop what is not later than a time."""
         runs, self.imu, self.depth = self.imu, deque(), 0
         for run in runs:
-            count = _later(run.t_us, until_us)
+            count = _count_later(run.t_us, until_us)
             if count:
                 later = run.t_us > until_us
                 self.imu.append(ImuRun(run.t_us[later], run.values[later]))
@@ -118,7 +118,7 @@ class FusionState:
 
 
 @compiled
-def _later(t_us: Stamps, than_us: int) -> int:
+def _count_later(t_us: Stamps, than_us: int) -> int:
     """How many of the stamps are later than a time."""
     count = 0
     for stamp_us in t_us:
@@ -128,7 +128,7 @@ def _later(t_us: Stamps, than_us: int) -> int:
 
 
 @compiled
-def heeded(kind: Indices, first: int, last: int) -> Indices:
+def sample_rows(kind: Indices, first: int, last: int) -> Indices:
     """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole.
 
     `kind` (n,) is that of the block's rows.

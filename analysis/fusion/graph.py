@@ -8,26 +8,31 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig, Noise
-from analysis.fusion.edge import Edge, mended, split
-from analysis.fusion.factors.imu_factors import FREE_RATE_RPS, imagine, imu_params, preintegrate
-from analysis.fusion.factors.range_factors import Ranges
-from analysis.fusion.factors.robust_factors import clock_in_seconds, pseudoranges
-from analysis.fusion.factors.unary_factors import EPOCHS, clock_factor
+from analysis.detection.detection_config import DetectorConfig, ProcessNoise
+from analysis.fusion.factors.imu_factors import (
+    FREE_RATE_RPS,
+    imu_params,
+    motion_model,
+    preintegrate_imu,
+)
+from analysis.fusion.factors.range_factors import EpochRanges
+from analysis.fusion.factors.robust_factors import clock_seconds_factor, pseudorange_factors
+from analysis.fusion.factors.unary_factors import MAX_EPOCHS, clock_factor
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.fusion.graph_start import Beginning, Clock, Node, first_guess
-from analysis.fusion.window import Window, key
+from analysis.fusion.graph_start import ClockState, GraphStart, Node, first_guess
+from analysis.fusion.imu_edge import Edge, add_late_samples, split_segment
+from analysis.fusion.window import FactorWindow, variable_key
 from analysis.samples.sample import ImuSample, Vector
 from mavproxy_fault.numerics.compile import compiled
 
-SAME_PLACE_M = 100.0  # gravity turns by 2e-5 rad over it
-SAME_US = 1000  # epochs closer than this are one
+SAME_GRAVITY_M = 100.0  # gravity turns by 2e-5 rad over it
+SAME_EPOCH_US = 1000  # epochs closer than this are one
 RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
 
 
 @dataclass(slots=True)
-class Epoch:
+class GraphEpoch:
     """What the graph remembers of an epoch in the window: its first guess, as a node and as GTSAM's
     values, its stamp in the window, and the pose `seen` by vision among it."""
 
@@ -35,7 +40,7 @@ class Epoch:
     values: Any
     stamp_s: float
     edge: Edge | None = None
-    ranges: Ranges | None = None
+    ranges: EpochRanges | None = None
     weights: Vector = field(default_factory=lambda: np.empty(0))
     seen: Any = None
 
@@ -53,14 +58,14 @@ class Graph:
     """
 
     def __init__(
-        self, beginning: Beginning, config: FusionConfig, detector: DetectorConfig
+        self, beginning: GraphStart, config: FusionConfig, detector: DetectorConfig
     ) -> None:
         self.frame, self.node = beginning.frame, beginning.node
         self.aligned = beginning.aligned
         self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
         self.covariance: Vector = np.zeros((9, 9))
-        self.window = Window(config.lag_s, any_scale=beginning.loose)
-        self.epochs: dict[int, Epoch] = {}
+        self.window = FactorWindow(config.lag_s, any_scale=beginning.loose)
+        self.epochs: dict[int, GraphEpoch] = {}
         self._began = beginning.node
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
@@ -68,7 +73,7 @@ class Graph:
         self._late: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
         self._place_m = [0.0, 0.0, 0.0]
-        self._noise: Noise | None = None  # of what `_params` are
+        self._noise: ProcessNoise | None = None  # of what `_params` are
         self._params: Any = None
         self._insert(self.node)
         self.attach("prior", 0, *beginning.priors())
@@ -77,7 +82,7 @@ class Graph:
         """Time since the graph began."""
         return (t_us - self._began.t_us) * 1e-6
 
-    def clock_at(self, t_us: int) -> Clock:
+    def clock_at(self, t_us: int) -> ClockState:
         """Clock in m and drift in m/s that the graph's are counted from."""
         clock, drift = self._began.clock
         return clock + drift * self.seconds(t_us), drift
@@ -143,7 +148,7 @@ class Graph:
         if attitude is not None:
             self.aligned = True
             noise = gtsam.noiseModel.Gaussian.Covariance(attitude[1])
-            x = key("x", self.node.epoch)
+            x = variable_key("x", self.node.epoch)
             prior = gtsam.PoseRotationPrior3D(x, attitude[0], noise)
             self.attach("aligned", self.node.epoch, prior)
         return self.sound(edge)
@@ -160,9 +165,9 @@ class Graph:
         (start_us, i), (end_us, j) = self._track[at - 1], self._track[at]
         edge = self.epochs[j].edge
         # Two epochs as close as this would be one, twice.
-        if edge is None or min(t_us - start_us, end_us - t_us) < SAME_US:
+        if edge is None or min(t_us - start_us, end_us - t_us) < SAME_EPOCH_US:
             return None
-        first, second = split(edge.part, start_us, t_us, end_us)
+        first, second = split_segment(edge.part, start_us, t_us, end_us)
         earlier = edge._replace(part=first)
         start = self.estimate(i)
         motion = self._motion(earlier, start, t_us)
@@ -186,7 +191,7 @@ class Graph:
             if t_us > since_us and edge is not None and edge.trusted:
                 self._retie(epoch, edge._replace(trusted=False))
 
-    def attach_ranges(self, epoch: int, ranges: Ranges, weights: Vector) -> None:
+    def attach_ranges(self, epoch: int, ranges: EpochRanges, weights: Vector) -> None:
         """The pseudoranges and rates of an epoch with their weights (n,)."""
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
@@ -198,11 +203,11 @@ class Graph:
             return
         if not weights.any():
             return
-        found = pseudoranges(ranges, weights, epoch, self.frame, clock, self._robust)
+        found = pseudorange_factors(ranges, weights, epoch, self.frame, clock, self._robust)
         for name, factor in found.items():
             self.attach(name, epoch, factor)
-        guess, tie = clock_in_seconds(epoch)
-        self.window.insert(guess, (key("r", epoch),), at.stamp_s)
+        guess, tie = clock_seconds_factor(epoch)
+        self.window.insert(guess, (variable_key("r", epoch),), at.stamp_s)
         self.attach(RANGES, epoch, tie, *([] if rows is None else [rows]))
 
     def remove(self, name: str, since_us: int) -> None:
@@ -227,12 +232,12 @@ class Graph:
             If it is not finite.
         """
         smoother, t_us = self.window.smoother, self.epochs[epoch].t_us
-        pose = smoother.calculateEstimatePose3(key("x", epoch))
-        velocity = smoother.calculateEstimateVector(key("v", epoch))
-        clock = smoother.calculateEstimateVector(key("c", epoch))
+        pose = smoother.calculateEstimatePose3(variable_key("x", epoch))
+        velocity = smoother.calculateEstimateVector(variable_key("v", epoch))
+        clock = smoother.calculateEstimateVector(variable_key("c", epoch))
         if not _finite(pose.matrix(), velocity, clock):
             raise RuntimeError("the estimate is not finite")
-        bias = smoother.calculateEstimateConstantBias(key("b", epoch))
+        bias = smoother.calculateEstimateConstantBias(variable_key("b", epoch))
         known, (ahead_m, faster_mps) = self.clock_at(t_us), clock.tolist()
         return Node(epoch, t_us, pose, velocity, bias, (known[0] + ahead_m, known[1] + faster_mps))
 
@@ -248,7 +253,7 @@ class Graph:
             edge = self._edge(epoch)
             if edge is not None and edge.trusted:
                 start_us, end_us = self.epochs[edge.before].t_us, self.epochs[epoch].t_us
-                part = mended(edge.part, start_us, end_us, late)
+                part = add_late_samples(edge.part, start_us, end_us, late)
                 self._retie(epoch, edge._replace(part=part))
         self._late = {}
         # Before solving, as the smoother drops these variables while it does.
@@ -256,7 +261,9 @@ class Graph:
         self.window.commit()
         epoch = self.node.epoch
         self.node = self.estimate(epoch)
-        self.covariance = self.window.covariance([key("x", epoch), key("v", epoch)])
+        self.covariance = self.window.covariance(
+            [variable_key("x", epoch), variable_key("v", epoch)]
+        )
 
     def _edge(self, epoch: int) -> Edge | None:
         """The edge to an epoch if it can still be changed: it and both ends are in the window."""
@@ -277,18 +284,18 @@ class Graph:
         guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
         # Numbers are used again, as GTSAM's keys and our caches are per number.
         epoch = self._free.pop() if self._free else len(self.epochs)
-        if epoch == EPOCHS:
-            raise RuntimeError(f"more than {EPOCHS} epochs in the window")
+        if epoch == MAX_EPOCHS:
+            raise RuntimeError(f"more than {MAX_EPOCHS} epochs in the window")
         drift = start.clock[1]
         clock = start.clock[0] + drift * (t_us - start.t_us) * 1e-6, drift
         return Node(epoch, t_us, guess.pose(), guess.velocity(), start.bias, clock)
 
     def _insert(self, node: Node) -> None:
         values = first_guess(node)
-        names = [key(letter, node.epoch) for letter in "xvbc"]
+        names = [variable_key(letter, node.epoch) for letter in "xvbc"]
         stamp_s = self.window.stamp(self.seconds(node.t_us))
         self.window.insert(values, names, stamp_s)
-        self.epochs[node.epoch] = Epoch(node, values, stamp_s)
+        self.epochs[node.epoch] = GraphEpoch(node, values, stamp_s)
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
@@ -296,19 +303,19 @@ class Graph:
         if self.sound(edge):
             place_m = start.pose.translation().tolist()
             # Preintegration takes gravity as constant; a new place has another one.
-            far = math.dist(place_m, self._place_m) > SAME_PLACE_M
+            far = math.dist(place_m, self._place_m) > SAME_GRAVITY_M
             if far or edge.noise is not self._noise:
                 self._place_m, self._noise = place_m, edge.noise
                 self._params = imu_params(self.frame, np.array(place_m), edge.noise)
-            return preintegrate(edge.part.samples, start.bias, self._params)
+            return preintegrate_imu(edge.part.samples, start.bias, self._params)
         dt_s = (t_us - start.t_us) * 1e-6
-        return imagine(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
+        return motion_model(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
 
     def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
         before, after = self.epochs[edge.before], self.epochs[epoch]
         after.edge = edge
         (x0, v0, b0), (x1, v1, b1) = (
-            [key(letter, at) for letter in "xvb"] for at in (edge.before, epoch)
+            [variable_key(letter, at) for letter in "xvb"] for at in (edge.before, epoch)
         )
         moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
         self.attach("imu", epoch, moved, since=edge.before)

@@ -8,7 +8,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
     BA,
     BG,
@@ -27,19 +27,21 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.values import Value
-from analysis.fusion.factors.unary_factors import EPOCHS, NO_CLOCK
-from analysis.fusion.local_frame import Frame, frame_at, quaternion
-from analysis.fusion.window import key
+from analysis.fusion.factors.unary_factors import MAX_EPOCHS, NO_CLOCK
+from analysis.fusion.local_frame import LocalFrame, frame_at, quaternion_of_matrix
+from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
-Clock = tuple[float, float]  # clock in m, drift in m/s
-NO_SPEED = np.zeros(3)
-TINY = 1e-12  # keeps a covariance positive definite
-UNKNOWN_CLOCK = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
-STILL_RAD = 0.1
-LOOSE_M = 20.0  # a position as unsure as this begins with the epoch's own ranges, and by QR
-DOUBT = 2.0  # the sigmas of the last good state times this
+ClockState = tuple[float, float]  # clock in m, drift in m/s
+ZERO_VELOCITY = np.zeros(3)
+MIN_VARIANCE = 1e-12  # keeps a covariance positive definite
+UNKNOWN_CLOCK_SIGMA = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
+FIXED_ATTITUDE_RAD = 0.1
+UNCERTAIN_POSITION_M = (
+    20.0  # a position as unsure as this begins with the epoch's own ranges, and by QR
+)
+RESTART_SIGMA_FACTOR = 2.0  # the sigmas of the last good state times this
 
 
 class Node(Value, frozen=True):
@@ -50,18 +52,18 @@ class Node(Value, frozen=True):
     pose: Any
     velocity: Vector
     bias: Any
-    clock: Clock
+    clock: ClockState
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
+class GraphStart:
     """A first node with its covariances: pose (6, 6) rotation then shift in body axes, velocity (3,
     3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
 
     `aligned` says that its attitude is known.
     """
 
-    frame: Frame
+    frame: LocalFrame
     node: Node
     pose_p: Vector
     velocity_p: Vector
@@ -72,7 +74,7 @@ class Beginning:
     @property
     def loose(self) -> bool:
         """Whether the position is so unsure that more than priors is needed."""
-        return math.sqrt(np.trace(self.pose_p[3:, 3:])) > LOOSE_M
+        return math.sqrt(np.trace(self.pose_p[3:, 3:])) > UNCERTAIN_POSITION_M
 
     def priors(self) -> list[Any]:
         """The first node's factors."""
@@ -80,28 +82,36 @@ class Beginning:
         node, epoch = self.node, self.node.epoch
         return [
             gtsam.PriorFactorPose3(
-                key("x", epoch), node.pose, gaussian(self.pose_p + TINY * np.eye(6))
+                variable_key("x", epoch),
+                node.pose,
+                gaussian(self.pose_p + MIN_VARIANCE * np.eye(6)),
             ),
             gtsam.PriorFactorPoint3(
-                key("v", epoch), node.velocity, gaussian(self.velocity_p + TINY * np.eye(3))
+                variable_key("v", epoch),
+                node.velocity,
+                gaussian(self.velocity_p + MIN_VARIANCE * np.eye(3)),
             ),
             gtsam.PriorFactorConstantBias(
-                key("b", epoch), node.bias, gaussian(self.bias_p + TINY * np.eye(6))
+                variable_key("b", epoch),
+                node.bias,
+                gaussian(self.bias_p + MIN_VARIANCE * np.eye(6)),
             ),
             gtsam.PriorFactorVector(
-                key("c", epoch), NO_CLOCK, gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma)
+                variable_key("c", epoch),
+                NO_CLOCK,
+                gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma),
             ),
         ]
 
 
-@lru_cache(maxsize=EPOCHS)
+@lru_cache(maxsize=MAX_EPOCHS)
 def _at_rest(epoch: int) -> Any:
     """The variables of an epoch at zero; not to be changed."""
     values = gtsam.Values()
-    values.insert(key("x", epoch), gtsam.Pose3())
-    values.insert(key("v", epoch), NO_SPEED)
-    values.insert(key("b", epoch), gtsam.imuBias.ConstantBias())
-    values.insert(key("c", epoch), NO_CLOCK)
+    values.insert(variable_key("x", epoch), gtsam.Pose3())
+    values.insert(variable_key("v", epoch), ZERO_VELOCITY)
+    values.insert(variable_key("b", epoch), gtsam.imuBias.ConstantBias())
+    values.insert(variable_key("c", epoch), NO_CLOCK)
     return values
 
 
@@ -111,17 +121,17 @@ def first_guess(node: Node) -> Any:
     By a step from rest, since the bindings try forty overloads for a bias and take 70 us.
     """
     step, epoch = gtsam.VectorValues(), node.epoch
-    step.insert(key("x", epoch), gtsam.Pose3.Logmap(node.pose))
-    step.insert(key("v", epoch), node.velocity)
-    step.insert(key("b", epoch), node.bias.vector())
+    step.insert(variable_key("x", epoch), gtsam.Pose3.Logmap(node.pose))
+    step.insert(variable_key("v", epoch), node.velocity)
+    step.insert(variable_key("b", epoch), node.bias.vector())
     return _at_rest(epoch).retract(step)
 
 
-def at_filter(motion: Motion, correlation: float) -> Beginning:
+def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
     """The detector's filter, its position and clock `correlation` times less sure."""
     x, p = motion.x, motion.p
     frame = frame_at(x[R : R + 3], motion.t_us)
-    rot = frame.axes @ matrix(x[X_Q : X_Q + 4])
+    rot = frame.axes @ rotation_matrix(x[X_Q : X_Q + 4])
     to_body = rot.T @ frame.axes
     both = np.zeros((6, 6))
     # GTSAM's pose errors are in body axes, the filter's in ECEF.
@@ -131,7 +141,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
     pose_p = widen @ both @ p[np.ix_(spots, spots)] @ both.T @ widen
     if not motion.inertial:  # it tells nothing, and must not wander while nothing else does
         pose_p[:3, :] = pose_p[:, :3] = 0.0
-        pose_p[:3, :3] = STILL_RAD**2 * np.eye(3)
+        pose_p[:3, :3] = FIXED_ATTITUDE_RAD**2 * np.eye(3)
     biases = [*range(BA, BA + 3), *range(BG, BG + 3)]
     node = Node(
         0,
@@ -141,7 +151,7 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
         gtsam.imuBias.ConstantBias(x[X_BA : X_BA + 3], x[X_BG : X_BG + 3]),
         (float(x[X_CLOCK]), float(x[X_DRIFT])),
     )
-    return Beginning(
+    return GraphStart(
         frame,
         node,
         pose_p,
@@ -153,31 +163,31 @@ def at_filter(motion: Motion, correlation: float) -> Beginning:
     )
 
 
-def at_node(frame: Frame, node: Node, covariance: Vector, aligned: bool) -> Beginning:
+def start_from_node(frame: LocalFrame, node: Node, covariance: Vector, aligned: bool) -> GraphStart:
     """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
     # Something went wrong since then: it is believed, but less.
-    wide = DOUBT**2 * covariance
+    wide = RESTART_SIGMA_FACTOR**2 * covariance
     bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
     first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)
-    return Beginning(
-        frame, first, wide[:6, :6], wide[6:, 6:], bias, np.array(UNKNOWN_CLOCK), aligned
+    return GraphStart(
+        frame, first, wide[:6, :6], wide[6:, 6:], bias, np.array(UNKNOWN_CLOCK_SIGMA), aligned
     )
 
 
-def attitude_in(frame: Frame, motion: Motion) -> tuple[Any, Vector]:
+def attitude_in_frame(frame: LocalFrame, motion: MotionEstimate) -> tuple[Any, Vector]:
     """The filter's attitude in a frame, with its covariance (3, 3) in body axes."""
-    rot = frame.axes @ matrix(motion.x[X_Q : X_Q + 4])
+    rot = frame.axes @ rotation_matrix(motion.x[X_Q : X_Q + 4])
     to_body = rot.T @ frame.axes
     p = to_body @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ to_body.T
-    return gtsam.Rot3(rot), p + TINY * np.eye(3)
+    return gtsam.Rot3(rot), p + MIN_VARIANCE * np.eye(3)
 
 
-def navigation_state(frame: Frame, node: Node, isb_m: Vector) -> Vector:
+def navigation_state(frame: LocalFrame, node: Node, isb_m: Vector) -> Vector:
     """A node as the state x (21,) of the detector's filter."""
     x = np.zeros(X_SIZE)
     x[R : R + 3] = frame.ecef(node.pose.translation())
     x[V : V + 3] = frame.axes.T @ node.velocity
-    x[X_Q : X_Q + 4] = quaternion(frame.axes.T @ node.pose.rotation().matrix())
+    x[X_Q : X_Q + 4] = quaternion_of_matrix(frame.axes.T @ node.pose.rotation().matrix())
     x[X_BG : X_BG + 3] = node.bias.gyroscope()
     x[X_BA : X_BA + 3] = node.bias.accelerometer()
     x[X_CLOCK], x[X_DRIFT] = node.clock

@@ -12,12 +12,12 @@ from analysis.detection.filter.inertial import gravity_ecef
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 
 @dataclass(frozen=True)
-class Frame:
+class LocalFrame:
     """An anchor (3,) in ECEF, rows (3, 3) east, north, up there, and the stamp it was set at."""
 
     anchor_m: Vector
@@ -53,7 +53,7 @@ class Frame:
     @cached_property
     def field_gauss(self) -> Vector:
         """The magnetic field (3,) at the anchor on the day of the stamp, as `date_of` reads it."""
-        lat, lon, height = geodetic(self.anchor_m)
+        lat, lon, height = geodetic_position(self.anchor_m)
         lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
         day = date_of(self.stamp_us)
         north, east, down = magnetic_field_gauss(lat_deg, lon_deg, float(height), day)
@@ -62,7 +62,7 @@ class Frame:
 
 
 @compiled
-def quaternion(rot: Vector) -> Vector:
+def quaternion_of_matrix(rot: Vector) -> Vector:
     """A rotation matrix as a unit quaternion (w, x, y, z) with w >= 0.
 
     By its largest part: four times its square is what the signs make of the diagonal.
@@ -88,8 +88,8 @@ def quaternion(rot: Vector) -> Vector:
     return out
 
 
-def frame_at(r_ecef_m: Vector, stamp_us: int) -> Frame:
+def frame_at(r_ecef_m: Vector, stamp_us: int) -> LocalFrame:
     """The frame anchored at a position (3,) at a stamp."""
-    lat, lon, _ = geodetic(r_ecef_m)
+    lat, lon, _ = geodetic_position(r_ecef_m)
     north, east, down = ned_axes(lat, lon)
-    return Frame(r_ecef_m.copy(), np.array([east, north, -down]), stamp_us)
+    return LocalFrame(r_ecef_m.copy(), np.array([east, north, -down]), stamp_us)

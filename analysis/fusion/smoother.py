@@ -5,44 +5,48 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig, Noise
-from analysis.detection.detector_state import Core
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.detection_config import DetectorConfig, ProcessNoise
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import X_ISB
-from analysis.detection.filter.measurement import choose, observe
-from analysis.detection.filter.propagation import Segment, run_of
-from analysis.fusion.edge import Edge, between
+from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.filter.propagation import ImuSegment, imu_run_of
 from analysis.fusion.factors.factor_weights import (
+    faulty_rates,
     isolated_sensors,
     range_weights,
     sensor_weights,
-    wrong_rates,
 )
-from analysis.fusion.factors.gnc import outliers
-from analysis.fusion.factors.range_factors import Ranges
-from analysis.fusion.factors.sensor_factors import WAITING, Others
-from analysis.fusion.filter_check import against_filter, told_apart
-from analysis.fusion.fused_record import fused_state, gap
+from analysis.fusion.factors.gnc import find_outliers
+from analysis.fusion.factors.range_factors import EpochRanges
+from analysis.fusion.factors.sensor_factors import SOURCE_NAMES, SensorFactors
+from analysis.fusion.filter_check import blend_with_filter, filter_contradiction
+from analysis.fusion.fused_record import fused_state, repeat_last_state
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.fusion.fusion_state import FusionState, Good, Now, heeded
+from analysis.fusion.fusion_state import FusionEpoch, FusionState, LastGoodState, sample_rows
 from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.graph_start import (
-    Beginning,
-    at_filter,
-    at_node,
-    attitude_in,
+    GraphStart,
+    attitude_in_frame,
     navigation_state,
+    start_from_filter,
+    start_from_node,
 )
+from analysis.fusion.imu_edge import Edge, segment_between
 from analysis.results import Decision, FusedState, Result, SensorDecision
-from analysis.samples.block import Piece
+from analysis.samples.block import BlockSlice
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
-LOST_RAD = 0.1  # an attitude as sure as this needs no help from the detector
-SUSPECT = 0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
-SHOWS_NOISE = ("none", "satellites")  # hypotheses under which residuals are noise
-SKY_US = 2_000_000  # satellites move little meanwhile
-JUMP_M = 1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
-FAILURES = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
+GOOD_ATTITUDE_RAD = 0.1  # an attitude as sure as this needs no help from the detector
+IMU_SUSPECT_SHARE = (
+    0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
+)
+NOISE_HYPOTHESES = ("none", "satellites")  # hypotheses under which residuals are noise
+SLOW_UPDATE_US = 2_000_000  # satellites move little meanwhile
+CLOCK_JUMP_M = (
+    1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
+)
+SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
 
 
 @dataclass(frozen=True)
@@ -58,19 +62,19 @@ class Fusion:
         return FusionState()
 
     def step_piece(
-        self, piece: Piece, results: Sequence[Result], core: Core, state: FusionState
+        self, piece: BlockSlice, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
         state.hear(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
         states: list[Result] = []
-        for row in heeded(piece.block.kind, piece.first, piece.last).tolist():
+        for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
             found, state = self.step(piece.block.sample(row), of_row, core, state)
             states += found
         return states, state
 
     def step(
-        self, sample: Sample, results: Sequence[Result], core: Core, state: FusionState
+        self, sample: Sample, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The fused state at an epoch, and the next state.
 
@@ -86,10 +90,10 @@ class Fusion:
         """
         if type(sample) is ImuSample:
             if core.imu_id is None or core.imu_id == sample.id:
-                state.hear(run_of([sample]))
+                state.hear(imu_run_of([sample]))
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
-        graph, source = state.graph, WAITING.get(type(sample))
+        graph, source = state.graph, SOURCE_NAMES.get(type(sample))
         # Behind the newest node: it belongs between older ones.
         if graph is not None and sample.t_us < graph.node.t_us:
             self._attach_late(graph, sample, source, core, state)
@@ -98,10 +102,10 @@ class Fusion:
             state.waiting[source] = sample
         if decision is None or (graph is not None and decision.t_us <= graph.node.t_us):
             return [], state
-        now = Now(sample, decision, results, core)
+        now = FusionEpoch(sample, decision, results, core)
         try:
             fused = self._epoch(now, state)
-        except FAILURES as error:
+        except SOLVER_ERRORS as error:
             fused = self._again(now, state, _first_line(error))
         # Even where no state came of it: the next epoch begins after this one.
         state.forget(decision.t_us)
@@ -110,11 +114,11 @@ class Fusion:
         if self.config.decide:
             if _unbounded(sample, decision):
                 return [], state
-            fused = told_apart(fused, decision, _tied(fused, state))
+            fused = blend_with_filter(fused, decision, _tied(fused, state))
         state.last = fused
         return [fused], state
 
-    def _epoch(self, now: Now, state: FusionState) -> FusedState | None:
+    def _epoch(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
         graph, motion = state.graph, now.motion
         if now.core.motion is None:  # the detector has lost its place, and nothing else keeps one
@@ -132,26 +136,26 @@ class Fusion:
         silent_s = (decision.t_us - graph.node.t_us) * 1e-6
         return decision.mode == "start" or silent_s > self.detector.reset_s
 
-    def _begin(self, motion: Motion, now: Now, state: FusionState) -> FusedState:
+    def _begin(self, motion: MotionEstimate, now: FusionEpoch, state: FusionState) -> FusedState:
         """A new graph where the detector is."""
-        beginning = at_filter(motion, self.config.correlation)
+        beginning = start_from_filter(motion, self.config.correlation)
         graph = self._new(beginning, state)
         used = {"imu": float(motion.inertial)}
         if beginning.loose:
             used |= self._attach_ranges(graph, now, state)
         return self._done(graph, used, now, state)
 
-    def _new(self, beginning: Beginning, state: FusionState) -> Graph:
+    def _new(self, beginning: GraphStart, state: FusionState) -> Graph:
         before = state.graph
         graph = state.graph = Graph(beginning, self.config, self.detector)
-        state.others = Others(graph, self.config)
+        state.others = SensorFactors(graph, self.config)
         state.lost = False
         # The satellites are the same, and so is what averaging leaves of their errors.
         if before is not None:
             graph.slow_m2 = before.slow_m2
         return graph
 
-    def _go_on(self, graph: Graph, now: Now, state: FusionState) -> FusedState | None:
+    def _go_on(self, graph: Graph, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """One epoch more on a graph."""
         isolated = isolated_sensors(now.results, self.config)
         attitude = self._watch_imu(graph, now, isolated, state)
@@ -159,7 +163,7 @@ class Fusion:
         part = self._heard(node.t_us, now, state)
         silent = part.gap_s > self.detector.gap_s  # what is missing may still come
         trusted = silent or not ("imu" in isolated or state.lost)
-        jumped_m = JUMP_M if now.decision.hypothesis == "clock" else 0.0
+        jumped_m = CLOCK_JUMP_M if now.decision.hypothesis == "clock" else 0.0
         edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
         sound = graph.extend(t_us, edge, attitude)
         # Once the IMU was missed the attitude is a guess, until `_watch_imu` finds it known again.
@@ -173,19 +177,19 @@ class Fusion:
                 used[source] = share
         state.isolated = isolated
         fused = self._done(graph, used, now, state)
-        worse = against_filter(graph, now.motion, self.config.correlation)
+        worse = filter_contradiction(graph, now.motion, self.config.correlation)
         if worse and self.config.decide:
             return self._hand_on(worse, now, state)
         return fused if any(used.values()) else None  # of a guess alone nothing is told
 
-    def _hand_on(self, worse: str, now: Now, state: FusionState) -> FusedState:
+    def _hand_on(self, worse: str, now: FusionEpoch, state: FusionState) -> FusedState:
         """The filter's answer in place of the graph's, which goes on from there."""
         motion = now.motion
         assert motion is not None
         state.notes = [f"{worse}; it began anew there"]
         return self._begin(motion, now, state)
 
-    def _imu_noise(self, part: Segment, trusted: bool, state: FusionState) -> Noise:
+    def _imu_noise(self, part: ImuSegment, trusted: bool, state: FusionState) -> ProcessNoise:
         if not self.config.learn:
             return self.detector.noise
         if trusted:
@@ -193,17 +197,17 @@ class Fusion:
         return state.learnt.noise(self.detector.noise)
 
     @staticmethod
-    def _heard(since_us: int, now: Now, state: FusionState) -> Segment:
+    def _heard(since_us: int, now: FusionEpoch, state: FusionState) -> ImuSegment:
         """The IMU since the last epoch: the detector has mostly put it together already."""
         record = now.record
         before = record.core.motion if record is not None else None
         if record is not None and before is not None and before.t_us == since_us:
             return record.part
         t_us = now.decision.t_us
-        return between(state.heard(t_us), since_us, t_us)
+        return segment_between(state.heard(t_us), since_us, t_us)
 
     def _done(
-        self, graph: Graph, used: dict[str, float], now: Now, state: FusionState
+        self, graph: Graph, used: dict[str, float], now: FusionEpoch, state: FusionState
     ) -> FusedState:
         """Take back what was found faulty since the last epoch, solve, and say it."""
         excluded = frozenset(now.decision.excluded) if self.config.decide else frozenset()
@@ -215,7 +219,7 @@ class Fusion:
         if self.config.robust == "gnc" and graph.begins_span():
             self._drop_outliers(graph)
         state.excluded = excluded
-        state.good = Good(graph.frame, graph.node, graph.covariance, graph.aligned)
+        state.good = LastGoodState(graph.frame, graph.node, graph.covariance, graph.aligned)
         weights = used | dict.fromkeys(sorted(excluded), 0.0)
         fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.waiting, state.notes = {}, []
@@ -224,14 +228,14 @@ class Fusion:
     @staticmethod
     def _drop_outliers(graph: Graph) -> None:
         known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
-        found = outliers(graph.window, frozenset(name for names in known for name in names))
+        found = find_outliers(graph.window, frozenset(name for names in known for name in names))
         for name, epoch in found:
             graph.window.remove(name, epoch)
         if found:
             graph.commit()
 
     def _watch_imu(
-        self, graph: Graph, now: Now, isolated: frozenset[str], state: FusionState
+        self, graph: Graph, now: FusionEpoch, isolated: frozenset[str], state: FusionState
     ) -> Attitude | None:
         """Take the IMU back to where it became suspicious when it is isolated.
 
@@ -241,7 +245,7 @@ class Fusion:
         node = graph.node
         tests = [r for r in now.results if isinstance(r, SensorDecision) and r.sensor == "imu"]
         for test in tests:
-            limit = SUSPECT * (test.threshold or 0.0)
+            limit = IMU_SUSPECT_SHARE * (test.threshold or 0.0)
             calm = test.statistic is None or test.statistic <= limit
             since_us = node.t_us if state.suspect_us is None else state.suspect_us
             state.suspect_us = None if calm else since_us
@@ -252,40 +256,42 @@ class Fusion:
         motion = now.motion
         if motion is None or not motion.inertial:
             suspended = self.config.decide and now.core.imu_bad_until_us is not None
-            if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * LOST_RAD**2:
+            if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * GOOD_ATTITUDE_RAD**2:
                 state.lost = False
             return None
         if graph.aligned and not state.lost:
             return None
         state.lost = False
-        rotation, p = attitude_in(graph.frame, motion)
+        rotation, p = attitude_in_frame(graph.frame, motion)
         # Only a better attitude is put in: a worse one would draw the graph off.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
             return None
         return rotation, p
 
-    def _attach_ranges(self, graph: Graph, now: Now, state: FusionState) -> dict[str, float]:
+    def _attach_ranges(
+        self, graph: Graph, now: FusionEpoch, state: FusionState
+    ) -> dict[str, float]:
         """The epoch's own ranges; the weights of those used."""
         if not isinstance(now.sample, Epoch) or now.motion is None or now.core.chosen is None:
             return {}
         record = now.record
-        observed = record.observed if record else observe(now.sample, now.core.chosen)
+        observed = record.observed if record else observe_epoch(now.sample, now.core.chosen)
         if observed is None:
             return {}
         core, config, decision, learnt = now.core, self.config, now.decision, state.learnt
         if config.decide:
-            observed = observed.without_rates(wrong_rates(now.results))
-        ranges = Ranges(observed, now.motion.x, core, config, self.detector, decision.t_us)
+            observed = observed.without_rates(faulty_rates(now.results))
+        ranges = EpochRanges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
-            if decision.hypothesis in SHOWS_NOISE:
+            if decision.hypothesis in NOISE_HYPOTHESES:
                 learnt.hear_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
             ranges.learn(learnt)
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
         # What averaging leaves changes with the satellites, and slowly with their motion.
-        sky = (*used, decision.t_us // SKY_US)
+        sky = (*used, decision.t_us // SLOW_UPDATE_US)
         if sky != state.sky:
             share = learnt.slow(config.slow, ranges.unknowns) if config.learn else config.slow
             slow = ranges.slow_covariance(weights, share)
@@ -294,7 +300,12 @@ class Fusion:
         return used
 
     def _attach_late(
-        self, graph: Graph, sample: Sample, source: str | None, core: Core, state: FusionState
+        self,
+        graph: Graph,
+        sample: Sample,
+        source: str | None,
+        core: DetectorCore,
+        state: FusionState,
     ) -> None:
         """Put a sample from before the newest epoch where it belongs."""
         try:
@@ -302,21 +313,23 @@ class Fusion:
                 self._late_epoch(graph, sample, core, state)
             elif source is not None and source not in state.isolated and state.others is not None:
                 state.others.attach(sample, None)
-        except FAILURES as error:
+        except SOLVER_ERRORS as error:
             self._from_good(state)
             state.notes.append(f"the graph failed ({_first_line(error)}) and began anew")
 
-    def _late_epoch(self, graph: Graph, sample: Epoch, core: Core, state: FusionState) -> None:
+    def _late_epoch(
+        self, graph: Graph, sample: Epoch, core: DetectorCore, state: FusionState
+    ) -> None:
         """Ranges that came late: the detector cannot test them, so their own residuals weigh."""
-        chosen = choose(sample, core.ephemerides, self.detector.systems)
-        observed = observe(sample, chosen)
+        chosen = select_ephemerides(sample, core.ephemerides, self.detector.systems)
+        observed = observe_epoch(sample, chosen)
         if observed is None or core.motion is None:
             return
         node = graph.insert_late(sample.t_us)
         if node is None:
             return
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
-        ranges = Ranges(observed, x, core, self.config, self.detector, sample.t_us)
+        ranges = EpochRanges(observed, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
             ranges.learn(state.learnt)
         weights = ranges.own_weights(state.excluded)
@@ -331,31 +344,35 @@ class Fusion:
         if good is None:
             state.graph = None
             return None
-        where = at_node(good.frame, good.node, good.covariance, good.aligned)
+        where = start_from_node(good.frame, good.node, good.covariance, good.aligned)
         return self._new(where, state)
 
-    def _again(self, now: Now, state: FusionState, why: str) -> FusedState | None:
+    def _again(self, now: FusionEpoch, state: FusionState, why: str) -> FusedState | None:
         """After a failure: the filter's answer where it has tested the epoch, else on from the last
         good state; where that fails too the gap is reported and the next epoch tries again."""
         for begin in (self._again_from_detector, self._again_from_good):
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
                 fused = begin(now, state)
-            except FAILURES:
+            except SOLVER_ERRORS:
                 continue
             if fused is not None:
                 return fused
         state.graph, state.notes = None, []
-        return gap(state.last, now.decision.t_us, why) if state.last is not None else None
+        return (
+            repeat_last_state(state.last, now.decision.t_us, why)
+            if state.last is not None
+            else None
+        )
 
-    def _again_from_good(self, now: Now, state: FusionState) -> FusedState | None:
+    def _again_from_good(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         good = state.good
         if good is None or (now.decision.t_us - good.node.t_us) * 1e-6 > self.detector.reset_s:
             return None
         graph = self._from_good(state)
         return self._go_on(graph, now, state) if graph is not None else None
 
-    def _again_from_detector(self, now: Now, state: FusionState) -> FusedState | None:
+    def _again_from_detector(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         motion = now.motion
         if motion is None or now.decision.position_ecef_m is None:
             return None

@@ -21,12 +21,12 @@ import numpy as np
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-SPANS = 2  # per interval, for what changes slowly
-KEPT = 1.5  # intervals: the newest's and the one before, whatever the rounding
-BEFORE = 1 << 20  # keeps the numbers of spans positive
+SPANS_PER_INTERVAL = 2  # per interval, for what changes slowly
+LAG_INTERVALS = 1.5  # intervals: the newest's and the one before, whatever the rounding
+SPAN_OFFSET = 1 << 20  # keeps the numbers of spans positive
 ROUNDING = 1e-9
 NEVER = 1e9
-SMALL = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
+WILDFIRE_THRESHOLD = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
 # How far a variable moves before it is relinearised, in its own units (rad, m, m/s; m/s^2, rad/s):
 # ranges, clocks and what an accelerometer's bias does are as good as linear, turns are not. Older
 # variables are looked at only where newer ones moved as far.
@@ -41,7 +41,7 @@ RELINEARISE = {
 }
 
 
-class Entry(Value, frozen=True):
+class FactorSlots(Value, frozen=True):
     """The slots of some factors and the stamp of the oldest variable they touch."""
 
     stamp_s: float
@@ -49,12 +49,12 @@ class Entry(Value, frozen=True):
 
 
 @lru_cache(maxsize=16 * 1024)
-def key(letter: str, epoch: int) -> int:
+def variable_key(letter: str, epoch: int) -> int:
     """The key of a variable."""
     return int(gtsam.symbol(letter, epoch))
 
 
-class Window:
+class FactorWindow:
     """The variables and factors of the last `lag_s` seconds; changes in place, as GTSAM's does.
 
     Factors are named by their source and epoch. What is inserted, attached and taken back counts
@@ -68,15 +68,15 @@ class Window:
         params.relinearizeSkip = 1
         params.enablePartialRelinearizationCheck = True
         steps = gtsam.ISAM2GaussNewtonParams()
-        steps.setWildfireThreshold(SMALL)
+        steps.setWildfireThreshold(WILDFIRE_THRESHOLD)
         params.setOptimizationParams(steps)
         thresholds = gtsam.ISAM2ThresholdMap()
         for letter, values in RELINEARISE.items():
             thresholds.insert((letter, np.array(values)))
         params.setRelinearizeThreshold(thresholds)
         self._interval_s = lag_s
-        self.smoother = gtsam.IncrementalFixedLagSmoother(KEPT * lag_s, params)
-        self._entries: dict[tuple[str, int], Entry] = {}
+        self.smoother = gtsam.IncrementalFixedLagSmoother(LAG_INTERVALS * lag_s, params)
+        self._entries: dict[tuple[str, int], FactorSlots] = {}
         self._newest_s = self._forgotten_s = -NEVER
         self._clear()
 
@@ -94,20 +94,20 @@ class Window:
     @property
     def span_s(self) -> float:
         """How long a span is."""
-        return self._interval_s / SPANS
+        return self._interval_s / SPANS_PER_INTERVAL
 
     def span(self, t_s: float) -> int:
         """The number, above zero, of the span a time is in."""
-        return math.floor(t_s / self.span_s + ROUNDING) + BEFORE
+        return math.floor(t_s / self.span_s + ROUNDING) + SPAN_OFFSET
 
     def span_stamp(self, span: int) -> float:
         """The start of the interval a span is in."""
-        return self.stamp((span - BEFORE) * self.span_s)
+        return self.stamp((span - SPAN_OFFSET) * self.span_s)
 
     @property
     def oldest_s(self) -> float:
         """Variables with an older stamp are gone after the next commit."""
-        return self._newest_s - KEPT * self._interval_s
+        return self._newest_s - LAG_INTERVALS * self._interval_s
 
     def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
         """Variables with their first guesses and the `stamp` of their time."""
@@ -167,7 +167,9 @@ class Window:
             known = self._entries.get(name)
             before = known.slots if known is not None else ()
             if stamp_s >= self.oldest_s:  # others went with their variables in the same update
-                self._entries[name] = Entry(stamp_s, before + tuple(slots[start : start + count]))
+                self._entries[name] = FactorSlots(
+                    stamp_s, before + tuple(slots[start : start + count])
+                )
             start += count
         again = bool(self._back)
         self._clear()

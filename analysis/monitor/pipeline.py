@@ -13,33 +13,33 @@ import msgspec
 import numpy as np
 
 from analysis.detection import DetectorConfig
-from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.actuator_detector import ActuatorDetector
+from analysis.detection.actuators.actuator_response import CRASH_US, ActuatorResponse
+from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRASHED_US
+from analysis.detection.actuators.alarm_precedence import NEVER_US, apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
-from analysis.detection.actuators.mutual_judgement import NEVER_US, judged
-from analysis.detection.actuators.obedience_kernel import CRASH_US, Obedience
-from analysis.detection.actuators.obedience_kernel import NEVER_US as NEVER_CRASHED_US
-from analysis.detection.actuators.suspected_imu import (
-    not_silent,
-    suspected_until,
+from analysis.detection.actuators.imu_hold_out import (
+    hold_out_until,
     trusted_rows,
+    withdraw_silence,
 )
-from analysis.detection.actuators.tumble_kernel import follow as follow_tumble
-from analysis.detection.actuators.tumble_kernel import no_tumble
-from analysis.detection.compass.earth_watch import EarthWatch
-from analysis.detection.compass.mean_turn import MeanTurnWatch
-from analysis.detection.compass.turn_watch import TurnWatch
-from analysis.detection.receiver.frozen_fix import FrozenFix
-from analysis.detection.sensors.instance_vote import InstanceVote
-from analysis.detection.sensors.jamming_watch import JammingWatch
-from analysis.detection.sensors.level_watch import LevelWatch
-from analysis.detection.sensors.sensor_tests import References
-from analysis.detection.streams.pause_watch import Newest, PauseWatch, not_lost
-from analysis.detection.streams.stream_watch import StreamWatch
+from analysis.detection.actuators.tumble_kernel import new_tumble
+from analysis.detection.actuators.tumble_kernel import track_tumble as follow_tumble
+from analysis.detection.compass.earth_field_detector import EarthFieldDetector
+from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
+from analysis.detection.compass.turn_detector import TurnDetector
+from analysis.detection.receiver.frozen_fix import FrozenFixDetector
+from analysis.detection.sensors.instance_vote import InstanceVoteDetector
+from analysis.detection.sensors.jamming_detector import JammingDetector
+from analysis.detection.sensors.level_detector import LevelDetector
+from analysis.detection.sensors.sensor_tests import NavigationDetector
+from analysis.detection.streams.pause_filter import PauseFilter, PauseState, drop_log_gaps
+from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import Block, Piece, block_of, pieces
+from analysis.samples.block import Block, BlockSlice, block_of, split_at_events
 from analysis.samples.sample import Sample
-from analysis.scoring.attitude_scores import with_repeaters_last
+from analysis.scoring.attitude_scores import put_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.yaml_document import Document, Lines
@@ -99,36 +99,36 @@ class Pipeline:
     def __init__(self, config: MonitorConfig) -> None:
         self._attitude = AttitudeScorer(config.attitude)
         self._attitude_state = self._attitude.new_state()
-        self._detector = References(config.detector)
+        self._detector = NavigationDetector(config.detector)
         self._detector_state = self._detector.new_state()
-        self._streams = StreamWatch(config.link) if config.streams else None
-        self._streams_state = StreamWatch().new_state()
-        self._pauses = PauseWatch() if config.streams else None
-        self._pauses_state = Newest()
+        self._streams = StreamDetector(config.link) if config.streams else None
+        self._streams_state = StreamDetector().new_state()
+        self._pauses = PauseFilter() if config.streams else None
+        self._pauses_state = PauseState()
         self._lost_us: Sequence[tuple[int, int]] = ()
-        self._vote = InstanceVote()
+        self._vote = InstanceVoteDetector()
         self._vote_state = self._vote.new_state()
-        self._turns = TurnWatch()
+        self._turns = TurnDetector()
         self._turns_state = self._turns.new_state()
-        self._mean_turns = MeanTurnWatch()
+        self._mean_turns = MeanTurnDetector()
         self._mean_turns_state = self._mean_turns.new_state()
-        self._earth = EarthWatch(config.field_ned_gauss)
+        self._earth = EarthFieldDetector(config.field_ned_gauss)
         self._earth_state = self._earth.new_state()
-        self._levels = LevelWatch()
+        self._levels = LevelDetector()
         self._levels_state = self._levels.new_state()
-        self._frozen = FrozenFix()
+        self._frozen = FrozenFixDetector()
         self._frozen_state = self._frozen.new_state()
-        self._jamming = JammingWatch()
+        self._jamming = JammingDetector()
         self._jamming_state = self._jamming.new_state()
-        self._actuators = ActuatorWatch(config.actuators)
-        self._actuators_state: Obedience | None = None
-        self._tumble = no_tumble()
+        self._actuators = ActuatorDetector(config.actuators)
+        self._actuators_state: ActuatorResponse | None = None
+        self._tumble = new_tumble()
         self._suspected_us = NEVER_US  # until when the IMU is suspected
         self._imu_us = NEVER_US  # when the IMU was blamed last
         self._fusions: list[Any] = []
         self._feed_back: Any = None
         if config.fusion is not None:
-            from analysis.fusion.feedback import fed_back  # GTSAM takes its time to load
+            from analysis.fusion.feedback import feed_back  # GTSAM takes its time to load
             from analysis.fusion.smoother import Fusion
 
             self._fusions.append(Fusion(config.fusion, config.detector))
@@ -136,7 +136,7 @@ class Pipeline:
                 # A second fusion that trusts everything: what isolation gains is seen in one run.
                 believing = msgspec.structs.replace(config.fusion, decide=False)
                 self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
-            self._feed_back = fed_back if config.fusion.feedback else None
+            self._feed_back = feed_back if config.fusion.feedback else None
         self._fusion_states = [fusion.new_state() for fusion in self._fusions]
 
     def excuse(self, lost_us: Sequence[tuple[int, int]]) -> None:
@@ -155,7 +155,7 @@ class Pipeline:
         found = self._detected(block, troubles)
         if self._pauses is not None:
             found, self._pauses_state = self._pauses.step(block, found, self._pauses_state)
-            found = not_lost(found, self._lost_us)
+            found = drop_log_gaps(found, self._lost_us)
         jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
         found += troubles + jammed
         obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
@@ -168,7 +168,7 @@ class Pipeline:
         known = self._actuators_state
         if known is not None or lost.any():
             crash_us = int(known.counts[CRASH_US]) if known is not None else NEVER_CRASHED_US
-            found, self._imu_us = judged(found, crash_us, lost, self._imu_us)
+            found, self._imu_us = apply_precedence(found, crash_us, lost, self._imu_us)
         return found
 
     def _troubles(self, block: Block) -> list[tuple[int, SensorDecision]]:
@@ -176,7 +176,7 @@ class Pipeline:
         if self._streams is None:
             return []
         troubles, self._streams_state = self._streams.step(block, self._streams_state)
-        troubles = not_lost(troubles, self._lost_us)
+        troubles = drop_log_gaps(troubles, self._lost_us)
         left, self._levels_state = self._levels.step(block, self._levels_state)
         voted, self._vote_state = self._vote.step(block, self._vote_state)
         turned, self._turns_state = self._turns.step(block, self._turns_state)
@@ -191,21 +191,23 @@ class Pipeline:
         """What the filter finds, or with it the fusion, without an IMU that is suspected."""
         if not len(block.kind):
             return []
-        until = suspected_until(block, troubles, self._suspected_us)
+        until = hold_out_until(block, troubles, self._suspected_us)
         self._suspected_us = int(until[-1])
         rows = trusted_rows(block, until)
         used = block if rows is None else block.where(np.isin(np.arange(len(until)), rows))
         if self._fusions:
             found = [
-                (piece.last, result) for piece in pieces(used) for result in self._fused(piece)
+                (piece.last, result)
+                for piece in split_at_events(used)
+                for result in self._fused(piece)
             ]
         else:
             found, self._detector_state = self._detector.step_rows(used, self._detector_state)
         if rows is not None:
             found = [(int(rows[row]), result) for row, result in found]
-        return not_silent(found, until) if until[-1] != NEVER_US else found
+        return withdraw_silence(found, until) if until[-1] != NEVER_US else found
 
-    def _fused(self, piece: Piece) -> list[Result]:
+    def _fused(self, piece: BlockSlice) -> list[Result]:
         """Results with the fused states; with feedback the detector goes on from those."""
         results, self._detector_state = self._detector.step_piece(piece, self._detector_state)
         detector = self._detector_state.detector
@@ -225,4 +227,4 @@ class Pipeline:
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""
         scores = self._attitude.summary(self._attitude_state, labels)
-        return with_repeaters_last(scores, AUTOPILOTS)
+        return put_repeaters_last(scores, AUTOPILOTS)

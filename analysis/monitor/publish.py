@@ -16,7 +16,7 @@ SCHEMA = "mavfault.v1"
 EVENTS_KEPT = 100
 
 
-def suffix(result: Result) -> str:
+def result_key(result: Result) -> str:
     """The key of a result below the run's prefix."""
     match result:
         case Decision():
@@ -40,7 +40,7 @@ class Publisher:
     def publish(self, results: Iterable[Result]) -> None:
         """Publish results in order."""
         for result in results:
-            key, data = suffix(result), encode(result)
+            key, data = result_key(result), encode(result)
             self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
             # A change of exclusions, not of verdicts: each is told once.
             if isinstance(result, Decision) and result.excluded != self._excluded:

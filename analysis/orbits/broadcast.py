@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from analysis.orbits.glonass import carry
+from analysis.orbits.glonass import propagate_state
 from analysis.samples.sample import StateVector, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import (
@@ -29,7 +29,7 @@ from mavproxy_fault.numerics.constants import (
     SPEED_OF_LIGHT_MPS,
     WGS84_GM_M3PS2,
 )
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 # By a satellite's first letter: GPS, Galileo, GLONASS, BeiDou, QZSS.
@@ -38,7 +38,7 @@ SYSTEMS = "GERCJ"
 # QZSS sends GPS's signal on GPS's time [5]_: one clock serves both.
 CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
 CLOCKS = 4
-BEIDOU_BEHIND_S = 14.0  # BeiDou's time against GPS's
+BEIDOU_TIME_OFFSET_S = 14.0  # BeiDou's time against GPS's
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
 B1I_HZ = 1561.098e6
 B3I_HZ = 1268.52e6  # BeiDou's clocks are given for it: no group delay
@@ -64,7 +64,7 @@ ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR = 0.0, 1.0, 2.0  # kinds of orbit
 POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
 # Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation, azimuth and the
 # ionosphere's part of the range.
-RANGE, RATE, SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6, 7, 8
+RANGE, RATE, LINE_OF_SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6, 7, 8
 
 
 def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
@@ -80,7 +80,7 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
     beidou = ephemeris.satellite[0] == "C"
     still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
     if beidou:  # its own rate of the earth and time of week, in terms of GPS's
-        own_s = (ephemeris.toe_s - BEIDOU_BEHIND_S) % WEEK_S
+        own_s = (ephemeris.toe_s - BEIDOU_TIME_OFFSET_S) % WEEK_S
         values["omega0_rad"] += (
             GNSS_EARTH_RATE_RPS * ephemeris.toe_s - BEIDOU_EARTH_RATE_RPS * own_s
         )
@@ -90,7 +90,7 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
     return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0])
 
 
-def packed_for(packed: Vector, carrier_hz: float) -> Vector:
+def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
     """An ephemeris (25,) for ranges on another carrier than L1: its ionosphere and group delay."""
     packed = packed.copy()
     packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
@@ -129,7 +129,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
         clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
         relativity = 0.0
         if packed[i, KIND] == STATE_VECTOR:
-            carry(packed[i, VECTOR : VECTOR + 9], since_toc, out[i])
+            propagate_state(packed[i, VECTOR : VECTOR + 9], since_toc, out[i])
         else:
             relativity = _orbit(packed, i, since_toc + packed[i, TOC] - packed[i, TOE], out)
         out[i, CLOCK] = SPEED_OF_LIGHT_MPS * (clock - packed[i, GROUP_DELAY] + relativity)
@@ -276,7 +276,7 @@ def predict_ranges(
         time of reception, elevation and azimuth in rad, the ionosphere's delay in m.
     """
     out = np.empty((states.shape[0], PREDICTED))
-    lat, lon, height = geodetic(r_ecef_m)
+    lat, lon, height = geodetic_position(r_ecef_m)
     axes, zenith = ned_axes(lat, lon), zenith_delay_m(lat, height)
     d, u = np.empty(3), np.empty(3)
     for i in range(states.shape[0]):
@@ -293,7 +293,7 @@ def predict_ranges(
         vz = states[i, VELOCITY + 2] - v_ecef_mps[2]
         for k in range(3):
             u[k] = d[k] / rho
-            out[i, SIGHT + k] = u[k]
+            out[i, LINE_OF_SIGHT + k] = u[k]
         north = axes[0, 0] * u[0] + axes[0, 1] * u[1] + axes[0, 2] * u[2]
         east = axes[1, 0] * u[0] + axes[1, 1] * u[1] + axes[1, 2] * u[2]
         down = axes[2, 0] * u[0] + axes[2, 1] * u[1] + axes[2, 2] * u[2]

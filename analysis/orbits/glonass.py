@@ -39,7 +39,7 @@ def leap_seconds(day: date) -> int:
 
 
 @compiled
-def _accelerated(s: Vector, a: Vector, out: Vector) -> None:
+def _state_derivative(s: Vector, a: Vector, out: Vector) -> None:
     """The derivative (6,) of position and velocity s (6,) in the turning frame, into `out`."""
     # PZ-90's own constants, with which the vectors are made.
     mu, j2, radius, rate = 3.9860044e14, 1.0826257e-3, 6378136.0, 7.292115e-5
@@ -56,7 +56,7 @@ def _accelerated(s: Vector, a: Vector, out: Vector) -> None:
 
 
 @compiled
-def carry(vector: Vector, t_s: float, out: Vector) -> None:
+def propagate_state(vector: Vector, t_s: float, out: Vector) -> None:
     """Fill position and velocity (6,) `t_s` seconds after the vector (9,): r, v, a."""
     steps = int(np.ceil(abs(t_s) / STEP_S))
     for i in range(6):
@@ -69,7 +69,7 @@ def carry(vector: Vector, t_s: float, out: Vector) -> None:
         for i in range(6):
             trial[i], total[i] = out[i], 0.0
         for stage in range(4):
-            _accelerated(trial, vector[6:9], k)
+            _state_derivative(trial, vector[6:9], k)
             share = 2.0 if stage == 1 or stage == 2 else 1.0
             reach = dt if stage == 2 else 0.5 * dt
             for i in range(6):

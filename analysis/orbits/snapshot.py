@@ -57,7 +57,7 @@ def design_matrix(los: Vector, system: Indices) -> Vector:
     return np.hstack(columns)
 
 
-def solve(
+def solve_position(
     epoch: Epoch, packed: Vector, ionosphere: Vector, sigma_m: Vector, guess: Vector | None = None
 ) -> Fix | None:
     """Least squares from raw pseudoranges.

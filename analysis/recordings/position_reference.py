@@ -17,8 +17,8 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 WEEK_S = 604_800
 NEAREST_RADIUS_M = 1e5  # numbers of a point beyond it are ECEF metres, below it degrees
-BRIDGED_US = 2_000_000  # between two places further apart in time nothing is known
-SAME_US = 20_000
+MAX_GAP_US = 2_000_000  # between two places further apart in time nothing is known
+SAME_EPOCH_US = 20_000
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 CALENDAR = re.compile(r"\d{4}/\d\d/\d\d ")
 FORMS = (
@@ -42,8 +42,8 @@ class PositionReference(NamedTuple):
         after = int(np.searchsorted(self.t_us, t_us))
         ends = [i for i in (after - 1, after) if 0 <= i < len(self.t_us)]
         nearest = min(ends, key=lambda i: abs(int(self.t_us[i]) - t_us))
-        if abs(int(self.t_us[nearest]) - t_us) > SAME_US:
-            if len(ends) < 2 or self.t_us[after] - self.t_us[after - 1] > BRIDGED_US:
+        if abs(int(self.t_us[nearest]) - t_us) > SAME_EPOCH_US:
+            if len(ends) < 2 or self.t_us[after] - self.t_us[after - 1] > MAX_GAP_US:
                 return None
             share = (t_us - self.t_us[after - 1]) / (self.t_us[after] - self.t_us[after - 1])
             between = (1.0 - share) * self.r_ecef_m[after - 1] + share * self.r_ecef_m[after]

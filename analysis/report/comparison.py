@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from analysis.report.judging.checks import NONE, Check
-from analysis.report.judging.flight_verdict import Outcome
-from analysis.report.page.page_parts import Table
+from analysis.report.judging.checks import NONE, FlightCheck
+from analysis.report.judging.flight_verdict import FlightAssessment
+from analysis.report.page.page_parts import ReportTable
 from analysis.report.page.panels import CHECKS
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.recordings.recording import FlightData, Signal
 
 # Two autopilots can differ in a thousand parameters: a longer table would drown the page.
 ROWS_SHOWN = 300
 
 
-def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
+def overlay_flights(outcome: FlightAssessment, others: Sequence[FlightAssessment]) -> FlightData:
     """The recording with the curves of the others on its axis, take-off at take-off.
 
     Flights are laid over each other where they were first armed, or, if one does not say, where
@@ -41,7 +41,7 @@ def overlaid(outcome: Outcome, others: Sequence[Outcome]) -> Recording:
     return replace(recording, signals=signals, tracks=tracks, notes=notes)
 
 
-def _shift(recording: Recording, compared: Recording) -> tuple[float, str]:
+def _shift(recording: FlightData, compared: FlightData) -> tuple[float, str]:
     armed = [
         min(
             (s.start_s for s in r.spans if s.lane.startswith("armed") and s.text == "armed"),
@@ -55,7 +55,9 @@ def _shift(recording: Recording, compared: Recording) -> tuple[float, str]:
     return 0.0, "begun at the same time"
 
 
-def comparison_tables(outcome: Outcome, others: Sequence[Outcome]) -> list[tuple[str, Table]]:
+def comparison_tables(
+    outcome: FlightAssessment, others: Sequence[FlightAssessment]
+) -> list[tuple[str, ReportTable]]:
     """Verdicts of every check and the parameters that differ."""
     every = [outcome, *others]
     names = [one.flight.recording.name for one in every]
@@ -73,7 +75,7 @@ def comparison_tables(outcome: Outcome, others: Sequence[Outcome]) -> list[tuple
         note = f"{len(rows)} of {len(keys)} parameters differ."
         if len(rows) > ROWS_SHOWN:
             note += f" The first {ROWS_SHOWN} are shown."
-        table = Table(
+        table = ReportTable(
             "Parameters that differ", ("parameter", *names), rows[:ROWS_SHOWN], note, True
         )
         tables.append(("Parameters", table))
@@ -84,8 +86,10 @@ def _last(history: list[tuple[float, float]] | None) -> str:
     return "not in the log" if not history else f"{history[-1][1]:.7g}"
 
 
-def _checks(every: Sequence[Outcome], names: Sequence[str]) -> Table:
-    by_name: list[dict[str, Check]] = [{check.name: check for check in one.checks} for one in every]
+def _checks(every: Sequence[FlightAssessment], names: Sequence[str]) -> ReportTable:
+    by_name: list[dict[str, FlightCheck]] = [
+        {check.name: check for check in one.checks} for one in every
+    ]
     rows = []
     for name in dict.fromkeys(name for checks in by_name for name in checks):
         found = [checks.get(name) for checks in by_name]
@@ -99,4 +103,4 @@ def _checks(every: Sequence[Outcome], names: Sequence[str]) -> Table:
             for check in found
         ]
         rows.append((name, *cells))
-    return Table("Checks side by side", ("check", *names), rows)
+    return ReportTable("Checks side by side", ("check", *names), rows)

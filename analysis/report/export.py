@@ -24,7 +24,7 @@ Table = dict[str, NDArray[Any]]
 TIMES = ("t_us", "timestamp", "TimeUS")
 
 
-def export(paths: Sequence[Path], folder: Path, form: str) -> None:
+def export_tables(paths: Sequence[Path], folder: Path, form: str) -> None:
     """Write the tables of logs (or of a run's folder) into `folder` as csv, parquet or mcap.
 
     Raises
@@ -39,19 +39,19 @@ def export(paths: Sequence[Path], folder: Path, form: str) -> None:
         if form == "mcap":
             _write_mcap(target / f"{path.stem}.mcap", path)
             continue
-        for name, table in tables_of(path):
+        for name, table in read_tables(path):
             if form == "csv":
                 _write_csv(target / f"{name}.csv", table)
             else:
                 _write_parquet(target / f"{name}.parquet", table)
 
 
-def tables_of(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, Table]]:
+def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, Table]]:
     """Name and columns of every table in a log or a run's folder."""
     if path.is_dir():
         for name in ("received", "sent"):
             if (path / f"{name}.tlog").is_file():
-                for message, table in tables_of(path / f"{name}.tlog"):
+                for message, table in read_tables(path / f"{name}.tlog"):
                     yield f"{name}.{message}", table
         if with_results:
             yield from _result_tables(path / "results.jsonl")
@@ -138,7 +138,7 @@ def _write_mcap(path: Path, log: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="mavproxy-fault")
-        for name, table in tables_of(log, with_results=False):
+        for name, table in read_tables(log, with_results=False):
             _write_channel(writer, name, table)
         _write_results(writer, log / "results.jsonl")
         writer.finish()

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from analysis.report.page.series_colours import PALETTE, series_colours
-from analysis.report.recordings.recording import Recording, Track
+from analysis.report.recordings.recording import FlightData, GroundTrack
 
 FORMS = ("kml", "geojson")
 # Longer lines make map programs slow.
 POINTS = 20_000  # of a track at the most
 
 
-def export_tracks(recording: Recording, folder: Path, form: str) -> Path:
+def export_tracks(recording: FlightData, folder: Path, form: str) -> Path:
     """Write `tracks.kml` or `tracks.geojson` into `folder`; the path written."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"tracks.{form}"
@@ -27,7 +27,7 @@ def export_tracks(recording: Recording, folder: Path, form: str) -> Path:
     return path
 
 
-def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
+def _lines(recording: FlightData) -> Iterator[tuple[str, str, GroundTrack]]:
     """Name, colour and places of each track, then of the stretches in which a fault acted."""
     tracks = [track for track in recording.tracks if track.on_earth]
     colours = series_colours([track.name for track in tracks])
@@ -44,13 +44,13 @@ def _lines(recording: Recording) -> Iterator[tuple[str, str, Track]]:
                 yield name, PALETTE[1], _thin(track.part(inside))
 
 
-def _thin(track: Track) -> Track:
+def _thin(track: GroundTrack) -> GroundTrack:
     # Rounded up, so that the thinned track never exceeds POINTS.
     step = -(-len(track.t_s) // POINTS)
     return track.part(slice(None, None, step))
 
 
-def _write_kml(path: Path, name: str, lines: list[tuple[str, str, Track]]) -> None:
+def _write_kml(path: Path, name: str, lines: list[tuple[str, str, GroundTrack]]) -> None:
     """KML 2.3 (OGC 12-007r2); a colour is alpha, blue, green, red."""
     root = ET.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ET.SubElement(root, "Document")
@@ -75,7 +75,7 @@ def _write_kml(path: Path, name: str, lines: list[tuple[str, str, Track]]) -> No
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _write_geojson(path: Path, lines: list[tuple[str, str, Track]]) -> None:
+def _write_geojson(path: Path, lines: list[tuple[str, str, GroundTrack]]) -> None:
     """GeoJSON (RFC 7946), a LineString each; `times_s` holds the time of each place."""
     features = [
         {
@@ -89,7 +89,7 @@ def _write_geojson(path: Path, lines: list[tuple[str, str, Track]]) -> None:
     path.write_text(json.dumps(collection, ensure_ascii=False), encoding="utf-8")
 
 
-def _places(track: Track) -> list[list[float]]:
+def _places(track: GroundTrack) -> list[list[float]]:
     """Longitude, latitude and height of each place; a height that is unknown is zero."""
     # JSON has no NaN, and all places of a line shall have the same length.
     alt_m = np.nan_to_num(track.alt_m).round(2)

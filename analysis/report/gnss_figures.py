@@ -12,7 +12,7 @@ from analysis.samples.sample import Vector
 
 Picture = tuple[str, bytes]  # title, SVG
 MOST_POINTS = 30_000
-LEFT_OUT = "#c2231c"
+EXCLUDED_COLOUR = "#c2231c"
 
 
 def gnss_pictures(
@@ -26,7 +26,7 @@ def gnss_pictures(
         table, names = _table(seen)
         elevation, azimuth, _, out, places = table.T
         found = [
-            ("Sky: in use, and left out (red)", sky(elevation, azimuth, out, places, names)),
+            ("Sky: in use, and left out (red)", draw_sky(elevation, azimuth, out, places, names)),
             ("Residuals by elevation, left out in red", _residuals(table)),
         ]
     if errors:
@@ -73,7 +73,7 @@ def _svg(figure: Any) -> bytes:
     return found.getvalue()
 
 
-def sky(
+def draw_sky(
     elevation_deg: Vector, azimuth_deg: Vector, out: Vector, places: Vector, names: Sequence[str]
 ) -> bytes:
     """Directions (k,) of satellites, north up, those left `out` in red; `places` (k,) of names."""
@@ -86,7 +86,7 @@ def sky(
         angle, radius = np.radians(azimuth_deg[own]), 90.0 - elevation_deg[own]
         red = out[own] > 0.0
         axes.scatter(angle, radius, s=3, color=PALETTE[colour], rasterized=True)
-        axes.scatter(angle[red], radius[red], s=12, color=LEFT_OUT, rasterized=True)
+        axes.scatter(angle[red], radius[red], s=12, color=EXCLUDED_COLOUR, rasterized=True)
         axes.annotate(names[i], (angle[-1], radius[-1]), fontsize=8)
     return _svg(figure)
 
@@ -95,7 +95,7 @@ def _residuals(table: Vector) -> bytes:
     figure, axes = _figure(6, 3)
     elevation, _, residual, excluded, _ = table.T
     out = excluded > 0.0
-    for rows, colour, size in ((~out, PALETTE[0], 2), (out, LEFT_OUT, 4)):
+    for rows, colour, size in ((~out, PALETTE[0], 2), (out, EXCLUDED_COLOUR, 4)):
         axes.scatter(elevation[rows], residual[rows], s=size, color=colour, rasterized=True)
     axes.set(xlabel="elevation, deg", ylabel="innovation, m", yscale="symlog")
     axes.grid(alpha=0.3)
@@ -122,7 +122,7 @@ def _stanford(table: Vector) -> bytes:
     figure, axes = _figure(4, 4)
     axes.loglog(table[:, 0], table[:, 1], ".", ms=2, color=PALETTE[0], rasterized=True)
     ends = min(table.min(), 0.1), table.max() * 2.0
-    axes.plot(ends, ends, color=LEFT_OUT, lw=0.8)
+    axes.plot(ends, ends, color=EXCLUDED_COLOUR, lw=0.8)
     axes.set(xlabel="error, m", ylabel="protection level, m")
     axes.grid(alpha=0.3)
     return _svg(figure)

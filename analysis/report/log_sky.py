@@ -7,21 +7,21 @@ turn; it is read so.
 
 import numpy as np
 
-from analysis.report.gnss_figures import Picture, sky
-from analysis.report.recordings.recording import Message, Recording, Vector
+from analysis.report.gnss_figures import Picture, draw_sky
+from analysis.report.recordings.recording import FlightData, Message, Vector
 
-TURN = 255.0
+AZIMUTH_STEPS = 255.0
 # First and last number of a system, and its letter, in u-blox's one series of all systems.
-SERIES = (
+SATELLITE_NUMBERS = (
     (1, 32, "G"), (33, 64, "C"), (65, 96, "R"), (120, 158, "S"), (159, 163, "C"), (193, 202, "J"),
     (211, 246, "E"),
 )  # fmt: skip
-TOLD = (("satellite_info", "svid", ""), ("GPS_STATUS", "satellite_prn", "satellite_"))
+SKY_MESSAGES = (("satellite_info", "svid", ""), ("GPS_STATUS", "satellite_prn", "satellite_"))
 
 
-def sky_pictures(recording: Recording) -> list[Picture]:
+def sky_pictures(recording: FlightData) -> list[Picture]:
     """The sky of the log; nothing where no message tells it."""
-    for message, numbers, prefix in TOLD:
+    for message, numbers, prefix in SKY_MESSAGES:
         if (found := recording.messages.get(message)) is not None:
             rows = _rows(found, numbers, prefix)
             if len(rows):
@@ -36,7 +36,7 @@ def _rows(message: Message, numbers: str, prefix: str) -> Vector:
         number, elevation, azimuth, used = (_table(message, name) for name in names)
     except KeyError:  # another version's fields
         return np.empty((0, 4))
-    rows = np.stack([number, elevation, azimuth * (360.0 / TURN), used > 0.0], axis=-1)
+    rows = np.stack([number, elevation, azimuth * (360.0 / AZIMUTH_STEPS), used > 0.0], axis=-1)
     rows = rows.reshape(-1, 4)
     # Empty places; and a satellite that is only listed has no direction.
     return rows[(rows[:, 0] > 0) & ((rows[:, 1] > 0) | (rows[:, 2] > 0)) & (rows[:, 1] <= 90)]
@@ -57,11 +57,11 @@ def _picture(rows: Vector) -> Picture:
     unused, places = (rows[:, 3] == 0.0).astype(float), place.astype(float)
     names = [_name(number) for number in numbers]
     title = "Sky as the receiver tells it; not used in red"
-    return title, sky(rows[:, 1], rows[:, 2], unused, places, names)
+    return title, draw_sky(rows[:, 1], rows[:, 2], unused, places, names)
 
 
 def _name(number: float) -> str:
-    for first, last, system in SERIES:
+    for first, last, system in SATELLITE_NUMBERS:
         if first <= number <= last:
             # BeiDou's later series goes on behind its first five.
             place = number - first + (6 if first == 33 else 1)

@@ -9,7 +9,7 @@ import numpy as np
 from analysis.recordings.position_reference import PositionReference
 from analysis.report.gnss_figures import gnss_pictures
 from analysis.report.recordings.from_results import axis_start, recording_of_results
-from analysis.report.recordings.recording import Recording, Track
+from analysis.report.recordings.recording import FlightData, GroundTrack
 from analysis.report.solution_files import write_solution
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.sample import Vector
@@ -37,7 +37,7 @@ def receiver_files(
     levels = {name + while_: table for name, table in tables.items() if len(table)}
     errors = _errors(results, reference)
     pictures = gnss_pictures(results, errors, levels)
-    return {"beside": Recording("", tracks=truth), "pictures": pictures}
+    return {"beside": FlightData("", tracks=truth), "pictures": pictures}
 
 
 def _errors(results: Sequence[Result], reference: PositionReference | None) -> dict[str, Vector]:
@@ -54,7 +54,9 @@ def _errors(results: Sequence[Result], reference: PositionReference | None) -> d
     return {name: scores.table(name)[:, columns] for name in scores.solutions()}
 
 
-def _truth(results: Sequence[Result], reference: PositionReference, t0_us: int) -> list[Track]:
+def _truth(
+    results: Sequence[Result], reference: PositionReference, t0_us: int
+) -> list[GroundTrack]:
     """The reference at the epochs as a track."""
     stamps = [result.t_us for result in results if isinstance(result, Decision)]
     known = [(t_us, place) for t_us in stamps if (place := reference.at(t_us)) is not None]
@@ -62,4 +64,4 @@ def _truth(results: Sequence[Result], reference: PositionReference, t0_us: int) 
         return []
     lat, lon, height = geodetic_from_ecef(np.array([place for _, place in known]))
     t_s = (np.array([t_us for t_us, _ in known]) - t0_us) * 1e-6
-    return [Track("truth", t_s, np.degrees(lat), np.degrees(lon), height)]
+    return [GroundTrack("truth", t_s, np.degrees(lat), np.degrees(lon), height)]

@@ -6,22 +6,22 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.report.comparison import comparison_tables, overlaid
+from analysis.report.comparison import comparison_tables, overlay_flights
 from analysis.report.export_tracks import FORMS as TRACK_FORMS
 from analysis.report.export_tracks import export_tracks
-from analysis.report.fleet import is_run_folder, report_folder
 from analysis.report.judging.check_limits import read_thresholds
-from analysis.report.judging.checks import FAIL, Check
-from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.judging.checks import FAIL, FlightCheck
+from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
+from analysis.report.log_folder import is_run_folder, report_folder
 from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.log_page import log_page
-from analysis.report.page.page_file import html
+from analysis.report.page.page_file import page_html
 from analysis.report.page.pdf_file import write_pdf
-from analysis.report.recordings.opening import log_file, log_files
-from analysis.report.recordings.sources import group, read_flight
+from analysis.report.recordings.flight_sources import group_logs, read_flight
+from analysis.report.recordings.log_paths import log_file, log_files
 from analysis.report.report_files import write_json, write_junit
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.whole_file import write_whole
 from mavproxy_fault.wire.label import read_labels
 
 
@@ -45,14 +45,14 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     labels = read_labels(Path(args.labels)) if args.labels else []
     against = [log_file(Path(log), unpacked) for log in args.against]
     # Labels belong to the flights that are reported, not to those they are compared with.
-    others = [judged(read_flight([log], ()), thresholds) for log in against]
+    others = [assess_flight(read_flight([log], ()), thresholds) for log in against]
     paths, unreadable = log_files([Path(log) for log in args.logs], unpacked)
-    flights = group(paths)
+    flights = group_logs(paths)
     failed = False
     for flight_paths in flights:
         folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
         try:
-            outcome = judged(read_flight(flight_paths, labels), thresholds)
+            outcome = assess_flight(read_flight(flight_paths, labels), thresholds)
         # A single flight's error is the command's error; among several it must not stop the rest.
         except ConfigError as error:
             if len(flights) == 1:
@@ -68,7 +68,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     return 2 if unreadable else int(failed)
 
 
-def report_on(path: Path, folder: Path, args: argparse.Namespace) -> Outcome:
+def report_on(path: Path, folder: Path, args: argparse.Namespace) -> FlightAssessment:
     """Report on one log of many, into `folder`.
 
     Raises
@@ -79,7 +79,7 @@ def report_on(path: Path, folder: Path, args: argparse.Namespace) -> Outcome:
     # Only packed logs need the folder, but unpacking and reading must share its life.
     with tempfile.TemporaryDirectory() as unpacked:
         log = log_file(path, Path(unpacked))
-        outcome = judged(read_flight([log], ()), read_thresholds(args.criteria))
+        outcome = assess_flight(read_flight([log], ()), read_thresholds(args.criteria))
         folder.mkdir(parents=True, exist_ok=True)
         write_report(folder, outcome, [], args.data)
         _write_more(folder, outcome, [log], args)
@@ -87,7 +87,7 @@ def report_on(path: Path, folder: Path, args: argparse.Namespace) -> Outcome:
 
 
 def _write_more(
-    folder: Path, outcome: Outcome, paths: Sequence[Path], args: argparse.Namespace
+    folder: Path, outcome: FlightAssessment, paths: Sequence[Path], args: argparse.Namespace
 ) -> None:
     """What is written only when asked for: figures, tables, tracks, PDF."""
     recording = outcome.flight.recording
@@ -99,9 +99,9 @@ def _write_more(
     if args.export in TRACK_FORMS:
         export_tracks(recording, folder / "export", args.export)
     elif args.export:
-        from analysis.report.export import export
+        from analysis.report.export import export_tables
 
-        export(paths, folder / "export", args.export)
+        export_tables(paths, folder / "export", args.export)
     # Last, since the browser prints the page that was just written.
     if args.pdf:
         write_pdf(folder / "report.html")
@@ -121,19 +121,22 @@ def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
 
 
 def write_report(
-    folder: Path, outcome: Outcome, others: Sequence[Outcome], data: str = str(INSIDE_MB)
+    folder: Path,
+    outcome: FlightAssessment,
+    others: Sequence[FlightAssessment],
+    data: str = str(INSIDE_MB),
 ) -> None:
     """Write `report.html`, `summary.json` and `junit.xml`; `data` says where all fields go."""
-    recording = overlaid(outcome, others) if others else outcome.flight.recording
+    recording = overlay_flights(outcome, others) if others else outcome.flight.recording
     tables = comparison_tables(outcome, others) if others else []
     page = log_page(outcome, tables)
     fields = field_data(recording.messages, data, folder)
-    write_whole(folder / "report.html", html(page, recording, fields))
+    write_atomic(folder / "report.html", page_html(page, recording, fields))
     write_json(folder / "summary.json", outcome.summary)
     write_junit(folder / "junit.xml", recording.name, outcome.checks)
 
 
-def print_outcome(outcome: Outcome, folder: Path) -> None:
+def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
     """The verdict and what led to it, on the terminal."""
     from rich.console import Console
     from rich.text import Text
@@ -156,5 +159,5 @@ def print_outcome(outcome: Outcome, folder: Path) -> None:
     console.print("  verdict", verdict, f" {folder / 'report.html'}")
 
 
-def _worst_first(check: Check) -> int:
+def _worst_first(check: FlightCheck) -> int:
     return {"FAIL": 0, "WARN": 1}.get(check.verdict, 2)

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from analysis.report.judging.checks import FAIL, NONE, Check
-from analysis.report.run_folder import finite
-from mavproxy_fault.documents.whole_file import write_whole
+from analysis.report.judging.checks import FAIL, NONE, FlightCheck
+from analysis.report.run_folder import replace_nonfinite
+from mavproxy_fault.documents.atomic_file import write_atomic
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
     """Write a summary; null stands for a number that is not finite."""
-    text = json.dumps(finite(summary), indent=1, allow_nan=False, ensure_ascii=False)
-    write_whole(path, text + "\n")
+    text = json.dumps(replace_nonfinite(summary), indent=1, allow_nan=False, ensure_ascii=False)
+    write_atomic(path, text + "\n")
 
 
-def write_junit(path: Path, name: str, checks: Sequence[Check]) -> None:
+def write_junit(path: Path, name: str, checks: Sequence[FlightCheck]) -> None:
     """Write the checks as a JUnit test suite: FAIL fails, "not judged" is skipped."""
     suite = ET.Element(
         "testsuite",

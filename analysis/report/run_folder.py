@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Any
 
 from analysis.results import Result, encode_lines
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.whole_file import write_whole
 
 
 def make_folder(out: str | None, name: str) -> Path:
@@ -70,14 +70,14 @@ class ResultFile:
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """`summary.json`, for people and scripts; null stands for a number that is not finite."""
-    text = json.dumps(finite(summary), indent=2, allow_nan=False)
-    write_whole(folder / "summary.json", text + "\n")
+    text = json.dumps(replace_nonfinite(summary), indent=2, allow_nan=False)
+    write_atomic(folder / "summary.json", text + "\n")
 
 
-def finite(value: Any) -> Any:
+def replace_nonfinite(value: Any) -> Any:
     """What JSON can say: None for numbers that are not finite."""
     if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
+        return {key: replace_nonfinite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
+        return [replace_nonfinite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,28 +1,28 @@
-"""A run's report: `write` for the commands that have everything in memory."""
+"""A run's report: `write_run_report` for the commands that have everything in memory."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from analysis.report.curves.derived_curves import with_derived
+from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.fused_table import fused_table
-from analysis.report.page.page_file import html
-from analysis.report.page.page_parts import SENSOR_LIMIT, Page
+from analysis.report.page.page_file import page_html
+from analysis.report.page.page_parts import SENSOR_LIMIT, ReportPage
 from analysis.report.page.panels import DETECTION, FUSION
-from analysis.report.page.report_tables import criteria_reasons, facts, matrix_table, run_tables
+from analysis.report.page.report_tables import criteria_reasons, matrix_table, run_facts, run_tables
 from analysis.report.recordings.from_results import axis_start, recording_of_results
-from analysis.report.recordings.from_tlog import recording_of
-from analysis.report.recordings.recording import Recording, joined
+from analysis.report.recordings.from_tlog import recording_of_tlog
+from analysis.report.recordings.recording import FlightData, join_recordings
 from analysis.results import Result
-from mavproxy_fault.documents.whole_file import write_whole
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
 
-NOTHING_BESIDE = Recording("")
+NOTHING_BESIDE = FlightData("")
 
 
-def write(
+def write_run_report(
     out: Path,
     *,
     summary: Mapping[str, Any],
@@ -30,7 +30,7 @@ def write(
     results: Iterable[Result],
     columns: Columns,
     title: str = "Run",
-    beside: Recording = NOTHING_BESIDE,
+    beside: FlightData = NOTHING_BESIDE,
     pictures: Sequence[tuple[str, bytes]] = (),
 ) -> Path:
     """Write `report.html` into the folder `out`.
@@ -57,11 +57,11 @@ def write(
     """
     results = list(results)
     t0_us = axis_start(labels, results)
-    flight = recording_of(columns, name=title, t0_us=t0_us) if columns else Recording(title)
+    flight = recording_of_tlog(columns, name=title, t0_us=t0_us) if columns else FlightData(title)
     if t0_us is None:
         t0_us = flight.t0_us
     analysed = recording_of_results(labels, results, t0_us)
-    together = with_derived(joined(joined(flight, analysed), beside))
+    together = add_derived_curves(join_recordings(join_recordings(flight, analysed), beside))
     tables = run_tables(summary)
     matrix, fused = matrix_table(labels, results), fused_table(together)
     if matrix is not None:
@@ -70,7 +70,9 @@ def write(
         tables.append((FUSION, fused))
     reasons, verdict = criteria_reasons(summary), str(summary.get("verdict", ""))
     shown = [(DETECTION, *picture) for picture in pictures]
-    page = Page(title, verdict, facts(summary), tables, SENSOR_LIMIT, reasons, shown)
+    page = ReportPage(title, verdict, run_facts(summary), tables, SENSOR_LIMIT, reasons, shown)
     path = out / "report.html"
-    write_whole(path, html(page, together, field_data(together.messages, str(INSIDE_MB), out)))
+    write_atomic(
+        path, page_html(page, together, field_data(together.messages, str(INSIDE_MB), out))
+    )
     return path

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from analysis.report.export_tracks import FORMS, export_tracks
 from analysis.report.nmea_file import write_nmea
-from analysis.report.recordings.recording import Recording
+from analysis.report.recordings.recording import FlightData
 from analysis.report.solution_row import SolutionRow, row_of
 from analysis.results import Decision, FusedState, Result
 
@@ -19,7 +19,7 @@ HEAD = (
 )
 
 
-def write_solution(folder: Path, results: Sequence[Result], recording: Recording) -> None:
+def write_solution(folder: Path, results: Sequence[Result], recording: FlightData) -> None:
     """`solution` and, where there is one, `fused` as .pos and .nmea; `tracks.kml`, `.geojson`."""
     decisions = [r for r in results if isinstance(r, Decision) and r.position_ecef_m]
     _write_both(folder / "solution", [row_of(state) for state in decisions], SINGLE)

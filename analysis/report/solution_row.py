@@ -7,7 +7,7 @@ import numpy as np
 
 from analysis.results import Decision, FusedState
 from mavproxy_fault.numerics.earth import geodetic_from_ecef
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 NedVector = tuple[float, float, float]
@@ -55,7 +55,7 @@ def row_of(state: Decision | FusedState) -> SolutionRow:
         return SolutionRow(*place, state.position_sigma_m, satellites, state.velocity_ned_mps)
     sigma = None
     if state.position_sigma_m is not None:
-        axes = ned_axes(*geodetic(np.array(r_ecef_m))[:2])
+        axes = ned_axes(*geodetic_position(np.array(r_ecef_m))[:2])
         # Without what correlates the axes, which a decision does not hold.
         north, east, down = np.sqrt(axes**2 @ np.square(state.position_sigma_m)).tolist()
         sigma = north, east, down

@@ -10,44 +10,44 @@ from typing import Any
 
 import msgspec
 
-from analysis.detection.sky import RecordedSky
+from analysis.detection.sky_geometry import RecordedSky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher
-from analysis.monitor.watch import Watch
+from analysis.monitor.terminal_status import TerminalStatus
 from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log
 from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.gnss.receiver_logs import is_receiver_log
 from analysis.recordings.position_reference import PositionReference, read_reference
-from analysis.recordings.recordings import read_log, read_rinex
+from analysis.recordings.read_recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
-from analysis.run.idle import tell_idle
 from analysis.run.run_progress import RunProgress
-from analysis.run.stop import Stop, stop_requests
-from analysis.run.terminal import print_summary
+from analysis.run.stop_signal import StopCheck, stop_requests
+from analysis.run.terminal_summary import print_summary
+from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.samples.block import Block
-from analysis.samples.intake import Intake
-from analysis.scoring.criteria import Check, Criteria, receiver_criteria
+from analysis.samples.link_buffer import LinkBuffer
+from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
-from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import read_schedule
-from mavproxy_fault.wire.label import Label, newest, read_labels
+from mavproxy_fault.wire.label import Label, latest_labels, read_labels
 
 PART_ROWS = 500  # of a recording at once: a stop is looked for between two
 # NO VERDICT is no failure: nothing was asked, or nothing could be judged.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
-Deliver = Callable[[list[Result]], None]
+ResultSink = Callable[[list[Result]], None]
 
 
 def main(args: argparse.Namespace) -> int:
     """Watch until the source ends, the time is over or Ctrl-C; the exit code of the verdict."""
-    config, criteria = settings(args.scenario, args.sigma)
+    config, criteria = monitor_settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
     reference = None if args.truth is None else read_reference(args.truth)
@@ -60,17 +60,19 @@ def main(args: argparse.Namespace) -> int:
         raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
     # On a link the proxy writes the labels meanwhile: they are read at the end.
     if args.link is None:
-        read_known(args.labels)  # a wrong name is told before the work, not after
-    recorded = None if args.rinex is None else rinex_block(args)  # refused before there is a folder
+        read_optional_labels(args.labels)  # a wrong name is told before the work, not after
+    recorded = (
+        None if args.rinex is None else read_rinex_block(args)
+    )  # refused before there is a folder
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     condition = LogCondition()
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
-        bus = stack.enter_context(bus_of(args))
+        bus = stack.enter_context(open_results_bus(args))
         publisher = Publisher(bus) if bus else None
         file = stack.enter_context(ResultFile(folder)) if folder else None
-        watch = stack.enter_context(Watch()) if args.watch else None
+        watch = stack.enter_context(TerminalStatus()) if args.watch else None
 
         def deliver(results: list[Result]) -> None:
             integrity.add(results)
@@ -84,39 +86,39 @@ def main(args: argparse.Namespace) -> int:
         stop = stack.enter_context(stop_requests())
         injected = None if recorded is None else recorded[1]
         if recorded is not None:
-            watch_recording(recorded[0], monitor, deliver, stop)
+            monitor_recording(recorded[0], monitor, deliver, stop)
         else:
-            _feed(args, monitor, deliver, stop, condition)
+            _monitor_source(args, monitor, deliver, stop, condition)
     # Read at the end again: by now the proxy has written its labels.
-    labels = read_known(args.labels) if injected is None else newest(injected)
+    labels = read_optional_labels(args.labels) if injected is None else latest_labels(injected)
     if labels is None:  # nothing tells what was done, so no fault can have been missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
-    tell_condition(summary, condition)
+    report_log_damage(summary, condition)
     if injected is not None:
-        tell_idle(summary, read_schedule(args.schedule), injected)
+        report_unmatched_faults(summary, read_schedule(args.schedule), injected)
     if reference is not None:
         summary["integrity"] = integrity.summary()
     if folder is not None:
         write_summary(folder, summary)
         if injected is not None:
-            (folder / "labels.jsonl").write_bytes(encoded(injected))
+            (folder / "labels.jsonl").write_bytes(encode_lines(injected))
         _report(args, folder, labels or [], summary, reference, integrity)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
 
-def bus_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
+def open_results_bus(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
     """Where results are published; nobody waits for a recording's, unless an address is given."""
     choice = "off" if args.zenoh == "auto" and args.link is None else args.zenoh
     return open_run_bus(choice, "live", "monitor", args.zenoh_config)
 
 
-def settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
+def monitor_settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
     """The monitor's part of a scenario, or the defaults; with another noise model where given."""
     config, criteria = MonitorConfig(), Criteria()
     if scenario is not None:
-        from analysis.run.setup import read_setup
+        from analysis.run.run_setup import read_setup
 
         setup = read_setup(scenario)
         config, criteria = setup.monitor, setup.criteria
@@ -133,10 +135,13 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     if args.link is not None:
         # The fit goes over the samples more than once.
         raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
-    from analysis.detection.calibrate import calibrate, write_sigma  # loads scipy's optimisers
+    from analysis.detection.calibrate import (  # loads scipy's optimisers
+        calibrate_sigma,
+        write_sigma,
+    )
 
-    samples = [sample for block in blocks_of(args) for sample in block.samples()]
-    found = calibrate(samples, config.detector)
+    samples = [sample for block in read_blocks(args) for sample in block.samples()]
+    found = calibrate_sigma(samples, config.detector)
     write_sigma(path, found)
     print(
         f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
@@ -145,7 +150,7 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     return 0
 
 
-def read_known(path: str | None) -> list[Label] | None:
+def read_optional_labels(path: str | None) -> list[Label] | None:
     """The labels of a file, None without one. On a link the proxy writes them meanwhile.
 
     Raises
@@ -156,11 +161,11 @@ def read_known(path: str | None) -> list[Label] | None:
     return None if path is None else read_labels(Path(path))
 
 
-def tell_condition(summary: dict[str, Any], condition: LogCondition) -> None:
+def report_log_damage(summary: dict[str, Any], condition: LogCondition) -> None:
     """Put into a summary what a log has lost: one that is damaged passes no more."""
     if condition.damage:
         evidence = "; ".join(condition.damage)
-        check = Check(name="log is whole", limit="whole", value=evidence, passed=None)
+        check = CriterionCheck(name="log is whole", limit="whole", value=evidence, passed=None)
         summary["criteria"].append(msgspec.structs.asdict(check))
         if summary["verdict"] == "PASS":
             summary["verdict"] = "NO VERDICT"
@@ -170,16 +175,16 @@ def tell_condition(summary: dict[str, Any], condition: LogCondition) -> None:
     }
 
 
-def _feed(
+def _monitor_source(
     args: argparse.Namespace,
     monitor: Monitor,
-    deliver: Deliver,
-    stop: Stop,
+    deliver: ResultSink,
+    stop: StopCheck,
     condition: LogCondition,
 ) -> None:
     """Watch a link or a log to its end; what a log has lost goes into `condition`."""
     if args.link is not None:
-        watch_link(args.link, monitor, deliver, args.for_s, stop)
+        monitor_link(args.link, monitor, deliver, args.for_s, stop)
         return
     for block in read_log(args.log, condition):
         monitor.excuse(condition.lost_us)
@@ -188,7 +193,7 @@ def _feed(
             break
 
 
-def watch_recording(block: Block, monitor: Monitor, deliver: Deliver, stop: Stop) -> None:
+def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop: StopCheck) -> None:
     """Feed the monitor from a whole recording, some rows at a time: a day takes a minute."""
     sky, count = RecordedSky(block, monitor.detector), len(block.kind)
     spans_s = (block.t_us - block.t_us[0]) * 1e-6
@@ -201,15 +206,15 @@ def watch_recording(block: Block, monitor: Monitor, deliver: Deliver, stop: Stop
                 break
 
 
-def blocks_of(args: argparse.Namespace) -> Iterator[Block]:
+def read_blocks(args: argparse.Namespace) -> Iterator[Block]:
     """The samples of the recording that was given."""
     if args.log is not None:
         yield from read_log(args.log)
     else:
-        yield rinex_block(args)[0]
+        yield read_rinex_block(args)[0]
 
 
-def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
+def read_rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
     """A RINEX recording with the faults of `--schedule` in it, and their labels."""
     obs, *nav = (Path(path) for path in args.rinex)
     if is_receiver_log(obs) and args.schedule is not None:
@@ -222,12 +227,12 @@ def rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
     return read_rinex(obs, nav, Path(args.imu) if args.imu else None, lines), labels
 
 
-def watch_link(
-    spec: str, monitor: Monitor, deliver: Deliver, for_s: float | None, stop: Stop
+def monitor_link(
+    spec: str, monitor: Monitor, deliver: ResultSink, for_s: float | None, stop: StopCheck
 ) -> None:
     """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
     link = open_link(spec)
-    with Intake(link) as intake:
+    with LinkBuffer(link) as intake:
         print(f"watching {link.name}", file=sys.stderr, flush=True)
         # The vehicle's own time: a paused simulator does not use it up.
         while not stop() and (for_s is None or monitor.t_s < for_s):
@@ -244,7 +249,7 @@ def _report(
     reference: PositionReference | None,
     integrity: Integrity,
 ) -> None:
-    from analysis.report.run_report import write
+    from analysis.report.run_report import write_run_report
     from analysis.results import read_results
     from mavproxy_fault.wire.tlog import read_columns
 
@@ -255,7 +260,7 @@ def _report(
 
         beside = receiver_files(folder, results, labels, reference, integrity)
     title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
-    write(
+    write_run_report(
         folder,
         summary=summary,
         labels=labels,

@@ -7,20 +7,25 @@ sends on and publishes what comes of it.
 import logging
 from typing import Any, NamedTuple
 
-from analysis.scoring.fault_channels import ACTUATORS, target_sight
-from mavproxy_fault.live.control import Control
+from analysis.scoring.fault_channels import ACTUATORS, target_visibility
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole, Send
-from mavproxy_fault.proxy.statistics import figures
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.statistics import link_statistics
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import STX_V2, Frame
-from mavproxy_fault.wire.label import Label, newest
+from mavproxy_fault.wire.label import Label, latest_labels
 from mavproxy_fault.wire.parser import Parser
-from simvehicle.app.sim_server import airframe, check_sensors, services, throttle
+from simvehicle.app.sim_server import (
+    check_sensors,
+    create_services,
+    mav_type_and_mix,
+    throttle_command,
+)
 from simvehicle.hil.actuator_commands import ActuatorCommands
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.simulation import Simulation
@@ -38,14 +43,14 @@ HIL_COMPONENT = 51
 LOG = logging.getLogger(__name__)
 
 
-class Sent(NamedTuple):
+class FlightOutput(NamedTuple):
     """Bytes that left the proxy for the monitor and for the ground station."""
 
     monitor: bytes
     ground: list[bytes]
 
 
-class Flight:
+class ProxiedFlight:
     """A scenario in flight; its wall clock is the scenario's own start time.
 
     The scenario's mission is flown until a ground station commands something else.
@@ -56,13 +61,13 @@ class Flight:
         self.duration_s = scenario.duration_s
         self.simulation = Simulation(scenario)
         self.engine = Engine(schedule)
-        self.tape = Tape()
-        self.control = Control(self.engine)
+        self.tape = CaptureBuffer()
+        self.control = LiveControl(self.engine)
         self.core = Core(LINKS, self.engine, tape=self.tape, control=self.control)
         self._labels: list[Label] = []
         self._out = [0] * len(LINKS)  # datagrams that left on each link
-        self._hil = Hil(mav_type=airframe(self.simulation)[0])
-        self._services, self._pilot = services(self.simulation)
+        self._hil = HilPacker(mav_type=mav_type_and_mix(self.simulation)[0])
+        self._services, self._pilot = create_services(self.simulation)
         self._plant = PlantChanges(self.simulation, LOG.warning)
         self._commands = self._actuator_commands(schedule)
         self._parser = Parser()
@@ -88,7 +93,7 @@ class Flight:
         """Whether the scenario's duration has been flown."""
         return self.t_us >= self.duration_s * 1e6
 
-    def advance(self, commands: list[bytes]) -> Sent:
+    def advance(self, commands: list[bytes]) -> FlightOutput:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
         # Until somebody commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.flown else None
@@ -99,7 +104,7 @@ class Flight:
         # Sensors before telemetry, commands last: always the same order, for the same bytes.
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
-        for raw in self._services.tick(t_us, truth, readings, throttle(self.simulation)):
+        for raw in self._services.tick(t_us, truth, readings, throttle_command(self.simulation)):
             sends += self.core.received(VEHICLE, raw, self.now_us)
         for data in commands:
             sends += self.core.received(GROUND, data, self.now_us)
@@ -110,7 +115,7 @@ class Flight:
     def _actuator_commands(self, schedule: Schedule) -> ActuatorCommands | None:
         """The controller's commands go over the wire where a fault is one of the actuators."""
         targets = [target for entry in schedule.faults for target in entry.targets]
-        if not any(ACTUATORS in target_sight(target).channels for target in targets):
+        if not any(ACTUATORS in target_visibility(target).channels for target in targets):
             return None
         kind, vehicle = self.simulation.kind, self.simulation.vehicle
         return ActuatorCommands(kind.actuators(vehicle), kind.mix(vehicle))
@@ -127,7 +132,7 @@ class Flight:
                 self._obey(link, data)
         return [send for send in sends if send.link != SIMULATOR], raw
 
-    def finish(self) -> Sent:
+    def finish(self) -> FlightOutput:
         """End the faults that still act."""
         return self._sort(self.core.finish(self.now_us))
 
@@ -139,24 +144,26 @@ class Flight:
 
     def completed_labels(self) -> list[Label]:
         """What every fault really did, for the scores; after `drain_labels`."""
-        return newest(self._labels)
+        return latest_labels(self._labels)
 
     def stats(self) -> list[dict[str, Any]]:
         """What passed on every link."""
         return [
-            {**figures(self.core, number), "chunks_out": out}
+            {**link_statistics(self.core, number), "chunks_out": out}
             for number, out in enumerate(self._out)
         ]
 
-    def _sort(self, sends: list[Send]) -> Sent:
+    def _sort(self, sends: list[Send]) -> FlightOutput:
         """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
         # One datagram of all: the monitor needs no boundaries on its reliable pipe.
-        sent = Sent(b"".join(s.data for s in sends if s.link == MONITOR and is_hil(s.data)), [])
+        sent = FlightOutput(
+            b"".join(s.data for s in sends if s.link == MONITOR and is_hil_frame(s.data)), []
+        )
         answers: list[Send] = []
         for link, data, _ in sends:
             self._out[link] += 1
             # The HIL stream would swamp a ground station.
-            if link == GROUND and not is_hil(data):
+            if link == GROUND and not is_hil_frame(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):
                 answers += self._obey(link, data)
@@ -182,7 +189,7 @@ class Flight:
         return sends
 
 
-def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
+def recorder_session(scenario: str, seed: int, flight: ProxiedFlight) -> dict[str, Any]:
     """What a replay of the run needs to know."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     return {
@@ -193,7 +200,7 @@ def session(scenario: str, seed: int, flight: Flight) -> dict[str, Any]:
     }
 
 
-def is_hil(data: bytes) -> bool:
+def is_hil_frame(data: bytes) -> bool:
     """Whether a datagram comes from the simulator's HIL end."""
     # In MAVLink 2 the component is byte 6 of the header; HIL frames are never version 1.
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT

@@ -9,43 +9,43 @@ from pathlib import Path
 from typing import Any
 
 from analysis.monitor.publish import Publisher
-from analysis.report.curves.twin_curves import effects, twin_curves
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.curves.fault_effects import deviation_curves, measure_effects
+from analysis.report.recordings.recording import FlightData, Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
-from analysis.run.clean_twin import FOLDER, start_twin
-from analysis.run.idle import tell_idle
-from analysis.run.proxied_flight import Flight, session
+from analysis.run.monitor_process import MonitorProcess
+from analysis.run.proxied_flight import ProxiedFlight, recorder_session
+from analysis.run.reference_flight import REFERENCE_FOLDER, start_reference_flight
 from analysis.run.run_progress import RunProgress
-from analysis.run.setup import setup_of
-from analysis.run.stop import stop_requests
-from analysis.run.terminal import print_summary
-from analysis.run.worker import MonitorProcess
+from analysis.run.run_setup import setup_from_args
+from analysis.run.stop_signal import stop_requests
+from analysis.run.terminal_summary import print_summary
+from analysis.run.unmatched_faults import report_unmatched_faults
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.live.journal import JOIN, Journal, read_edits, told_edits
-from mavproxy_fault.live.session import Live
+from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
+from mavproxy_fault.live.session import LiveSession
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import Columns, read_columns
-from simvehicle.app.battery_watch import BatteryWatch
+from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.pace import Pace, parse_speed
 
-RECORD_US = 200_000  # simulated time between writes to the logs
-MOST_OWED = 10  # batches, two seconds of flight, that a watched monitor may be behind
-HOLD_S = 0.02
+RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
+MAX_PENDING_BATCHES = 10  # batches, two seconds of flight, that a watched monitor may be behind
+MONITOR_WAIT_S = 0.02
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 
 def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code of the verdict."""
-    setup = setup_of(args)
+    setup = setup_from_args(args)
     # A page can follow the true speed only; without one nobody waits.
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
     # Started first, so that both processes compile side by side.
-    twin = start_twin(setup, folder) if args.against_clean else None
+    twin = start_reference_flight(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
         # Before the bus, which has threads.
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
@@ -60,19 +60,23 @@ def main(args: argparse.Namespace) -> int:
             if publisher is not None:
                 publisher.publish(results)
 
-        flight = Flight(setup.scenario, setup.schedule)
-        journal = Journal(flight.core, flight.tape)
+        flight = ProxiedFlight(setup.scenario, setup.schedule)
+        journal = EditLog(flight.core, flight.tape)
         # From the first byte on, so that a replay joins live control at the same place.
         journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
-            contextlib.closing(Live(flight.control, lambda: journal.begin(flight.now_us), journal))
+            contextlib.closing(
+                LiveSession(flight.control, lambda: journal.begin(flight.now_us), journal)
+            )
         )
         if bus is not None:
             live.offer(bus)
-        link = open_ground(args.gcs, pace)
+        link = open_ground_link(args.gcs, pace)
         started_s = time.monotonic()
-        recorder = Recorder(folder, session(setup.scenario.name, setup.schedule.seed, flight))
-        fly(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
+        recorder = Recorder(
+            folder, recorder_session(setup.scenario.name, setup.schedule.seed, flight)
+        )
+        run_flight(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
         # Read while the monitor's process still works on its backlog.
         columns = read_columns(folder / "sent.tlog")
         deliver(monitor.results())
@@ -80,29 +84,29 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    tell_idle(summary, setup.schedule, labels)
-    summary["edited"] = told_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
+    report_unmatched_faults(summary, setup.schedule, labels)
+    summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []
     # It flies beside the run, on the second core, and is mostly done by now.
     if twin is not None and twin.flown(flight.now_us):
         t0_us = flight.core.clock.t0_us or 0
-        curves = twin_curves(folder, folder / FOLDER, t0_us)
-        summary["effects"] = effects(curves, labels, t0_us)
+        curves = deviation_curves(folder, folder / REFERENCE_FOLDER, t0_us)
+        summary["effects"] = measure_effects(curves, labels, t0_us)
     write_summary(folder, summary)
     if args.report:
-        report(folder, summary, columns, curves)
+        write_flight_report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]
 
 
-def fly(
-    flight: Flight,
+def run_flight(
+    flight: ProxiedFlight,
     monitor: MonitorProcess,
     recorder: Recorder,
     pace: Pace,
     deliver: Callable[[list[Result]], None],
     ground: Link | None,
-    live: Live,
+    live: LiveSession,
     *,
     together: bool,
 ) -> None:
@@ -112,13 +116,13 @@ def fly(
     """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
-        battery = BatteryWatch(progress.say)
+        battery = BatteryWarnings(progress.say)
         with stop_requests() as stop:
             # A stop is looked for between two steps: logs stay whole.
             while not (flight.over or stop()):
                 # A page that shows verdicts long after the flight would be of no use.
-                hold = together and monitor.owed > MOST_OWED
-                wait_s = HOLD_S if hold else pace.wait_s(flight.t_us, time.monotonic())
+                hold = together and monitor.owed > MAX_PENDING_BATCHES
+                wait_s = MONITOR_WAIT_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
@@ -132,7 +136,7 @@ def fly(
                 if ground is not None:
                     for data in sent.ground:
                         ground.write(data)
-                if flight.t_us - recorded_us >= RECORD_US:
+                if flight.t_us - recorded_us >= RECORD_PERIOD_US:
                     recorded_us = flight.t_us
                     labels = flight.drain_labels()
                     battery.look(flight.simulation.truth)
@@ -149,7 +153,7 @@ def fly(
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
-def open_ground(spec: str, pace: Pace) -> Link | None:
+def open_ground_link(spec: str, pace: Pace) -> Link | None:
     """The ground station's link; at full speed there is none, nobody could watch."""
     # At full speed a ground station would see minutes in a second.
     if math.isinf(pace.speed) or spec == "off":
@@ -157,18 +161,18 @@ def open_ground(spec: str, pace: Pace) -> Link | None:
     return open_link(spec, bare_udp="udpout")
 
 
-def report(
+def write_flight_report(
     folder: Path, summary: dict[str, Any], columns: Columns, curves: Sequence[Signal] = ()
 ) -> None:
     """`report.html` from what stands in the folder, the columns of `sent.tlog`, further curves."""
-    from analysis.report.run_report import write
+    from analysis.report.run_report import write_run_report
 
-    write(
+    write_run_report(
         folder,
         summary=summary,
         labels=read_labels(folder / "labels.jsonl"),
         results=read_results(folder / "results.jsonl"),
         columns=columns,
         title=folder.name,
-        beside=Recording("", signals=list(curves)),
+        beside=FlightData("", signals=list(curves)),
     )

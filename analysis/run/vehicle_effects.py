@@ -17,7 +17,7 @@ from analysis.detection.actuators.effects import (
     CONSTANT,
     FORCE,
     FORWARD,
-    IN_AIR,
+    FORWARD_BY_AIRSPEED,
     OUTPUT,
     RATE,
     TERMS,
@@ -28,11 +28,11 @@ from mavproxy_fault.numerics.constants import (
     STANDARD_GRAVITY_MPS2,
 )
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
-from simvehicle.hil.actuator_commands import CHANNELS_OF
+from simvehicle.hil.actuator_commands import ACTUATOR_CHANNELS
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.simulation.kinds import kind_of
-from simvehicle.vehicles.rigidbody_kernel import E0, RIGID, P, U
-from simvehicle.vehicles.vehicle import surroundings
+from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
+from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
+from simvehicle.vehicles.vehicle import pack_surroundings
 
 Array = NDArray[np.float64]
 STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
@@ -41,17 +41,17 @@ COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS = 12
 FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # behind the angular accelerations
 BODY_AXES = 6
-LEAST_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
+MIN_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
 
 
-class _Held:
+class _TrimmedVehicle:
     """A vehicle held in steady flight at sea level."""
 
     def __init__(self, vehicle: Any, names: list[str]) -> None:
         self._vehicle = vehicle
         self._still = np.zeros(3)
         gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
-        self._around = surroundings(self._still, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
+        self._around = pack_surroundings(self._still, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
         speed_mps = vehicle.parameters.cruise_mps
         place = np.array([0.0, 0.0, -HEIGHT_M])
         self._state = vehicle.cruise(
@@ -67,7 +67,7 @@ class _Held:
 
     def lag_s(self, number: int) -> float:
         """How long a command's effect lasts to come: the mean delay of a step."""
-        step, still = 0.0 * self.trim, np.zeros(RIGID)
+        step, still = 0.0 * self.trim, np.zeros(RIGID_SIZE)
         step[number] = COMMAND_STEP
         rise = self._motions(self.trim + step, still) - self._motions(self.trim - step, still)
         whole = float(rise[-1] @ rise[-1])
@@ -78,12 +78,12 @@ class _Held:
     def _motions(self, commands: Array, change: Array) -> Array:
         """The motion after each step (STEPS, 6) since the commands came."""
         state = self._state.copy()
-        held = state[:RIGID] + change
+        held = state[:RIGID_SIZE] + change
         motions = np.empty((STEPS, BODY_AXES))
         for row in motions:
-            state[:RIGID] = held
+            state[:RIGID_SIZE] = held
             state, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
-            row[:ANGULAR] = (state[P:RIGID] - held[P:RIGID]) / STEP_S
+            row[:ANGULAR] = (state[P:RIGID_SIZE] - held[P:RIGID_SIZE]) / STEP_S
             row[ANGULAR:] = load[:3]
         return motions
 
@@ -97,7 +97,7 @@ class _Held:
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            force = self.motion(middle * motors, np.zeros(RIGID))[ANGULAR:]
+            force = self.motion(middle * motors, np.zeros(RIGID_SIZE))[ANGULAR:]
             carries = sign * force[axis] > carried_mps2
             low, high = (low, middle) if carries else (middle, high)
         return high * motors
@@ -105,16 +105,16 @@ class _Held:
 
 def vehicle_effects(scenario: Scenario) -> Effects:
     """The effects of a scenario's vehicle."""
-    kind = kind_of(scenario.vehicle.kind)
+    kind = find_vehicle_kind(scenario.vehicle.kind)
     vehicle = kind.read(scenario.vehicle.parameters)
     names = kind.actuators(vehicle)
-    held = _Held(vehicle, names)
+    held = _TrimmedVehicle(vehicle, names)
 
     def by_state(entry: int, step: float) -> Array:
-        return _slope(lambda change: held.motion(held.trim, change), RIGID, entry, step)
+        return _slope(lambda change: held.motion(held.trim, change), RIGID_SIZE, entry, step)
 
     def by_command(number: int, step: float) -> Array:
-        at_rest = np.zeros(RIGID)
+        at_rest = np.zeros(RIGID_SIZE)
         return _slope(
             lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
         )
@@ -124,19 +124,22 @@ def vehicle_effects(scenario: Scenario) -> Effects:
     for i, name in enumerate(names[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
         lags_s[i] = held.lag_s(i)
-        channels = [pair for pair in CHANNELS_OF.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
+        channels = [pair for pair in ACTUATOR_CHANNELS.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
     for i in range(3):
         coefficients[:, RATE + i] = by_state(P + i, RATE_STEP_RPS)
     air = np.column_stack([by_state(U + i, SPEED_STEP_MPS) for i in range(3)])
-    _tell_by_force(coefficients, air)
+    _express_by_force(coefficients, air)
     # Of the force across, which tells the air's angle and no actuator, there is no axis.
     rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
     coefficients, air = coefficients[rows], air[rows]
     powers, cruise_mps = np.zeros(TERMS), np.inf
     if coefficients[FORWARD, FORCE:].any():  # wings
-        coefficients[IN_AIR, AIRSPEED], air[IN_AIR, 0] = air[FORWARD, 0], 0.0
+        coefficients[FORWARD_BY_AIRSPEED, AIRSPEED], air[FORWARD_BY_AIRSPEED, 0] = (
+            air[FORWARD, 0],
+            0.0,
+        )
         cruise_mps = vehicle.parameters.cruise_mps
         powers[CONSTANT] = 2.0
         powers[OUTPUT : OUTPUT + len(names)] = 2.0 * _surfaces(names)
@@ -159,12 +162,12 @@ def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float)
     return (motion(change) - motion(-change)) / (2.0 * step)
 
 
-def _tell_by_force(coefficients: Array, air: Array) -> None:
+def _express_by_force(coefficients: Array, air: Array) -> None:
     """Tell what the air does by the force across that comes with it; (6, TERMS), (6, 3)."""
     told = slice(0, FORCE_Y)
     for i, axis in enumerate((FORCE_Y, FORCE_Z)):
         pushed = air[axis, i + 1]
-        if abs(pushed) > LEAST_WING_HZ:
+        if abs(pushed) > MIN_WING_HZ:
             coefficients[told, FORCE + i] = air[told, i + 1] / pushed
     across = coefficients[told, FORCE:AIRSPEED]
     forces = slice(FORCE_Y, BODY_AXES)

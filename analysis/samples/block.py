@@ -130,7 +130,7 @@ def block_of(samples: Sample | Iterable[Sample]) -> Block:
     return Block(kind, t_us, values, beside)
 
 
-class Part(NamedTuple):
+class BlockPart(NamedTuple):
     """Rows of some kinds, as they were read from one message; `order` (m,) tells where they belong
     among all rows, `values` (m, k) with k up to WIDTH."""
 
@@ -140,7 +140,7 @@ class Part(NamedTuple):
     values: Vector
 
 
-def joined(parts: Sequence[Part], beside: Sequence[tuple[int, Sample]]) -> Block:
+def join_parts(parts: Sequence[BlockPart], beside: Sequence[tuple[int, Sample]]) -> Block:
     """Parts, and samples that are no numbers with their place in the order, as one block."""
     order = np.concatenate([*(p.order for p in parts), np.array([at for at, _ in beside], int)])
     count = len(order)
@@ -186,7 +186,7 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
 }
 
 
-def _known(v: Vector) -> Vector | None:
+def _known_velocity(v: Vector) -> Vector | None:
     """A velocity; None where nothing of it is known."""
     # All three: a fix of GPS_RAW_INT knows two components only.
     return None if np.isnan(v).all() else v
@@ -199,7 +199,7 @@ def _fix(t_us: int, v: Vector) -> GpsFix:
         lat,
         lon,
         alt,
-        _known(v[FIX_VELOCITY:FIX_TYPE]),
+        _known_velocity(v[FIX_VELOCITY:FIX_TYPE]),
         int(fix_type),
         int(satellites),
         eph_m,
@@ -219,7 +219,7 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
     BARO: lambda t, v: BaroSample(t, float(v[0]), float(v[1])),
     AIRSPEED: lambda t, v: AirspeedSample(t, float(v[0])),
     RANGE: lambda t, v: RangeSample(t, float(v[0])),
-    VISION: lambda t, v: VisionSample(t, v[0:3], _known(v[3:6]), v[6:10]),
+    VISION: lambda t, v: VisionSample(t, v[0:3], _known_velocity(v[3:6]), v[6:10]),
     TRUTH: _truth,
     ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[ATTITUDE_SOURCE])]),
     FIX: _fix,
@@ -235,7 +235,7 @@ class ImuRun(NamedTuple):
     values: Vector
 
 
-class Piece(NamedTuple):
+class BlockSlice(NamedTuple):
     """Samples up to an event, as detectors take them.
 
     `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
@@ -266,19 +266,21 @@ class Piece(NamedTuple):
         return ImuRun(self.imu.t_us[mine], self.imu.values[mine])
 
 
-def every_fix(t_us: int) -> bool:
+def count_every_fix(t_us: int) -> bool:
     """All fixes are events."""
     return True
 
 
-def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -> Iterator[Piece]:
+def split_at_events(
+    samples: Sample | Block, counts: Callable[[int], bool] = count_every_fix
+) -> Iterator[BlockSlice]:
     """A block, or a single sample, cut behind each event.
 
     `counts` is asked whether a fix of some stamp is one, after what is before it has been taken.
     """
     block = samples if isinstance(samples, Block) else block_of(samples)
     last_row = len(block.kind) - 1
-    imu, ends, mags, cuts = _cut(block.kind)
+    imu, ends, mags, cuts = _find_slices(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :IMU_ID])
     # A block nearly always comes from one IMU: then no rows need to be picked.
     ids = block.values[imu, IMU_ID]
@@ -292,12 +294,12 @@ def pieces(samples: Sample | Block, counts: Callable[[int], bool] = every_fix) -
         samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
         # A field sample before the piece belongs to an earlier one.
         newest = mag_row if mag_row >= first else -1
-        yield Piece(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
+        yield BlockSlice(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
         first, a = last + 1, b
 
 
 @compiled
-def _cut(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
+def _find_slices(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
     """Where the IMU's samples are; where pieces end, where the newest field sample is at each end
     (-1: nowhere), and how many of the IMU's are before it."""
     count = kind.shape[0]

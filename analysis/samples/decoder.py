@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.block import Block, Indices, Part, Stamps, joined
+from analysis.samples.block import Block, BlockPart, Indices, Stamps, join_parts
 from analysis.samples.message_readers import READERS
-from analysis.samples.range_epochs import Ranging
+from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import Sample
-from analysis.samples.wrapped_stamps import WRAPPED, BootTime
+from analysis.samples.wrapped_stamps import WRAPPED_MESSAGE, BootTime
 from mavproxy_fault.rtcm.transport import PAYLOAD_TYPE
 from mavproxy_fault.rtcm.tunnel_columns import Assembler
 from mavproxy_fault.wire.frame import Frame
@@ -49,7 +49,7 @@ class Decoder:
 
     def __init__(self) -> None:
         self._assembler = Assembler()
-        self._ranging = Ranging()
+        self._ranging = EpochAssembler()
         self._boot = BootTime()
         self._stamps: dict[int, int] = {}
 
@@ -65,9 +65,9 @@ class Decoder:
             # A message without a reader, or without a measurement, gives no rows.
             for read in READERS[name](rows) if name in READERS else ():
                 place, t_us = orders[name][read.row], read.t_us
-                if name == WRAPPED:
+                if name == WRAPPED_MESSAGE:
                     t_us = self._boot.unwrapped(t_us, place, columns, orders)
-                parts.append(Part(read.kind, place, t_us, read.values))
+                parts.append(BlockPart(read.kind, place, t_us, read.values))
             if name in STAMPED:
                 stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
         beside: list[tuple[int, Sample]] = []
@@ -75,7 +75,7 @@ class Decoder:
             # After the loop: tunnels are dated by the stamps of the whole block.
             beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
         self._stamps = stamps.newest()
-        return joined(parts, beside)
+        return join_parts(parts, beside)
 
     def _tunnels(
         self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
@@ -112,7 +112,7 @@ class _Stamps:
         """The stamps that senders (k,) gave last before some places."""
         found: list[int | None] = [None] * len(place)
         known = self._by_sender()
-        for number in _each(sender):
+        for number in _distinct_senders(sender):
             order, t_us = known.get(number, _NO_STAMPS)
             mine = np.flatnonzero(sender == number)
             at = np.searchsorted(order, place[mine])  # 0: all of them came later
@@ -136,7 +136,7 @@ class _Stamps:
         sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
         by_place = np.argsort(order, kind="stable")
         sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
-        numbers = _each(sender)
+        numbers = _distinct_senders(sender)
         # One vehicle on the link is the rule: no masks then.
         if len(numbers) == 1:
             self._known = {numbers[0]: (order, t_us)}
@@ -148,7 +148,7 @@ class _Stamps:
 _NO_STAMPS = np.empty(0, np.int64), np.empty(0, np.int64)
 
 
-def _each(sender: Indices) -> list[int]:
+def _distinct_senders(sender: Indices) -> list[int]:
     """The different senders."""
     found: list[int] = np.flatnonzero(np.bincount(sender)).tolist()
     return found

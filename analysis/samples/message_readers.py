@@ -54,7 +54,7 @@ UNKNOWN_16 = 0xFFFF
 PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
 
 
-class Read(NamedTuple):
+class ReadSamples(NamedTuple):
     """Samples of one kind: from which rows of the message, their stamps and numbers (m, k)."""
 
     kind: int
@@ -74,26 +74,28 @@ def _numbers(rows: Rows, *names: str) -> Vector:
     return found
 
 
-def _whole(kind: int, t_us: NDArray[Any], values: Vector) -> list[Read]:
+def _read_all(kind: int, t_us: NDArray[Any], values: Vector) -> list[ReadSamples]:
     """A sample for each row."""
-    return [Read(kind, np.arange(len(t_us)), t_us, values)]
+    return [ReadSamples(kind, np.arange(len(t_us)), t_us, values)]
 
 
-def _some(rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]) -> list[Read]:
+def _read_flagged(
+    rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]
+) -> list[ReadSamples]:
     """A sample for each row in which all these bits are set."""
     # All bits: a sample with one stale axis is no sample.
     row = np.flatnonzero(rows["fields_updated"] & bits == bits)
     if not len(row):
         return []
     found = rows if len(row) == len(rows) else rows.take(row)  # a tenth of the time of rows[row]
-    return [Read(kind, row, found["time_usec"].astype(np.int64), values(found))]
+    return [ReadSamples(kind, row, found["time_usec"].astype(np.int64), values(found))]
 
 
-def _hil_sensor(rows: Rows) -> list[Read]:
+def _hil_sensor(rows: Rows) -> list[ReadSamples]:
     return [
         *_highres_imu(rows),
-        *_some(rows, BARO_BIT, BARO, _pressure),
-        *_some(
+        *_read_flagged(rows, BARO_BIT, BARO, _pressure),
+        *_read_flagged(
             rows,
             AIRSPEED_BIT,
             AIRSPEED,
@@ -106,11 +108,11 @@ def _pressure(rows: Rows) -> Vector:
     return _numbers(rows, "abs_pressure", "pressure_alt") * (HECTOPASCAL, 1.0)
 
 
-def _highres_imu(rows: Rows) -> list[Read]:
+def _highres_imu(rows: Rows) -> list[ReadSamples]:
     names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "id")
     return [
-        *_some(rows, IMU_BITS, IMU, lambda found: _numbers(found, *names)),
-        *_some(rows, MAG_BITS, MAG, lambda found: _numbers(found, "xmag", "ymag", "zmag")),
+        *_read_flagged(rows, IMU_BITS, IMU, lambda found: _numbers(found, *names)),
+        *_read_flagged(rows, MAG_BITS, MAG, lambda found: _numbers(found, "xmag", "ymag", "zmag")),
     ]
 
 
@@ -120,8 +122,8 @@ def _since_boot(rows: Rows) -> Stamps:
     return stamps
 
 
-def _scaled_imu(rows: Rows) -> list[Read]:
-    return _whole(IMU, _since_boot(rows), _scaled(rows))
+def _scaled_imu(rows: Rows) -> list[ReadSamples]:
+    return _read_all(IMU, _since_boot(rows), _scaled(rows))
 
 
 def _scaled(rows: Rows) -> Vector:
@@ -132,9 +134,9 @@ def _scaled(rows: Rows) -> Vector:
     return np.column_stack([rates, force])
 
 
-def _further_imu(number: int) -> Callable[[Rows], list[Read]]:
+def _further_imu(number: int) -> Callable[[Rows], list[ReadSamples]]:
     """SCALED_IMU2 and 3, for the vote of IMUs."""
-    return lambda rows: _whole(SPARE, _since_boot(rows), _spare(IMU, number, _scaled(rows)))
+    return lambda rows: _read_all(SPARE, _since_boot(rows), _spare(IMU, number, _scaled(rows)))
 
 
 def _spare(kind: int, number: int, numbers: Vector) -> Vector:
@@ -143,32 +145,32 @@ def _spare(kind: int, number: int, numbers: Vector) -> Vector:
     return np.column_stack([known, numbers])
 
 
-def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Read]:
+def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[ReadSamples]:
     """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
     # Degrees by 1e7, millimetres above mean sea level.
     place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
     state = _numbers(rows, "fix_type", "satellites_visible")
     number = np.full(len(rows), float(SOURCES.index(source)))
     values = np.column_stack([place, v_ned, state, accuracy_m, number])
-    return _whole(FIX, rows["time_usec"].astype(np.int64), values)
+    return _read_all(FIX, rows["time_usec"].astype(np.int64), values)
 
 
-def _hil_gps(rows: Rows) -> list[Read]:
+def _hil_gps(rows: Rows) -> list[ReadSamples]:
     accuracy = _numbers(rows, "eph", "epv")
     # Centimetres; in HIL_GPS unknown is the largest number.
     accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
     return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
 
 
-def _second_fix(rows: Rows) -> list[Read]:
+def _second_fix(rows: Rows) -> list[ReadSamples]:
     """The place that a second receiver tells, for the vote of receivers."""
     row = np.flatnonzero(rows["fix_type"] >= FIX_3D)
     place = _numbers(rows[row], "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
     t_us = rows["time_usec"][row].astype(np.int64)
-    return [Read(SPARE, row, t_us, _spare(FIX, 1, place))]
+    return [ReadSamples(SPARE, row, t_us, _spare(FIX, 1, place))]
 
 
-def _gps_raw_int(rows: Rows) -> list[Read]:
+def _gps_raw_int(rows: Rows) -> list[ReadSamples]:
     """Speed and course give the level part of the velocity; an accuracy of 0 is unknown."""
     # Centimetres per second and hundredths of a degree.
     speed, course = rows["vel"] * 1e-2, np.radians(rows["cog"] * 1e-2)
@@ -181,25 +183,25 @@ def _gps_raw_int(rows: Rows) -> list[Read]:
     return _fix(rows, "GPS_RAW_INT", v_ned, np.where(accuracy_m != 0.0, accuracy_m, np.nan))
 
 
-def _hil_state(rows: Rows) -> list[Read]:
+def _hil_state(rows: Rows) -> list[ReadSamples]:
     # The columns after the angular ones are MAVLink's integers: degrees by 1e7, mm and cm/s.
     angular = ("attitude_quaternion", "rollspeed", "pitchspeed", "yawspeed")
     values = _numbers(rows, *angular, "lat", "lon", "alt", "vx", "vy", "vz")
     values[:, 7:] *= (1e-7, 1e-7, 1e-3, 1e-2, 1e-2, 1e-2)
-    return _whole(TRUTH, rows["time_usec"].astype(np.int64), values)
+    return _read_all(TRUTH, rows["time_usec"].astype(np.int64), values)
 
 
-def _distance(rows: Rows) -> list[Read]:
+def _distance(rows: Rows) -> list[ReadSamples]:
     """A distance at or beyond one of the sensor's limits measures nothing, but it was heard."""
     row = np.flatnonzero(rows["orientation"] == DOWNWARD)
     rows = rows[row]
     distance = rows["current_distance"]
     inside = (rows["min_distance"] < distance) & (distance < rows["max_distance"])
     measured_m = np.where(inside, distance * 1e-2, np.nan)  # it counts centimetres
-    return [Read(RANGE, row, _since_boot(rows), measured_m[:, np.newaxis])]
+    return [ReadSamples(RANGE, row, _since_boot(rows), measured_m[:, np.newaxis])]
 
 
-def _odometry(rows: Rows) -> list[Read]:
+def _odometry(rows: Rows) -> list[ReadSamples]:
     q_nb, v = _numbers(rows, "q"), _numbers(rows, "vx", "vy", "vz")
     norm = np.linalg.norm(q_nb, axis=1)
     # A quaternion of zeros says that there is none.
@@ -211,13 +213,13 @@ def _odometry(rows: Rows) -> list[Read]:
     # Velocity is known as a whole or not at all.
     v[~np.isfinite(v).all(axis=1)] = np.nan
     values = np.column_stack([_numbers(rows[row], "x", "y", "z"), v, q_nb])
-    return [Read(VISION, row, rows["time_usec"][row].astype(np.int64), values)]
+    return [ReadSamples(VISION, row, rows["time_usec"][row].astype(np.int64), values)]
 
 
-def _vision(rows: Rows) -> list[Read]:
+def _vision(rows: Rows) -> list[ReadSamples]:
     unknown = np.full((len(rows), 3), np.nan)
     values = np.column_stack([_numbers(rows, "x", "y", "z"), unknown, _attitudes(rows)])
-    return _whole(VISION, rows["usec"].astype(np.int64), values)
+    return _read_all(VISION, rows["usec"].astype(np.int64), values)
 
 
 def _attitudes(rows: Rows) -> Vector:
@@ -225,26 +227,26 @@ def _attitudes(rows: Rows) -> Vector:
     return quat_from_euler(*_numbers(rows, "roll", "pitch", "yaw").T)
 
 
-def _attitude(rows: Rows) -> list[Read]:
+def _attitude(rows: Rows) -> list[ReadSamples]:
     return _estimate(rows, _attitudes(rows), "ATTITUDE")
 
 
-def _attitude_quaternion(rows: Rows) -> list[Read]:
+def _attitude_quaternion(rows: Rows) -> list[ReadSamples]:
     return _estimate(rows, _numbers(rows, "q1", "q2", "q3", "q4"), "ATTITUDE_QUATERNION")
 
 
-def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[Read]:
+def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[ReadSamples]:
     number = np.full(len(rows), float(SOURCES.index(source)))
     values = np.column_stack([q_nb, rows["system"].astype(float), number])
-    return _whole(ATTITUDE, _since_boot(rows), values)
+    return _read_all(ATTITUDE, _since_boot(rows), values)
 
 
-def _actuator_controls(rows: Rows) -> list[Read]:
+def _actuator_controls(rows: Rows) -> list[ReadSamples]:
     """The first outputs; one that is not finite is off."""
     return _commands(rows, _numbers(rows, "controls"), CONTROLS)
 
 
-def _servo_outputs(rows: Rows) -> list[Read]:
+def _servo_outputs(rows: Rows) -> list[ReadSamples]:
     """The main outputs; those of an extension board come as another port."""
     names = [f"servo{i + 1}_raw" for i in range(COMMAND_SOURCE)]
     main = np.flatnonzero(rows["port"] == 0)
@@ -252,18 +254,18 @@ def _servo_outputs(rows: Rows) -> list[Read]:
     return [read._replace(row=main) for read in _commands(rows[main], values, OUTPUTS)]
 
 
-def _output_status(rows: Rows) -> list[Read]:
+def _output_status(rows: Rows) -> list[ReadSamples]:
     return _commands(rows, _numbers(rows, "actuator") * PER_OUTPUT, OUTPUTS)
 
 
-def _commands(rows: Rows, values: Vector, source: int) -> list[Read]:
+def _commands(rows: Rows, values: Vector, source: int) -> list[ReadSamples]:
     outputs = values[:, :COMMAND_SOURCE]
     outputs[~np.isfinite(outputs)] = 0.0
     known = np.column_stack([outputs, np.full(len(rows), float(source))])
-    return _whole(COMMAND, rows["time_usec"].astype(np.int64), known)
+    return _read_all(COMMAND, rows["time_usec"].astype(np.int64), known)
 
 
-READERS: dict[str, Callable[[Rows], list[Read]]] = {
+READERS: dict[str, Callable[[Rows], list[ReadSamples]]] = {
     "HIL_SENSOR": _hil_sensor,
     "HIGHRES_IMU": _highres_imu,
     "SCALED_IMU": _scaled_imu,

@@ -14,11 +14,11 @@ from mavproxy_fault.rtcm.tunnel_columns import Messages
 
 HALF_WEEK_S = 302_400.0
 WEEK_S = 604_800
-OFFSETS_KEPT = 25
-EPHEMERIDES_KEPT = 512  # a broadcast is repeated for hours
+MAX_CLOCK_OFFSETS = 25
+EPHEMERIS_CACHE_SIZE = 512  # a broadcast is repeated for hours
 
 
-class Rows(NamedTuple):
+class RangeRows(NamedTuple):
     """What was observed of satellites (n,), as `ranges.Ranges` has it."""
 
     code: Indices
@@ -26,14 +26,16 @@ class Rows(NamedTuple):
     doppler_mps: Vector
     cn0_dbhz: Vector
 
-    def between(self, begin: int, end: int) -> "Rows":
+    def between(self, begin: int, end: int) -> "RangeRows":
         """Some in a row."""
         at = slice(begin, end)
-        return Rows(self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at])
+        return RangeRows(
+            self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at]
+        )
 
-    def after(self, rows: "Rows") -> "Rows":
+    def after(self, rows: "RangeRows") -> "RangeRows":
         """The same (n,) behind others (m,)."""
-        return Rows(
+        return RangeRows(
             np.concatenate([rows.code, self.code]),
             np.concatenate([rows.pseudorange_m, self.pseudorange_m]),
             np.concatenate([rows.doppler_mps, self.doppler_mps]),
@@ -41,10 +43,10 @@ class Rows(NamedTuple):
         )
 
 
-NO_ROWS = Rows(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
+NO_ROWS = RangeRows(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
 
 
-class Ranging:
+class EpochAssembler:
     """Holds what spans messages: an epoch that is not complete, the week, the clock's offset.
 
     TUNNEL frames bear no stamp, so a pseudorange epoch gets its GPS time plus the median
@@ -53,7 +55,7 @@ class Ranging:
     """
 
     def __init__(self) -> None:
-        self._offsets: deque[int] = deque(maxlen=OFFSETS_KEPT)
+        self._offsets: deque[int] = deque(maxlen=MAX_CLOCK_OFFSETS)
         self._tow_ms, self._rows = NO_MSM7, NO_ROWS
         self._week: tuple[int, float] | None = None
 
@@ -66,7 +68,7 @@ class Ranging:
         """
         ranges = read_ranges(messages)
         # The rows of an epoch that earlier messages began stand before the new ones.
-        rows = Rows(*ranges[3:]).after(self._rows)
+        rows = RangeRows(*ranges[3:]).after(self._rows)
         begin, end = 0, len(self._rows.code)
         heads = zip(
             messages.number.tolist(),
@@ -103,7 +105,7 @@ class Ranging:
         self._week = ephemeris.week, ephemeris.toe_s
         return [EphemerisSample(stamp_us or 0, ephemeris)]
 
-    def _epoch(self, rows: Rows, stamp_us: int | None) -> Epoch:
+    def _epoch(self, rows: RangeRows, stamp_us: int | None) -> Epoch:
         # Reset before anything else: whatever comes next begins a new epoch.
         tow_s, self._tow_ms = self._tow_ms / 1000.0, NO_MSM7
         week = self._full_week(tow_s)
@@ -131,7 +133,7 @@ class Ranging:
         return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
 
 
-_ephemeris = lru_cache(EPHEMERIDES_KEPT)(decode_ephemeris)
+_ephemeris = lru_cache(EPHEMERIS_CACHE_SIZE)(decode_ephemeris)
 
 
 # Keyed by bytes: arrays cannot be keys.

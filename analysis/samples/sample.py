@@ -13,7 +13,7 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Vector = NDArray[np.float64]
 
-MOST_OF_IMU = 1e6  # rad/s, m/s^2: none gives more, and sums of squares stay numbers
+IMU_VALUE_LIMIT = 1e6  # rad/s, m/s^2: none gives more, and sums of squares stay numbers
 
 
 @dataclass(frozen=True, slots=True)

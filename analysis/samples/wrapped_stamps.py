@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from analysis.samples.block import Indices, Stamps
 
-ROUND_US = 1 << 32
-WRAPPED = "SERVO_OUTPUT_RAW"
-BOOT = "time_boot_ms"
+WRAP_PERIOD_US = 1 << 32
+WRAPPED_MESSAGE = "SERVO_OUTPUT_RAW"
+BOOT_TIME_FIELD = "time_boot_ms"
 
 
 class BootTime:
@@ -35,9 +35,11 @@ class BootTime:
         orders: Mapping[str, Indices],
     ) -> Stamps:
         """Stamps (m,) of frames at places (m,) of the stream, in the round that they belong to."""
-        timed = [name for name in columns if BOOT in (columns[name].dtype.names or ())]
+        timed = [name for name in columns if BOOT_TIME_FIELD in (columns[name].dtype.names or ())]
         places = [np.zeros(0, np.int64)] + [orders[name] for name in timed]
-        times = [np.zeros(0, np.int64)] + [columns[n][BOOT].astype(np.int64) for n in timed]
+        times = [np.zeros(0, np.int64)] + [
+            columns[n][BOOT_TIME_FIELD].astype(np.int64) for n in timed
+        ]
         known_at, known_us = np.concatenate(places), np.concatenate(times) * 1000
         by_place = np.argsort(known_at, kind="stable")
         known_at, known_us = known_at[by_place], known_us[by_place]
@@ -48,5 +50,5 @@ class BootTime:
         self._newest_us = int(known_us[-1])
         # The last one before; for the first frames of all the first one after.
         near = np.maximum(np.searchsorted(known_at, place) - 1, 0)
-        rounds: Stamps = np.round((known_us[near] - t_us) / ROUND_US).astype(np.int64)
-        return t_us + rounds * ROUND_US
+        rounds: Stamps = np.round((known_us[near] - t_us) / WRAP_PERIOD_US).astype(np.int64)
+        return t_us + rounds * WRAP_PERIOD_US

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from analysis.results import EITHER, Decision, Result, SensorDecision
+from analysis.results import OR_SEPARATOR, Decision, Result, SensorDecision
 
-PAUSE_US = 1_000_000  # alarms further apart are two
+MERGE_GAP_US = 1_000_000  # alarms further apart are two
 
 
 class Alarm(NamedTuple):
@@ -26,7 +26,7 @@ class Alarm(NamedTuple):
     blamed: bool
 
 
-class Window(msgspec.Struct, frozen=True):
+class AlarmWindow(msgspec.Struct, frozen=True):
     """What one channel held against one name without a pause; `blamed` if it ever blamed it."""
 
     channel: str
@@ -57,7 +57,7 @@ def alarms_of(result: Result) -> list[Alarm]:
         found.append(Alarm(result.t_us, channel, "clock", True))
     elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # its ranges, all together
         found.append(Alarm(result.t_us, channel, "GPS", True))
-    elif EITHER in result.hypothesis:
+    elif OR_SEPARATOR in result.hypothesis:
         found.append(Alarm(result.t_us, channel, result.hypothesis, False))
     # With somebody excluded the alarm is explained; otherwise it is held against nobody.
     elif not found or result.hypothesis == "multiple-unknown":
@@ -75,27 +75,29 @@ def channel_of(result: Result) -> str | None:
     return "gps-position" if result.mode.startswith("position") else "satellites"
 
 
-def windows_of(alarms: Iterable[Alarm]) -> list[Window]:
+def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
     """Alarms joined to windows, in order of start."""
-    found: list[Window] = []
+    found: list[AlarmWindow] = []
     newest: dict[tuple[str, str], int] = {}
     # By time: channels may hand in their alarms one after the other.
     for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
         key = alarm.channel, alarm.name
         at = newest.get(key)
         # Alarms of one name run on over a missing epoch.
-        if at is not None and alarm.t_us - found[at].end_us <= PAUSE_US:
+        if at is not None and alarm.t_us - found[at].end_us <= MERGE_GAP_US:
             window = found[at]
-            found[at] = Window(
+            found[at] = AlarmWindow(
                 *key, window.start_us, alarm.t_us, window.count + 1, window.blamed or alarm.blamed
             )
         else:
             newest[key] = len(found)
-            found.append(Window(*key, alarm.t_us, alarm.t_us, 1, alarm.blamed))
+            found.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.blamed))
     return found
 
 
-def without(window: Window, stretches: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def subtract_intervals(
+    window: AlarmWindow, stretches: Sequence[tuple[int, int]]
+) -> list[tuple[int, int]]:
     """What remains of a window outside some stretches of time, in microseconds."""
     rest, at = [], window.start_us
     for start, end in sorted(stretches):

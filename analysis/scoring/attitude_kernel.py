@@ -1,4 +1,4 @@
-"""Estimates against the truth around them, compiled: see `attitude`."""
+"""Estimates against the truth around them, compiled: see `quaternion_at`."""
 
 from math import isfinite, pi
 from typing import NamedTuple
@@ -8,13 +8,17 @@ import numpy as np
 from analysis.samples.block import Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.rotations.rotation_kernel import Quaternion, between, errors
+from mavproxy_fault.numerics.rotations.rotation_kernel import (
+    Quaternion,
+    attitude_errors,
+    interpolate_attitude,
+)
 
 MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer pause
-LATEST_US = 1_000_000  # how long the truth is kept for estimates that come late
+MAX_LATENESS_US = 1_000_000  # how long the truth is kept for estimates that come late
 
 
-class Scored(NamedTuple):
+class ScoredEstimates(NamedTuple):
     """Estimates in the order of their scores (m,): which, the row that completed each, the truth
     just after it; and the error (m, 4) of roll, pitch, yaw and the angle between, in rad, pi where
     the estimate is no number."""
@@ -26,7 +30,7 @@ class Scored(NamedTuple):
 
 
 @compiled
-def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
+def bracketing_truth(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
     """The truth just before and just after an instant that lies before the newest of the stamps
     `truth_us` (k,); (-1, -1) if it is not known close enough."""
     # Nearly always the estimate is newer than the last truth but one.
@@ -49,20 +53,20 @@ def around(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, 
 
 
 @compiled
-def attitude(q_nb: Vector, row: int) -> Quaternion:
+def quaternion_at(q_nb: Vector, row: int) -> Quaternion:
     """One of q_nb (n, 4)."""
     return q_nb[row, 0], q_nb[row, 1], q_nb[row, 2], q_nb[row, 3]
 
 
 @compiled
-def compare(
+def score_estimates(
     truth_row: Indices,
     truth_us: Stamps,
     truth_q: Vector,
     row: Indices,
     t_us: Stamps,
     q_nb: Vector,
-) -> tuple[Scored, Indices, int]:
+) -> tuple[ScoredEstimates, Indices, int]:
     """Errors of estimates, each when the truth has passed it.
 
     truth_row, truth_us (k,) and truth_q (k, 4) tell where in the block each truth came (-1: before
@@ -71,7 +75,7 @@ def compare(
     still wanted.
     """
     count = len(row)
-    scored = Scored(
+    scored = ScoredEstimates(
         np.empty(count, np.int64),
         np.empty(count, np.int64),
         np.empty(count, np.int64),
@@ -94,32 +98,34 @@ def compare(
                     waiting[later] = i
                     later += 1
                     continue
-                first, second = around(truth_us, oldest, j, t_us[i])
+                first, second = bracketing_truth(truth_us, oldest, j, t_us[i])
                 if first >= 0:
                     share = (t_us[i] - truth_us[first]) / (truth_us[second] - truth_us[first])
-                    true = between(attitude(truth_q, first), attitude(truth_q, second), share)
-                    _score(scored, done, attitude(q_nb, i), true)
+                    true = interpolate_attitude(
+                        quaternion_at(truth_q, first), quaternion_at(truth_q, second), share
+                    )
+                    _score(scored, done, quaternion_at(q_nb, i), true)
                     scored.which[done], scored.came[done] = i, truth_row[j]
                     scored.truth[done] = second
                     done += 1
             waits = later
         # A window that moves on: autopilots answer late, but not later than this.
-        while truth_us[oldest] < truth_us[j] - LATEST_US and j - oldest > 1:
+        while truth_us[oldest] < truth_us[j] - MAX_LATENESS_US and j - oldest > 1:
             oldest += 1
     while come < count:
         waiting[waits] = come
         waits += 1
         come += 1
-    found = Scored(
+    found = ScoredEstimates(
         scored.which[:done], scored.came[:done], scored.truth[:done], scored.error[:done]
     )
     return found, waiting[:waits], oldest
 
 
 @compiled
-def _score(scored: Scored, at: int, estimate: Quaternion, true: Quaternion) -> None:
+def _score(scored: ScoredEstimates, at: int, estimate: Quaternion, true: Quaternion) -> None:
     """The error of one estimate; half a circle where it is no number."""
-    roll, pitch, yaw, angle = errors(estimate, true)
+    roll, pitch, yaw, angle = attitude_errors(estimate, true)
     if not isfinite(roll + pitch + yaw + angle):
         # As wrong as can be: an estimator must not gain by giving no number.
         roll, pitch, yaw, angle = pi, pi, pi, pi
@@ -128,7 +134,7 @@ def _score(scored: Scored, at: int, estimate: Quaternion, true: Quaternion) -> N
 
 
 @compiled
-def gather(
+def accumulate_errors(
     source: Indices, cell_us: Stamps, error: Vector, last_us: Stamps, sums: Vector
 ) -> tuple[Indices, Stamps, Vector]:
     """Add errors to the cells of their sources.

@@ -18,7 +18,7 @@ REPEATED = " (the truth itself)"
 REPEATED_DEG = 0.01  # half of what is said is closer: no estimator is as good
 
 
-class Window(Protocol):
+class FaultInterval(Protocol):
     """When a fault acted; a label of the proxy's is one."""
 
     @property
@@ -34,7 +34,7 @@ class Window(Protocol):
         """When it ended; None if it did not."""
 
 
-class Cells(NamedTuple):
+class ErrorBins(NamedTuple):
     """Errors of one estimator within c cells.
 
     `t_us` (c,): their beginnings; `phase` (c,): places in PHASES; `sums` (c, 9): how many errors,
@@ -46,12 +46,14 @@ class Cells(NamedTuple):
     sums: Vector
     first: Vector
 
-    def at(self, index: Any) -> "Cells":
+    def at(self, index: Any) -> "ErrorBins":
         """Some of them."""
-        return Cells(*(column[index] for column in self))
+        return ErrorBins(*(column[index] for column in self))
 
 
-def parted(cells: Cells, windows: Sequence[Window], cell_us: int) -> dict[str, Any]:
+def score_breakdown(
+    cells: ErrorBins, windows: Sequence[FaultInterval], cell_us: int
+) -> dict[str, Any]:
     """Scores of the whole, without faults, by phase of flight and by fault.
 
     RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
@@ -61,17 +63,17 @@ def parted(cells: Cells, windows: Sequence[Window], cell_us: int) -> dict[str, A
     # With a row of zeros, as there may be no window at all.
     faulty = np.any([np.zeros(len(cells.t_us), bool), *within], axis=0)
     flown = sorted({PHASES[i] for i in cells.phase.tolist()})
-    return scored(cells) | {
-        "nominal": scored(cells.at(~faulty)),
-        "phases": {name: scored(cells.at(cells.phase == PHASES.index(name))) for name in flown},
+    return score_bins(cells) | {
+        "nominal": score_bins(cells.at(~faulty)),
+        "phases": {name: score_bins(cells.at(cells.phase == PHASES.index(name))) for name in flown},
         "faults": {
-            window.id: scored(cells.at(inside))
+            window.id: score_bins(cells.at(inside))
             for window, inside in zip(windows, within, strict=True)
         },
     }
 
 
-def scored(cells: Cells) -> dict[str, Any]:
+def score_bins(cells: ErrorBins) -> dict[str, Any]:
     """The scores of some cells; only `samples` = 0 where there are none."""
     if not len(cells.t_us):
         return {"samples": 0}
@@ -93,7 +95,7 @@ def scored(cells: Cells) -> dict[str, Any]:
     }
 
 
-def with_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> dict[str, Any]:
+def put_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> dict[str, Any]:
     """The scores by estimator; those of `sources` that only repeat the truth, as a simulator in the
     place of the autopilot does, come last under a name that says so."""
     repeated = {
@@ -105,7 +107,7 @@ def with_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> di
     return own | {name + REPEATED: scores[name] for name in sorted(repeated)}
 
 
-def phases_of(q_nb: Vector, v_ned_mps: Vector) -> Indices:
+def flight_phases(q_nb: Vector, v_ned_mps: Vector) -> Indices:
     """Places in PHASES by speed, bank and climb of truths (n, 4), (n, 3)."""
     w, x, y, z = q_nb.T
     bank = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -120,7 +122,7 @@ def phases_of(q_nb: Vector, v_ned_mps: Vector) -> Indices:
     return np.select(conditions, range(4), 4)
 
 
-def _within(cells: Cells, window: Window, cell_us: int) -> NDArray[np.bool_]:
+def _within(cells: ErrorBins, window: FaultInterval, cell_us: int) -> NDArray[np.bool_]:
     """Which cells (c,) a window touches."""
     inside = cells.t_us + cell_us > window.start_us
     return inside if window.end_us is None else inside & (cells.t_us < window.end_us)

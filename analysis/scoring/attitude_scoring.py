@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from analysis.estimators import Estimator, Prior, follow, make
+from analysis.estimators import Estimator, Prior, estimate_block, make_estimator
 from analysis.results import AttitudeError
 from analysis.samples.block import (
     AIRSPEED,
@@ -33,12 +33,17 @@ from analysis.samples.block import (
     Stamps,
     block_of,
 )
-from analysis.samples.sample import MOST_OF_IMU, Sample, TruthSample, Vector
-from analysis.scoring.attitude_kernel import Scored, compare, gather
-from analysis.scoring.attitude_scores import Cells, Window, parted, phases_of
+from analysis.samples.sample import IMU_VALUE_LIMIT, Sample, TruthSample, Vector
+from analysis.scoring.attitude_kernel import ScoredEstimates, accumulate_errors, score_estimates
+from analysis.scoring.attitude_scores import (
+    ErrorBins,
+    FaultInterval,
+    flight_phases,
+    score_breakdown,
+)
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
-WAITING_MAX = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
+MAX_WAITING = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
 # The messages by which an autopilot tells its attitude, as columns count them.
 AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
 FIRST_AUTOPILOT = SOURCES.index(AUTOPILOTS[0])
@@ -93,7 +98,7 @@ class ScorerState:
     truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
     truth: Vector = field(default_factory=lambda: np.empty((0, WIDTH)))
     waiting: Estimates = NO_ESTIMATES
-    cells: dict[str, list[Cells]] = field(default_factory=dict)  # as blocks brought them
+    cells: dict[str, list[ErrorBins]] = field(default_factory=dict)  # as blocks brought them
 
 
 class AttitudeScorer:
@@ -101,7 +106,9 @@ class AttitudeScorer:
 
     def __init__(self, config: AttitudeConfig) -> None:
         self.config = config
-        self._estimators: dict[str, Estimator] = {name: make(name) for name in config.estimators}
+        self._estimators: dict[str, Estimator] = {
+            name: make_estimator(name) for name in config.estimators
+        }
         self._names = (*self._estimators, *AUTOPILOTS)
         self._cell_us = round(1e6 / config.rate_hz)
 
@@ -133,7 +140,7 @@ class AttitudeScorer:
         truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
         truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
         truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
-        scored, waiting, oldest = compare(
+        scored, waiting, oldest = score_estimates(
             truth_row,
             truth_us,
             truth,
@@ -142,7 +149,7 @@ class AttitudeScorer:
             estimates.q_nb,
         )
         # The newest; after so long the truth for the older ones is gone.
-        waiting = waiting[-WAITING_MAX:]
+        waiting = waiting[-MAX_WAITING:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
         # Copies, or a slice would keep the whole block alive.
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
@@ -170,12 +177,14 @@ class AttitudeScorer:
         block = block.between(begin + 1, len(block.kind))
         # Estimators see one IMU, as a flight controller's estimator instance does.
         mine = (block.kind != IMU) | (block.values[:, IMU_ID] == self.config.imu)
-        keep = mine & _measured(block)
+        keep = mine & _measurement_rows(block)
         seen = block if keep.all() else block.where(keep)
         imu = rows[keep & (block.kind == IMU)]
         found = [state.waiting]
         for number, (name, estimator) in enumerate(self._estimators.items()):
-            t_us, q_nb, state.estimators[name] = follow(estimator, seen, state.estimators[name])
+            t_us, q_nb, state.estimators[name] = estimate_block(
+                estimator, seen, state.estimators[name]
+            )
             found.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
         own = np.flatnonzero(keep & (block.kind == ATTITUDE))
         source = block.values[own, ATTITUDE_SOURCE].astype(np.int64)
@@ -189,7 +198,7 @@ class AttitudeScorer:
         self,
         state: ScorerState,
         estimates: Estimates,
-        scored: Scored,
+        scored: ScoredEstimates,
         truth: Vector,
     ) -> list[tuple[int, AttitudeError]]:
         """Add errors to their cells; those that opened one, with their row.
@@ -207,12 +216,12 @@ class AttitudeScorer:
             return []
         # Cells count from the first truth, so that a log cut elsewhere has other cells.
         cell_us = estimates.t_us - since_us % self._cell_us
-        opened, state.last_us, sums = gather(
+        opened, state.last_us, sums = accumulate_errors(
             estimates.source, cell_us, error, state.last_us, state.sums
         )
         true, count = truth[after[opened]], len(self._names)
-        cells = Cells(
-            cell_us[opened], phases_of(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
+        cells = ErrorBins(
+            cell_us[opened], flight_phases(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
         )
         for number, name in enumerate(self._names):
             known = state.cells.setdefault(name, [])
@@ -247,21 +256,21 @@ class AttitudeScorer:
             )
         ]
 
-    def summary(self, state: ScorerState, labels: Sequence[Window] = ()) -> dict[str, Any]:
-        """Scores by estimator, as `parted` gives them."""
+    def summary(self, state: ScorerState, labels: Sequence[FaultInterval] = ()) -> dict[str, Any]:
+        """Scores by estimator, as `score_breakdown` gives them."""
         return {
-            name: parted(
-                Cells(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
+            name: score_breakdown(
+                ErrorBins(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
             )
             for name, cells in sorted(state.cells.items())
             if cells
         }
 
 
-def _measured(block: Block) -> NDArray[np.bool_]:
+def _measurement_rows(block: Block) -> NDArray[np.bool_]:
     """Rows (n,) that are a measurement: neither NaN nor what no sensor gives."""
     fine = np.ones(len(block.kind), bool)
-    for kind, width, most in ((IMU, 6, MOST_OF_IMU), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
+    for kind, width, most in ((IMU, 6, IMU_VALUE_LIMIT), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
         rows = block.rows(kind)
         # Written so that NaN is no measurement either.
         fine[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)

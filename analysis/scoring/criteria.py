@@ -47,7 +47,7 @@ def receiver_criteria(with_truth: bool) -> Criteria:
     return msgspec.structs.replace(asked, max_horizontal_95_m=8.0, max_vertical_95_m=13.0)
 
 
-class Check(msgspec.Struct, frozen=True, kw_only=True):
+class CriterionCheck(msgspec.Struct, frozen=True, kw_only=True):
     """One criterion, what was found, and whether it held (None: the data cannot bear a verdict)."""
 
     name: str
@@ -56,13 +56,13 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     passed: bool | None
 
 
-def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
+def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
     """Hold a summary against the criteria, one check per limit that was given."""
     rows = summary["faults"]
     # Without labels nothing that was found can be called false.
-    checks = [] if summary["false_by_channel"] is None else _always(criteria, summary)
+    checks = [] if summary["false_by_channel"] is None else _check_faults(criteria, summary)
     checks += [
-        Check(
+        CriterionCheck(
             name=f"{id} detected",
             limit="detected",
             value=_verdicts(rows, id),
@@ -71,7 +71,7 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         for id in criteria.must_detect
     ]
     checks += [
-        Check(
+        CriterionCheck(
             name=f"{id} isolated",
             limit="isolated",
             value=_verdicts(rows, id),
@@ -103,34 +103,36 @@ def judge(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         (
             "share of epochs that nothing explains",
             criteria.max_unexplained_share,
-            _share(summary, "unexplained_epochs"),
+            _epoch_share(summary, "unexplained_epochs"),
         ),
     )
     checks += [
         # No value, no verdict: a flight that was not measured does not pass.
-        Check(name=name, limit=limit, value=value, passed=None if value is None else value <= limit)
+        CriterionCheck(
+            name=name, limit=limit, value=value, passed=None if value is None else value <= limit
+        )
         for name, limit, value in limits
         if limit is not None
     ]
-    return [*checks, *_tested(criteria, summary)]
+    return [*checks, *_check_tested(criteria, summary)]
 
 
-def _tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
+def _check_tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
     """Whether enough epochs could be tested; more is better here."""
-    limit, untested = criteria.min_tested_share, _share(summary, "untestable_epochs")
+    limit, untested = criteria.min_tested_share, _epoch_share(summary, "untestable_epochs")
     if limit is None:
         return []
     tested = None if untested is None else round(1.0 - untested, 4)
     passed = None if tested is None else tested >= limit
-    return [Check(name="share of epochs tested", limit=limit, value=tested, passed=passed)]
+    return [CriterionCheck(name="share of epochs tested", limit=limit, value=tested, passed=passed)]
 
 
-def _share(summary: Mapping[str, Any], key: str) -> float | None:
+def _epoch_share(summary: Mapping[str, Any], key: str) -> float | None:
     epochs = summary.get("epochs")  # a report's log may have none
     return round(summary[key] / epochs, 4) if epochs else None
 
 
-def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
+def _check_faults(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
     """What holds for every flight whose faults are known."""
     blamed = [
         name
@@ -140,11 +142,13 @@ def _always(criteria: Criteria, summary: Mapping[str, Any]) -> list[Check]:
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
     found = _none_or(dict.fromkeys(blamed))
-    nobody = Check(name="blamed wrongly", limit="nobody", value=found, passed=not blamed)
-    return [*faults_missed(criteria, summary["faults"]), nobody]
+    nobody = CriterionCheck(name="blamed wrongly", limit="nobody", value=found, passed=not blamed)
+    return [*check_missed_faults(criteria, summary["faults"]), nobody]
 
 
-def faults_missed(criteria: Criteria, rows: Sequence[Mapping[str, Any]]) -> list[Check]:
+def check_missed_faults(
+    criteria: Criteria, rows: Sequence[Mapping[str, Any]]
+) -> list[CriterionCheck]:
     """Whether a fault was missed that can be seen; nothing where no fault acted."""
     if not rows:
         return []
@@ -159,14 +163,14 @@ def faults_missed(criteria: Criteria, rows: Sequence[Mapping[str, Any]]) -> list
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
     found = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
-    return [Check(name="faults missed", limit="none", value=found, passed=passed)]
+    return [CriterionCheck(name="faults missed", limit="none", value=found, passed=passed)]
 
 
 def _none_or(names: Mapping[str, None]) -> str:
     return ", ".join(names) or "none"
 
 
-def verdict(checks: Sequence[Check]) -> str:
+def overall_verdict(checks: Sequence[CriterionCheck]) -> str:
     """FAIL if any check failed, PASS if all passed, NO VERDICT if there is nothing to go by."""
     if any(check.passed is False for check in checks):
         return "FAIL"

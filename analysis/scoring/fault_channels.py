@@ -16,13 +16,15 @@ IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
     *("imu", "mag", "baro", "airspeed", "range", "vision", "link"),
 )
 ACTUATORS = "actuators"
-RECEIVER = frozenset({POSITION, VELOCITY, "GPS", "clock"})  # names by which a receiver is blamed
-OF_RECEIVER = frozenset({SATELLITES, POSITION, VELOCITY})
+RECEIVER_NAMES = frozenset(
+    {POSITION, VELOCITY, "GPS", "clock"}
+)  # names by which a receiver is blamed
+RECEIVER_CHANNELS = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
 SATELLITE = re.compile(r"[GRECJSI]\d\d")
 
 
-class Sight(NamedTuple):
+class FaultVisibility(NamedTuple):
     """Who can see a fault and who is to blame.
 
     `channels` can see it; of each set in `culprits` one name must be blamed, and whoever is in
@@ -42,31 +44,35 @@ class Sight(NamedTuple):
         return name in self.suspects
 
 
-def _sensor(name: str) -> Sight:
+def _sensor(name: str) -> FaultVisibility:
     own = frozenset({name})
-    return Sight(own, (own,), own)
+    return FaultVisibility(own, (own,), own)
 
 
-def _together(*sights: Sight) -> Sight:
+def _any_of(*sights: FaultVisibility) -> FaultVisibility:
     """One source of all of these: it is enough that one of them is blamed."""
     names = frozenset().union(*(sight.suspects for sight in sights))
-    return Sight(frozenset().union(*(sight.channels for sight in sights)), (names,), names)
+    return FaultVisibility(
+        frozenset().union(*(sight.channels for sight in sights)), (names,), names
+    )
 
 
 # The test of an epoch or a fix holds it against the IMU: its alarm may be the IMU's.
-IMU_SIGHT = Sight(frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU}))
-FIX_SIGHT = Sight(frozenset({POSITION, VELOCITY}), (RECEIVER,), RECEIVER)
+IMU_VISIBILITY = FaultVisibility(
+    frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU})
+)
+FIX_VISIBILITY = FaultVisibility(frozenset({POSITION, VELOCITY}), (RECEIVER_NAMES,), RECEIVER_NAMES)
 # As a name "satellites" is the stream of raw ranges, which falls silent as a whole.
-WHOLE_RECEIVER = RECEIVER | {SATELLITES, EVERY_SATELLITE}
-RECEIVER_SIGHT = Sight(OF_RECEIVER, (WHOLE_RECEIVER,), WHOLE_RECEIVER)
-BY_NAME = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
-BY_NAME |= {IMU: IMU_SIGHT}
+ENTIRE_RECEIVER = RECEIVER_NAMES | {SATELLITES, EVERY_SATELLITE}
+RECEIVER_VISIBILITY = FaultVisibility(RECEIVER_CHANNELS, (ENTIRE_RECEIVER,), ENTIRE_RECEIVER)
+SENSOR_VISIBILITY = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
+SENSOR_VISIBILITY |= {IMU: IMU_VISIBILITY}
 
 # What the outputs of HIL_ACTUATOR_CONTROLS, from 0, drive: a multirotor's motors in their order,
 # and on a fixed wing these [1]_. A plane has no motor 5, and a hexarotor no throttle.
 OUTPUTS = 16
-NOTHING: Mapping[str, object] = {}
-OF_PLANE = {2: "rudder", 4: "throttle", 5: "aileron", 6: "aileron", 7: "elevator"}
+NO_PARAMETERS: Mapping[str, object] = {}
+PLANE_OUTPUTS = {2: "rudder", 4: "throttle", 5: "aileron", 6: "aileron", 7: "elevator"}
 MOTOR = re.compile(r"(motor|propeller)_efficiency\[(\d+)\]")
 SURFACE = re.compile(r"(elevator|aileron|rudder)_efficiency")
 
@@ -74,7 +80,7 @@ MAG_FIELDS = re.compile(r"[xyz]mag")
 IMU_FIELDS = re.compile(r"[xyz](gyro|acc)")
 BARO_FIELDS = ("abs_pressure", "press_abs", "pressure_alt")
 AIR_FIELDS = ("diff_pressure", "press_diff")
-MESSAGES = {
+SENSOR_MESSAGES = {
     **dict.fromkeys(("HIL_SENSOR", "HIGHRES_IMU"), (IMU, MAG, BARO, AIRSPEED)),
     **dict.fromkeys(("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"), (IMU, MAG)),
     **dict.fromkeys(
@@ -84,73 +90,79 @@ MESSAGES = {
     "DISTANCE_SENSOR": (RANGE,),
     **dict.fromkeys(("ODOMETRY", "VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE"), (VISION,)),
 }
-FIXES = ("HIL_GPS", "GPS_RAW_INT", "GPS2_RAW", "GPS_INPUT", "GLOBAL_POSITION_INT")
-GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed": AIRSPEED}
+FIX_MESSAGES = ("HIL_GPS", "GPS_RAW_INT", "GPS2_RAW", "GPS_INPUT", "GLOBAL_POSITION_INT")
+SENSOR_GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed": AIRSPEED}
 # Faults that act on the link's bytes and frames, whatever is in them
-LOSSES = (
+LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     "sequence-gap",
 )
-HARMLESS = {  # nobody has anything to say of them
+HARMLESS_FAULTS = {  # nobody has anything to say of them
     "command": "a command to the vehicle falsifies nothing",
     "duplicate": "what comes twice is as it was",
 }
-IN_RECEIVER = re.compile(
+RECEIVER_PLANT_FAULT = re.compile(
     r"receiver_off|(cn0_drop_db|pseudorange_m|range_rate_mps|satellite_lost|spoof_\w+)\[\w+\]"
 )
 
 
-def sight(label: Label) -> Sight:
+def fault_visibility(label: Label) -> FaultVisibility:
     """Who can see the fault of a label."""
     if label.fault == "gps-spoof":
-        return RECEIVER_SIGHT
-    if label.fault in HARMLESS:
-        return Sight(frozenset(), reason=HARMLESS[label.fault])
+        return RECEIVER_VISIBILITY
+    if label.fault in HARMLESS_FAULTS:
+        return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
     if not label.targets:
-        return _of_link(label.fault)
+        return _link_visibility(label.fault)
     found = [
-        _unheard(target)
-        if label.fault in LOSSES and _is_satellite(target)
-        else target_sight(target, label.parameters)
+        _lost_satellite(target)
+        if label.fault in LOSS_FAULTS and _is_satellite(target)
+        else target_visibility(target, label.parameters)
         for target in label.targets
     ]
     # A target that nothing watches does not hide the ones that are watched.
     seen = [one for one in found if one.channels]
     if not seen:
         return found[0]
-    merged = Sight(
+    merged = FaultVisibility(
         frozenset().union(*(one.channels for one in seen)),
         tuple(dict.fromkeys(culprit for one in seen for culprit in one.culprits)),
         frozenset().union(*(one.suspects for one in seen)),
     )
-    if label.fault in LOSSES:  # the frames that are lost are missing in the link's count as well
+    if (
+        label.fault in LOSS_FAULTS
+    ):  # the frames that are lost are missing in the link's count as well
         merged = merged._replace(
             channels=merged.channels | {LINK}, suspects=merged.suspects | {LINK}
         )
     return merged
 
 
-def _of_link(fault: str) -> Sight:
+def _link_visibility(fault: str) -> FaultVisibility:
     """A fault of the whole link falsifies nobody, but everybody may fall silent."""
-    if fault not in LOSSES:
-        return Sight(frozenset(), reason=f"{fault} on a link leaves every value as it was")
-    everybody = frozenset({*BY_NAME, *WHOLE_RECEIVER})
-    return Sight(frozenset({LINK}), (everybody,), everybody)
+    if fault not in LOSS_FAULTS:
+        return FaultVisibility(
+            frozenset(), reason=f"{fault} on a link leaves every value as it was"
+        )
+    everybody = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
+    return FaultVisibility(frozenset({LINK}), (everybody,), everybody)
 
 
-def target_sight(target: str, parameters: Mapping[str, object] = NOTHING) -> Sight:
+def target_visibility(
+    target: str, parameters: Mapping[str, object] = NO_PARAMETERS
+) -> FaultVisibility:
     """Who can see that a target is falsified; `parameters` are those of the fault."""
     message, _, path = target.partition(".")
     name = path.partition("[")[0]
     if message in ("PSEUDORANGE", "TUNNEL"):
-        return _of_satellite(path)
+        return _satellite_visibility(path)
     if message == "PLANT":
         satellite = SATELLITE.search(path)
         if satellite is not None:
             lost = path.startswith("satellite_lost")
-            return (_unheard if lost else _of_satellite)(satellite.group())
-        if IN_RECEIVER.fullmatch(path):
-            return RECEIVER_SIGHT
+            return (_lost_satellite if lost else _satellite_visibility)(satellite.group())
+        if RECEIVER_PLANT_FAULT.fullmatch(path):
+            return RECEIVER_VISIBILITY
         motor, surface = MOTOR.fullmatch(path), SURFACE.fullmatch(path)
         if motor is not None:
             number = int(motor[2])
@@ -158,37 +170,39 @@ def target_sight(target: str, parameters: Mapping[str, object] = NOTHING) -> Sig
             return _actuator({f"motor {number + 1}", *(["throttle"] if number == 0 else [])})
         if surface is not None:
             return _actuator({surface[1]})
-        return Sight(frozenset(), reason=f"no channel watches the plant ({path})")
-    if message in FIXES:
-        return FIX_SIGHT
+        return FaultVisibility(frozenset(), reason=f"no channel watches the plant ({path})")
+    if message in FIX_MESSAGES:
+        return FIX_VISIBILITY
     if message == "HIL_ACTUATOR_CONTROLS":
-        return _of_output(path)
+        return _output_visibility(path)
     devices = _devices(message, name, parameters)
     if not devices:
-        return Sight(frozenset(), reason=f"no channel watches {target}")
-    return _together(*(BY_NAME[device] for device in devices))
+        return FaultVisibility(frozenset(), reason=f"no channel watches {target}")
+    return _any_of(*(SENSOR_VISIBILITY[device] for device in devices))
 
 
-def _actuator(names: set[str]) -> Sight:
+def _actuator(names: set[str]) -> FaultVisibility:
     """Actuators of which one is to blame."""
-    return Sight(frozenset({ACTUATORS}), (frozenset(names),), frozenset(names))
+    return FaultVisibility(frozenset({ACTUATORS}), (frozenset(names),), frozenset(names))
 
 
-def _of_output(path: str) -> Sight:
+def _output_visibility(path: str) -> FaultVisibility:
     """What one output drives, or any of them where the whole message is meant."""
     index = re.fullmatch(r"controls\[(\d+)\]", path)
     outputs = range(OUTPUTS) if index is None else (int(index[1]),)
     motors = {f"motor {output + 1}" for output in outputs}
-    return _actuator(motors | {OF_PLANE[output] for output in outputs if output in OF_PLANE})
+    return _actuator(
+        motors | {PLANE_OUTPUTS[output] for output in outputs if output in PLANE_OUTPUTS}
+    )
 
 
-def _of_satellite(name: str) -> Sight:
+def _satellite_visibility(name: str) -> FaultVisibility:
     """One satellite; a receiver that uses it drags its own position along."""
     # `all`, or what is no satellite: the receiver as a whole.
     if not SATELLITE.fullmatch(name):
-        return RECEIVER_SIGHT
+        return RECEIVER_VISIBILITY
     own = frozenset({name})
-    return Sight(OF_RECEIVER, (own,), own | RECEIVER)
+    return FaultVisibility(RECEIVER_CHANNELS, (own,), own | RECEIVER_NAMES)
 
 
 def _is_satellite(target: str) -> bool:
@@ -197,18 +211,24 @@ def _is_satellite(target: str) -> bool:
     return message == "PSEUDORANGE" and SATELLITE.fullmatch(name) is not None
 
 
-def _unheard(target: str) -> Sight:
+def _lost_satellite(target: str) -> FaultVisibility:
     """One satellite that no longer comes in. Blaming it would not be wrong, nor who needs it."""
-    names = RECEIVER | {target.rpartition(".")[2], SATELLITES, LINK}
-    return Sight(frozenset(), (), names, "a hill hides a satellite as well: it is no error")
+    names = RECEIVER_NAMES | {target.rpartition(".")[2], SATELLITES, LINK}
+    return FaultVisibility(
+        frozenset(), (), names, "a hill hides a satellite as well: it is no error"
+    )
 
 
 def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple[str, ...]:
     """The sensors that a field of a message belongs to; without a field all that speak in it."""
-    every = MESSAGES.get(message, ())
+    every = SENSOR_MESSAGES.get(message, ())
     if name == "fields_updated":
         groups = parameters.get("groups")
-        named = [GROUPS[g] for g in groups if g in GROUPS] if isinstance(groups, list) else []
+        named = (
+            [SENSOR_GROUPS[g] for g in groups if g in SENSOR_GROUPS]
+            if isinstance(groups, list)
+            else []
+        )
         return tuple(dict.fromkeys(named)) or every
     # Time stamps belong to every sensor of the message.
     if not name or name.startswith("time") or len(every) == 1:

@@ -9,7 +9,7 @@ import numpy as np
 from analysis.recordings.position_reference import PositionReference
 from analysis.results import Decision, Result
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 ALERT_LIMITS_M = {"horizontal": 40.0, "vertical": 50.0}  # ICAO annex 10, approach APV-I
 ERROR, LEVEL = 0, 1
@@ -34,7 +34,7 @@ class Integrity:
             true_m = self._reference.at(result.t_us) if self._reference is not None else None
             if result.position_ecef_m is None or true_m is None:
                 continue
-            lat, lon, _ = geodetic(np.array(true_m))
+            lat, lon, _ = geodetic_position(np.array(true_m))
             north, east, down = ned_axes(lat, lon) @ np.subtract(result.position_ecef_m, true_m)
             errors = float(np.hypot(north, east)), float(abs(down))
             for name, error, level in zip(

@@ -11,20 +11,25 @@ from typing import NamedTuple
 
 import msgspec
 
-from analysis.results import EITHER
-from analysis.scoring.alarm_windows import Window, without
-from analysis.scoring.fault_channels import HARMLESS, RECEIVER, Sight, sight
+from analysis.results import OR_SEPARATOR
+from analysis.scoring.alarm_windows import AlarmWindow, subtract_intervals
+from analysis.scoring.fault_channels import (
+    HARMLESS_FAULTS,
+    RECEIVER_NAMES,
+    FaultVisibility,
+    fault_visibility,
+)
 from mavproxy_fault.wire.label import Label
 
 RECOVERY_S = 10.0  # alarms so long after the first epoch behind a fault are its echo
 # Later than any stamp, with room to add.
-ENDLESS_US = 1 << 62
+NEVER_US = 1 << 62
 
 ISOLATED, WRONG, AMBIGUOUS, DETECTED = "isolated", "wrong", "ambiguous", "detected"
 LATE, MISSED, NOT_JUDGED = "late", "missed", "not judged"
 
 
-class Blame(msgspec.Struct, frozen=True, kw_only=True):
+class WrongIsolation(msgspec.Struct, frozen=True, kw_only=True):
     """Somebody blamed: from when on the axis of the schedule, and for how long, in seconds."""
 
     who: str
@@ -50,31 +55,31 @@ class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
     detected: bool
     delay_s: float | None
     isolated: tuple[str, ...]
-    wrongly: tuple[Blame, ...]
+    wrongly: tuple[WrongIsolation, ...]
     verdict: str
     reason: str
 
 
-class _Watch(NamedTuple):
+class _FaultPeriod(NamedTuple):
     """A label with who can see it and until when it is watched and its echo heard."""
 
     label: Label
-    sight: Sight
+    sight: FaultVisibility
     until_us: int
     echo_us: int
     witnesses: frozenset[str]
 
-    def explains(self, window: Window) -> bool:
+    def explains(self, window: AlarmWindow) -> bool:
         """Whether what a window holds against somebody can be this fault's doing."""
         # Nobody named: the channel alone tells.
         if not window.name:
             return window.channel in self.sight.channels | self.witnesses
-        return any(map(self.sight.suspected, window.name.split(EITHER)))
+        return any(map(self.sight.suspected, window.name.split(OR_SEPARATOR)))
 
 
-def outcomes(
+def fault_outcomes(
     labels: Sequence[Label],
-    windows: Sequence[Window],
+    windows: Sequence[AlarmWindow],
     watched: Collection[str],
     epoch_us: int,
     witnesses: frozenset[str] = frozenset(),
@@ -94,25 +99,30 @@ def outcomes(
     witnesses : frozenset of str
         Channels that speak up whatever the fault is, as an autopilot does.
     """
-    watches = [_watch(label, epoch_us, witnesses) for label in labels]
+    watches = [_fault_period(label, epoch_us, witnesses) for label in labels]
     return [_outcome(watch, watches, windows, watched) for watch in watches]
 
 
-def _watch(label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()) -> _Watch:
+def _fault_period(
+    label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()
+) -> _FaultPeriod:
     # A fault still acting at the end of the log.
-    end_us = ENDLESS_US if label.end_us is None else label.end_us
+    end_us = NEVER_US if label.end_us is None else label.end_us
     # Who was left out looks sound from the first epoch on, and comes back so long after it.
     echo_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
-    seen = sight(label)
+    seen = fault_visibility(label)
     # The first sound fix after a receiver's fault shows no more than the way back.
-    of_receiver = any(culprits >= RECEIVER for culprits in seen.culprits)
+    of_receiver = any(culprits >= RECEIVER_NAMES for culprits in seen.culprits)
     until_us = end_us if of_receiver else end_us + epoch_us
-    asked = frozenset[str]() if label.fault in HARMLESS else witnesses
-    return _Watch(label, seen, until_us, echo_us, asked)
+    asked = frozenset[str]() if label.fault in HARMLESS_FAULTS else witnesses
+    return _FaultPeriod(label, seen, until_us, echo_us, asked)
 
 
 def _outcome(
-    watch: _Watch, watches: Sequence[_Watch], windows: Sequence[Window], watched: Collection[str]
+    watch: _FaultPeriod,
+    watches: Sequence[_FaultPeriod],
+    windows: Sequence[AlarmWindow],
+    watched: Collection[str],
 ) -> FaultOutcome:
     label = watch.label
     # What began before the fault cannot be its doing.
@@ -122,7 +132,7 @@ def _outcome(
     wrongly = [w for w in began if w.blamed and not _explained(w, watches)]
     verdict, reason = _verdict(watch, own, right, watched)
     if verdict == MISSED:
-        verdict, reason = _afterwards(watch, watches, windows)
+        verdict, reason = _late_verdict(watch, watches, windows)
     # Blaming somebody sound is worse than missing the fault: it overrides every other word.
     if wrongly:
         verdict, reason = WRONG, f"in truth {reason or verdict}"
@@ -139,14 +149,14 @@ def _outcome(
         # From the fault's start to the first of its windows.
         delay_s=_seconds(label, own[0].start_us - label.start_us + label.t0_us) if own else None,
         isolated=right,
-        wrongly=tuple(_blame(label, w) for w in wrongly),
+        wrongly=tuple(_wrong_isolation(label, w) for w in wrongly),
         verdict=verdict,
         reason=reason,
     )
 
 
 def _verdict(
-    watch: _Watch, own: Sequence[Window], right: Sequence[str], watched: Collection[str]
+    watch: _FaultPeriod, own: Sequence[AlarmWindow], right: Sequence[str], watched: Collection[str]
 ) -> tuple[str, str]:
     """The word for a fault during which nobody sound was blamed, and what it leaves open."""
     sight = watch.sight
@@ -158,11 +168,13 @@ def _verdict(
         return NOT_JUDGED, f"no {' or '.join(sorted(able))} in this flight"
     if not own:
         return MISSED, ""
-    unblamed = [c for c in sight.culprits if not any(Sight(c, (), c).suspected(n) for n in right)]
+    unblamed = [
+        c for c in sight.culprits if not any(FaultVisibility(c, (), c).suspected(n) for n in right)
+    ]
     if right and sight.culprits and not unblamed:
         return ISOLATED, ""
     # The detector told that it cannot tell between two: less than isolated, more than an alarm.
-    either = sorted({w.name for w in own if EITHER in w.name})
+    either = sorted({w.name for w in own if OR_SEPARATOR in w.name})
     if either:
         return AMBIGUOUS, ", ".join(either)
     if right:
@@ -170,8 +182,8 @@ def _verdict(
     return DETECTED, "nobody was blamed"
 
 
-def _afterwards(
-    watch: _Watch, watches: Sequence[_Watch], windows: Sequence[Window]
+def _late_verdict(
+    watch: _FaultPeriod, watches: Sequence[_FaultPeriod], windows: Sequence[AlarmWindow]
 ) -> tuple[str, str]:
     """Of a fault not found while it acted: under alarm from before, found late, or missed."""
     label, others = watch.label, [w for w in watches if w is not watch]
@@ -189,11 +201,11 @@ def _afterwards(
     return MISSED, ""
 
 
-def _covers(watch: _Watch, window: Window) -> bool:
+def _covers(watch: _FaultPeriod, window: AlarmWindow) -> bool:
     return watch.label.start_us <= window.start_us <= watch.echo_us
 
 
-def _explained(window: Window, watches: Sequence[_Watch]) -> bool:
+def _explained(window: AlarmWindow, watches: Sequence[_FaultPeriod]) -> bool:
     return any(watch.explains(window) and _covers(watch, window) for watch in watches)
 
 
@@ -201,8 +213,8 @@ def _seconds(label: Label, t_us: int) -> float:
     return round((t_us - label.t0_us) * 1e-6, 3)
 
 
-def _blame(label: Label, window: Window) -> Blame:
-    return Blame(
+def _wrong_isolation(label: Label, window: AlarmWindow) -> WrongIsolation:
+    return WrongIsolation(
         who=window.name,
         from_s=_seconds(label, window.start_us),
         for_s=round((window.end_us - window.start_us) * 1e-6, 3),
@@ -226,17 +238,17 @@ class FalseAlarms(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def false_alarms(
-    labels: Sequence[Label], windows: Sequence[Window], span_s: float, epoch_us: int
+    labels: Sequence[Label], windows: Sequence[AlarmWindow], span_s: float, epoch_us: int
 ) -> list[FalseAlarms]:
     """By channel what no fault explains, whether or not another fault acted meanwhile."""
-    watches = [_watch(label, epoch_us) for label in labels]
+    watches = [_fault_period(label, epoch_us) for label in labels]
     acting = [(watch.label.start_us, watch.echo_us) for watch in watches]
-    rows: dict[str, list[tuple[Window, bool, float]]] = {}
+    rows: dict[str, list[tuple[AlarmWindow, bool, float]]] = {}
     for window in windows:
         explained = [
             at for at, watch in zip(acting, watches, strict=True) if watch.explains(window)
         ]
-        for start_us, end_us in without(window, explained):
+        for start_us, end_us in subtract_intervals(window, explained):
             inside = any(start <= start_us <= end for start, end in acting)
             # A suspicion during a fault of somebody else does no harm.
             if window.blamed or not inside:
@@ -246,7 +258,7 @@ def false_alarms(
 
 
 def _false_row(
-    channel: str, found: Sequence[tuple[Window, bool, float]], span_s: float
+    channel: str, found: Sequence[tuple[AlarmWindow, bool, float]], span_s: float
 ) -> FalseAlarms:
     inside = sum(within for _, within, _ in found)
     return FalseAlarms(

@@ -15,13 +15,13 @@ from analysis.samples.block import EPHEMERIS, TRUTH, Block
 from analysis.samples.sample import Vector
 from analysis.scoring.alarm_windows import Alarm, alarms_of, channel_of, windows_of
 from analysis.scoring.attitude_scores import REPEATED
-from analysis.scoring.criteria import Criteria, judge, verdict
-from analysis.scoring.outcome import false_alarms, outcomes
+from analysis.scoring.criteria import Criteria, check_criteria, overall_verdict
+from analysis.scoring.outcome import false_alarms, fault_outcomes
 from analysis.scoring.position_scores import UNKNOWN, PositionScores
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 
-Placed = Decision | FusedState  # results that tell a position
+PositionResult = Decision | FusedState  # results that tell a position
 FILTER = "filter"  # the detector's own position among the solutions
 SHOWN_REASONS = 3  # the most frequent
 EPOCH_US = 1_000_000  # between epochs, where too few came to tell
@@ -69,7 +69,7 @@ class Tally:
             self.last_us = max(self.last_us, int(stamps.max()))
         # Sensors speak for most rows of a block, and mostly without an alarm.
         sensors = [result for _, result in found if isinstance(result, SensorDecision)]
-        placed = [(row, result) for row, result in found if isinstance(result, Placed)]
+        placed = [(row, result) for row, result in found if isinstance(result, PositionResult)]
         speaking: list[Result] = [result for result in sensors if result.alarm]
         speaking += [result for _, result in placed]
         self._watched.update({result.sensor for result in sensors if result.statistic is not None})
@@ -80,7 +80,7 @@ class Tally:
                 self._count(result)
         self._add_errors(placed, self._true_positions(block, placed))
 
-    def _true_positions(self, block: Block, found: Sequence[tuple[int, Placed]]) -> Vector:
+    def _true_positions(self, block: Block, found: Sequence[tuple[int, PositionResult]]) -> Vector:
         """Where the vehicle really was at each result, ECEF (n, 3); NaN where that is not known."""
         if self._reference is not None:
             known = [self._reference.at(result.t_us) for _, result in found]
@@ -108,7 +108,7 @@ class Tally:
         placed = result.position_ecef_m is not None
         self.unbounded += placed and result.position_sigma_m is None
 
-    def _add_errors(self, placed: Sequence[tuple[int, Placed]], true_m: Vector) -> None:
+    def _add_errors(self, placed: Sequence[tuple[int, PositionResult]], true_m: Vector) -> None:
         """Errors by solution, of the results that tell a position, where `true_m` (n, 3) does."""
         numbers: dict[str, list[int]] = {}
         for number, (_, result) in enumerate(placed):
@@ -152,7 +152,7 @@ class Tally:
         false = None
         if labels is not None:
             false = false_alarms(labels, windows, self.span_s, self.epoch_us)
-        found_faults = outcomes(labels or (), windows, self._watched, self.epoch_us)
+        found_faults = fault_outcomes(labels or (), windows, self._watched, self.epoch_us)
         # An autopilot that repeats the truth would make every criterion pass.
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
         found: dict[str, Any] = {
@@ -176,7 +176,7 @@ class Tally:
             "faults": msgspec.to_builtins(found_faults),
             "attitude": dict(attitude),
         }
-        checks = judge(criteria, found)
-        found["verdict"] = verdict(checks)
+        checks = check_criteria(criteria, found)
+        found["verdict"] = overall_verdict(checks)
         found["criteria"] = [msgspec.structs.asdict(check) for check in checks]
         return found

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-APART = 0.1  # root-mean-square distance, per searched number, from which cases count as different
-SPARE = 3  # candidates kept for each case asked for: some will turn out to have been lucky
+MIN_DISTANCE = (
+    0.1  # root-mean-square distance, per searched number, from which cases count as different
+)
+SPARE_FACTOR = 3  # candidates kept for each case asked for: some will turn out to have been lucky
 
 
 class Case(NamedTuple):
@@ -22,7 +24,7 @@ class Archive:
     """Keeps the candidates for the `keep` worst cases."""
 
     def __init__(self, keep: int) -> None:
-        self._limit = keep * SPARE
+        self._limit = keep * SPARE_FACTOR
         self.cases: list[Case] = []
 
     def add(self, first: int, points: Array, fitness: Array) -> None:
@@ -37,7 +39,9 @@ class Archive:
 
     def _insert(self, case: Case) -> None:
         """A case replaces its worse neighbours and gives way to a better one."""
-        near = [other for other in self.cases if distance(case.point, other.point) < APART]
+        near = [
+            other for other in self.cases if rms_distance(case.point, other.point) < MIN_DISTANCE
+        ]
         if any(other.fitness >= case.fitness for other in near):
             return
         # The neighbours by identity: comparing cases would compare arrays.
@@ -46,6 +50,6 @@ class Archive:
         self.cases = sorted([*kept, case], key=lambda c: (-c.fitness, c.number))[: self._limit]
 
 
-def distance(a: Array, b: Array) -> float:
+def rms_distance(a: Array, b: Array) -> float:
     """Root-mean-square difference of two points (d,); 0 for points without numbers."""
     return float(np.sqrt(np.mean((a - b) ** 2))) if len(a) else 0.0

@@ -8,24 +8,34 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators import make
-from analysis.scoring.attitude_scores import Cells, parted, phases_of
-from analysis.search.evaluation.compiled_batch import COMPILED, Batch, ned_velocity, start_filters
-from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
-from analysis.search.shrink import pinned
+from analysis.estimators import make_estimator
+from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_breakdown
+from analysis.search.evaluation.compiled_batch import (
+    COMPILED_ESTIMATORS,
+    Batch,
+    ned_velocity,
+    start_filters,
+)
+from analysis.search.evaluation.traced_flight import (
+    FlightTrace,
+    estimate_attitude,
+    trace_flight,
+    with_all_sensors,
+)
+from analysis.search.shrink import pin_values
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 INVERTED_STATES = ("height_m", "airspeed_mps", "position_m")
 Array = NDArray[np.float64]
-CELL_US = 100_000
+BIN_US = 100_000
 STATES = (
     "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_deg", "pitch_deg", "yaw_deg",
     "p_dps", "q_dps", "r_dps",
 )  # fmt: skip
 
 
-class Acting(NamedTuple):
+class ActiveFault(NamedTuple):
     """When a fault acted."""
 
     id: str
@@ -33,27 +43,27 @@ class Acting(NamedTuple):
     end_us: int | None
 
 
-def breakdown(
+def case_breakdown(
     test: TestFile, values: Mapping[str, float], seed: int, number: int
 ) -> dict[str, Any]:
-    """Scores as `parted` gives them, and for the inverse model those of all twelve states and of
-    what the inverted sensor models say.
+    """Scores as `score_breakdown` gives them, and for the inverse model those of all twelve states
+    and of what the inverted sensor models say.
 
     `seed` and `number` choose the noise.
     """
     if test.flown:
-        from analysis.search.evaluation.flown_cases import Flown
+        from analysis.search.evaluation.simulated_batch import SimulatedBatch
 
-        return Flown(test).scores(values, seed, number).parts
-    flight = flight_of(test, values, seed, number)
+        return SimulatedBatch(test).scores(values, seed, number).parts
+    flight = trace_case(test, values, seed, number)
     error = flight.errors_rad()
     windows = [
-        Acting(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
-        for i, f in enumerate(pinned(test, values).faults)
+        ActiveFault(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
+        for i, f in enumerate(pin_values(test, values).faults)
         # A fault drawn over a range has no single time to score by.
         if isinstance(f.at_s, float) and not isinstance(f.for_s, tuple)
     ]
-    parts = parted(cells_of(flight, error), windows, CELL_US)
+    parts = score_breakdown(error_bins(flight, error), windows, BIN_US)
     if test.estimator == "inverse-model":
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
         inverted = Batch(msgspec.structs.replace(test, criterion="height"))
@@ -66,40 +76,40 @@ def breakdown(
     return parts
 
 
-def flight_of(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> Trace:
+def trace_case(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> FlightTrace:
     """The flight in full, with the attitude that the estimator under test made of it."""
     batch = Batch(test)
     column = batch.columns({name: np.array([value]) for name, value in values.items()})
     filters = start_filters(test.estimator, column)[0]
     # Compiled estimators run inside the flight; others get its recorded sensors afterwards.
-    if test.estimator in COMPILED:
-        return traced(batch.plan, column[:, 0], filters, seed, number)
-    flight = traced(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
-    return replace(flight, q_estimate=estimated(flight, make(test.estimator)))
+    if test.estimator in COMPILED_ESTIMATORS:
+        return trace_flight(batch.plan, column[:, 0], filters, seed, number)
+    flight = trace_flight(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
+    return replace(flight, q_estimate=estimate_attitude(flight, make_estimator(test.estimator)))
 
 
 def _end_us(at_s: float, for_s: float | None) -> int | None:
     return None if for_s is None else round((at_s + for_s) * 1e6)
 
 
-def cells_of(flight: Trace, error: Array) -> Cells:
+def error_bins(flight: FlightTrace, error: Array) -> ErrorBins:
     """Errors (n, 4) of a flight in cells of CELL_US."""
     # Whole steps of the flight in a cell, at least one.
-    length = max(1, round(CELL_US * 1e-6 / flight.plan.dt_s))
+    length = max(1, round(BIN_US * 1e-6 / flight.plan.dt_s))
     begins = np.arange(0, len(error), length)
     velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
     counts = np.diff(begins, append=len(error))
     squares = np.add.reduceat(error**2, begins)
     largest = np.maximum.reduceat(np.abs(error), begins)
-    return Cells(
+    return ErrorBins(
         np.rint(begins * flight.plan.dt_s * 1e6).astype(np.int64),
-        phases_of(flight.state[begins, 6:10], velocity[begins]),
+        flight_phases(flight.state[begins, 6:10], velocity[begins]),
         np.column_stack([counts, squares, largest]),
         error[begins],
     )
 
 
-def state_rmse(flight: Trace) -> Array:
+def state_rmse(flight: FlightTrace) -> Array:
     """RMSE (12,) in the units of STATES; the estimated rates are the gyro's."""
     angle = flight.estimate[:, 0:3] - euler_from_quat(flight.state[:, 6:10])
     error = np.column_stack(

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
-from analysis.search.shrink import pinned
+from analysis.search.shrink import pin_values
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.yaml_document import write_yaml
@@ -63,12 +63,12 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
             scenario = {**document_of(test, values, case.run_seed), "name": name}
             texts = {
                 f"{name}.yaml": scenario_yaml(test, scenario),
-                f"{name}-test.yaml": yaml_of(pinned(test, values)),
+                f"{name}-test.yaml": test_yaml(pin_values(test, values)),
             }
             faults = faults_of(test, values)
             # A cell of a campaign has one fault.
             if len(faults) == 1:
-                cell = campaign_of(test, name, faults[0], case.run_seed)
+                cell = campaign_document(test, name, faults[0], case.run_seed)
                 texts[f"{name}-campaign.yaml"] = write_yaml(cell)
             for file, text in texts.items():
                 (folder / file).write_text(text)
@@ -76,13 +76,15 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
     return paths
 
 
-def campaign_of(test: TestFile, name: str, fault: dict[str, Any], seed: int) -> dict[str, Any]:
+def campaign_document(
+    test: TestFile, name: str, fault: dict[str, Any], seed: int
+) -> dict[str, Any]:
     """A campaign file with the one cell that a case is, the case's scenario beside it."""
     subject: str | dict[str, Any] = test.estimator
     if test.autopilot is not None:
         kind = test.autopilot.kind
         choice = {"binary": test.autopilot.binary or kind, "parameters": test.autopilot.parameters}
-        subject = _given({"name": kind, "autopilot": kind, **choice})
+        subject = _without_none({"name": kind, "autopilot": kind, **choice})
     known = ("id", "fault", "target", "value", "at_s", "for_s")
     entry = {key: fault[key] for key in ("id", "fault", "target")}
     if "value" in fault:
@@ -100,23 +102,23 @@ def campaign_of(test: TestFile, name: str, fault: dict[str, Any], seed: int) -> 
 
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
     """A scenario file; what is left out (None) has its default."""
-    text = write_yaml(_given(scenario))
+    text = write_yaml(_without_none(scenario))
     # An autopilot is a program outside: a scenario alone cannot start it.
     if test.estimator == AUTOPILOT:
         return "# With `run --autopilot`, or by `search` with the test beside it.\n" + text
     return text
 
 
-def _given(node: Any) -> Any:
+def _without_none(node: Any) -> Any:
     """A document without the entries that are None."""
     if isinstance(node, Mapping):
-        return {key: _given(value) for key, value in node.items() if value is not None}
-    return [_given(item) for item in node] if isinstance(node, (list, tuple)) else node
+        return {key: _without_none(value) for key, value in node.items() if value is not None}
+    return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node
 
 
-def yaml_of(test: TestFile) -> str:
+def test_yaml(test: TestFile) -> str:
     """A test file that reads back as `test`."""
-    document = _given(msgspec.to_builtins(test))
+    document = _without_none(msgspec.to_builtins(test))
     # A target that was drawn stands as `target`; the list it came from would choose again.
     for fault in document["faults"]:
         if "target" in fault:
@@ -229,7 +231,7 @@ def fault_lines(test: TestFile, values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def quiet(test: TestFile) -> TestFile:
+def without_noise(test: TestFile) -> TestFile:
     """The test without noise; biases stay."""
     # Names of noise hold `_sigma_`; a bias is a part of the case itself.
     names = [n for n in test.sensors.__struct_fields__ if "_sigma_" in n]
@@ -237,10 +239,10 @@ def quiet(test: TestFile) -> TestFile:
     return msgspec.structs.replace(test, sensors=sensors)
 
 
-def quiet_error(test: TestFile, values: Mapping[str, float]) -> float | None:
+def noiseless_error(test: TestFile, values: Mapping[str, float]) -> float | None:
     """The error of one case without noise; None where the simulator flies."""
     if test.flown:
         return None
-    batch = Batch(quiet(pinned(test, values)))
+    batch = Batch(without_noise(pin_values(test, values)))
     # A pinned test has no dimension left: one point, and draw number 0.
     return float(batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1).fitness[0])

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.breakdown import flight_of
-from analysis.search.cases import yaml_of
+from analysis.search.breakdown import trace_case
+from analysis.search.cases import test_yaml
 from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.traced_flight import Trace
-from analysis.search.searchers import searcher
-from analysis.search.shrink import pinned
+from analysis.search.evaluation.traced_flight import FlightTrace
+from analysis.search.searchers import make_searcher
+from analysis.search.shrink import pin_values
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
@@ -24,7 +24,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class Session:
+class SearchSession:
     """The tests of a search, one at a time; the searcher learns from each.
 
     `error` and `worst` are in the criterion's unit, `values` those of the test that was flown last.
@@ -39,14 +39,16 @@ class Session:
         dimension = self._batch.space.dimension
         # Without a dimension every method would divide by it; random points of none are the one
         # test.
-        self._searcher = searcher(test.method if dimension else "random", dimension, test.seed, 1)
+        self._searcher = make_searcher(
+            test.method if dimension else "random", dimension, test.seed, 1
+        )
         self._waiting: list[Array] = []
         self._evaluated: list[tuple[Array, float]] = []
         self.values: dict[str, float] = {}
-        self.trace: Trace | None = None
+        self.trace: FlightTrace | None = None
         self.error = 0.0
 
-    def next(self) -> Trace:
+    def next(self) -> FlightTrace:
         """Fly the next test."""
         # A searcher learns in batches: it is told when all points of one have been flown.
         if not self._waiting:
@@ -59,7 +61,7 @@ class Session:
         self.number += 1
         values = self._batch.space.values(point[None, :])
         self.values = {name: float(value[0]) for name, value in values.items()}
-        self.trace = flight_of(self.test, self.values, self.test.seed, self.number)
+        self.trace = trace_case(self.test, self.values, self.test.seed, self.number)
         # Flown twice: the trace for the eye, the batch for the very fitness that `search` sees.
         outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
         self.error = float(outcome.fitness[0])
@@ -95,11 +97,11 @@ class Session:
             writer.writerow(COLUMNS)
             writer.writerows(table_of(self.trace).tolist())
         case = self.folder / f"test-{self.number:04}.yaml"
-        case.write_text(yaml_of(pinned(self.test, self.values)))
+        case.write_text(test_yaml(pin_values(self.test, self.values)))
         return [table, case]
 
 
-def table_of(trace: Trace) -> Array:
+def table_of(trace: FlightTrace) -> Array:
     """The columns of COLUMNS (n, 22)."""
     euler = euler_from_quat(trace.state[:, 6:10])
     return np.column_stack(

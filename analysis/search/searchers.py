@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.inverted import Function, Inverted
+from analysis.search.ask_tell import AskTellAdapter, Function
 from mavproxy_fault.documents.errors import ConfigError
 
 Array = NDArray[np.float64]
-BATCH = 256  # points of a batch where the method does not say
+BATCH_POINTS = 256  # points of a batch where the method does not say
 
 
 class Searcher(Protocol):
@@ -26,7 +26,7 @@ class Searcher(Protocol):
         """What they came to (n,)."""
 
 
-class Random:
+class RandomSearch:
     """Independent uniform points."""
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
@@ -36,13 +36,13 @@ class Random:
 
     def ask(self) -> Array:
         """The next points."""
-        return self._rng.random((BATCH, self._dimension))
+        return self._rng.random((BATCH_POINTS, self._dimension))
 
     def tell(self, points: Array, fitness: Array) -> None:
         """Nothing is learned."""
 
 
-class Sobol:
+class SobolSearch:
     """A scrambled Sobol sequence, which fills the cube more evenly."""
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
@@ -52,7 +52,7 @@ class Sobol:
 
     def ask(self) -> Array:
         """The next points."""
-        points: Array = self._sequence.random(BATCH)
+        points: Array = self._sequence.random(BATCH_POINTS)
         return points
 
     # Sobol points do not depend on what was found.
@@ -60,7 +60,7 @@ class Sobol:
         """Nothing is learned."""
 
 
-class Matyas:
+class MatyasSearch:
     """Random optimisation (Matyas, Automation and Remote Control 26, 1965).
 
     A Gaussian step from the best point so far is kept if it is better; a tenth of the range wide.
@@ -90,7 +90,7 @@ class Matyas:
             self._best, self._fitness = points[k], float(fitness[k])
 
 
-class CmaEs:
+class CmaEsSearch:
     """CMA-ES (the `cma` package) with restarts at random points, each with a larger population."""
 
     SIGMA = 0.3
@@ -105,7 +105,7 @@ class CmaEs:
     def _started(self, x: Array) -> Any:
         # The usual population of CMA-ES, larger after each restart: it then sees coarser structure.
         size = round((4 + int(3 * np.log(self._dimension))) * self.GROWTH**self._restarts)
-        return evolution(x, self.SIGMA, size, self._rng)
+        return cma_strategy(x, self.SIGMA, size, self._rng)
 
     def ask(self) -> Array:
         """A generation."""
@@ -121,7 +121,7 @@ class CmaEs:
         self._es.tell(list(points), list(-fitness))
 
 
-def evolution(x: Array, sigma: float, size: int, rng: np.random.Generator) -> Any:
+def cma_strategy(x: Array, sigma: float, size: int, rng: np.random.Generator) -> Any:
     """A CMA evolution strategy from x (d,) in the unit cube that draws from `rng` alone."""
     import cma
 
@@ -137,7 +137,7 @@ def evolution(x: Array, sigma: float, size: int, rng: np.random.Generator) -> An
     return cma.CMAEvolutionStrategy(x, sigma, options)
 
 
-class DifferentialEvolution:
+class DifferentialEvolutionSearch:
     """SciPy's differential evolution, best/1/bin, a generation at a time."""
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
@@ -163,7 +163,7 @@ class DifferentialEvolution:
                 rng=np.random.default_rng([seed, 5]),
             )
 
-        self._solver = Inverted(minimise)
+        self._solver = AskTellAdapter(minimise)
 
     def ask(self) -> Array:
         """A generation."""
@@ -174,7 +174,7 @@ class DifferentialEvolution:
         self._solver.tell(-fitness)
 
 
-class Mixed:
+class MixedSearch:
     """The default: a Sobol design, then a race of CMA-ES runs from its best points.
 
     The runs start at points that lie apart and go on together for some generations; those that
@@ -216,7 +216,7 @@ class Mixed:
         for k, run in enumerate(self._runs):
             if run.stop():
                 # Small steps around the best point of all: the run that stopped was local already.
-                self._runs[k] = evolution(self._best[1], self.SMALL, self._size, self._rng)
+                self._runs[k] = cma_strategy(self._best[1], self.SMALL, self._size, self._rng)
         return np.concatenate([np.array(run.ask()) for run in self._runs])
 
     def tell(self, points: Array, fitness: Array) -> None:
@@ -245,21 +245,21 @@ class Mixed:
                 and min(gaps, default=1.0) > self.APART
             ):
                 self._starts.append(point)
-        self._runs = [evolution(x, self.SIGMA, self._size, self._rng) for x in self._starts]
+        self._runs = [cma_strategy(x, self.SIGMA, self._size, self._rng) for x in self._starts]
         self._found = [-np.inf] * len(self._runs)
 
 
 METHODS: dict[str, type[Searcher]] = {
-    "cmaes": CmaEs,
-    "de": DifferentialEvolution,
-    "matyas": Matyas,
-    "mixed": Mixed,
-    "random": Random,
-    "sobol": Sobol,
+    "cmaes": CmaEsSearch,
+    "de": DifferentialEvolutionSearch,
+    "matyas": MatyasSearch,
+    "mixed": MixedSearch,
+    "random": RandomSearch,
+    "sobol": SobolSearch,
 }
 
 
-def searcher(method: str, dimension: int, seed: int, budget: int) -> Searcher:
+def make_searcher(method: str, dimension: int, seed: int, budget: int) -> Searcher:
     """The searcher of that name.
 
     Raises

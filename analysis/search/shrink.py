@@ -11,16 +11,23 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.evaluation.evaluator import evaluator
+from analysis.search.evaluation.evaluator import make_evaluator
 from analysis.search.space.dimensions import target_of
-from analysis.search.space.test_file import Initial, Mission, OpenLoop, Sensors, TestFile, Wind
+from analysis.search.space.test_file import (
+    InitialState,
+    Mission,
+    SearchControls,
+    SearchSensors,
+    SteadyWind,
+    TestFile,
+)
 
 Array = NDArray[np.float64]
-GRID, COARSE = 12, 4  # of flights in the kernels, and of those in the simulator
+KERNEL_GRID, SIMULATOR_GRID = 12, 4  # of flights in the kernels, and of those in the simulator
 ROUNDS = 2
 
 
-def pinned(test: TestFile, values: Mapping[str, float]) -> TestFile:
+def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
     """The test with every range replaced by its value: a file that flies this case again."""
 
     def part(section: str) -> dict[str, float]:
@@ -34,11 +41,11 @@ def pinned(test: TestFile, values: Mapping[str, float]) -> TestFile:
         faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **mine))
     return msgspec.structs.replace(
         test,
-        initial=Initial(**part("initial")),
-        controls=OpenLoop(**part("controls")),
+        initial=InitialState(**part("initial")),
+        controls=SearchControls(**part("controls")),
         mission=Mission(**part("mission")) if test.mission is not None else None,
-        wind=Wind(**part("wind")),
-        sensors=Sensors(**part("sensors")),
+        wind=SteadyWind(**part("wind")),
+        sensors=SearchSensors(**part("sensors")),
         vary={name: (value, value) for name, value in part("vary").items()},
         faults=faults,
     )
@@ -55,7 +62,7 @@ def fault_names(test: TestFile) -> list[str]:
     ]
 
 
-def smaller(test: TestFile, name: str, value: float, share: Array) -> Array:
+def scale_toward_none(test: TestFile, name: str, value: float, share: Array) -> Array:
     """Values (n,) between no fault (share 0) and `value` (share 1)."""
     index = int(name[len("faults[") : name.index("]")])
     scale = test.faults[index].fault == "scale" and name.endswith(".value")
@@ -67,21 +74,23 @@ def smaller(test: TestFile, name: str, value: float, share: Array) -> Array:
     return healthy + share * (value - healthy)
 
 
-def shrunk(
+def shrink_faults(
     test: TestFile,
     values: Mapping[str, float],
     limit_deg: float,
-    errors_deg: "Errors",
+    errors_deg: "MeanErrors",
 ) -> dict[str, float]:
     """The values of the smallest fault found; `errors_deg` gives the mean error of many."""
     found = dict(values)
-    grid = COARSE if test.flown else GRID
+    grid = SIMULATOR_GRID if test.flown else KERNEL_GRID
     for name in fault_names(test):
         low, high = 0.0, 1.0
         for _ in range(ROUNDS):
             # Without the last point: that is the case itself, known to break.
             share = np.linspace(low, high, grid + 1)[:-1]
-            tried = [found | {name: float(v)} for v in smaller(test, name, found[name], share)]
+            tried = [
+                found | {name: float(v)} for v in scale_toward_none(test, name, found[name], share)
+            ]
             broken = errors_deg(tried) >= limit_deg
             if not broken.any():
                 low = float(share[-1])
@@ -93,11 +102,11 @@ def shrunk(
             # Even no fault breaks: the fault is not what breaks the estimator.
             if k == 0:
                 break
-        found[name] = float(smaller(test, name, found[name], np.array([high]))[0])
+        found[name] = float(scale_toward_none(test, name, found[name], np.array([high]))[0])
     return found
 
 
-class Errors:
+class MeanErrors:
     """Mean error in degrees of several cases, with the same noise for all; -inf if one leaves."""
 
     def __init__(self, test: TestFile, seed: int, draws: int) -> None:
@@ -106,6 +115,6 @@ class Errors:
     def __call__(self, cases: list[dict[str, float]]) -> Array:
         # The same noise for all cases: differences are then those of the faults.
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
-        flown = evaluator(self._test)
+        flown = make_evaluator(self._test)
         outcome = flown.of_values(columns, self._seed, 0, self._draws, True)
         return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)

@@ -7,21 +7,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.search_session import Session
-from analysis.search.shrink import pinned
+from analysis.search.search_session import SearchSession
+from analysis.search.shrink import pin_values
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
-MOST = 12_000  # samples the page is given; of a longer flight every second, third, ...
+MAX_SAMPLES = 12_000  # samples the page is given; of a longer flight every second, third, ...
 DIGITS = 5  # behind the point
 Array = NDArray[np.float64]
 
 
-def flight_data(session: Session) -> bytes:
+def flight_data(session: SearchSession) -> bytes:
     """The flight on show as JSON; up to where it left the envelope, if it did."""
     trace = session.trace
     assert trace is not None
     count = max(int(trace.alive.sum()), 1)
-    step = math.ceil(count / MOST)
+    step = math.ceil(count / MAX_SAMPLES)
     state = trace.state[:count]
     # Unwrapped, so that a heading through north draws no vertical line.
     truth = np.degrees(np.unwrap(euler_from_quat(state[:, 6:10]), axis=0))
@@ -40,7 +40,9 @@ def flight_data(session: Session) -> bytes:
         "q": state[:, 6:10],
         "believed": trace.q_estimate[:count],
     }
-    flight: dict[str, Any] = {name: rounded(values[::step]) for name, values in columns.items()}
+    flight: dict[str, Any] = {
+        name: rounded_columns(values[::step]) for name, values in columns.items()
+    }
     return msgspec.json.encode(
         {
             **flight,
@@ -51,20 +53,20 @@ def flight_data(session: Session) -> bytes:
             "parameters": parameters_of(session),
             "faults": [
                 {"what": f"{one.fault} on {one.target}", "at_s": one.at_s, "for_s": one.for_s}
-                for one in pinned(session.test, session.values).faults
+                for one in pin_values(session.test, session.values).faults
             ],
         }
     )
 
 
-def rounded(values: Array) -> list[list[float]]:
+def rounded_columns(values: Array) -> list[list[float]]:
     """The columns of (n, k) as lists, short enough to be sent."""
     return np.round(values.T, DIGITS).tolist()  # type: ignore[no-any-return]
 
 
-def parameters_of(session: Session) -> list[dict[str, Any]]:
+def parameters_of(session: SearchSession) -> list[dict[str, Any]]:
     """Each value that is searched, with its range; the number of a target by the target's name."""
-    faults = pinned(session.test, session.values).faults
+    faults = pin_values(session.test, session.values).faults
     found = []
     for name, (low, high) in session.ranges().items():
         value: float | str = session.values[name]

@@ -1,4 +1,4 @@
-"""The routes of the search's page; who may call them is said in `analysis.web.gate`."""
+"""The routes of the search's page; who may call them is said in `analysis.web.access_control`."""
 
 import contextlib
 from collections.abc import AsyncIterator
@@ -11,16 +11,16 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from analysis.search_page.flights import Flights
-from analysis.web.gate import FILES, Gate
+from analysis.web.access_control import ASSET_FILES, AccessControl
 
-HERE = Path(__file__).parent / "assets"
-OWN = {path.name: path for path in HERE.iterdir() if path.suffix in (".js", ".css")}
+ASSETS = Path(__file__).parent / "assets"
+OWN_FILES = {path.name: path for path in ASSETS.iterdir() if path.suffix in (".js", ".css")}
 
 
 class FlightPage:
     """The page's routes over the flights of a session."""
 
-    def __init__(self, flights: Flights, gate: Gate) -> None:
+    def __init__(self, flights: Flights, gate: AccessControl) -> None:
         self._flights, self._gate = flights, gate
         self.app = Starlette(
             routes=[
@@ -41,11 +41,11 @@ class FlightPage:
         await run_in_threadpool(self._flights.close)
 
     async def _index(self, request: Request) -> Response:
-        return self._gate.file(request, HERE / "flight.html")
+        return self._gate.file(request, ASSETS / "flight.html")
 
     async def _asset(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return self._gate.file(request, OWN.get(name) or FILES.get(name))
+        return self._gate.file(request, OWN_FILES.get(name) or ASSET_FILES.get(name))
 
     async def _state(self, request: Request) -> Response:
         return await self._gate.look(request, self._flights.state)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from analysis.search.search_session import Session
+from analysis.search.search_session import SearchSession
 from analysis.search_page.flight_data import flight_data
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -13,7 +13,7 @@ from mavproxy_fault.documents.errors import ConfigError
 class Flights:
     """One flight at a time; the newest is kept as the page asks for it."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: SearchSession) -> None:
         self._session = session
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None

@@ -6,16 +6,22 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
-from analysis.search.search_command import chosen, new_folder
-from analysis.search.search_session import Session
+from analysis.search.search_command import apply_options, new_folder
+from analysis.search.search_session import SearchSession
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.search_page.flight_routes import FlightPage
 from analysis.search_page.flights import Flights
-from analysis.web.page_server import PageServer, guarded, in_thread, listen, server_of
+from analysis.web.page_server import (
+    PageServer,
+    access_for,
+    make_server,
+    open_socket,
+    serve_in_thread,
+)
 from mavproxy_fault.documents.errors import ConfigError
 
 
-def flights_of(test: TestFile, folder: Path) -> Flights:
+def make_flights(test: TestFile, folder: Path) -> Flights:
     """The flights of a test file, of which none has begun.
 
     Raises
@@ -28,10 +34,12 @@ def flights_of(test: TestFile, folder: Path) -> Flights:
             "--interactive: shows flights of the compiled kernels; leave out scenario, and choose"
             " another estimator than autopilot or fusion"
         )
-    return Flights(Session(test, folder))
+    return Flights(SearchSession(test, folder))
 
 
-def prepare(flights: Flights, port: int | None) -> tuple[PageServer, socket.socket, str]:
+def prepare_search_server(
+    flights: Flights, port: int | None
+) -> tuple[PageServer, socket.socket, str]:
     """A server that is not started, its socket, and the address with the token.
 
     Raises
@@ -39,24 +47,24 @@ def prepare(flights: Flights, port: int | None) -> tuple[PageServer, socket.sock
     ConfigError
         If the port is taken or none.
     """
-    bound = listen(port)
-    gate, address = guarded(bound)
-    return server_of(FlightPage(flights, gate).app), bound, address
+    bound = open_socket(port)
+    gate, address = access_for(bound)
+    return make_server(FlightPage(flights, gate).app), bound, address
 
 
 @contextlib.contextmanager
-def serve(flights: Flights, port: int | None = None) -> Iterator[str]:
+def serve_search_page(flights: Flights, port: int | None = None) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open."""
-    server, bound, address = prepare(flights, port)
-    with in_thread(server, bound):
+    server, bound, address = prepare_search_server(flights, port)
+    with serve_in_thread(server, bound):
         yield address
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, and say what was saved."""
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
-    flights = flights_of(chosen(read_test(args.testfile), args), folder)
-    server, bound, address = prepare(flights, None)
+    flights = make_flights(apply_options(read_test(args.testfile), args), folder)
+    server, bound, address = prepare_search_server(flights, None)
     with contextlib.suppress(KeyboardInterrupt):
         print(f"page: {address}", flush=True)
         server.run([bound])

@@ -14,27 +14,27 @@ from collections.abc import Iterable
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.live.watching import MOST_MESSAGES, RANGES
-from mavproxy_fault.wire.dialect import layout
+from mavproxy_fault.live.subscriptions import MOST_MESSAGES, RANGES
+from mavproxy_fault.wire.dialect import find_layout
 
-KEPT = 200  # events and labels remembered for late joiners
-WAITING = 25  # batches a viewer may be behind: one second
-LISTED = ("fdi/events", "proxy/labels")  # every sample counts
-BURST = 25  # samples of one key sent in one tick: a monitor's results come by the second
-PAST = 300  # samples of a curve that a late joiner is shown
-CURVES = ("fdi/main/", "att/")
+MAX_EVENTS = 200  # events and labels remembered for late joiners
+MAX_QUEUED_BATCHES = 25  # batches a viewer may be behind: one second
+EVENT_KEYS = ("fdi/events", "proxy/labels")  # every sample counts
+SAMPLES_PER_TICK = 25  # samples of one key sent in one tick: a monitor's results come by the second
+CURVE_SAMPLES = 300  # samples of a curve that a late joiner is shown
+CURVE_KEYS = ("fdi/main/", "att/")
 # Only the newest counts.
-STATES = ("schedule/state", "proxy/stats", "proxy/recording", "page/status")
-MOST_KEYS = 500
-MOST_VIEWERS = 100
-STATUS = "page/status"
+STATE_KEYS = ("schedule/state", "proxy/stats", "proxy/recording", "page/status")
+MAX_KEYS = 500
+MAX_VIEWERS = 100
+STATUS_KEY = "page/status"
 
 
 class Viewer:
     """One open page: batches that wait to be sent to it."""
 
     def __init__(self, first: str) -> None:
-        self.queue: asyncio.Queue[str] = asyncio.Queue(WAITING)
+        self.queue: asyncio.Queue[str] = asyncio.Queue(MAX_QUEUED_BATCHES)
         self.queue.put_nowait(first)
         self.messages: frozenset[str] = frozenset()
 
@@ -46,7 +46,7 @@ class Viewer:
             # A viewer that speaks nonsense is not worth an error.
             return
         self.messages = frozenset(
-            name for name in names[:MOST_MESSAGES] if name == RANGES or layout(name)
+            name for name in names[:MOST_MESSAGES] if name == RANGES or find_layout(name)
         )
 
 
@@ -57,8 +57,8 @@ class Feed:
         self._lock = threading.Lock()
         self._past: dict[str, deque[bytes]] = {}
         self._fresh: dict[str, deque[bytes]] = {}
-        self._listed: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
-        self._unsent: deque[tuple[str, bytes]] = deque(maxlen=KEPT)
+        self._listed: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
+        self._unsent: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._viewers: set[Viewer] = set()
 
     def push(self, key: str, payload: bytes) -> None:
@@ -68,24 +68,24 @@ class Feed:
         except msgspec.DecodeError:
             return  # it would spoil the whole batch
         with self._lock:
-            if key in LISTED:
+            if key in EVENT_KEYS:
                 self._listed.append((key, payload))
                 self._unsent.append((key, payload))
             # A run that makes up keys must not fill the memory.
-            elif key in self._past or len(self._past) < MOST_KEYS:
-                past = PAST if key.startswith(CURVES) else 1
-                burst = 1 if key in STATES else BURST
+            elif key in self._past or len(self._past) < MAX_KEYS:
+                past = CURVE_SAMPLES if key.startswith(CURVE_KEYS) else 1
+                burst = 1 if key in STATE_KEYS else SAMPLES_PER_TICK
                 self._past.setdefault(key, deque(maxlen=past)).append(payload)
                 self._fresh.setdefault(key, deque(maxlen=burst)).append(payload)
 
     def status(self, state: object) -> None:
         """Tell the viewers how the page itself is doing."""
-        self.push(STATUS, msgspec.json.encode(state))
+        self.push(STATUS_KEY, msgspec.json.encode(state))
 
     def forget(self) -> None:
         """Drop what belongs to a run that is over; the status stays."""
         with self._lock:
-            self._past = {key: data for key, data in self._past.items() if key == STATUS}
+            self._past = {key: data for key, data in self._past.items() if key == STATUS_KEY}
             self._fresh.clear()
             self._listed.clear()
             self._unsent.clear()
@@ -98,8 +98,8 @@ class Feed:
         ConfigError
             If there are too many.
         """
-        if len(self._viewers) >= MOST_VIEWERS:
-            raise ConfigError(f"the page has {MOST_VIEWERS} viewers already; close one")
+        if len(self._viewers) >= MAX_VIEWERS:
+            raise ConfigError(f"the page has {MAX_VIEWERS} viewers already; close one")
         # The picture first: batches alone would start in the middle.
         viewer = Viewer(self._picture())
         self._viewers.add(viewer)
@@ -126,12 +126,12 @@ class Feed:
         """Give every viewer what came since the last tick."""
         # The lock for the moment of the exchange only: the bus pushes from other threads.
         with self._lock:
-            samples = ordered(self._unsent, self._fresh)
+            samples = order_samples(self._unsent, self._fresh)
             self._unsent.clear()
             self._fresh.clear()
         if not samples:
             return
-        batch = encoded(samples)
+        batch = encode_batch(samples)
         for viewer in self._viewers:
             # It has lost batches: the whole picture puts it right again.
             if viewer.queue.full():
@@ -144,19 +144,21 @@ class Feed:
 
     def _picture(self) -> str:
         with self._lock:
-            return encoded([("page/picture", b"null"), *ordered(self._listed, self._past)])
+            return encode_batch(
+                [("page/picture", b"null"), *order_samples(self._listed, self._past)]
+            )
 
 
-def ordered(
+def order_samples(
     listed: Iterable[tuple[str, bytes]], samples: dict[str, deque[bytes]]
 ) -> list[tuple[str, bytes]]:
     """States first, because they say which run and time the rest belongs to."""
     flat = [(key, payload) for key, payloads in samples.items() for payload in payloads]
-    states = [sample for sample in flat if sample[0] in STATES]
-    return [*states, *listed, *(sample for sample in flat if sample[0] not in STATES)]
+    states = [sample for sample in flat if sample[0] in STATE_KEYS]
+    return [*states, *listed, *(sample for sample in flat if sample[0] not in STATE_KEYS)]
 
 
-def encoded(samples: list[tuple[str, bytes]]) -> str:
+def encode_batch(samples: list[tuple[str, bytes]]) -> str:
     """Samples as JSON: a list of [key, value]."""
     # The values are JSON already and are put in as they are.
     parts = [f"[{msgspec.json.encode(key).decode()},{data.decode()}]" for key, data in samples]

@@ -16,20 +16,20 @@ from typing import NamedTuple
 import uvicorn
 from starlette.applications import Starlette
 
+from analysis.web.access_control import AccessControl
 from analysis.web.feed import Feed
-from analysis.web.gate import Gate
-from analysis.web.routes import Page
-from analysis.web.run_source import Source
+from analysis.web.routes import LivePage
+from analysis.web.run_source import RunSource
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import DEFAULT_URL, with_port
-from mavproxy_fault.links.open_hint import holder
+from mavproxy_fault.links.bus import DEFAULT_URL, choose_free_port
+from mavproxy_fault.links.open_hint import describe_port_owner
 
-USUAL_PORT = 8350
-LARGEST_WISH = 16_384  # bytes that a viewer may say at once
+DEFAULT_PORT = 8350
+MAX_VIEWER_MESSAGE = 16_384  # bytes that a viewer may say at once
 
 
-def listen(port: int | None) -> socket.socket:
+def open_socket(port: int | None) -> socket.socket:
     """A socket on loopback; port 0 is any free one, None the usual one where it is free.
 
     Raises
@@ -39,8 +39,8 @@ def listen(port: int | None) -> socket.socket:
     """
     if port is None:
         with contextlib.suppress(ConfigError):
-            return listen(USUAL_PORT)
-        return listen(0)
+            return open_socket(DEFAULT_PORT)
+        return open_socket(0)
     if not 0 <= port <= 65535:
         raise ConfigError(f"--port {port}: is no port; allowed: 0 to 65535")
     found = socket.socket()
@@ -51,7 +51,7 @@ def listen(port: int | None) -> socket.socket:
         found.listen()  # whoever comes before the server is up waits
     except OSError as error:
         found.close()
-        who = f" ({holder(port, tcp=True)})" if error.errno == errno.EADDRINUSE else ""
+        who = f" ({describe_port_owner(port, tcp=True)})" if error.errno == errno.EADDRINUSE else ""
         raise ConfigError(f"--port {port}: {error.strerror}{who}; give a free TCP port") from None
     return found
 
@@ -65,19 +65,19 @@ class PageServer(uvicorn.Server):  # type: ignore[misc]
         self.force_exit = False
 
 
-class Offer(NamedTuple):
+class PageOptions(NamedTuple):
     """What the page offers beyond faults: commands to the vehicle, a folder of sequences."""
 
     commands: bool = False
     sequences: Path | None = None
 
 
-NOTHING_MORE = Offer()
+NO_OPTIONS = PageOptions()
 
 
-def prepare(
-    zenoh: str | None, port: int | None, config_file: str = "", offer: Offer = NOTHING_MORE
-) -> tuple[PageServer, Source, socket.socket, str]:
+def prepare_server(
+    zenoh: str | None, port: int | None, config_file: str = "", offer: PageOptions = NO_OPTIONS
+) -> tuple[PageServer, RunSource, socket.socket, str]:
     """A server that is not started, its source, its socket, and the address with the token.
 
     Raises
@@ -86,15 +86,15 @@ def prepare(
         If the port is taken or none, or the sequences' folder is not there.
     """
     folder = SequenceFolder(offer.sequences)
-    bound = listen(port)
-    gate, address = guarded(bound)
+    bound = open_socket(port)
+    gate, address = access_for(bound)
     feed = Feed()
-    source = Source(feed, zenoh, config_file)
-    page = Page(feed, source, gate, folder, offer.commands)
-    return server_of(page.app), source, bound, address
+    source = RunSource(feed, zenoh, config_file)
+    page = LivePage(feed, source, gate, folder, offer.commands)
+    return make_server(page.app), source, bound, address
 
 
-def guarded(bound: socket.socket) -> tuple[Gate, str]:
+def access_for(bound: socket.socket) -> tuple[AccessControl, str]:
     """Who may call a page on that socket, and the address with the token."""
     number = bound.getsockname()[1]
     # 18 bytes of chance: nobody guesses it.
@@ -102,16 +102,16 @@ def guarded(bound: socket.socket) -> tuple[Gate, str]:
     # Only these names: a foreign name that leads to loopback is refused.
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
     # Behind the `#`: browsers send that part to nobody.
-    return Gate(token, hosts), f"http://127.0.0.1:{number}/#token={token}"
+    return AccessControl(token, hosts), f"http://127.0.0.1:{number}/#token={token}"
 
 
-def server_of(app: Starlette) -> PageServer:
+def make_server(app: Starlette) -> PageServer:
     """A server for the routes, not started yet."""
     return PageServer(
         uvicorn.Config(
             app,
             ws="websockets-sansio",
-            ws_max_size=LARGEST_WISH,
+            ws_max_size=MAX_VIEWER_MESSAGE,
             # It would cost more than all the rest, and loopback is wide.
             ws_per_message_deflate=False,
             log_level="warning",
@@ -122,7 +122,7 @@ def server_of(app: Starlette) -> PageServer:
 
 
 @contextlib.contextmanager
-def in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
+def serve_in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
     """Let a server answer on a socket for the length of the block."""
     thread = threading.Thread(target=server.run, args=([bound],), name="page")
     thread.start()
@@ -135,11 +135,11 @@ def in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def serve(
+def serve_page(
     zenoh: str | None = None,
     port: int | None = None,
     config_file: str = "",
-    offer: Offer = NOTHING_MORE,
+    offer: PageOptions = NO_OPTIONS,
 ) -> Iterator[str]:
     """Serve the page from a thread for the length of the block; the address to open.
 
@@ -148,8 +148,8 @@ def serve(
     ConfigError
         If the port is taken or none.
     """
-    server, source, bound, address = prepare(zenoh, port, config_file, offer)
-    with contextlib.closing(source), in_thread(server, bound):
+    server, source, bound, address = prepare_server(zenoh, port, config_file, offer)
+    with contextlib.closing(source), serve_in_thread(server, bound):
         yield address
 
 
@@ -166,17 +166,19 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
         raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
     # By name, as a run may do without the default address, but the page shows nothing then. Without
     # a port the address would be another than the proxy's.
-    args.zenoh = DEFAULT_URL if args.zenoh == "auto" else with_port(args.zenoh)
+    args.zenoh = DEFAULT_URL if args.zenoh == "auto" else choose_free_port(args.zenoh)
     # What flies here is simulated: it may be commanded.
-    with serve(args.zenoh, config_file=args.zenoh_config, offer=Offer(commands=True)) as address:
+    with serve_page(
+        args.zenoh, config_file=args.zenoh_config, offer=PageOptions(commands=True)
+    ) as address:
         print(f"page: {address}", flush=True)
         yield
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
-    offer = Offer(args.allow_commands, Path(args.sequences) if args.sequences else None)
-    server, source, bound, address = prepare(args.zenoh, args.port, args.zenoh_config, offer)
+    offer = PageOptions(args.allow_commands, Path(args.sequences) if args.sequences else None)
+    server, source, bound, address = prepare_server(args.zenoh, args.port, args.zenoh_config, offer)
     # uvicorn gives the signals back when it ends, before all has been closed here.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, server.handle_exit)

@@ -13,23 +13,35 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from analysis.web.access_control import (
+    ASSET_FILES,
+    ASSETS,
+    HEADERS,
+    AccessControl,
+    read_body,
+    refusal_answer,
+)
 from analysis.web.feed import Feed
-from analysis.web.gate import FILES, HEADERS, HERE, Gate, body_of, refusal_answer
-from analysis.web.run_source import Source
+from analysis.web.run_source import RunSource
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 
 TICK_S = 0.04  # a batch holds all that came in it; a screen shows no more
-CROWD = 20  # with so many viewers more, batches come a tick later and hold more
+VIEWERS_PER_TICK = 20  # with so many viewers more, batches come a tick later and hold more
 # Ids hold no wildcards of the bus: a request names one key.
 CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|begin|save|stop)")
 
 
-class Page:
+class LivePage:
     """The page's routes over one source of data; `commands` to the vehicle may be allowed."""
 
     def __init__(
-        self, feed: Feed, source: Source, gate: Gate, sequences: SequenceFolder, commands: bool
+        self,
+        feed: Feed,
+        source: RunSource,
+        gate: AccessControl,
+        sequences: SequenceFolder,
+        commands: bool,
     ) -> None:
         self._feed, self._source, self._sequences = feed, source, sequences
         self._gate, self._commands = gate, commands
@@ -63,25 +75,25 @@ class Page:
     async def _tick(self) -> None:
         while True:
             self._feed.tick()
-            await asyncio.sleep(TICK_S * (1 + self._feed.viewers // CROWD))
+            await asyncio.sleep(TICK_S * (1 + self._feed.viewers // VIEWERS_PER_TICK))
 
     async def _index(self, request: Request) -> Response:
-        return self._gate.file(request, HERE / "index.html")
+        return self._gate.file(request, ASSETS / "index.html")
 
     async def _asset(self, request: Request) -> Response:
-        return self._gate.file(request, FILES.get(request.path_params["name"]))
+        return self._gate.file(request, ASSET_FILES.get(request.path_params["name"]))
 
     async def _catalogue(self, request: Request) -> Response:
         # The first call loads the faults, which takes longer than a tick.
-        return await self._gate.look(request, offered)
+        return await self._gate.look(request, load_catalogue)
 
     async def _preview(self, request: Request) -> Response:
         refusal = self._gate.refusal(request, changes=True)
         if refusal:
             return refusal_answer(403, refusal)
         try:
-            body = await body_of(request)
-            return JSONResponse(await run_in_threadpool(previewed, body))
+            body = await read_body(request)
+            return JSONResponse(await run_in_threadpool(load_preview, body))
         except ConfigError as error:  # a form half filled in is nothing wrong
             return JSONResponse({"curves": [], "error": str(error)}, headers=HEADERS)
 
@@ -93,7 +105,7 @@ class Page:
         return await self._gate.answer(request, act)
 
     async def _check(self, request: Request) -> Response:
-        return await self._gate.answer(request, checked)
+        return await self._gate.answer(request, check_body)
 
     async def _allowed(self, request: Request) -> Response:
         """What whoever has the token may do: command the vehicle, keep sequences."""
@@ -102,11 +114,11 @@ class Page:
 
     async def _read(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return await self._gate.answer(request, lambda _: checked(self._sequences.read(name)))
+        return await self._gate.answer(request, lambda _: check_body(self._sequences.read(name)))
 
     async def _write(self, request: Request) -> Response:
         def act(body: bytes) -> dict[str, Any]:
-            self._sequences.write(request.path_params["name"], checked(body)["yaml"])
+            self._sequences.write(request.path_params["name"], check_body(body)["yaml"])
             return {"sequences": self._sequences.names()}
 
         return await self._gate.answer(request, act)
@@ -121,7 +133,7 @@ class Page:
                 404, f"{what} is unknown; ids take letters, digits, dots, - and _"
             )
         try:
-            body = await body_of(request)
+            body = await read_body(request)
             if not self._commands:
                 await run_in_threadpool(refuse_commands, what, body)
             # The bus waits for its answer; the page must go on meanwhile.
@@ -142,7 +154,7 @@ class Page:
             # 1013: try again later.
             await socket.close(1013, str(error))
             return
-        sending = asyncio.create_task(send(socket, viewer.queue))
+        sending = asyncio.create_task(send_batches(socket, viewer.queue))
         try:
             while True:
                 viewer.wish(await socket.receive_text())
@@ -153,21 +165,21 @@ class Page:
             sending.cancel()
 
 
-async def send(socket: WebSocket, queue: "asyncio.Queue[str]") -> None:
+async def send_batches(socket: WebSocket, queue: "asyncio.Queue[str]") -> None:
     """Send batches until the viewer leaves; waits while its connection is full."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while True:
             await socket.send_text(await queue.get())
 
 
-def offered() -> bytes:
+def load_catalogue() -> bytes:
     """The catalogue; the faults are loaded when the first page asks, not at the start."""
-    from analysis.web.offer import catalogue
+    from analysis.web.form_data import fault_catalogue
 
-    return catalogue()
+    return fault_catalogue()
 
 
-def previewed(body: bytes) -> dict[str, Any]:
+def load_preview(body: bytes) -> dict[str, Any]:
     """The drawing of an entry, likewise.
 
     Raises
@@ -175,12 +187,12 @@ def previewed(body: bytes) -> dict[str, Any]:
     ConfigError
         If the entry is wrong.
     """
-    from analysis.web.offer import preview
+    from analysis.web.form_data import preview_entry
 
-    return preview(body)
+    return preview_entry(body)
 
 
-def checked(body: bytes) -> dict[str, Any]:
+def check_body(body: bytes) -> dict[str, Any]:
     """A test sequence as a schedule file and as steps, likewise.
 
     Raises
@@ -188,9 +200,9 @@ def checked(body: bytes) -> dict[str, Any]:
     ConfigError
         If it is wrong.
     """
-    from analysis.web.sequence import checked
+    from analysis.web.sequence import check_sequence
 
-    return checked(body)
+    return check_sequence(body)
 
 
 def refuse_commands(what: str, body: bytes) -> None:

@@ -7,16 +7,16 @@ from typing import Any
 import msgspec
 
 from analysis.web.feed import Feed
-from analysis.web.run_rows import SHOWN, RunRows
+from analysis.web.run_summaries import SUBSCRIBED, RunSummaries
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
 
-LOOK_S = 0.5  # between two looks at who is there
+POLL_S = 0.5  # between two looks at who is there
 STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
 PROXY, RUN = "/alive/proxy", "/alive/run"
 
 
-class Source:
+class RunSource:
     """Feeds what the live run publishes, and carries requests to it."""
 
     def __init__(self, feed: Feed, url: str | None, config_file: str = "") -> None:
@@ -28,7 +28,7 @@ class Source:
         self._watch: Bus | None = None
         self._runs: list[str] = []
         self._coming: list[str] = []  # runs, of which some are still getting ready
-        self._rows = RunRows()
+        self._rows = RunSummaries()
         self._shown: dict[str, Any] = {}  # the rows that the viewers have
         self._chosen: str | None = None
         # No daemon: one that is inside Zenoh when the interpreter ends aborts the process.
@@ -77,7 +77,7 @@ class Source:
             while not self._over.is_set():
                 self._look(stack)
                 self._wish()
-                self._over.wait(LOOK_S)
+                self._over.wait(POLL_S)
 
     def _wish(self) -> None:
         """Have the proxy show what the viewers want to see; it forgets in some seconds."""
@@ -91,7 +91,7 @@ class Source:
         try:
             if self._watch is None:
                 self._watch = stack.enter_context(self._open("*"))
-                for suffix in SHOWN:
+                for suffix in SUBSCRIBED:
                     self._watch.subscribe(suffix, self._rows.note)
             there = self._watch.who()
             runs = [run_of(key) for key in there if key.endswith(PROXY)]

@@ -10,10 +10,10 @@ from mavproxy_fault.documents.yaml_document import read_yaml
 from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
-from mavproxy_fault.schedule.saving import as_yaml
+from mavproxy_fault.schedule.saving import write_schedule
 
 
-def checked(body: bytes) -> dict[str, Any]:
+def check_sequence(body: bytes) -> dict[str, Any]:
     """A sequence as a schedule file, and as the data of its steps.
 
     Raises
@@ -22,7 +22,7 @@ def checked(body: bytes) -> dict[str, Any]:
         With every error of it.
     """
     schedule = parse_schedule(read_yaml(body.decode("utf-8", "replace"), "sequence"))
-    text = as_yaml(schedule.seed, [(entry, 0.0) for entry in schedule.faults])
+    text = write_schedule(schedule.seed, [(entry, 0.0) for entry in schedule.faults])
     # Read back: the parts of a preset are one step.
     return {"yaml": text, "steps": read_yaml(text, "sequence").data["faults"]}
 

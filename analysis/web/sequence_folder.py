@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
 
-FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,80}\.ya?ml")
+FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,80}\.ya?ml")
 
 
 class SequenceFolder:
@@ -20,7 +20,7 @@ class SequenceFolder:
         """The files there are; None where none can be kept."""
         if self._folder is None:
             return None
-        return sorted(one.name for one in self._folder.iterdir() if FILE.fullmatch(one.name))
+        return sorted(one.name for one in self._folder.iterdir() if FILE_NAME.fullmatch(one.name))
 
     def read(self, name: str) -> bytes:
         """One of them.
@@ -54,7 +54,7 @@ class SequenceFolder:
             raise ConfigError("no folder for sequences; start the page with --sequences DIR")
         # A plain name, and no link: what lies outside of the folder is none of the page's business.
         path = self._folder / name
-        if not FILE.fullmatch(name) or path.is_symlink():
+        if not FILE_NAME.fullmatch(name) or path.is_symlink():
             raise ConfigError(
                 f"{name!r} is no name of a sequence; allowed: letters, digits, dots, - and _, "
                 "with .yaml at the end"

@@ -63,7 +63,7 @@ class Run:
         for line in (self.folder / "results.jsonl").read_text().splitlines():
             row = json.loads(line)
             rows[row.pop("type")].append(row)
-        return {kind: table_of(found) for kind, found in rows.items()}
+        return {kind: result_table(found) for kind, found in rows.items()}
 
     @cached_property
     def columns(self) -> Columns:
@@ -106,9 +106,9 @@ def run(
     """
     folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
     folder.mkdir(parents=True, exist_ok=True)
-    words = [] if scenario is None else [file_of(scenario, folder / "scenario.yaml")]
+    words = [] if scenario is None else [input_file(scenario, folder / "scenario.yaml")]
     if schedule is not None:
-        words += ["--schedule", file_of(schedule, folder / "schedule.yaml")]
+        words += ["--schedule", input_file(schedule, folder / "schedule.yaml")]
     if seed is not None:
         words += ["--seed", str(seed)]
     # The same interpreter, so the same environment and packages.
@@ -125,7 +125,7 @@ def run(
     return Run(folder)
 
 
-def file_of(given: str | Path | dict[str, Any], path: Path) -> str:
+def input_file(given: str | Path | dict[str, Any], path: Path) -> str:
     """The name of a file with this content, written to `path` where it is a dictionary."""
     if not isinstance(given, dict):
         return str(given)
@@ -133,12 +133,12 @@ def file_of(given: str | Path | dict[str, Any], path: Path) -> str:
     return str(path)
 
 
-def table_of(rows: list[dict[str, Any]]) -> Table:
+def result_table(rows: list[dict[str, Any]]) -> Table:
     """Columns by key of rows that have the same keys."""
-    return {key: column_of([row[key] for row in rows]) for key in rows[0]}
+    return {key: result_column([row[key] for row in rows]) for key in rows[0]}
 
 
-def column_of(values: list[Any]) -> NDArray[Any]:
+def result_column(values: list[Any]) -> NDArray[Any]:
     """One column: of floats if all are numbers or missing, else of objects."""
     if all(value is None or type(value) in (int, float) for value in values):
         return np.array([np.nan if value is None else value for value in values], float)

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mavproxy_fault.api.observed import Observed
-from mavproxy_fault.app.proxy_command import open_links, roles
+from mavproxy_fault.api.proxy_observer import ProxyObserver
+from mavproxy_fault.app.proxy_command import link_roles, open_links
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.live.control import Control
-from mavproxy_fault.live.journal import Journal
-from mavproxy_fault.live.session import Live
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.live.edit_log import EditLog
+from mavproxy_fault.live.session import LiveSession
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule
 
 # Far above what the loop needs to end; a thread that hangs must not hang the caller.
-ENDS_S = 10.0
+SHUTDOWN_TIMEOUT_S = 10.0
 
 
 class LocalProxy:
@@ -47,19 +47,19 @@ class LocalProxy:
         logdir: Path | None = None,
         zenoh: str = "off",
     ) -> None:
-        self.observed = Observed()
+        self.observed = ProxyObserver()
         # Links first, as their addresses are asked for before anything flows.
         self._links = open_links(master, outs)
         self.addresses = [link.name for link in self._links]
-        engine, tape = Engine(schedule), Tape() if logdir else None
-        core = Core(roles(self._links), engine, tape=tape)
+        engine, tape = Engine(schedule), CaptureBuffer() if logdir else None
+        core = Core(link_roles(self._links), engine, tape=tape)
         named = [{"name": role.name, "direction": role.direction} for role in core.links]
         session = {"seed": schedule.seed, "schedule": engine.save(), "inject": True, "links": named}
         recorder = Recorder(logdir, session) if logdir else None
         self._server = Server(self._links, core, tape=tape, recorder=recorder)
-        journal = Journal(core, tape)
-        control = Control(engine, folders=None if zenoh == "off" else ())  # None: any file
-        self._live = Live(control, self._server.edit_time, journal, self.observed)
+        journal = EditLog(core, tape)
+        control = LiveControl(engine, folders=None if zenoh == "off" else ())  # None: any file
+        self._live = LiveSession(control, self._server.edit_time, journal, self.observed)
         self._live.open_bus(zenoh)
         # Before the thread: nothing is shared while it is set up.
         self._server.prepare()
@@ -107,7 +107,7 @@ class LocalProxy:
             # The loop may sleep for a tenth of a second; a byte wakes it.
             self._wake.send(b"!")
         # Joined before the links are closed: the loop may be reading them.
-        self._thread.join(ENDS_S)
+        self._thread.join(SHUTDOWN_TIMEOUT_S)
         for link in self._links:
             link.close()
         self._wake.close()

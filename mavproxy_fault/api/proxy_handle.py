@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from mavproxy_fault.api.observed import Observed
+from mavproxy_fault.api.proxy_observer import ProxyObserver
 from mavproxy_fault.app.inject import live_entry
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
@@ -18,7 +18,7 @@ from mavproxy_fault.wire.label import Label
 class ProxyAccess(Protocol):
     """Where the proxy runs: here in a thread, or in another process."""
 
-    observed: Observed
+    observed: ProxyObserver
     addresses: list[str]
 
     def ask(self, what: str, payload: bytes = b"") -> Any:

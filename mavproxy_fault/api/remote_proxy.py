@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from mavproxy_fault.api.observed import Observed
+from mavproxy_fault.api.proxy_observer import ProxyObserver
 from mavproxy_fault.links.bus import open_bus
-from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.live.subscriptions import Watched
 from mavproxy_fault.wire.label import Label
 
 
@@ -16,7 +16,7 @@ class RemoteProxy:
     """A client of a running proxy; closing it leaves the proxy as it is."""
 
     def __init__(self, zenoh: str | None, run: str) -> None:
-        self.observed = Observed()
+        self.observed = ProxyObserver()
         self.addresses: list[str] = []
         self._bus = open_bus(zenoh, run=run)
         self._bus.subscribe("proxy/watched", _decoded(list[Watched], self.observed.add_samples))

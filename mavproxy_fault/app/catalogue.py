@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.faults.registry import (
     acts_on_ranges,
@@ -17,8 +17,8 @@ from mavproxy_fault.faults.registry import (
     known_aliases,
     known_faults,
 )
-from mavproxy_fault.schedule.binding import GIVEN
-from mavproxy_fault.schedule.entries import Entry, Keys, parse_schedule, read_schedule
+from mavproxy_fault.schedule.binding import TARGET_FIELDS
+from mavproxy_fault.schedule.entries import Entry, EntryKeys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
 
 TARGETS = {
@@ -32,22 +32,22 @@ TARGETS = {
 def main(args: argparse.Namespace) -> int:
     """Carry out one of the actions."""
     if args.action == "list":
-        print(listing())
+        print(list_catalogue())
     elif args.action == "show":
-        print(description(args.name))
+        print(describe_fault(args.name))
     elif args.action == "check":
         schedule = read_schedule(args.file)
         print(f"{args.file}: {len(schedule.faults)} faults, all right")
         for entry in schedule.faults:
-            print(f"  {entry.id}: {described(entry)}")
+            print(f"  {entry.id}: {describe_entry(entry)}")
     elif args.action == "plot":
         _plot(args)
     else:
-        print(json.dumps(schema(), indent=2))
+        print(json.dumps(schedule_schema(), indent=2))
     return 0
 
 
-def listing() -> str:
+def list_catalogue() -> str:
     """Every fault and preset, a line each."""
     rows = [("faults", "")]
     for name, kind in known_faults().items():
@@ -64,7 +64,7 @@ def first_line(kind: type[Any]) -> str:
     return inspect.getdoc(kind).split("\n")[0].rstrip(".")  # type: ignore[union-attr]
 
 
-def description(name: str) -> str:
+def describe_fault(name: str) -> str:
     """What a fault takes, or what a preset is made of.
 
     Raises
@@ -80,15 +80,15 @@ def description(name: str) -> str:
         return f"{name}: {preset['about']}\n\nas faults:\n{parts}\n{use}"
     kind = fault_class(name)
     if kind is None:
-        known = near(name, [*known_faults(), *known_aliases(), *preset_names()])
+        known = suggest_known(name, [*known_faults(), *known_aliases(), *preset_names()])
         raise ConfigError(f"faults show: {name} is neither fault nor preset; {known}")
     lines = [f"{name}: {inspect.getdoc(kind)}", "", f"target: {TARGETS[kind.acts_on]}"]
     if acts_on_ranges(kind):
         lines.append(f"   or   {TARGETS['satellites']}")
     for field in msgspec.structs.fields(kind):
         # What comes from the target is no parameter that a user writes.
-        if field.name not in GIVEN:
-            lines.append(f"{field.name}: {spelled_type(field.type)}{_default(field)}")
+        if field.name not in TARGET_FIELDS:
+            lines.append(f"{field.name}: {format_type(field.type)}{_default(field)}")
     if hasattr(kind, "example"):
         entry = {"fault": name, "at_s": 20, **kind.example}
         # One line, however long: it is to be copied.
@@ -97,7 +97,7 @@ def description(name: str) -> str:
     return "\n".join(lines)
 
 
-def spelled_type(kind: Any) -> str:
+def format_type(kind: Any) -> str:
     """A type as a reader of YAML understands it."""
     described = msgspec.json.schema(kind)
     choices = described.get("anyOf", [described])
@@ -118,7 +118,7 @@ def _default(field: msgspec.structs.FieldInfo) -> str:
     return "" if field.default is None else f" (default {field.default})"
 
 
-def described(entry: Entry) -> str:
+def describe_entry(entry: Entry) -> str:
     """One entry in words."""
     words = [entry.preset or entry.name, ", ".join(entry.targets) or "everything"]
     if entry.when:
@@ -133,7 +133,7 @@ def described(entry: Entry) -> str:
 
 
 def _plot(args: argparse.Namespace) -> None:
-    from mavproxy_fault.app.preview import draw
+    from mavproxy_fault.app.preview import draw_preview
 
     name = args.file
     # A file of that name wins over a preset.
@@ -142,18 +142,18 @@ def _plot(args: argparse.Namespace) -> None:
     else:
         schedule = read_schedule(name)
     out = Path(args.out or Path(name).with_suffix(".png").name)
-    draw(schedule, out)
+    draw_preview(schedule, out)
     print(out)
 
 
-def schema() -> dict[str, Any]:
+def schedule_schema() -> dict[str, Any]:
     """The JSON Schema of a schedule, for editors."""
     faults = known_faults()
-    kinds = [Keys, *faults.values()]
+    kinds = [EntryKeys, *faults.values()]
     found, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     keys = components[found[0]["$ref"].rsplit("/", 1)[1]]["properties"]
     # Fields that the binding fills in: no key of a schedule.
-    given = set(GIVEN)
+    given = set(TARGET_FIELDS)
     choices = []
     for name, ref in zip(faults, found[1:], strict=True):
         own = components[ref["$ref"].rsplit("/", 1)[1]]

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
@@ -40,13 +40,13 @@ class CommandParser(argparse.ArgumentParser):
         if word.startswith("--") and not any(name.startswith(word) for name in known):
             # Without the hyphens, which make all of them alike.
             names = [name[2:] for name in known if name.startswith("--")]
-            self.error(f"there is no option {word}; {near(word[2:], names)}")
+            self.error(f"there is no option {word}; {suggest_known(word[2:], names)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         # Python does so itself from 3.14 on.
         choices: Iterable[Any] | None = action.choices
         if choices is not None and value not in choices:
-            known = near(str(value), map(str, choices))
+            known = suggest_known(str(value), map(str, choices))
             raise argparse.ArgumentError(action, f"there is no {value}; {known}")
 
 

@@ -5,7 +5,7 @@ import gc
 from collections.abc import Callable
 from typing import Any
 
-Add = Callable[[Any], None]
+AddCommand = Callable[[Any], None]
 
 ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560, /dev/ttyUSB0,57600"
 
@@ -241,7 +241,7 @@ def _ardupilot(args: argparse.Namespace) -> int:
     return main(args)
 
 
-OURS: dict[str, Add] = {
+BUILT_IN_COMMANDS: dict[str, AddCommand] = {
     "ardupilot": add_ardupilot,
     "proxy": add_proxy,
     "replay": add_replay,

@@ -7,15 +7,15 @@ from typing import Any
 
 import msgspec
 
-from mavproxy_fault.app.running_proxy import asked, joined
+from mavproxy_fault.app.running_proxy import join_run, query_run
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_yaml
 from mavproxy_fault.faults.registry import fault_class, known_faults
 from mavproxy_fault.live.bus_types import ScheduleState
+from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names
-from mavproxy_fault.schedule.together import check_id
 
 
 def main(args: argparse.Namespace) -> int:
@@ -26,16 +26,16 @@ def main(args: argparse.Namespace) -> int:
             "inject: takes one of FAULT, --clear ID and --list; see `mavproxy-fault faults`"
         )
     if args.list:
-        with joined(args) as bus:
-            print(table_of(asked(bus, "state")))
+        with join_run(args) as bus:
+            print(format_fault_table(query_run(bus, "state")))
         return 0
-    what, data = request(args)
-    with joined(args) as bus:
-        print(json.dumps(asked(bus, what, msgspec.json.encode(data))))
+    what, data = build_request(args)
+    with join_run(args) as bus:
+        print(json.dumps(query_run(bus, what, msgspec.json.encode(data))))
     return 0
 
 
-def table_of(state: ScheduleState) -> str:
+def format_fault_table(state: ScheduleState) -> str:
     """The faults of a run, a line each, with seconds from the schedule's start."""
     rows = [("ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON")]
     t0_us = state["t0_us"] or 0
@@ -57,7 +57,7 @@ def table_of(state: ScheduleState) -> str:
     return "\n".join(line.rstrip() for line in lines) if len(rows) > 1 else "no faults"
 
 
-def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+def build_request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     """The key below `@ctl/` and its payload; the entry is checked before it is sent.
 
     Raises
@@ -74,12 +74,12 @@ def request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     id = args.fault if args.id is None else args.id
     check_id(id, "inject")
     several = args.target.split(",") if args.target is not None else None
-    keys = {"for_s": args.for_s, **settings(args.set)}
+    keys = {"for_s": args.for_s, **parse_settings(args.set)}
     entry = live_entry(args.fault, several, args.value, keys)
     return f"fault/{id}/arm", entry
 
 
-def settings(pairs: Sequence[str]) -> dict[str, Any]:
+def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
     """Further keys of an entry, from KEY=VALUE with the value as in a schedule.
 
     Raises
@@ -110,7 +110,7 @@ def live_entry(
         If the fault does not exist, or lacks something.
     """
     if fault_class(fault) is None and fault not in preset_names():
-        known = near(fault, [*known_faults(), *preset_names()])
+        known = suggest_known(fault, [*known_faults(), *preset_names()])
         raise ConfigError(f"inject: {fault} is neither fault nor preset; {known}")
     # A preset of the same name only where nothing of it is changed.
     unchanged = target is None and value is None

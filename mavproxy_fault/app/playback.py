@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 from mavproxy_fault.app.recorder import EDITS, INDEX, RECEIVED, RECEIVED_OTHER, SESSION
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.live.journal import Edit, read_edits
+from mavproxy_fault.live.edit_log import Edit, read_edits
+from mavproxy_fault.proxy.capture_buffer import INDEX as INDEX_RECORD
+from mavproxy_fault.proxy.capture_buffer import LENGTH, STAMP
 from mavproxy_fault.proxy.interfaces import LinkRole
-from mavproxy_fault.proxy.sender_rules import BEYOND_US
-from mavproxy_fault.proxy.tape import INDEX as INDEX_RECORD
-from mavproxy_fault.proxy.tape import LENGTH, STAMP
-from mavproxy_fault.wire.dialect import layout
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US
+from mavproxy_fault.wire.dialect import find_layout
 from mavproxy_fault.wire.frame import STX_V1, STX_V2
-from mavproxy_fault.wire.parser import span
+from mavproxy_fault.wire.parser import frame_span
 
 VEHICLE, OTHERS = 0, 1
 ROLES = (LinkRole("vehicle", "from-vehicle"), LinkRole("others", "to-vehicle"))
@@ -32,7 +32,7 @@ FROM_AUTOPILOT = ("HIL_ACTUATOR_CONTROLS", "HIL_CONTROLS")
 NEAR_US = 86_400_000_000  # neighbours in a log lie within a day
 
 
-class Record(NamedTuple):
+class LogRecord(NamedTuple):
     """One record of a log: when and on which link it came."""
 
     t_us: int
@@ -40,11 +40,11 @@ class Record(NamedTuple):
     raw: bytes
 
 
-class Source(NamedTuple):
+class LogSource(NamedTuple):
     """A log to play; `session` is what was recorded about it, `edits` what was asked live."""
 
     roles: tuple[LinkRole, ...]
-    records: Iterator[Record]
+    records: Iterator[LogRecord]
     session: dict[str, Any]
     edits: tuple[Edit, ...] = ()
 
@@ -54,7 +54,7 @@ class Source(NamedTuple):
         return self.session.get("end_us")
 
 
-def open_log(path: Path) -> Source:
+def open_log(path: Path) -> LogSource:
     """A log with its session, or one from elsewhere with directions guessed.
 
     Raises
@@ -70,14 +70,14 @@ def open_log(path: Path) -> Source:
         recorded: dict[str, Any] = json.loads(session.read_text())
         roles = tuple(LinkRole(link["name"], link["direction"]) for link in recorded["links"])
         edits = read_edits(path.with_name(EDITS))
-        return Source(roles, _indexed(path, index), recorded, tuple(edits))
+        return LogSource(roles, _indexed(path, index), recorded, tuple(edits))
     data = path.read_bytes()
     if _find(data, 0, None) is None:
         raise ConfigError(f"{path}: holds no MAVLink record; allowed: a tlog")
-    return Source(ROLES, _foreign(data), {})
+    return LogSource(ROLES, _foreign(data), {})
 
 
-def _indexed(path: Path, index: Path) -> Iterator[Record]:
+def _indexed(path: Path, index: Path) -> Iterator[LogRecord]:
     with (
         path.open("rb") as log,
         path.with_name(RECEIVED_OTHER).open("rb") as other,
@@ -90,18 +90,18 @@ def _indexed(path: Path, index: Path) -> Iterator[Record]:
             stamp = (other if elsewhere else log).read(STAMP.size)
             raw = other.read(LENGTH.size + length)[LENGTH.size :] if elsewhere else log.read(length)
             # The process was killed while it wrote, or the file was damaged since.
-            if len(raw) < length or (t_us := STAMP.unpack(stamp)[0]) >= BEYOND_US:
+            if len(raw) < length or (t_us := STAMP.unpack(stamp)[0]) >= MAX_STAMP_US:
                 return
-            yield Record(t_us, link, raw)
+            yield LogRecord(t_us, link, raw)
 
 
-def _foreign(data: bytes) -> Iterator[Record]:
+def _foreign(data: bytes) -> Iterator[LogRecord]:
     simulators: set[bytes] = set()
-    for t_us, raw in split(data):
-        yield Record(t_us, _link_of(raw, simulators), raw)
+    for t_us, raw in split_records(data):
+        yield LogRecord(t_us, _link_of(raw, simulators), raw)
 
 
-def split(data: bytes) -> Iterator[tuple[int, bytes]]:
+def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Stamp and bytes of each record; no byte behind the first stamp is lost, but a cut stamp."""
     at = _find(data, 0, None)
     while at is not None and len(data) - at > STAMP.size:
@@ -118,7 +118,7 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _end(data: bytes, at: int) -> int:
-    found = span(data, at) if data[at] in (STX_V1, STX_V2) else None
+    found = frame_span(data, at) if data[at] in (STX_V1, STX_V2) else None
     # Without a length that can be trusted the record reaches to the end.
     return len(data) if found is None else min(at + found[0], len(data))
 
@@ -130,7 +130,7 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
             # Most places are ruled out by one byte.
             continue
         (stamp,) = struct.unpack_from(">Q", data, at)
-        if stamp >= BEYOND_US or (t_us is not None and abs(stamp - t_us) > NEAR_US):
+        if stamp >= MAX_STAMP_US or (t_us is not None and abs(stamp - t_us) > NEAR_US):
             # A stamp out of the blue is a chance pattern in the payload.
             continue
         end = _end(data, at + STAMP.size)
@@ -148,9 +148,9 @@ def _link_of(raw: bytes, simulators: set[bytes]) -> int:
     # Less than a header of ten bytes tells neither sender nor message.
     if raw[0] == STX_V2 and len(raw) > 9:
         # System and component; then the message id, three bytes.
-        source, known = raw[5:7], layout(int.from_bytes(raw[7:10], "little"))
+        source, known = raw[5:7], find_layout(int.from_bytes(raw[7:10], "little"))
     elif raw[0] == STX_V1 and len(raw) > 5:
-        source, known = raw[3:5], layout(raw[5])
+        source, known = raw[3:5], find_layout(raw[5])
     else:
         return VEHICLE
     # An autopilot sends HIL controls; whoever sends other HIL messages simulates.

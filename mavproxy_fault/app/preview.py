@@ -9,13 +9,13 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
 from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, Schedule
-from mavproxy_fault.wire.dialect import known, layout
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import find_layout, message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 RATE_HZ = 50
@@ -41,7 +41,7 @@ HEALTHY: dict[str, tuple[float, float, float]] = {
 }  # fmt: skip
 
 
-class Curve(NamedTuple):
+class FaultCurve(NamedTuple):
     """Something over time in seconds; lost frames stand in `lost`."""
 
     name: str
@@ -51,7 +51,7 @@ class Curve(NamedTuple):
     lost: list[float]
 
 
-def draw(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
+def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
     """One picture of every entry of a schedule.
 
     Raises
@@ -78,7 +78,7 @@ def draw(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
 
 
 def _axes(axes: Any, entry: Entry, seed: int) -> None:
-    found = curves(entry, seed)
+    found = preview_curves(entry, seed)
     axes.set_title(entry.id, fontsize=9)
     axes.tick_params(labelsize=7)
     for curve in found[:3]:
@@ -89,7 +89,7 @@ def _axes(axes: Any, entry: Entry, seed: int) -> None:
     axes.legend(fontsize=6, loc="best")
 
 
-def window(entry: Entry) -> tuple[float, float]:
+def preview_window(entry: Entry) -> tuple[float, float]:
     """The seconds to draw: from a little before the start to a little after the end."""
     # An open end or a long fault is cut, or nothing of the edges would be seen.
     for_s = OPEN_S if entry.for_s is None else min(entry.for_s, LONGEST_S)
@@ -102,25 +102,25 @@ def window(entry: Entry) -> tuple[float, float]:
     return max(entry.at_s - BEFORE_S, 0.0), entry.at_s + for_s + BEFORE_S
 
 
-def curves(entry: Entry, seed: int) -> list[Curve]:
+def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
     """What one entry does, on its own, from the time it is due; triggers are left out."""
     # Triggers would need telemetry that nobody sends here: the fault begins by the clock.
     at_s = entry.at_s or BEFORE_S
     alone = msgspec.structs.replace(
         entry, when=None, condition=None, after=None, moment=None, at_s=at_s
     )
-    begin_s, end_s = window(alone)
+    begin_s, end_s = preview_window(alone)
     # Alone in its engine: no other entry disturbs the picture.
     engine = Engine(Schedule(seed, (alone,)))
     engine.start_at(0)
-    if isinstance(entry.fault, Satellites):
+    if isinstance(entry.fault, SatelliteFault):
         return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
     elements = getattr(entry.fault, "elements", {})
     if elements:
         # The first message stands for all of the target.
         number, first = next(iter(elements.items()))
         places = [(one.name, one.item) for one in first]
-        return _field_curves(engine, known(number).name, places, begin_s, end_s)
+        return _field_curves(engine, message_layout(number).name, places, begin_s, end_s)
     if entry.targets and entry.targets[0].startswith(("PLANT.", "PSEUDORANGE.")):
         return _plant_curves(engine, begin_s, end_s)
     if entry.name == "gps-spoof":
@@ -130,14 +130,14 @@ def curves(entry: Entry, seed: int) -> list[Curve]:
     return _link_curves(engine, entry, begin_s, end_s)
 
 
-def times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
+def sample_times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
     """Stamps at a fixed rate."""
     return [begin_s + i / rate_hz for i in range(int((end_s - begin_s) * rate_hz))]
 
 
-def sample(name: str, t_s: float) -> Frame:
+def healthy_frame(name: str, t_s: float) -> Frame:
     """A healthy frame of a message, with a component that simulators have."""
-    described = known(name)
+    described = message_layout(name)
     values: dict[str, Any] = {}
     for field in described.fields.values():
         mean, size, hertz = HEALTHY.get(field.name, (1, 1, 0.2))
@@ -155,21 +155,21 @@ def sample(name: str, t_s: float) -> Frame:
             # The largest number that fits even a signed field of this size.
             value = min(value, 2 ** (8 * field.size - 1) - 1)
         values[field.name] = [value] * field.count if field.count else value
-    return Frame(build(described, values, component=51), described)
+    return Frame(build_frame(described, values, component=51), described)
 
 
-def passed(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
+def apply_engine(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
     """What leaves for one frame."""
     return engine.apply(frame, "to-vehicle", round(t_s * 1e6))
 
 
 def _field_curves(
     engine: Engine, name: str, places: Sequence[tuple[str, int]], begin_s: float, end_s: float
-) -> list[Curve]:
-    found = [Curve(f"{name}.{field}", [], [], [], []) for field, _ in places]
-    for t_s in times(begin_s, end_s):
-        healthy = sample(name, t_s)
-        for out in passed(engine, healthy, t_s):
+) -> list[FaultCurve]:
+    found = [FaultCurve(f"{name}.{field}", [], [], [], []) for field, _ in places]
+    for t_s in sample_times(begin_s, end_s):
+        healthy = healthy_frame(name, t_s)
+        for out in apply_engine(engine, healthy, t_s):
             # Answers to the simulator are no frames of this stream.
             if not isinstance(out.frame, Frame) or out.back:
                 continue
@@ -181,19 +181,19 @@ def _field_curves(
     return [_change(curve) if max(curve.healthy, default=0) > LARGE else curve for curve in found]
 
 
-def _change(curve: Curve) -> Curve:
+def _change(curve: FaultCurve) -> FaultCurve:
     """Only what a fault adds: on a large value it could not be seen."""
     added = [after - before for before, after in zip(curve.healthy, curve.faulty, strict=True)]
     return curve._replace(name=f"change of {curve.name}", healthy=[0.0] * len(added), faulty=added)
 
 
-def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> list[Curve]:
+def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> list[FaultCurve]:
     """Delay in milliseconds of each frame, and those that were lost."""
-    described = layout(min(entry.ids)) if entry.ids else None
+    described = find_layout(min(entry.ids)) if entry.ids else None
     name = described.name if described is not None else "HIL_SENSOR"
-    curve = Curve(f"delay of {name}, ms", [], [], [], [])
-    for t_s in times(begin_s, end_s):
-        outs = passed(engine, sample(name, t_s), t_s)
+    curve = FaultCurve(f"delay of {name}, ms", [], [], [], [])
+    for t_s in sample_times(begin_s, end_s):
+        outs = apply_engine(engine, healthy_frame(name, t_s), t_s)
         if not outs:
             curve.lost.append(t_s)
         for out in outs:
@@ -204,14 +204,14 @@ def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> 
     return [curve]
 
 
-def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[Curve]:
-    found: dict[str, Curve] = {}
-    for t_s in times(begin_s, end_s):
-        for out in passed(engine, sample("HIL_SENSOR", t_s), t_s):
+def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[FaultCurve]:
+    found: dict[str, FaultCurve] = {}
+    for t_s in sample_times(begin_s, end_s):
+        for out in apply_engine(engine, healthy_frame("HIL_SENSOR", t_s), t_s):
             change = plant_change(out.frame) if isinstance(out.frame, Frame) else None
             if change is None:
                 continue
-            curve = found.setdefault(change.name, Curve(change.name, [], [], [], []))
+            curve = found.setdefault(change.name, FaultCurve(change.name, [], [], [], []))
             curve.t_s.append(t_s)
             # NaN breaks the line where the plant is healthy again.
             curve.faulty.append(math.nan if change.value is None else change.value)
@@ -221,29 +221,29 @@ def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[Curve]:
 
 def _satellite_curves(
     engine: Engine, names: Sequence[str], begin_s: float, end_s: float
-) -> list[Curve]:
+) -> list[FaultCurve]:
     """Metres added to each satellite, two epochs a second."""
-    found = {name: Curve(f"{name}, m", [], [], [], []) for name in names}
+    found = {name: FaultCurve(f"{name}, m", [], [], [], []) for name in names}
     together = Reassembler()
     # Two epochs a second: pseudoranges come at a few hertz.
-    for number, t_s in enumerate(times(begin_s, end_s, 2)):
+    for number, t_s in enumerate(sample_times(begin_s, end_s, 2)):
         for system in sorted({name[0] for name in names}):
             ours = sorted(name for name in names if name[0] == system)
-            for raw in tunnel_frames(epoch(system, ours, t_s), number):
-                for out in passed(engine, Frame(raw, known("TUNNEL")), t_s):
+            for raw in tunnel_frames(encode_test_epoch(system, ours, t_s), number):
+                for out in apply_engine(engine, Frame(raw, message_layout("TUNNEL")), t_s):
                     payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
                     for message in together.add(payload or b""):
                         _note(found, ours, message, t_s)
     return list(found.values())
 
 
-def epoch(system: str, names: list[str], t_s: float) -> bytes:
+def encode_test_epoch(system: str, names: list[str], t_s: float) -> bytes:
     each = (RANGE_M,) * len(names)
     nothing = (0.0,) * len(names)
     return encode_msm7(Msm7(system, t_s, tuple(names), each, each, nothing, nothing, nothing))
 
 
-def _note(found: dict[str, Curve], names: list[str], message: bytes, t_s: float) -> None:
+def _note(found: dict[str, FaultCurve], names: list[str], message: bytes, t_s: float) -> None:
     data = decode_msm7(message)
     ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
     for name in names:

@@ -12,28 +12,28 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.room import ask_for_room
+from mavproxy_fault.app.resource_check import check_resources
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import check_run
+from mavproxy_fault.links.bus import check_run_name
 from mavproxy_fault.links.link import Link
-from mavproxy_fault.links.peers import Admission, networks
+from mavproxy_fault.links.peers import Admission, parse_networks
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.udp import UdpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
-from mavproxy_fault.proxy.statistics import table
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.statistics import format_endpoints
 from mavproxy_fault.wire.dialect import message_names
 from mavproxy_fault.wire.parser import begins_with_frame
-from mavproxy_fault.wire.signing import Signing, key_of
+from mavproxy_fault.wire.signing import Signing, derive_key
 
 if TYPE_CHECKING:
-    from mavproxy_fault.live.session import Live
+    from mavproxy_fault.live.session import LiveSession
     from mavproxy_fault.proxy.engine import Engine
 
 LOG = logging.getLogger(__name__)
-MOST_KEY = 1 << 16  # characters of a passphrase
+MOST_KEY_CHARACTERS = 1 << 16  # characters of a passphrase
 
 
 def open_links(master: str, outs: Sequence[str]) -> list[Link]:
@@ -50,7 +50,7 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
     return links
 
 
-def admit(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
+def set_admission(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
     """Let listening UDP links answer only whom the command line lets in.
 
     Raises
@@ -59,7 +59,7 @@ def admit(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
         If one of `allowed` is no network.
     """
     try:
-        admission = Admission(networks(allowed), lock, begins_with_frame)
+        admission = Admission(parse_networks(allowed), lock, begins_with_frame)
     except ValueError as error:
         raise ConfigError(
             f"--allow-peer: {error}; give an address or network such as 192.168.1.0/24"
@@ -69,7 +69,7 @@ def admit(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
             link.peers.admission = admission
 
 
-def roles(links: Sequence[Link]) -> list[LinkRole]:
+def link_roles(links: Sequence[Link]) -> list[LinkRole]:
     """The first link is the vehicle's."""
     return [
         LinkRole(link.name, "to-vehicle" if number else "from-vehicle", link.datagrams)
@@ -78,7 +78,7 @@ def roles(links: Sequence[Link]) -> list[LinkRole]:
 
 
 @contextlib.contextmanager
-def signals(server: Server) -> Iterator[socket.socket]:
+def stop_on_signals(server: Server) -> Iterator[socket.socket]:
     """Let SIGINT and SIGTERM stop the server; gives the socket that wakes it."""
     wake, woken = socket.socketpair()
     woken.setblocking(False)
@@ -97,7 +97,7 @@ def signals(server: Server) -> Iterator[socket.socket]:
         woken.close()
 
 
-def signing(args: argparse.Namespace) -> Signing | None:
+def read_signing(args: argparse.Namespace) -> Signing | None:
     """What the options say about signed frames.
 
     Raises
@@ -109,35 +109,35 @@ def signing(args: argparse.Namespace) -> Signing | None:
         return Signing(strip=True) if args.strip_signatures else None
     try:
         with open(args.signing_key) as file:
-            phrase = file.read(MOST_KEY).strip()  # a device may never end
+            phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device may never end
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"{args.signing_key}: cannot be read ({error}); give a file with the passphrase"
         ) from None
-    return Signing(key_of(phrase), strip=args.strip_signatures)
+    return Signing(derive_key(phrase), strip=args.strip_signatures)
 
 
-def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "Live":
+def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "LiveSession":
     """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
-    ask_for_room()
+    check_resources()
     # Loaded in the background thread, which may take its time.
     import mavproxy_fault.compiled.plans  # noqa: F401  so that no frame waits for it later
-    from mavproxy_fault.live.control import Control
-    from mavproxy_fault.live.journal import Journal
-    from mavproxy_fault.live.rflysim import SHIPPED, read_map
-    from mavproxy_fault.live.session import Live
+    from mavproxy_fault.live.control import LiveControl
+    from mavproxy_fault.live.edit_log import EditLog
+    from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
+    from mavproxy_fault.live.session import LiveSession
     from mavproxy_fault.proxy.engine import Engine
     from mavproxy_fault.schedule.entries import Schedule
 
-    rflysim = read_map(args.rflysim_map or SHIPPED) if args.rflysim is not None else None
-    control = Control(
+    rflysim = read_map(args.rflysim_map or DEFAULT_MAP) if args.rflysim is not None else None
+    control = LiveControl(
         engine or Engine(Schedule(0, ()), commands=args.allow_commands),
         allowed=args.inject,
         rflysim=rflysim,
         # Tables are opened only below folders that the command line names.
         folders=[Path(one) for one in args.files],
     )
-    live = Live(control, server.edit_time, Journal(server.core, server.tape))
+    live = LiveSession(control, server.edit_time, EditLog(server.core, server.tape))
     if args.rflysim is not None:
         live.open_rflysim(args.rflysim)
     live.open_bus(args.zenoh, args.run, args.zenoh_config)
@@ -149,15 +149,15 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
     try:
         from concurrent.futures import Future
 
-        from mavproxy_fault.live.session import short_turns
+        from mavproxy_fault.live.session import short_thread_turns
     except OSError as error:  # no descriptor is left to read a module by
         LOG.error("no live control, forwarding goes on: %s", error)
         return
-    coming: Future[Live] = Future()
+    coming: Future[LiveSession] = Future()
 
     def work() -> None:
         try:
-            with short_turns():
+            with short_thread_turns():
                 coming.set_result(open_live(args, engine, server))
         # Into the future, so that the loop sees it: a thread's own traceback would be lost, and
         # the loop would wait for ever for a panic of Zenoh's, which is no Exception.
@@ -175,7 +175,7 @@ def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
     # Before any socket is opened: a wrong name costs nothing then.
     if args.run is not None:
-        check_run(args.run)
+        check_run_name(args.run)
     for folder in args.files:
         if not Path(folder).is_dir():
             raise ConfigError(f"--files {folder}: is no folder; give one that tables lie in")
@@ -192,13 +192,13 @@ def main(args: argparse.Namespace) -> int:
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     if args.rflysim_map and args.rflysim is None:
         raise ConfigError("--rflysim-map: is for the faults of RflySim; give --rflysim PORT too")
-    signed = signing(args)
+    signed = read_signing(args)
     # Links first: a port that is taken ends the command before anything is written.
     links = open_links(args.master, args.to)
     try:
-        admit(links, args.allow_peer, lock=args.lock_peer)
-        tape = Tape() if args.logdir else None
-        core = Core(roles(links), engine, signing=signed, tape=tape)
+        set_admission(links, args.allow_peer, lock=args.lock_peer)
+        tape = CaptureBuffer() if args.logdir else None
+        core = Core(link_roles(links), engine, signing=signed, tape=tape)
         if args.rflysim is not None and args.rflysim_map:
             session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
         session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
@@ -216,14 +216,16 @@ def main(args: argparse.Namespace) -> int:
                     "allow more descriptors or memory (ulimit -n, -v), or give --zenoh off"
                 ) from None
         gc.enable()
-        with signals(server) as wake:
+        with stop_on_signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
             with contextlib.suppress(OSError):  # a full disk behind it stops nothing
                 print(f"ready: {links[0].name} <-> {others}", flush=True)
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)
-        figures = table(server.stats())  # a closed socket no longer says what the kernel dropped
+        figures = format_endpoints(
+            server.stats()
+        )  # a closed socket no longer says what the kernel dropped
     finally:
         # Also after an error: ports must be free for the next start.
         for link in links:

@@ -21,12 +21,12 @@ from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.whole_file import write_whole
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 
 if TYPE_CHECKING:
-    from mavproxy_fault.live.journal import Edit
+    from mavproxy_fault.live.edit_log import Edit
     from mavproxy_fault.wire.label import Label
 
 RECEIVED, SENT, LABELS = "received.tlog", "sent.tlog", "labels.jsonl"
@@ -75,7 +75,7 @@ class Recorder:
         self._files, self._sizes = files, dict.fromkeys(APPENDED, 0)
 
     def write(
-        self, tape: Tape, labels: "Sequence[Label]" = (), edits: "Sequence[Edit]" = ()
+        self, tape: CaptureBuffer, labels: "Sequence[Label]" = (), edits: "Sequence[Edit]" = ()
     ) -> None:
         """Append and empty a tape, and append labels and edits: all of it, or what can wait later.
 
@@ -94,8 +94,8 @@ class Recorder:
                 INDEX: drained.index,
                 SENT: drained.sent,
                 SENT_OTHER: drained.sent_other,
-                LABELS: encoded(self._labels) if self._labels else b"",
-                EDITS: encoded(self._edits) if self._edits else b"",
+                LABELS: encode_lines(self._labels) if self._labels else b"",
+                EDITS: encode_lines(self._edits) if self._edits else b"",
             }
             if self._is_gone():
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -111,14 +111,14 @@ class Recorder:
             LOG.warning("recording goes on; %d records are missing", self.lost)
             self.failing = None
 
-    def skip(self, tape: Tape, why: str, more: int = 0) -> None:
+    def skip(self, tape: CaptureBuffer, why: str, more: int = 0) -> None:
         """Empty a tape without writing it down, and so many records more that never came to it."""
         before = tape.drained
         tape.clear()
         self.lost += more
         self._note_loss(tape, before, why)
 
-    def _note_loss(self, tape: Tape, before: int, why: str) -> None:
+    def _note_loss(self, tape: CaptureBuffer, before: int, why: str) -> None:
         """Count a tape that was not written; `before` are the records that are in the files."""
         # The index must fit the files: what was not written has not come.
         self.lost += tape.count - before
@@ -178,7 +178,7 @@ class Recorder:
             LOG.warning("the session's end was not recorded: %s", error)
 
     def _write_session(self) -> None:
-        write_whole(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n")
+        write_atomic(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n")
 
 
 def _write_whole(file: FileIO, data: bytes) -> None:
@@ -189,7 +189,7 @@ def _write_whole(file: FileIO, data: bytes) -> None:
         rest = rest[file.write(rest) :]
 
 
-def encoded(lines: "Sequence[Label | Edit]") -> bytes:
+def encode_lines(lines: "Sequence[Label | Edit]") -> bytes:
     """Labels or edits as JSON lines."""
     from msgspec.json import encode  # 0.1 s that a proxy without faults need not pay
 

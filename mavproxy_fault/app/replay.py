@@ -13,37 +13,37 @@ from pathlib import Path
 
 import msgspec
 
-from mavproxy_fault.app.playback import Record, Source, open_log
-from mavproxy_fault.app.proxy_command import signing
-from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.playback import LogRecord, LogSource, open_log
+from mavproxy_fault.app.proxy_command import read_signing
+from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.descriptors import wait_on
+from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.live.control import Control
-from mavproxy_fault.live.journal import RFLYSIM, carry_out
-from mavproxy_fault.live.rflysim import SHIPPED, read_map
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.live.edit_log import RFLYSIM, apply_edit
+from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.signing import Signing
 
 FLUSH_BYTES = 1 << 20
-TEND_S = 0.1
+PAUSE_S = 0.1
 
 
-class Playing:
+class LogReplay:
     """A core that a log is pushed through, and the edits that are still to come."""
 
     def __init__(
         self,
-        source: Source,
+        source: LogSource,
         schedule: Schedule,
-        tape: Tape | None = None,
+        tape: CaptureBuffer | None = None,
         signing: Signing | None = None,
     ) -> None:
         self.source = source
@@ -55,13 +55,13 @@ class Playing:
         self.core = Core(source.roles, None if late else engine, signing=signing, tape=tape)
         rflysim = None
         if any(edit.what == RFLYSIM for edit in self._edits):
-            rflysim = read_map(source.session.get("rflysim_map", SHIPPED))
+            rflysim = read_map(source.session.get("rflysim_map", DEFAULT_MAP))
         # Where the session does not say, live faults were allowed.
         allowed = source.session.get("inject", True)
-        self._control = Control(engine, allowed=allowed, rflysim=rflysim, folders=None)
+        self._control = LiveControl(engine, allowed=allowed, rflysim=rflysim, folders=None)
         self._count = self._newest_us = 0
 
-    def push(self, record: Record) -> list[Send]:
+    def push(self, record: LogRecord) -> list[Send]:
         """What is sent for one record, and for the edits before it."""
         sends = self._edit()
         self._count += 1
@@ -76,7 +76,7 @@ class Playing:
             edit = self._edits.popleft()
             # What was due before the edit leaves first, as it did live.
             sends += self.core.due(edit.now_us)
-            carry_out(edit, self.core, self._control)
+            apply_edit(edit, self.core, self._control)
         return sends
 
     def rest(self) -> Iterator[list[Send]]:
@@ -91,9 +91,9 @@ class Playing:
         yield self.core.finish(end_us or self._newest_us)
 
 
-def _ran_with(source: Source, schedule: Schedule) -> bool:
+def _ran_with(source: LogSource, schedule: Schedule) -> bool:
     """Whether a recorded session ran with this schedule, however it was written."""
-    return "schedule" in source.session and _bare(own_schedule(source)) == _bare(schedule)
+    return "schedule" in source.session and _bare(recorded_schedule(source)) == _bare(schedule)
 
 
 def _bare(schedule: Schedule) -> Schedule:
@@ -102,7 +102,7 @@ def _bare(schedule: Schedule) -> Schedule:
     return msgspec.structs.replace(schedule, faults=entries)
 
 
-def own_schedule(source: Source) -> Schedule:
+def recorded_schedule(source: LogSource) -> Schedule:
     """The schedule that a session was recorded with.
 
     Raises
@@ -115,24 +115,24 @@ def own_schedule(source: Source) -> Schedule:
     return parse_schedule(source.session["schedule"] or {}, "session.json")
 
 
-def to_log(playing: Playing, tape: Tape, out: Path) -> Path:
+def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
     """Write what is sent to a tlog and the labels beside it, as `NAME.labels.jsonl`."""
     labels_path = out.with_suffix(".labels.jsonl")
     with out.open("wb") as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
-            labels.write(encoded(_labels(playing)))
+            labels.write(encode_lines(_labels(playing)))
             # Written in portions: a log of hours does not fit in memory twice.
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.drain().sent)
         for _ in playing.rest():
             pass
-        labels.write(encoded(_labels(playing)))
+        labels.write(encode_lines(_labels(playing)))
         log.write(tape.drain().sent)
     return labels_path
 
 
-def _labels(playing: Playing) -> list[Label]:
+def _labels(playing: LogReplay) -> list[Label]:
     """The labels since the last call.
 
     What they tell was done to a recording, to which nobody in it could react; but a session that is
@@ -144,21 +144,23 @@ def _labels(playing: Playing) -> list[Label]:
     return [msgspec.structs.replace(label, recorded=True) for label in labels]
 
 
-def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.monotonic) -> int:
+def replay_to_link(
+    playing: LogReplay, link: Link, clock: Callable[[], float] = time.monotonic
+) -> int:
     """Send at the pace of the log; gives the number of frames or datagrams sent.
 
     A server waits for its first peer.
     """
     # A log played to nobody would be over before somebody listens.
     while not link.peer_count:
-        _pause(link, TEND_S)
+        _pause(link, PAUSE_S)
     core = playing.core
     start_s, first_us, sent = clock(), -1, 0
 
     def wait_for(t_us: int) -> None:
         # In slices, so that the peer's bytes are drained meanwhile.
         while (rest_s := start_s + (t_us - first_us) * 1e-6 - clock()) > 0:
-            _pause(link, min(rest_s, TEND_S))
+            _pause(link, min(rest_s, PAUSE_S))
 
     def write(sends: list[Send]) -> int:
         for send in sends:
@@ -179,7 +181,7 @@ def to_link(playing: Playing, link: Link, clock: Callable[[], float] = time.mono
 def _pause(link: Link, wait_s: float) -> None:
     """Wait, and drain what the peer sends meanwhile."""
     # The link's own bytes are of no use here, but unread they would fill the kernel's buffer.
-    wait_on([link], wait_s)
+    wait_until_readable([link], wait_s)
     link.read()
 
 
@@ -189,9 +191,9 @@ def main(args: argparse.Namespace) -> int:
     if is_rinex(path):
         return replay_rinex(args)
     source = open_log(path)
-    schedule = read_schedule(args.schedule) if args.schedule else own_schedule(source)
-    tape = Tape() if args.out else None
-    playing = Playing(source, schedule, tape, signing(args))
+    schedule = read_schedule(args.schedule) if args.schedule else recorded_schedule(source)
+    tape = CaptureBuffer() if args.out else None
+    playing = LogReplay(source, schedule, tape, read_signing(args))
     if tape is not None:
         out = Path(args.out)
         # By identity, as a link may point to it under another name.
@@ -199,14 +201,14 @@ def main(args: argparse.Namespace) -> int:
             raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            labels = to_log(playing, tape, out)
+            labels = replay_to_log(playing, tape, out)
         except OSError as error:
             raise ConfigError(f"--out {out}: {error.strerror}; name a file to write") from None
         print(f"{out}\n{labels}")
         return 0
     link = open_link(args.link, bare_udp="udpout")
     try:
-        print(f"{to_link(playing, link)} sent to {link.name}")
+        print(f"{replay_to_link(playing, link)} sent to {link.name}")
     finally:
         link.close()
     return 0

@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mavproxy_fault.app.recorder import encoded
+from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.plant_fault import Plant
-from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.faults.plant_fault import PlantFault
+from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
@@ -23,7 +23,7 @@ from mavproxy_fault.schedule.entries import Entry, Schedule, never_acted, read_s
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.plant_names import SIGNALS
 
-BEGINNING = 120  # bytes that hold the first line, packed by Hatanaka's rules or not
+PROBE_BYTES = 120  # bytes that hold the first line, packed by Hatanaka's rules or not
 FROM_RECEIVER = "from-vehicle"
 
 
@@ -32,7 +32,7 @@ def is_rinex(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        head = file.read(BEGINNING)
+        head = file.read(PROBE_BYTES)
     return b"RINEX VERSION" in head or path.name.lower().endswith(PACKED)
 
 
@@ -49,7 +49,7 @@ def replay_rinex(args: argparse.Namespace) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
     beside = out.with_suffix(out.suffix + ".labels.jsonl")
-    beside.write_bytes(encoded(labels))
+    beside.write_bytes(encode_lines(labels))
     print(f"{out}\n{beside}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"never acted: {word}: it met nothing that it names", file=sys.stderr)
@@ -72,7 +72,7 @@ def faulted_lines(
     faults = tuple(_on_epochs(entry) for entry in schedule.faults)
     sky = None
     for entry in faults:
-        if isinstance(entry.fault, Plant) and needs_sky(entry.fault.names) and sky is None:
+        if isinstance(entry.fault, PlantFault) and needs_sky(entry.fault.names) and sky is None:
             sky = _sky(path, navigation, entry)
     lines = read_rinex_text(path)
     version, end = header_of(path, lines, "O", "an observation file")
@@ -92,9 +92,9 @@ def faulted_lines(
 
 def _on_epochs(entry: Entry) -> Entry:
     """The entry as it acts on the epochs of a file; a parameter of the plant rides on them."""
-    if isinstance(entry.fault, Satellites):
+    if isinstance(entry.fault, SatelliteFault):
         return entry
-    if isinstance(entry.fault, Plant) and all(_is_signal(name) for name in entry.fault.names):
+    if isinstance(entry.fault, PlantFault) and all(_is_signal(name) for name in entry.fault.names):
         return msgspec.structs.replace(entry, ids=frozenset({RangeEpoch.id}))
     raise ConfigError(
         f"{entry.id}: {entry.name} on {', '.join(entry.targets) or 'the link'} cannot act"

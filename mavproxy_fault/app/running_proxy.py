@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus import ANY, Bus, check_run, open_bus, running_proxies
+from mavproxy_fault.links.bus import ANY_RUN, Bus, check_run_name, open_bus, running_proxies
 
 
 @contextmanager
-def joined(args: argparse.Namespace) -> Iterator[Bus]:
+def join_run(args: argparse.Namespace) -> Iterator[Bus]:
     """The bus with the run that `args` name, or the only one there is.
 
     Raises
@@ -21,14 +21,14 @@ def joined(args: argparse.Namespace) -> Iterator[Bus]:
         If there is no router, no such run, or a choice of several.
     """
     if args.run is not None:
-        check_run(args.run)
+        check_run_name(args.run)
     # A bus is opened for any run first: which ones there are is asked on it.
-    with open_bus(args.zenoh, run=ANY, config_file=args.zenoh_config) as bus:
+    with open_bus(args.zenoh, run=ANY_RUN, config_file=args.zenoh_config) as bus:
         bus.run = only_run(bus.who()) if args.run is None else args.run
         yield bus
 
 
-def asked(bus: Bus, what: str, payload: bytes = b"") -> Any:
+def query_run(bus: Bus, what: str, payload: bytes = b"") -> Any:
     """The answer to one request of a run.
 
     Raises

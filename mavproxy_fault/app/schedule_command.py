@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from mavproxy_fault.app.running_proxy import asked, joined
+from mavproxy_fault.app.running_proxy import join_run, query_run
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -15,19 +15,19 @@ def main(args: argparse.Namespace) -> int:
     if args.action == "load":
         parse_schedule(read_document(args.file))  # a mistake is told with its line, and not sent
         text = Path(args.file).read_bytes()
-        with joined(args) as bus:
-            loaded = asked(bus, "schedule/begin", text)["faults"]
+        with join_run(args) as bus:
+            loaded = query_run(bus, "schedule/begin", text)["faults"]
         print(f"{len(loaded)} faults loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
     elif args.action == "save":
-        with joined(args) as bus:
-            _save(asked(bus, "schedule/save")["anew"], args.file)
+        with join_run(args) as bus:
+            _save(query_run(bus, "schedule/save")["anew"], args.file)
     elif args.action == "clear":
-        with joined(args) as bus:
-            cleared = asked(bus, "schedule/stop")["cleared"]
+        with join_run(args) as bus:
+            cleared = query_run(bus, "schedule/stop")["cleared"]
         print("every fault has ended" if cleared else "there was no fault")
     else:
-        with joined(args) as bus:
-            print(json.dumps(asked(bus, "state"), indent=2))
+        with join_run(args) as bus:
+            print(json.dumps(query_run(bus, "state"), indent=2))
     return 0
 
 

@@ -21,24 +21,24 @@ from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.proxy.statistics import Latencies, figures
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.statistics import LatencyHistogram, link_statistics
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from mavproxy_fault.compiled.forwarder import Forwarder
-    from mavproxy_fault.live.session import Live
+    from mavproxy_fault.live.session import LiveSession
 
 LOG = logging.getLogger(__name__)
-TEND_S = 0.1  # how often links get a chance to reconnect
+RECONNECT_S = 0.1  # how often links get a chance to reconnect
 FLUSH_S = 1.0
-RESERVE = 8 << 20  # bytes given back to the system when it has no more for us
+RESERVE_BYTES = 8 << 20  # bytes given back to the system when it has no more for us
 AHEAD_US = 300  # so long before a frame is due the loop does nothing but prepare to send it
 EARLY_US = 250  # a sleep may end so late; the loop stays awake so long before that
-HOLD_NS = 200_000  # what came together may wait so long to leave together, where peers are many
+BATCH_NS = 200_000  # what came together may wait so long to leave together, where peers are many
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us makes every wait that late
 
 
@@ -50,7 +50,7 @@ class Server:
         links: Sequence[Link],
         core: Core,
         *,
-        tape: Tape | None = None,
+        tape: CaptureBuffer | None = None,
         recorder: Recorder | None = None,
         busy_poll: bool = False,
     ) -> None:
@@ -58,7 +58,7 @@ class Server:
         self.core = core
         self.tape = tape
         self.recorder = recorder
-        self.latencies = [Latencies() for _ in links]
+        self.latencies = [LatencyHistogram() for _ in links]
         # What is to leave by links that write several chunks to many peers at once (`write_all`).
         self._held: dict[int, list[bytes]] = {
             number: [] for number, link in enumerate(links) if hasattr(link, "write_all")
@@ -72,10 +72,10 @@ class Server:
         self._compiler: subprocess.Popen[bytes] | None = None
         self._forwarder: Forwarder | None = None
         self._wake: int | None = None
-        self.live: Live | None = None
-        self.coming: Future[Live] | None = None  # live control that is still being opened
+        self.live: LiveSession | None = None
+        self.coming: Future[LiveSession] | None = None  # live control that is still being opened
         self.sheds = 0  # how often the system gave no more memory
-        self._reserve: bytearray | None = bytearray(RESERVE)
+        self._reserve: bytearray | None = bytearray(RESERVE_BYTES)
 
     def now_us(self) -> int:
         """Wall time that never jumps: Unix time at the start plus the monotonic clock."""
@@ -130,7 +130,7 @@ class Server:
         """Whether the reserve is there, or could be had again."""
         if self._reserve is None:
             with suppress(MemoryError):
-                self._reserve = bytearray(RESERVE)
+                self._reserve = bytearray(RESERVE_BYTES)
         return self._reserve is not None
 
     def _waited(self) -> list[int]:
@@ -155,7 +155,7 @@ class Server:
         # Frames that are due come first; else the next time to look after the links.
         due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
         if self._held_ns:  # the rest of the batch first, without a sleep behind it
-            tend_ns = min(tend_ns, time.monotonic_ns() + HOLD_NS)
+            tend_ns = min(tend_ns, time.monotonic_ns() + BATCH_NS)
         # To the microsecond for frames that are due, not for housekeeping.
         forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
         if forwarder.pending:
@@ -176,14 +176,14 @@ class Server:
     def prepare(self) -> None:
         """Take the compiled form, or have it made by another process if this is the first time."""
         # Streams go through the interpreter anyway: loading machine code would gain nothing.
-        if not any(link.datagrams for link in self.links) or not datagram_batch.BATCHES:
+        if not any(link.datagrams for link in self.links) or not datagram_batch.HAS_RECVMMSG:
             return
         try:
             from mavproxy_fault.compiled import object_file as machine
 
             made = machine.load() is not None
         except (OSError, MemoryError) as error:  # as where `ulimit -v` is low
-            _tell_slower(error)
+            _warn_interpreted(error)
             return
         if made:
             self.use_compiled()
@@ -198,21 +198,21 @@ class Server:
                 start_new_session=True,  # Ctrl-C ends us, not what the next start will need
             )  # fmt: skip
 
-    def join(self, live: "Live") -> None:
+    def join(self, live: "LiveSession") -> None:
         """Let live control take part."""
-        from mavproxy_fault.live.journal import JOIN, join
+        from mavproxy_fault.live.edit_log import JOIN, join_live_control
 
         self.live = live
         if live.journal is not None:
             live.journal.note(JOIN, b"", self.edit_time())
-        join(self.core, live.control)
+        join_live_control(self.core, live.control)
         gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
         # Not while frames that were handed over wait inside.
         if self._forwarder is not None and not self._forwarder.pending:
             self._forwarder.count()
             self.use_compiled()
 
-    def _opened_live(self) -> "Live | None":
+    def _opened_live(self) -> "LiveSession | None":
         """Live control that was being opened; None, and a word, where the system refused it."""
         assert self.coming is not None
         coming, self.coming = self.coming, None
@@ -244,7 +244,7 @@ class Server:
             )  # fmt: skip
         except (OSError, MemoryError) as error:
             self._forwarder = None
-            _tell_slower(error)
+            _warn_interpreted(error)
 
     def _patience_s(self) -> float:
         """How long the loop may sleep."""
@@ -253,9 +253,9 @@ class Server:
         # Never asleep: the lowest latency costs a core.
         due_us = self.core.next_due_us
         if due_us is None:
-            return TEND_S
+            return RECONNECT_S
         # Asleep until shortly before; the rest is waited for awake, as a sleep ends late.
-        return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, TEND_S)
+        return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, RECONNECT_S)
 
     def _serve(self, number: int) -> None:
         """Pass on what one link has."""
@@ -283,7 +283,7 @@ class Server:
                 self._held_ns = self._held_ns or time.monotonic_ns()
             else:
                 links[send.link].write(send.data)
-        if self._held_ns and not (hold and time.monotonic_ns() < self._held_ns + HOLD_NS):
+        if self._held_ns and not (hold and time.monotonic_ns() < self._held_ns + BATCH_NS):
             self._let_go()
 
     def _let_go(self) -> None:
@@ -313,7 +313,7 @@ class Server:
                 self._carry_out(sends)
         now_s = time.monotonic()
         if now_s >= self._tend_s:
-            self._tend_s = now_s + TEND_S
+            self._tend_s = now_s + RECONNECT_S
             self._tend()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
@@ -382,7 +382,7 @@ class Server:
             counters = link.counters
             found.append(
                 {
-                    **figures(self.core, number),
+                    **link_statistics(self.core, number),
                     "name": link.name,
                     "peers": link.peer_count,
                     "bytes_in": counters.bytes_in,
@@ -399,5 +399,5 @@ class Server:
         return found
 
 
-def _tell_slower(error: OSError | MemoryError) -> None:
+def _warn_interpreted(error: OSError | MemoryError) -> None:
     LOG.warning("no machine code, all goes a slower way: %s", error or "no memory")

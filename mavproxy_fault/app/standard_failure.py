@@ -11,10 +11,10 @@ import time
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 
-FIND_S = 10.0
-USUAL = "udpin://127.0.0.1:14540"  # where PX4 and `mavsdk` look for each other
+CONNECT_TIMEOUT_S = 10.0
+DEFAULT_ADDRESS = "udpin://127.0.0.1:14540"  # where PX4 and `mavsdk` look for each other
 REASONS = {
     "UNSUPPORTED": "the vehicle does not know this failure",
     "DENIED": "the vehicle refuses it now (PX4 does while its SYS_FAILURE_EN is 0)",
@@ -25,9 +25,9 @@ REASONS = {
 
 def main(args: argparse.Namespace) -> int:
     """Send the failure; with `--for` take it back in the end. 1 where the vehicle refuses."""
-    unit, kind, instance = failure_of(args.fault or "")
-    with vehicle(args.link or USUAL) as failure:
-        refusal = sent(failure, unit, kind, instance)
+    unit, kind, instance = parse_failure(args.fault or "")
+    with connect_vehicle(args.link or DEFAULT_ADDRESS) as failure:
+        refusal = send_failure(failure, unit, kind, instance)
         if refusal:
             print(f"{args.fault}: {refusal}", file=sys.stderr)
             return 1
@@ -38,12 +38,12 @@ def main(args: argparse.Namespace) -> int:
             time.sleep(args.for_s)
         except KeyboardInterrupt:
             print("ended early")
-        refusal = sent(failure, unit, kinds()["ok"], instance)
+        refusal = send_failure(failure, unit, mavsdk_failure_types()["ok"], instance)
         print(f"{args.fault}: {refusal or 'over'}")
         return 1 if refusal else 0
 
 
-def units() -> dict[str, Any]:
+def mavsdk_units() -> dict[str, Any]:
     """MAVSDK's units by our short names, such as `gps` or `motor`."""
     from mavsdk.plugins.failure import FailureUnit
 
@@ -53,14 +53,14 @@ def units() -> dict[str, Any]:
     }
 
 
-def kinds() -> dict[str, Any]:
+def mavsdk_failure_types() -> dict[str, Any]:
     """Its types by name."""
     from mavsdk.plugins.failure import FailureType
 
     return {kind.name.lower(): kind for kind in FailureType}
 
 
-def failure_of(text: str) -> tuple[Any, Any, int]:
+def parse_failure(text: str) -> tuple[Any, Any, int]:
     """Unit, type and instance of `UNIT:TYPE[:INSTANCE]`, instances from 1, 0 for all.
 
     Raises
@@ -70,19 +70,21 @@ def failure_of(text: str) -> tuple[Any, Any, int]:
     """
     unit, _, rest = text.partition(":")
     kind, _, number = rest.partition(":")
-    if unit not in units():
-        raise ConfigError(f"inject: {unit!r} is no unit of MAVSDK's; {near(unit, [*units()])}")
-    if kind not in kinds():
+    if unit not in mavsdk_units():
+        raise ConfigError(
+            f"inject: {unit!r} is no unit of MAVSDK's; {suggest_known(unit, [*mavsdk_units()])}"
+        )
+    if kind not in mavsdk_failure_types():
         raise ConfigError(
             f"inject: {text} has no type; give UNIT:TYPE[:INSTANCE], such as gps:off, with "
-            f"{', '.join(kinds())}"
+            f"{', '.join(mavsdk_failure_types())}"
         )
     if not (number or "0").isdigit():
         raise ConfigError(f"inject: {text}: {number} is no instance; 1 and up, 0 for all")
-    return units()[unit], kinds()[kind], int(number or 0)
+    return mavsdk_units()[unit], mavsdk_failure_types()[kind], int(number or 0)
 
 
-def sent(failure: Any, unit: Any, kind: Any, instance: int) -> str:
+def send_failure(failure: Any, unit: Any, kind: Any, instance: int) -> str:
     """Why the vehicle refuses, or nothing."""
     from mavsdk.plugins.failure import FailureError, FailureResult
 
@@ -96,7 +98,7 @@ def sent(failure: Any, unit: Any, kind: Any, instance: int) -> str:
 
 
 @contextlib.contextmanager
-def vehicle(address: str) -> Any:
+def connect_vehicle(address: str) -> Any:
     """MAVSDK's failure plugin for the vehicle at an address.
 
     Raises
@@ -114,9 +116,11 @@ def vehicle(address: str) -> Any:
         if opened.name != "SUCCESS":
             raise ConfigError(
                 f"--link: {address} cannot be opened ({opened.name.lower()}); give a MAVSDK "
-                f"address such as {USUAL}, tcpout://HOST:PORT or serial:///dev/ttyACM0:57600"
+                f"address such as {DEFAULT_ADDRESS}, tcpout://HOST:PORT or serial:///dev/ttyACM0:57600"
             )
-        system = mavsdk.first_autopilot(FIND_S)
+        system = mavsdk.first_autopilot(CONNECT_TIMEOUT_S)
         if system is None:
-            raise ConfigError(f"--link: no vehicle speaks at {address} within {FIND_S:g} s")
+            raise ConfigError(
+                f"--link: no vehicle speaks at {address} within {CONNECT_TIMEOUT_S:g} s"
+            )
         yield Failure(system)

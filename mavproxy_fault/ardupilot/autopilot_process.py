@@ -10,8 +10,8 @@ from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.ardupilot.hil_readings import TrueState
 from mavproxy_fault.documents.errors import ConfigError
 
-OUTPUT = "autopilot.log"
-PARAMETERS = "bridge.parm"
+OUTPUT_LOG = "autopilot.log"
+PARAMETER_FILE = "bridge.parm"
 SPEEDUP = 100  # above what any machine reaches: the HIL link sets the pace, not ArduPilot's sleep
 
 
@@ -42,7 +42,7 @@ def check_command(binary: str) -> list[str]:
     return [str(Path(found).resolve()), *words[1:]]
 
 
-def start(
+def start_process(
     words: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
 ) -> "subprocess.Popen[bytes]":
     """Start the program in `folder`; later files of `defaults` win."""
@@ -64,7 +64,7 @@ def start(
         "--serial8": "none:",
     }
     arguments = [word for option in options.items() for word in option]
-    with (folder / OUTPUT).open("wb") as output:
+    with (folder / OUTPUT_LOG).open("wb") as output:
         return subprocess.Popen(
             [*words, "-w", *arguments],
             cwd=folder,

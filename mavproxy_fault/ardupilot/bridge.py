@@ -10,16 +10,16 @@ from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
 from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.ardupilot.feeding.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
-from mavproxy_fault.ardupilot.observation import Seen
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, Channels, actuator_frame
 from mavproxy_fault.ardupilot.preparation import Preparation
+from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 ANSWERS, TELEMETRY = 0, 1  # what goes back, as streams: no frame goes over from one to the other
 
-Answer = Callable[[int, bytes], None]
+ReplyHandler = Callable[[int, bytes], None]
 
 
 class Bridge:
@@ -44,8 +44,8 @@ class Bridge:
 
     def __init__(
         self,
-        answer: Answer,
-        seen: Seen,
+        answer: ReplyHandler,
+        seen: DiscoveredVehicle,
         ports: tuple[Datagrams, Datagrams, SensorPort],
         channels: Channels,
         say: Callable[[str], None],

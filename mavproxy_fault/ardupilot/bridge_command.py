@@ -14,17 +14,17 @@ from typing import Protocol
 
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
-from mavproxy_fault.ardupilot.child_process import ending
-from mavproxy_fault.ardupilot.parameters import Kind, check
+from mavproxy_fault.ardupilot.child_process import describe_exit
+from mavproxy_fault.ardupilot.parameters import VehicleKind, check_parameter_file
 from mavproxy_fault.ardupilot.wired_autopilot import WiredAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.links.spec import open_link
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-MAV_TYPES: dict[Kind, int] = {"copter": 2, "plane": 1}
+MAV_TYPES: dict[VehicleKind, int] = {"copter": 2, "plane": 1}
 ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
 WAIT_S = 0.5  # between looks at both sides
 SILENCE_S = 5.0  # without a step, after which it is told
@@ -37,31 +37,31 @@ class FlightEndError(RuntimeError):
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed, or the
     program by a failure of its own."""
-    check_lines(args)
+    check_connection_options(args)
     words = [] if args.binary is None else check_command(args.binary)
-    own = checked_parameters(args.parameters)
+    own = user_parameter_files(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
-        autopilot: Autopilot
+        autopilot: BridgeAutopilot
         if words:
             folder = Path(args.out)
-            autopilot = BridgedAutopilot(words, args.vehicle, folder, own, say, link.name)
+            autopilot = BridgedAutopilot(words, args.vehicle, folder, own, print_status, link.name)
         else:
             lines = open_link(args.vectornav), open_link(args.mavlink)
-            autopilot = WiredAutopilot(*lines, args.vehicle, say, link.name)
+            autopilot = WiredAutopilot(*lines, args.vehicle, print_status, link.name)
         stack.callback(autopilot.close)
         try:
-            say(f"{link.name}: waiting for the simulator")
-            Exchange(link, autopilot, say).run(hello(args.vehicle))
+            print_status(f"{link.name}: waiting for the simulator")
+            BridgeLoop(link, autopilot, print_status).run(hello_heartbeat(args.vehicle))
         except FlightEndError as end:
-            say(str(end))
+            print_status(str(end))
             return int(autopilot.armed or bool(autopilot.poll()))
         except KeyboardInterrupt:
-            say("stopped")
+            print_status("stopped")
     return 0
 
 
-def check_lines(args: argparse.Namespace) -> None:
+def check_connection_options(args: argparse.Namespace) -> None:
     """Refuse half a board, and a board beside a program.
 
     Raises
@@ -80,7 +80,7 @@ def check_lines(args: argparse.Namespace) -> None:
         )
 
 
-class Autopilot(Protocol):
+class BridgeAutopilot(Protocol):
     """What the exchange needs of ArduPilot, whether a program or a board."""
 
     @property
@@ -98,13 +98,13 @@ class Autopilot(Protocol):
     def close(self) -> None: ...
 
 
-class Exchange:
+class BridgeLoop:
     """Carries frames between a HIL link and the autopilot until either goes away."""
 
     def __init__(
         self,
         link: Link,
-        autopilot: Autopilot,
+        autopilot: BridgeAutopilot,
         say: Callable[[str], None],
         silence_s: float = SILENCE_S,
     ) -> None:
@@ -140,7 +140,7 @@ class Exchange:
                 if not autopilot.started and link.peer_count:
                     link.write(word)
                 if (code := autopilot.poll()) is not None:
-                    raise self._ended(f"the autopilot's program ended {ending(code)}")
+                    raise self._ended(f"the autopilot's program ended {describe_exit(code)}")
                 self._watch_silence(now_s)
 
     def _watch_silence(self, now_s: float) -> None:
@@ -158,13 +158,13 @@ class Exchange:
         return FlightEndError(f"{reason} at {at_s:.3f} s of vehicle time{flying}")
 
 
-def hello(kind: Kind) -> bytes:
+def hello_heartbeat(kind: VehicleKind) -> bytes:
     """The bridge's first word."""
     values = {"type": MAV_TYPES[kind], "autopilot": ARDUPILOT, "mavlink_version": 3}
-    return build(known("HEARTBEAT"), values)
+    return build_frame(message_layout("HEARTBEAT"), values)
 
 
-def checked_parameters(file: str | None) -> list[Path]:
+def user_parameter_files(file: str | None) -> list[Path]:
     """The user's parameter file, if there is one and it keeps the truth from the estimator."""
     if file is None:
         return []
@@ -172,10 +172,10 @@ def checked_parameters(file: str | None) -> list[Path]:
         lines = Path(file).read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read ({error}); give a parameter file") from None
-    check(lines, file)
+    check_parameter_file(lines, file)
     return [Path(file)]
 
 
-def say(text: str) -> None:
+def print_status(text: str) -> None:
     """A line to the person in front of the bridge."""
     print(text, file=sys.stderr, flush=True)

@@ -6,19 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mavproxy_fault.ardupilot.autopilot_process import PARAMETERS, Ports, start
+from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, Ports, start_process
 from mavproxy_fault.ardupilot.bridge import Bridge
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.child_process import ending
-from mavproxy_fault.ardupilot.observation import Observation, Seen
+from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.ardupilot.outputs import motor_channels, plane_channels
-from mavproxy_fault.ardupilot.parameters import Kind, file_text, parameters
+from mavproxy_fault.ardupilot.parameters import VehicleKind, bridge_parameters, parameter_file_text
+from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle, SensorDiscovery
 from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 CHANNELS = {"copter": motor_channels, "plane": plane_channels}
-LOOK_S = 0.5  # between looks at the program
+POLL_S = 0.5  # between looks at the program
 END_S = 3.0  # for the autopilot to close its log
 
 
@@ -47,7 +47,7 @@ class BridgedAutopilot:
     def __init__(
         self,
         words: Sequence[str],
-        vehicle: Kind,
+        vehicle: VehicleKind,
         folder: Path,
         own: Sequence[Path],
         say: Callable[[str], None],
@@ -60,7 +60,7 @@ class BridgedAutopilot:
         self._words, self._vehicle, self._own = list(words), vehicle, list(own)
         self._folder, self._say = folder, say
         self._process: subprocess.Popen[bytes] | None = None
-        self._observation = Observation(hil)
+        self._observation = SensorDiscovery(hil)
         self._ports = Datagrams(), Datagrams(), SensorPort()
         self._serve: dict[int, Callable[[], None]] = {}
         self._epoll = select.epoll()
@@ -94,10 +94,10 @@ class BridgedAutopilot:
         """1 until the program has ended."""
         # Asked at each step: the system is asked twice a second.
         if (now_s := time.monotonic()) >= self._look_s:
-            self._look_s = now_s + LOOK_S
+            self._look_s = now_s + POLL_S
             if not self._gone and (code := self.poll()) is not None:
                 self._gone = True
-                self._say(f"the autopilot's program ended {ending(code)}")
+                self._say(f"the autopilot's program ended {describe_exit(code)}")
         return int(not self._gone)
 
     def poll(self) -> int | None:
@@ -151,14 +151,16 @@ class BridgedAutopilot:
         answers, self._answers = self._answers, []
         return answers
 
-    def _start(self, seen: Seen) -> None:
+    def _start(self, seen: DiscoveredVehicle) -> None:
         # Later files win: the user's stand behind the bridge's.
-        file = self._folder / PARAMETERS
-        file.write_text(file_text(parameters(self._vehicle, seen.fitted)))
+        file = self._folder / PARAMETER_FILE
+        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, seen.fitted)))
         rate_hz = seen.fitted.rate_hz
         self._say(f"{self._words[0]}: starting in {self._folder}, {rate_hz:g} steps a second")
         ports = Ports(*(port.port for port in self._ports))
-        self._process = start(self._words, self._folder, ports, seen.home, [file, *self._own])
+        self._process = start_process(
+            self._words, self._folder, ports, seen.home, [file, *self._own]
+        )
         channels = CHANNELS[self._vehicle]
         self._bridge = Bridge(self._answer, seen, self._ports, channels, self._say)
         self._serve = self._bridge.descriptors()
@@ -172,13 +174,13 @@ class BridgedAutopilot:
         """End the program: it closes its log while it is still given physics."""
         # Refused before it was started: nothing runs yet.
         if self._process is not None and self._bridge is not None:
-            end(self._process, self._bridge)
+            end_process(self._process, self._bridge)
         for port in self._ports:
             port.close()
         self._epoll.close()
 
 
-def end(process: "subprocess.Popen[bytes]", bridge: Bridge) -> None:
+def end_process(process: "subprocess.Popen[bytes]", bridge: Bridge) -> None:
     """Ask it to end, and end it."""
     process.terminate()
     until_s = time.monotonic() + END_S

@@ -18,6 +18,6 @@ def die_with_parent() -> None:
         os._exit(1)
 
 
-def ending(code: int) -> str:
+def describe_exit(code: int) -> str:
     """How a program ended."""
     return f"with exit code {code}" if code >= 0 else f"by signal {-code}"

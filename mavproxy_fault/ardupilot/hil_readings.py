@@ -24,7 +24,7 @@ _TRUTH = struct.Struct("<Q4f3f3i3h")
 Triple = tuple[float, float, float]
 
 
-class Imu(NamedTuple):
+class HilImu(NamedTuple):
     """One HIL_SENSOR."""
 
     accel_b_mps2: Triple
@@ -35,7 +35,7 @@ class Imu(NamedTuple):
     temperature_c: float
 
 
-class Battery(NamedTuple):
+class HilBattery(NamedTuple):
     """One BATTERY_STATUS."""
 
     voltage_v: float
@@ -77,9 +77,9 @@ class Readings:
     """
 
     def __init__(self) -> None:
-        self.imus: dict[int, Imu] = {}
+        self.imus: dict[int, HilImu] = {}
         self.truth: TrueState | None = None
-        self.battery: Battery | None = None
+        self.battery: HilBattery | None = None
         self.fresh_imu = False
         self.fixes: list[Frame] = []
         self.updated = 0
@@ -97,7 +97,7 @@ class Readings:
         elif name == "HIL_GPS":
             self.fixes.append(frame)
         elif name == "BATTERY_STATUS":
-            self.battery = battery(frame) or self.battery
+            self.battery = read_battery(frame) or self.battery
         elif name == "HIL_STATE_QUATERNION":
             t_us, w, x, y, z, _, _, _, lat, lon, alt, vx, vy, vz = _TRUTH.unpack_from(
                 frame.payload.ljust(_TRUTH.size, b"\0")
@@ -111,7 +111,7 @@ class Readings:
         # MAVLink 2 cuts trailing zeros off a payload.
         _, *values, updated, number = _SENSOR.unpack(frame.payload.ljust(_SENSOR.size, b"\0"))
         ax, ay, az, p, q, r, mx, my, mz, pressure, diff_pressure, _, temperature_c = values
-        self.imus[number] = Imu(
+        self.imus[number] = HilImu(
             (ax, ay, az),
             (p, q, r),
             (mx, my, mz),
@@ -123,17 +123,17 @@ class Readings:
         self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL
 
 
-def battery(frame: Frame) -> Battery | None:
+def read_battery(frame: Frame) -> HilBattery | None:
     """What a BATTERY_STATUS of the first battery tells; None where it has no voltage or current."""
     cells_mv = [frame.number("voltages", cell) for cell in range(CELLS)]
     known_mv = [voltage_mv for voltage_mv in cells_mv if voltage_mv != NO_CELL]
     current_ca = frame.number("current_battery")  # in 0.01 A, -1 where it is not measured
     if frame.number("id") != ID_BATTERY or not known_mv or current_ca == -1:
         return None
-    return Battery(sum(known_mv) / MV_PER_V, current_ca * 0.01)
+    return HilBattery(sum(known_mv) / MV_PER_V, current_ca * 0.01)
 
 
-def true_airspeed(imu: Imu) -> float:
+def true_airspeed(imu: HilImu) -> float:
     """True airspeed in m/s from a pitot tube's pressure and the air's density around it."""
     density_kgpm3 = imu.pressure_pa / (AIR_J_PER_KG_K * (imu.temperature_c + ZERO_CELSIUS_K))
     if not density_kgpm3 > 0.0:

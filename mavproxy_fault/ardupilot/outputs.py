@@ -7,10 +7,10 @@ rear right. A plane's first four outputs are aileron, elevator, throttle and rud
 import struct
 from collections.abc import Callable, Sequence
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import framed
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import frame_payload
 
-HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
+HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 CHANNELS = 16
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER: ArduPilot counts its own frames as component 1
 MODE_ENABLED, MODE_ARMED = 1, 128  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _SAFETY_ARMED
@@ -24,7 +24,7 @@ _PAYLOAD = struct.Struct("<QQ16fB")
 
 def motor_channels(pwm_us: Sequence[int]) -> list[float]:
     """Every output as a motor: 0 at 1000 us, 1 at 2000 us."""
-    return [throttle(pwm) for pwm in pwm_us[:CHANNELS]]
+    return [throttle_fraction(pwm) for pwm in pwm_us[:CHANNELS]]
 
 
 def plane_channels(pwm_us: Sequence[int]) -> list[float]:
@@ -33,21 +33,21 @@ def plane_channels(pwm_us: Sequence[int]) -> list[float]:
     Positive channels turn a trailing edge up or to the right, and so do ArduPilot's outputs above
     1500 us for elevator and rudder; its aileron there rolls to the right.
     """
-    roll, pitch, yaw = (surface(pwm_us[output]) for output in (0, 1, 3))
+    roll, pitch, yaw = (surface_fraction(pwm_us[output]) for output in (0, 1, 3))
     channels = [0.0] * CHANNELS
     channels[RUDDER] = yaw
-    channels[THROTTLE] = throttle(pwm_us[2])
+    channels[THROTTLE] = throttle_fraction(pwm_us[2])
     channels[LEFT_AILERON], channels[RIGHT_AILERON] = -roll, roll
     channels[ELEVATOR] = pitch
     return channels
 
 
-def throttle(pwm_us: int) -> float:
+def throttle_fraction(pwm_us: int) -> float:
     """0 to 1."""
     return min(max((pwm_us - LOW_US) / SPAN_US, 0.0), 1.0)
 
 
-def surface(pwm_us: int) -> float:
+def surface_fraction(pwm_us: int) -> float:
     """-1 to 1; an output that is not in use (0 us) stands in the middle."""
     return min(max((pwm_us - MIDDLE_US) / (SPAN_US / 2), -1.0), 1.0) if pwm_us else 0.0
 
@@ -58,4 +58,6 @@ def actuator_frame(
     """The answer to the step of this stamp."""
     mode = MODE_ENABLED | (MODE_ARMED if armed else 0)
     payload = _PAYLOAD.pack(stamp_us, FLAG_LOCKSTEP, *channels, mode)
-    return framed(HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=COMPONENT)
+    return frame_payload(
+        HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=COMPONENT
+    )

@@ -12,8 +12,8 @@ from typing import Literal
 from mavproxy_fault.ardupilot.feeding.optical_flow import SCALER
 from mavproxy_fault.documents.errors import ConfigError
 
-Kind = Literal["copter", "plane"]
-KINDS: tuple[Kind, ...] = ("copter", "plane")
+VehicleKind = Literal["copter", "plane"]
+VEHICLE_KINDS: tuple[VehicleKind, ...] = ("copter", "plane")
 EAHRS_ALL = 15  # EAHRS_SENSORS: GPS, IMU, barometer, compass
 LOOP_HZ = {"copter": 400, "plane": 100}
 
@@ -47,7 +47,7 @@ SENSORS = {
     "SR0_EXT_STAT": 2,
     "SR0_EXTRA3": 2,
 }
-KIND_PARAMETERS: dict[Kind, dict[str, float]] = {
+KIND_PARAMETERS: dict[VehicleKind, dict[str, float]] = {
     "copter": {
         "FRAME_CLASS": 1,
         "FRAME_TYPE": 1,  # X
@@ -79,7 +79,7 @@ KIND_PARAMETERS: dict[Kind, dict[str, float]] = {
         **{f"SERVO{output}_TRIM": 1500 for output in (1, 2, 4)},
     },
 }
-FIXED = {  # a file of the user's must not change these
+FIXED_PARAMETERS = {  # a file of the user's must not change these
     "AHRS_EKF_TYPE": "3; others do not estimate from the sensors that faults act on",
     "EAHRS_TYPE": "1, the VectorNav that the bridge is",
     "EAHRS_SENSORS": f"{EAHRS_ALL}; what is missing would come from the truth",
@@ -89,7 +89,7 @@ FIXED = {  # a file of the user's must not change these
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class AvailableSensors:
     """What the HIL link showed: sensors beyond the first, and the rate of steps."""
 
     rate_hz: float
@@ -100,7 +100,7 @@ class Fitted:
     vision: bool = False
 
 
-def parameters(kind: Kind, fitted: Fitted) -> dict[str, float]:
+def bridge_parameters(kind: VehicleKind, fitted: AvailableSensors) -> dict[str, float]:
     """Every parameter that the bridge sets."""
     found: dict[str, float] = {**SENSORS, **KIND_PARAMETERS[kind]}
     found["SIM_RATE_HZ"] = round(fitted.rate_hz)
@@ -119,12 +119,12 @@ def parameters(kind: Kind, fitted: Fitted) -> dict[str, float]:
     return found
 
 
-def file_text(values: dict[str, float]) -> str:
+def parameter_file_text(values: dict[str, float]) -> str:
     """A parameter file."""
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
 
 
-def check(lines: Iterable[str], where: str) -> None:
+def check_parameter_file(lines: Iterable[str], where: str) -> None:
     """Refuse a user's parameter file that would let the truth reach the estimator.
 
     Raises
@@ -134,10 +134,11 @@ def check(lines: Iterable[str], where: str) -> None:
     """
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].replace(",", " ").split()
-        if len(words) < 2 or words[0] not in FIXED:
+        if len(words) < 2 or words[0] not in FIXED_PARAMETERS:
             continue
         name, text = words[:2]
         if text not in (str(SENSORS[name]), f"{SENSORS[name]}.0"):
             raise ConfigError(
-                f"{where}:{number}: {name} = {text} is not for the bridge; it must be {FIXED[name]}"
+                f"{where}:{number}: {name} = {text} is not for the bridge; "
+                f"it must be {FIXED_PARAMETERS[name]}"
             )

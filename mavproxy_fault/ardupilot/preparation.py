@@ -10,12 +10,15 @@ from dataclasses import dataclass
 from mavproxy_fault.ardupilot.hil_readings import TrueState
 from mavproxy_fault.ardupilot.outputs import COMPONENT
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-COMMAND_LONG, PARAM_REQUEST_READ = known("COMMAND_LONG"), known("PARAM_REQUEST_READ")
+COMMAND_LONG, PARAM_REQUEST_READ = (
+    message_layout("COMMAND_LONG"),
+    message_layout("PARAM_REQUEST_READ"),
+)
 PREFLIGHT_CALIBRATION, SET_MESSAGE_INTERVAL, FIXED_MAG_CAL_YAW = 241, 511, 42006  # MAV_CMD_
-STREAMS_US = {  # of a board, which tells nothing by itself: 6 kB/s
+STREAM_INTERVALS_US = {  # of a board, which tells nothing by itself: 6 kB/s
     "SERVO_OUTPUT_RAW": 10_000.0,
     "GLOBAL_POSITION_INT": 200_000.0,
     "ATTITUDE": 100_000.0,
@@ -23,13 +26,13 @@ STREAMS_US = {  # of a board, which tells nothing by itself: 6 kB/s
 }
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
-AGAIN_US = 1_000_000
+REPEAT_US = 1_000_000
 
-REQUIRED = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
+REQUIRED_PARAMETERS = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class SetupRequest:
     """One frame to ArduPilot, and how its answer is known."""
 
     name: str
@@ -48,8 +51,13 @@ class Preparation:
         What is asked before all.
     """
 
-    def __init__(self, at_rest: TrueState, first: Sequence[Request] = ()) -> None:
-        self._pending = [*first, *map(_read_back, REQUIRED), _accelerometer(), _compass(at_rest)]
+    def __init__(self, at_rest: TrueState, first: Sequence[SetupRequest] = ()) -> None:
+        self._pending = [
+            *first,
+            *map(_read_back, REQUIRED_PARAMETERS),
+            _accelerometer(),
+            _compass(at_rest),
+        ]
         self._again_us = 0
 
     @property
@@ -61,7 +69,7 @@ class Preparation:
         """The frame to send now, if any."""
         if not self._pending or t_us < self._again_us:
             return None
-        self._again_us = t_us + AGAIN_US
+        self._again_us = t_us + REPEAT_US
         return self._pending[0].raw
 
     def received(self, frame: Frame) -> None:
@@ -71,7 +79,7 @@ class Preparation:
             self._again_us = 0
 
 
-def _read_back(name: str) -> Request:
+def _read_back(name: str) -> SetupRequest:
     """ArduPilot's value of a parameter, which must be the bridge's.
 
     The answer raises ConfigError where it is another.
@@ -81,10 +89,10 @@ def _read_back(name: str) -> Request:
         if frame.layout.name != "PARAM_VALUE" or frame.read("param_id") != name.encode():
             return False
         value = frame.number("param_value")
-        if value != REQUIRED[name]:
+        if value != REQUIRED_PARAMETERS[name]:
             raise ConfigError(
                 f"{name}: ArduPilot flies with {value:g}, which does not fly on the bridge's "
-                f"sensors; it must be {REQUIRED[name]:g}"
+                f"sensors; it must be {REQUIRED_PARAMETERS[name]:g}"
             )
         return True
 
@@ -94,27 +102,29 @@ def _read_back(name: str) -> Request:
         "target_system": 1,
         "target_component": 1,
     }
-    return Request(name, build(PARAM_REQUEST_READ, values, component=COMPONENT), answered)
+    return SetupRequest(
+        name, build_frame(PARAM_REQUEST_READ, values, component=COMPONENT), answered
+    )
 
 
-def streams() -> list[Request]:
+def stream_requests() -> list[SetupRequest]:
     """Outputs, which a board has no other way to tell, and what conditions and reports look at."""
     return [
         _command(
             f"stream of {name}",
             SET_MESSAGE_INTERVAL,
-            {"param1": float(known(name).id), "param2": interval_us},
+            {"param1": float(message_layout(name).id), "param2": interval_us},
         )
-        for name, interval_us in STREAMS_US.items()
+        for name, interval_us in STREAM_INTERVALS_US.items()
     ]
 
 
-def _accelerometer() -> Request:
+def _accelerometer() -> SetupRequest:
     values = {"param5": SIMPLE_ACCEL}
     return _command("accelerometer calibration", PREFLIGHT_CALIBRATION, values)
 
 
-def _compass(at_rest: TrueState) -> Request:
+def _compass(at_rest: TrueState) -> SetupRequest:
     values = {
         "param1": at_rest.yaw_deg,
         "param3": at_rest.lat_e7 * 1e-7,
@@ -123,7 +133,7 @@ def _compass(at_rest: TrueState) -> Request:
     return _command("compass calibration", FIXED_MAG_CAL_YAW, values)
 
 
-def _command(name: str, number: int, parameters: dict[str, float]) -> Request:
+def _command(name: str, number: int, parameters: dict[str, float]) -> SetupRequest:
     def answered(frame: Frame) -> bool:
         return (
             frame.layout.name == "COMMAND_ACK"
@@ -132,4 +142,4 @@ def _command(name: str, number: int, parameters: dict[str, float]) -> Request:
         )
 
     values = {"command": number, "target_system": 1, "target_component": 1, **parameters}
-    return Request(name, build(COMMAND_LONG, values, component=COMPONENT), answered)
+    return SetupRequest(name, build_frame(COMMAND_LONG, values, component=COMPONENT), answered)

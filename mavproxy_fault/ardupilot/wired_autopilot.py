@@ -11,11 +11,11 @@ from mavproxy_fault.ardupilot.bridge_ports import SensorPort
 from mavproxy_fault.ardupilot.bridged_autopilot import CHANNELS
 from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
-from mavproxy_fault.ardupilot.observation import Observation, Seen
 from mavproxy_fault.ardupilot.outputs import CHANNELS as OUTPUTS
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, actuator_frame
-from mavproxy_fault.ardupilot.parameters import Kind
-from mavproxy_fault.ardupilot.preparation import Preparation, streams
+from mavproxy_fault.ardupilot.parameters import VehicleKind
+from mavproxy_fault.ardupilot.preparation import Preparation, stream_requests
+from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle, SensorDiscovery
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link, LinkCounters
 from mavproxy_fault.wire.frame import Frame
@@ -41,7 +41,12 @@ class WiredAutopilot:
     datagrams = False
 
     def __init__(
-        self, vectornav: Link, mavlink: Link, vehicle: Kind, say: Callable[[str], None], hil: str
+        self,
+        vectornav: Link,
+        mavlink: Link,
+        vehicle: VehicleKind,
+        say: Callable[[str], None],
+        hil: str,
     ) -> None:
         self.name = "ArduPilot"
         self.counters = LinkCounters(bytes_in=1)
@@ -50,8 +55,8 @@ class WiredAutopilot:
         self._sensor, self._mavlink = SensorPort(vectornav), mavlink
         self._inbox = Inbox(mavlink)
         self._channels, self._say = CHANNELS[vehicle], say
-        self._observation = Observation(hil)
-        self._seen: Seen | None = None
+        self._observation = SensorDiscovery(hil)
+        self._seen: DiscoveredVehicle | None = None
         self._answers: list[Chunk] = []
         # Both kinds of link have a descriptor of their own that stays while devices come and go.
         self._seq = 0
@@ -92,14 +97,14 @@ class WiredAutopilot:
         elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
-    def _start(self, seen: Seen) -> None:
+    def _start(self, seen: DiscoveredVehicle) -> None:
         self._seen = seen
         self._feed = SensorFeed(seen.home)
         self._companion = CompanionFeed()
-        self._preparation = Preparation(seen.home, streams())
+        self._preparation = Preparation(seen.home, stream_requests())
         self._say(f"feeding the board, {seen.fitted.rate_hz:g} steps a second")
 
-    def _end_step(self, seen: Seen) -> None:
+    def _end_step(self, seen: DiscoveredVehicle) -> None:
         truth = seen.readings.truth
         if truth is None:
             return

@@ -9,10 +9,10 @@ from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.tables import Tables
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.proxy.statistics import Latencies
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.statistics import LatencyHistogram
 
 POLLIN = 1
 
@@ -24,10 +24,10 @@ class Forwarder(Tables):
         self,
         links: Sequence[Link],
         core: Core,
-        latencies: Sequence[Latencies],
+        latencies: Sequence[LatencyHistogram],
         base_ns: int,
         *,
-        tape: Tape | None = None,
+        tape: CaptureBuffer | None = None,
         waited: Sequence[int] = (),
     ) -> None:
         descriptors = [*(link.filenos()[0] for link in links), *waited]

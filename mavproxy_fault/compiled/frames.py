@@ -15,14 +15,14 @@ from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.patches import draws_for, little, patch
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
-from mavproxy_fault.proxy.sender_rules import BEYOND_US, UNIX_FROM_US
-from mavproxy_fault.wire.framing import header, verified
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US
+from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the interpreted way, as machine code
 vehicle_time = kernel(sender_rules.vehicle_time)
 missing_before = kernel(sender_rules.missing_before)
-addressee = kernel(sender_rules.addressee)
-links_towards = kernel(sender_rules.links_towards)
+addressee = kernel(sender_rules.read_target)
+links_towards = kernel(sender_rules.select_links)
 
 
 @kernel
@@ -41,8 +41,8 @@ def stamp(payload: int, size: int, number: int, shared: Shared) -> int:
     length = min(entry[k.STAMP_SIZE], size - entry[k.STAMP_AT])
     count = little(shared.data, payload + entry[k.STAMP_AT], length)
     # Eight bytes may make a negative number, or one that is too large to be scaled.
-    found = count * entry[k.STAMP_SCALE] if 0 <= count < BEYOND_US else i64(0)
-    return found if found < BEYOND_US else i64(0)
+    found = count * entry[k.STAMP_SCALE] if 0 <= count < MAX_STAMP_US else i64(0)
+    return found if found < MAX_STAMP_US else i64(0)
 
 
 @kernel
@@ -61,17 +61,17 @@ def _time(sender: int, stamp_us: int, now_us: int, shared: Shared) -> int:
     if stamp_us:
         if senders[cells.T0] == cells.UNKNOWN:
             return i64(cells.UNKNOWN)
-        clock = sender << 1 | (1 if stamp_us >= UNIX_FROM_US else 0)
-        _note(cells.SHIFT + clock, shared)
-        _note(cells.NEWEST + clock, shared)
-        _note(cells.HEARD_AT + clock, shared)
-        _note(cells.SUSPECT + clock, shared)
+        clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
+        _note(cells.CLOCK_OFFSET + clock, shared)
+        _note(cells.NEWEST_STAMP + clock, shared)
+        _note(cells.LAST_HEARD + clock, shared)
+        _note(cells.CANDIDATE_STAMP + clock, shared)
         _note(cells.SYSTEM_TIME + (sender >> 8), shared)
-        _note(i64(cells.NOW), shared)
-        _note(i64(cells.DOUBTED), shared)
-    doubted = senders[cells.DOUBTED]
+        _note(i64(cells.NEWEST_TIME), shared)
+        _note(i64(cells.UNCONFIRMED), shared)
+    doubted = senders[cells.UNCONFIRMED]
     t_us = vehicle_time(senders, sender, stamp_us, now_us)
-    return t_us if senders[cells.DOUBTED] == doubted else i64(cells.UNKNOWN)
+    return t_us if senders[cells.UNCONFIRMED] == doubted else i64(cells.UNKNOWN)
 
 
 @kernel
@@ -87,7 +87,7 @@ def _links_of_frame(at: int, head: int, number: int, link: int, now_us: int, sha
     entry = shared.table[number]
     if entry[k.KIND] == k.INTERPRETED or loop[k.FRAME_COUNT] == k.MOST_FRAMES:
         return -1
-    if not verified(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
+    if not has_valid_checksum(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
         return -1
     t_us = _time(sender, stamp(payload, size, number, shared), now_us, shared)
     if t_us == cells.UNKNOWN or (entry[k.KIND] != k.PASS and t_us >= loop[k.EDGE]):
@@ -117,7 +117,7 @@ def links_of(start: int, length: int, link: int, now_us: int, shared: Shared) ->
     at, end = start, start + length
     mask = i64(-1)
     while at < end:
-        head, number, stop = header(shared.data.ctypes.data, end, at)
+        head, number, stop = frame_header(shared.data.ctypes.data, end, at)
         found = i64(-1)
         if head:
             found = _links_of_frame(at, head, number, link, now_us, shared)
@@ -158,15 +158,15 @@ def step(start: int, length: int, link: int, mask: int, now_us: int, shared: Sha
     loop, data, senders, ports = shared.loop, shared.data, shared.senders, shared.ports
     at, frame = start, 0
     while at < start + length:
-        head, number, stop = header(data.ctypes.data, start + length, at)
+        head, number, stop = frame_header(data.ctypes.data, start + length, at)
         sender, size = sender_of(at, head, shared), i64(data[at + 1])
         entry, t_us = shared.table[number], shared.times[frame]
         ports[link, k.FRAMES] += 1
         seq = i64(data[at + (4 if head == 10 else 2)])
         ports[link, k.MISSING] += missing_before(senders, sender, seq)
         if ports[link, k.FROM_VEHICLE]:
-            senders[cells.SPEAKER] = sender >> 8
-        senders[cells.LEAD] = now_us - t_us
+            senders[cells.VEHICLE_SYSTEM] = sender >> 8
+        senders[cells.WALL_OFFSET] = now_us - t_us
         if loop[k.KEEP]:
             _record_received(link, now_us, at, stop - at, shared)
         if entry[k.KIND] != k.PASS:

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled import object_file
 from mavproxy_fault.compiled.tables import Tables
-from mavproxy_fault.faults.noise_fault import Noise
+from mavproxy_fault.faults.noise_fault import NoiseFault
 from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, STX_V2
 
 CRC_LENGTH = 2
@@ -30,7 +30,7 @@ class Passage(Tables):
     anything or asked for its labels.
     """
 
-    def __init__(self, core: Core, tape: Tape) -> None:
+    def __init__(self, core: Core, tape: CaptureBuffer) -> None:
         super().__init__(core, 0, tape)
         self.loop[k.COMPILED_LINKS] = (1 << len(core.links)) - 1
         self._data = self._arrays["data"]
@@ -98,7 +98,7 @@ class Passage(Tables):
         engine: Any = self._core.engine
         acting = () if engine is None or engine.t0_us is None else engine.acting(number) or ()
         # Numbers drawn ahead for one datagram cost more than the noise of it.
-        if any(isinstance(running.fault, Noise) for running in acting):
+        if any(isinstance(running.fault, NoiseFault) for running in acting):
             return k.INTERPRETED, -1
         return super()._way(number)
 
@@ -114,9 +114,9 @@ def split(data: bytes) -> list[bytes]:
     return found
 
 
-def new_passage(core: Core, tape: Tape) -> Passage | None:
+def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:
     """A passage, whose machine code is made where there is none yet; None where it cannot be."""
-    if not datagram_batch.BATCHES:
+    if not datagram_batch.HAS_RECVMMSG:
         return None
     if object_file.load() is None:
         print("first use: machine code is being made, once, which takes up to a minute",

@@ -15,7 +15,7 @@ from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.kernel import i64, kernel
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.wire.frame import FLOAT_MAX
-from mavproxy_fault.wire.framing import crc
+from mavproxy_fault.wire.framing import range_crc
 
 
 @kernel
@@ -235,7 +235,7 @@ def patch(at: int, head: int, size: int, number: int, link: int, t_us: int, shar
         first = plans[first, k.NEXT]
     if changed:
         tail, base = at + head + size, data.ctypes.data
-        checksum = crc(base + at + 1, base + tail, np.uint64(entry[k.EXTRA]), shared.crc)
+        checksum = range_crc(base + at + 1, base + tail, np.uint64(entry[k.EXTRA]), shared.crc)
         data[tail] = checksum & np.uint64(0xFF)
         data[tail + 1] = checksum >> np.uint64(8)
     return changed

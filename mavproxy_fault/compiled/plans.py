@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.fault_parts.value_fault import each
-from mavproxy_fault.faults.driven import Bias, Constant, Drift, Driven, Scale
+from mavproxy_fault.fault_parts.value_fault import broadcast_values
 from mavproxy_fault.faults.freeze import Freeze
-from mavproxy_fault.faults.noise_fault import Noise
-from mavproxy_fault.proxy.active_entry import Running
+from mavproxy_fault.faults.noise_fault import NoiseFault
+from mavproxy_fault.faults.profile_faults import Bias, Constant, Drift, ProfileFault, Scale
+from mavproxy_fault.proxy.active_entry import ActiveEntry
 from mavproxy_fault.wire.dialect import Layout
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
 WAYS = {"to-vehicle": 0, "from-vehicle": 1}
 CODES = "bBhHiIfd"  # 64-bit integers do not fit the kernel's arithmetic
-KINDS = (Bias, Scale, Constant, Drift, Noise, Freeze)
+KINDS = (Bias, Scale, Constant, Drift, NoiseFault, Freeze)
 Plan = list[int]  # a row, as it is made
 Numbers = list[list[float]]  # VALUE and LIMIT of each element
 
@@ -36,13 +36,13 @@ class Planned(NamedTuple):
     """A fault of the compiled form: its first row (-1: none yet), and the block it draws from."""
 
     first: int
-    running: Running
+    running: ActiveEntry
     fault: Any
     stage: tuple[bool, int, bool]
     block: int | None = None
 
 
-def stage(running: Running) -> tuple[bool, int, bool]:
+def stage(running: ActiveEntry) -> tuple[bool, int, bool]:
     """How far a fault has come: has it begun, how many states has it, is its news untold."""
     return running.first_us is not None, len(running.states), running.unannounced
 
@@ -50,7 +50,7 @@ def stage(running: Running) -> tuple[bool, int, bool]:
 class DrawnAhead:
     """Stands for a generator whose numbers lie in a block; who asks for it gets it set back."""
 
-    def __init__(self, running: Running, fault: Noise, hits: Any, first: int) -> None:
+    def __init__(self, running: ActiveEntry, fault: NoiseFault, hits: Any, first: int) -> None:
         self._running, self._fault, self._used = running, fault, (hits, first)
         self._rng = running.rng
         self._state = self._rng.bit_generator.state  # where the block begins
@@ -107,7 +107,7 @@ class Plans:
             for one in self._planned
         )
 
-    def add(self, layout: Layout, acting: Sequence[Running]) -> int | None:
+    def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
         """Rows for all faults that act on a message, in turn; the first row, None if one cannot."""
         used = self._rows_used, self._segments_used, self._blocks_used
         found: list[Planned] = []
@@ -134,7 +134,7 @@ class Plans:
         shared = len(set().union(*places)) < sum(len(one) for one in places)
         return shared and any(self.rows[row, k.WAITS] > 0 for row in rows)
 
-    def _one(self, layout: Layout, running: Running) -> Planned:
+    def _one(self, layout: Layout, running: ActiveEntry) -> Planned:
         """Write a fault's rows, where it can be carried out there."""
         fault, where = running.fault, running.entry.where
         elements = fault.elements.get(layout.id, ())
@@ -168,26 +168,28 @@ class Plans:
 
     # What meets the healthy value
 
-    def _source(self, layout: Layout, running: Running, plan: Plan, numbers: Numbers) -> int | None:
+    def _source(
+        self, layout: Layout, running: ActiveEntry, plan: Plan, numbers: Numbers
+    ) -> int | None:
         """Fill in mode, source and numbers; the source stays -1 if the fault cannot be planned."""
         fault, count = running.fault, len(numbers)
         plan[k.MODE] = k.ADD
         if isinstance(fault, Freeze):
             self._frozen(layout, running, plan, numbers)
-        elif isinstance(fault, Noise):
+        elif isinstance(fault, NoiseFault):
             return self._noise(fault, plan, numbers)
         elif isinstance(fault, Drift):
             plan[k.SOURCE] = k.GROWS
-            _fill(numbers, k.VALUE, each(fault.value, count))
+            _fill(numbers, k.VALUE, broadcast_values(fault.value, count))
             _fill(numbers, k.LIMIT, [math.inf if fault.limit is None else fault.limit] * count)
         elif fault.profile is None:
             plan[k.MODE], plan[k.SOURCE] = MODES[fault.mode], k.NUMBER
-            _fill(numbers, k.VALUE, each(fault.value, count))
+            _fill(numbers, k.VALUE, broadcast_values(fault.value, count))
         elif fault.profile.segments is not None:
             self._segments(fault, running, plan, numbers)
         return None
 
-    def _known(self, running: Running, plan: Plan) -> Any:
+    def _known(self, running: ActiveEntry, plan: Plan) -> Any:
         """The fault's state if it has only one; frames of the other direction are handed over."""
         if len(running.states) != 1:
             return None
@@ -195,7 +197,9 @@ class Plans:
         plan[k.KNOWN_WAY] = WAYS[way]
         return state.inner
 
-    def _segments(self, fault: Driven, running: Running, plan: Plan, numbers: Numbers) -> None:
+    def _segments(
+        self, fault: ProfileFault, running: ActiveEntry, plan: Plan, numbers: Numbers
+    ) -> None:
         drawn = self._known(running, plan)
         end = self._segments_used + len(drawn or ())
         if not drawn or end > k.MOST_SEGMENTS:
@@ -209,7 +213,7 @@ class Plans:
         _fill(numbers, k.LIMIT, [math.nan if otherwise is None else otherwise] * len(numbers))
         self._segments_used = end
 
-    def _frozen(self, layout: Layout, running: Running, plan: Plan, numbers: Numbers) -> None:
+    def _frozen(self, layout: Layout, running: ActiveEntry, plan: Plan, numbers: Numbers) -> None:
         """Frozen values of one sender; other senders are handed over."""
         frozen = self._known(running, plan)
         mine = {key: values for key, values in (frozen or {}).items() if key[2] == layout.id}
@@ -227,12 +231,12 @@ class Plans:
         plan[k.MODE], plan[k.SOURCE] = k.REPLACE, k.NUMBER
         _fill(numbers, k.VALUE, values)
 
-    def _noise(self, fault: Noise, plan: Plan, numbers: Numbers) -> int | None:
+    def _noise(self, fault: NoiseFault, plan: Plan, numbers: Numbers) -> int | None:
         block = self._blocks_used
         if block == k.MOST_DRAWN or len(fault.elements) > 1:  # messages share one generator
             return None
         plan[k.SOURCE], plan[k.DRAWS_FROM] = k.DRAWN, block * k.BLOCK
-        _fill(numbers, k.VALUE, each(fault.value, len(numbers)))
+        _fill(numbers, k.VALUE, broadcast_values(fault.value, len(numbers)))
         self._blocks_used += 1
         return block
 
@@ -278,7 +282,7 @@ def _fill(numbers: Numbers, column: int, values: Sequence[float]) -> None:
         row[column] = value
 
 
-def _drawn(fault: Noise, rng: "Generator", count: int) -> Any:
+def _drawn(fault: NoiseFault, rng: "Generator", count: int) -> Any:
     """So many of a noise fault's numbers, before they are scaled; the same one by one."""
     if fault.distribution == "gaussian":
         return rng.standard_normal(count)

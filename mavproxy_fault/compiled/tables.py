@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.object_file import load
+from mavproxy_fault.proxy.capture_buffer import INDEX, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
-from mavproxy_fault.proxy.routing import target_places
-from mavproxy_fault.proxy.tape import INDEX, Tape
-from mavproxy_fault.proxy.vehicle_clock import stamp_place
-from mavproxy_fault.wire.dialect import Layout, layout
+from mavproxy_fault.proxy.routing import target_offsets
+from mavproxy_fault.proxy.vehicle_clock import stamp_location
+from mavproxy_fault.wire.dialect import Layout, find_layout
 
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Tables:
     """Arrays that the machine code works on; `core.senders` is shared with the interpreted way."""
 
-    def __init__(self, core: Core, descriptors: int, tape: Tape | None) -> None:
+    def __init__(self, core: Core, descriptors: int, tape: CaptureBuffer | None) -> None:
         forward = load()
         assert forward is not None
         self._forward = forward
@@ -61,15 +61,15 @@ class Tables:
         number = int.from_bytes(data[7:10], "little") if data[0] == 0xFD else data[5]
         if number in self._learned or number >= k.IDS:
             return
-        described = layout(number)
+        described = find_layout(number)
         if described is not None:
             self._learned[number] = described
             self._describe(number, described)
             self._classify(number)
 
     def _describe(self, number: int, described: Layout) -> None:
-        places = stamp_place(described.name) or (-1, 0, 0)
-        values = (described.crc_extra, *places, *target_places(described.name))
+        places = stamp_location(described.name) or (-1, 0, 0)
+        values = (described.crc_extra, *places, *target_offsets(described.name))
         for column, value in zip(range(k.EXTRA, k.PLAN), values, strict=True):
             self._arrays["table"][number, column] = value
 

@@ -12,8 +12,8 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.documents.yaml_document import Document, Flaw, Lines, Path, spelled
+from mavproxy_fault.documents.suggestion import suggest_known
+from mavproxy_fault.documents.yaml_document import Document, Flaw, Lines, Path, format_path
 
 T = TypeVar("T")
 
@@ -63,7 +63,7 @@ class DocumentCheck:
         line = next((self.lines[path[:n]] for n in range(len(path), -1, -1)
                      if path[:n] in self.lines), 0)  # fmt: skip
         place = f"{self.where}:{line}" if line else self.where
-        self._errors.append((line, f"{place}: {spelled(path)}{' ' if path else ''}{text}"))
+        self._errors.append((line, f"{place}: {format_path(path)}{' ' if path else ''}{text}"))
 
     def finish(self) -> None:
         """Raise all errors, in the order of their lines.
@@ -85,7 +85,7 @@ class DocumentCheck:
         names = list(known)
         for key in data:
             if key not in names:
-                self.wrong((*path, str(key)), f"is unknown; {near(str(key), names)}")
+                self.wrong((*path, str(key)), f"is unknown; {suggest_known(str(key), names)}")
 
     def value(self, data: Any, kind: Any, path: Path) -> Any:
         """One value converted to a type; None with the errors noted if it does not fit."""
@@ -184,7 +184,7 @@ def _misfit(data: Any, kind: Any, error: str) -> str:
              for word in typing.get_args(choice)]  # fmt: skip
     # A fixed set of words: the likely one is suggested.
     if words and isinstance(data, str):
-        return f"is unknown; {near(data, words)}"
+        return f"is unknown; {suggest_known(data, words)}"
     # msgspec ends its text with the path, which is known here already.
     text = error.split(" - at `$")[0]
     return f"does not fit: {text[0].lower()}{text[1:]}"

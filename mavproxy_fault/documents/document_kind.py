@@ -19,7 +19,7 @@ def kind_of(keys: Iterable[str]) -> str | None:
     return next((kind for kind, (own, _) in KINDS.items() if own & given), None)
 
 
-def refuse_others(keys: Iterable[str], known: Iterable[str], where: str, wanted: str) -> None:
+def refuse_other_kinds(keys: Iterable[str], known: Iterable[str], where: str, wanted: str) -> None:
     """Refuse a document of another kind than is wanted, by a key that is not `known` there.
 
     Raises

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 LONGEST = 100  # characters that are looked at: to compare millions takes seconds
 
 
-def near(name: str, known: Iterable[str]) -> str:
+def suggest_known(name: str, known: Iterable[str]) -> str:
     """A sentence about the known names nearest to a wrong one."""
     names = sorted(known)
     if not names:

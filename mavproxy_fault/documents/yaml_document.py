@@ -33,7 +33,7 @@ AMBIGUOUS = re.compile(r"[-+]?0[0-9]+")  # octal for YAML 1.1, decimal for 1.2
 BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 BRACKETED = re.compile(r"\{.*\w\[\d")  # `{target: controls[1]}`, where `[` begins a list
-WORDS = {
+NAMED_SCALARS = {
     "": None, "~": None, "null": None, "Null": None, "NULL": None,
     "true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False,
 }  # fmt: skip
@@ -127,7 +127,7 @@ def write_yaml(data: Any, *, flow: bool | None = False, width: int = 80) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
 
 
-def scalar(text: str) -> Any:
+def parse_scalar(text: str) -> Any:
     """What an unquoted scalar means.
 
     Raises
@@ -135,8 +135,8 @@ def scalar(text: str) -> Any:
     ValueError
         If readers of YAML do not agree on it, or it fits no 64 bits.
     """
-    if text in WORDS:
-        return WORDS[text]
+    if text in NAMED_SCALARS:
+        return NAMED_SCALARS[text]
     # Before `float`: the time to convert grows with the square of the digits.
     if len(text) > MOST_DIGITS and FLOAT.fullmatch(text):
         raise ValueError(f"has {len(text)} digits; at most {MOST_DIGITS} are read")
@@ -242,9 +242,9 @@ class _Builder:
             # A quoted or block scalar is text whatever it looks like.
             if not event.style:
                 try:
-                    value = scalar(event.value)
+                    value = parse_scalar(event.value)
                 except ValueError as error:
-                    self._note(event, path, f"{spelled(path)} {error}".lstrip())
+                    self._note(event, path, f"{format_path(path)} {error}".lstrip())
             self._remember(event.anchor, value, 1)
             return value
         if len(self._open) == DEEPEST:
@@ -287,7 +287,7 @@ def _path_below(parent: _Open | None) -> Path:
     return (*parent.path, parent.key)
 
 
-def spelled(path: Path) -> str:
+def format_path(path: Path) -> str:
     """A path as a person writes it: faults[3].profile.segments[0].rate."""
     text = ""
     for part in path:

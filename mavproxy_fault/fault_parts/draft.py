@@ -12,9 +12,9 @@ from functools import cache
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.fault_parts.elements import Element, element, fitted
+from mavproxy_fault.fault_parts.elements import Element, fit_to_type, locate_element
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.wire.dialect import PACKERS, known
+from mavproxy_fault.wire.dialect import PACKERS, message_layout
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
 
 INFINITE = math.inf
@@ -64,7 +64,7 @@ class Draft:
         value, cut = after[0], False
         # A float within range needs no fitting; that is nearly every value of a fast stream.
         if code != "f" or not -FLOAT_MAX <= value <= FLOAT_MAX:
-            value, cut = fitted(code, value)
+            value, cut = fit_to_type(code, value)
         packer = PACKERS[code]
         packed = packer.pack(value)
         # Read back: the change that a receiver sees, rounding included.
@@ -118,7 +118,7 @@ class Draft:
 
     def sender(self) -> tuple[int, ...]:
         """Who sent it: system, component, message id and instance."""
-        came, instance, value = self.came, instance_of(self.id), 0
+        came, instance, value = self.came, instance_element(self.id), 0
         # Usually instance 0, whose zeros were cut.
         if instance and instance[0].start < self._length:
             number = self.values(instance)[0]
@@ -127,17 +127,17 @@ class Draft:
 
 
 @cache
-def instance_of(message: int) -> tuple[Element, ...]:
+def instance_element(message: int) -> tuple[Element, ...]:
     """The element that tells two sensors of one vehicle apart that send the same message."""
-    layout = known(message)
+    layout = message_layout(message)
     name = layout.instance or ("id" if "id" in layout.fields else "")
-    return (element(layout, name),) if name else ()
+    return (locate_element(layout, name),) if name else ()
 
 
-def rewritten(frame: Frame, t_us: int, values: dict[str, Number]) -> Outgoing:
+def rewrite_fields(frame: Frame, t_us: int, values: dict[str, Number]) -> Outgoing:
     """The frame with other values in some fields that are no arrays."""
     draft = Draft(frame)
-    elements = [element(frame.layout, name) for name in values]
+    elements = [locate_element(frame.layout, name) for name in values]
     step, cut, differs = draft.write(elements, draft.values(elements), list(values.values()))
     if not differs:
         return Outgoing(t_us, frame)

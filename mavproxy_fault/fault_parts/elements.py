@@ -21,14 +21,14 @@ class Element(NamedTuple):
     code: str
 
 
-def element(layout: Layout, name: str, index: int = 0) -> Element:
+def locate_element(layout: Layout, name: str, index: int = 0) -> Element:
     """An element of a message by its field and index."""
     field = layout.fields[name]
     start = field.offset + index * field.size
     return Element(name, index, start, start + field.size, field.code)
 
 
-def fitted(code: str, value: Number) -> tuple[Number, bool]:
+def fit_to_type(code: str, value: Number) -> tuple[Number, bool]:
     """The nearest value that a type can hold, and whether more than rounding was lost."""
     if code == "f":
         if -FLOAT_MAX <= value <= FLOAT_MAX or not math.isfinite(value):

@@ -47,7 +47,7 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return float(rng.normal(*self.normal))
 
 
-class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class LinearSegment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One straight piece; times in seconds from the start of the fault, rate per second."""
 
     at_s: Annotated[float, Meta(ge=-LONGEST_S, le=LONGEST_S)]
@@ -56,7 +56,7 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: float | Draw = 0.0
 
 
-class Sine(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SineProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """offset + amplitude sin(2 pi frequency t + phase)."""
 
     amplitude: float
@@ -73,13 +73,13 @@ class Impulses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width_s: Duration
 
 
-class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class LiveInput(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Values streamed from outside; one older than the time-out is refused."""
 
     timeout_s: Duration = 0.5
 
 
-class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A series from a CSV or Parquet file; times in seconds from the start of the fault."""
 
     file: str
@@ -97,11 +97,11 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """
 
     mode: Mode | None = None
-    segments: tuple[Segment, ...] | None = None
-    sine: Sine | None = None
+    segments: tuple[LinearSegment, ...] | None = None
+    sine: SineProfile | None = None
     impulses: Impulses | None = None
-    table: Table | None = None
-    live: Live | None = None
+    table: SeriesTable | None = None
+    live: LiveInput | None = None
     otherwise: NotFinite | None = None
     compat: Literal["param_gen"] | None = None
     time_sim_s: float | None = None
@@ -115,7 +115,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 raise ValueError("segments is empty; give at least one")
             # Overlaps are judged for our own rule; `param_gen` has a check of its own.
             if self.compat is None:
-                check_apart(self.segments)
+                check_segments(self.segments)
             else:
                 check_param_gen(self.segments, self.time_sim_s)
 
@@ -123,7 +123,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """What the profile remembers: drawn segments, an open table, or the newest live value."""
         if self.segments is not None:
             # Drawn once per start, so that a repeated fault draws anew.
-            return drawn(self.segments, rng)
+            return draw_segments(self.segments, rng)
         if self.table is not None:
             from mavproxy_fault.fault_parts.series import Series
 
@@ -133,7 +133,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def value(self, t_s: float, state: Any) -> float | None:
         """The function at a time, or None where it says nothing and the value stays healthy."""
         if self.segments is not None:
-            found = at(state, t_s, open_left=self.compat is not None)
+            found = piecewise_value(state, t_s, open_left=self.compat is not None)
         elif self.sine is not None:
             wave = self.sine
             found = wave.offset + wave.amplitude * math.sin(
@@ -142,7 +142,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         elif self.impulses is not None:
             train = self.impulses
             # Closed at the start, open at the end: a frame at the very edge belongs to one only.
-            passed_s = since_last(t_s, train.period_s)
+            passed_s = time_since_period(t_s, train.period_s)
             found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
         elif self.table is not None:
             found = state.at(t_s)
@@ -157,7 +157,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 Piece = tuple[float, float, float, float]  # at_s, for_s, start, rate
 
 
-def drawn(segments: Sequence[Segment], rng: "Generator") -> tuple[Piece, ...]:
+def draw_segments(segments: Sequence[LinearSegment], rng: "Generator") -> tuple[Piece, ...]:
     """The segments with every number drawn."""
 
     def number(given: float | Draw) -> float:
@@ -166,7 +166,7 @@ def drawn(segments: Sequence[Segment], rng: "Generator") -> tuple[Piece, ...]:
     return tuple((s.at_s, s.for_s, number(s.start), number(s.rate)) for s in segments)
 
 
-def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
+def piecewise_value(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
     """The piecewise-linear function, None outside its segments.
 
     With `open_left` a piece holds on (at, at + for] as in `param_gen`, else on [at, at + for],
@@ -185,13 +185,13 @@ def at(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | Non
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
 
 
-def since_last(t_s: float, period_s: float) -> float:
+def time_since_period(t_s: float, period_s: float) -> float:
     """Seconds since the last whole period, robust against rounding."""
     # Stamps are sums of steps: just below a multiple of the period is meant to be that multiple.
     return t_s - int((t_s + CLOSE_S) / period_s) * period_s
 
 
-def check_apart(segments: Sequence[Segment]) -> None:
+def check_segments(segments: Sequence[LinearSegment]) -> None:
     """Refuse segments that overlap by more than a microsecond, or end before they start.
 
     Raises
@@ -210,7 +210,7 @@ def check_apart(segments: Sequence[Segment]) -> None:
             )
 
 
-def check_param_gen(segments: Sequence[Segment], time_sim_s: float | None) -> None:
+def check_param_gen(segments: Sequence[LinearSegment], time_sim_s: float | None) -> None:
     """The check of `param_gen`, rounding included: dt must not exceed the gap to the next start.
 
     Raises

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from mavproxy_fault.documents.errors import ConfigError
 
 if TYPE_CHECKING:
-    from mavproxy_fault.fault_parts.profile import Table
+    from mavproxy_fault.fault_parts.profile import SeriesTable
 
 BLOCK_ROWS = 8192
 LOG = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ class Series:
     Before the first row it says nothing; after the last one too.
     """
 
-    def __init__(self, table: "Table") -> None:
+    def __init__(self, table: "SeriesTable") -> None:
         self.table = table
         self._start()
 
@@ -82,7 +82,7 @@ class Series:
         return before[1] + share * (self._values[k] - before[1])
 
 
-def read_blocks(table: "Table") -> Iterator[Block]:
+def read_blocks(table: "SeriesTable") -> Iterator[Block]:
     """The rows of a table, some thousand at a time.
 
     Raises
@@ -104,7 +104,7 @@ def read_blocks(table: "Table") -> Iterator[Block]:
         yield times, values
 
 
-def _csv(table: "Table") -> Iterator[Block]:
+def _csv(table: "SeriesTable") -> Iterator[Block]:
     try:
         with Path(table.file).open(newline="", encoding="utf-8") as file:
             rows = csv.reader(file)
@@ -130,7 +130,7 @@ def _column(names: list[str], name: str, file: str) -> int:
     return names.index(name)
 
 
-def _parquet(table: "Table") -> Iterator[Block]:
+def _parquet(table: "SeriesTable") -> Iterator[Block]:
     import pyarrow.parquet as parquet  # heavy: loaded by those who read such a table
 
     try:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mavproxy_fault.numerics.constants import WGS84_ECCENTRICITY2, WGS84_SEMI_MAJOR_M
-from mavproxy_fault.numerics.rotations.one_rotation import into_body
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
 from mavproxy_fault.wire.frame import Frame, Number
 
 Three = tuple[float, float, float]
@@ -38,7 +38,7 @@ def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float,
     )
 
 
-def position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
+def move_position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
     """New `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
     lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
     # GPS_INPUT may hold a height that is not finite.
@@ -61,9 +61,9 @@ def ground_speed(vn: float, ve: float) -> dict[str, Number]:
     return {"vel": math.hypot(vn, ve) * 100.0, "cog": round(course * 100.0) % 36000}
 
 
-def hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
+def move_hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
     """HIL_GPS: velocity in cm/s, its size and course redone where they were known."""
-    values = position(frame, move, 1000.0)
+    values = move_position(frame, move, 1000.0)
     # A jump without velocity leaves every velocity field byte for byte.
     if not any(move.velocity_mps):
         return values
@@ -75,9 +75,9 @@ def hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
     return values | {k: v for k, v in speed.items() if frame.number(k) != UNKNOWN_U16}
 
 
-def gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
+def move_gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
     """GPS_RAW_INT and GPS2_RAW: velocity only as ground speed and course."""
-    values = position(frame, move, 1000.0)
+    values = move_position(frame, move, 1000.0)
     if "alt_ellipsoid" in frame.layout.fields and frame.number("alt_ellipsoid"):
         values["alt_ellipsoid"] = frame.number("alt_ellipsoid") - move.offset_m[2] * 1000.0
     vel, cog = frame.number("vel"), frame.number("cog")
@@ -91,31 +91,31 @@ def gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
     return values | ground_speed(vn, ve)
 
 
-def gps_input(frame: Frame, move: Move) -> dict[str, Number]:
+def move_gps_input(frame: Frame, move: Move) -> dict[str, Number]:
     """GPS_INPUT: metres and metres per second."""
-    values = position(frame, move, 1.0)
+    values = move_position(frame, move, 1.0)
     for name, change in zip(("vn", "ve", "vd"), move.velocity_mps, strict=True):
         values[name] = frame.number(name) + change
     return values
 
 
-def global_position(frame: Frame, move: Move) -> dict[str, Number]:
+def move_global_position(frame: Frame, move: Move) -> dict[str, Number]:
     """GLOBAL_POSITION_INT: both altitudes in mm, velocity in cm/s."""
-    values = position(frame, move, 1000.0)
+    values = move_position(frame, move, 1000.0)
     values["relative_alt"] = frame.number("relative_alt") - move.offset_m[2] * 1000.0
     for name, change in zip(("vx", "vy", "vz"), move.velocity_mps, strict=True):
         values[name] = frame.number(name) + change * 100.0
     return values
 
 
-def local_position(frame: Frame, move: Move) -> dict[str, Number]:
+def move_local_position(frame: Frame, move: Move) -> dict[str, Number]:
     """LOCAL_POSITION_NED."""
     changes = (*move.offset_m, *move.velocity_mps)
     names = ("x", "y", "z", "vx", "vy", "vz")
     return {name: frame.number(name) + c for name, c in zip(names, changes, strict=True)}
 
 
-def odometry(frame: Frame, move: Move) -> dict[str, Number]:
+def move_odometry(frame: Frame, move: Move) -> dict[str, Number]:
     """ODOMETRY: position in a local frame that knows north, velocity in it or in body axes.
 
     A frame of reference of unknown heading is left alone, as metres north mean nothing in it, and
@@ -131,7 +131,7 @@ def odometry(frame: Frame, move: Move) -> dict[str, Number]:
     # Velocity in the child's axes: the body, the local frame, or one we cannot turn into.
     if child == BODY_FRD:
         q_nb = [float(frame.number("q", i)) for i in range(4)]
-        velocity = into_body(q_nb, velocity)
+        velocity = rotate_to_body(q_nb, velocity)
     elif child != local:
         return values
     return values | _added(frame, ("vx", "vy", "vz"), velocity)
@@ -151,11 +151,11 @@ def _enu(ned: Three) -> Three:
 
 
 MOVERS: dict[str, Callable[[Frame, Move], dict[str, Number]]] = {
-    "HIL_GPS": hil_gps,
-    "GPS_RAW_INT": gps_raw,
-    "GPS2_RAW": gps_raw,
-    "GPS_INPUT": gps_input,
-    "GLOBAL_POSITION_INT": global_position,
-    "LOCAL_POSITION_NED": local_position,
-    "ODOMETRY": odometry,
+    "HIL_GPS": move_hil_gps,
+    "GPS_RAW_INT": move_gps_raw,
+    "GPS2_RAW": move_gps_raw,
+    "GPS_INPUT": move_gps_input,
+    "GLOBAL_POSITION_INT": move_global_position,
+    "LOCAL_POSITION_NED": move_local_position,
+    "ODOMETRY": move_odometry,
 }

@@ -6,9 +6,9 @@ HIL_SENSOR.xgyro   HIL_ACTUATOR_CONTROLS.controls[3]   HIL_GPS   PSEUDORANGE.G12
 import re
 from collections.abc import Iterable
 
-from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.fault_parts.elements import Element, element
-from mavproxy_fault.wire.dialect import Layout, layout, message_names
+from mavproxy_fault.documents.suggestion import suggest_known
+from mavproxy_fault.fault_parts.elements import Element, locate_element
+from mavproxy_fault.wire.dialect import Layout, find_layout, message_names
 from mavproxy_fault.wire.plant_names import SATELLITE_NAME, SATELLITES, check_plant_name
 
 ELEMENT = re.compile(r"(\w+)(?:\[(\d+)\])?")
@@ -17,7 +17,7 @@ PLANT = "PLANT"
 ALL = "all"
 
 
-def message(name: str) -> Layout:
+def find_message(name: str) -> Layout:
     """The layout of a message by name.
 
     Raises
@@ -28,13 +28,13 @@ def message(name: str) -> Layout:
     if name == PLANT:
         text = f"{PLANT} is the simulated plant and no message; `fault: plant` changes it"
         raise ValueError(text)
-    found = layout(name)
+    found = find_layout(name)
     if found is None:
-        raise ValueError(f"{name} is no message; {near(name, message_names())}")
+        raise ValueError(f"{name} is no message; {suggest_known(name, message_names())}")
     return found
 
 
-def fields(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
+def parse_field_targets(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
     """The elements that `MESSAGE.field`, `MESSAGE.field[3]` or whole arrays name, by message id.
 
     Raises
@@ -45,7 +45,7 @@ def fields(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
     found: dict[int, tuple[Element, ...]] = {}
     for target in targets:
         name, _, rest = target.partition(".")
-        described = message(name)
+        described = find_message(name)
         before, more = found.get(described.id, ()), _elements(described, target, rest)
         # The same element twice would be changed twice.
         if set(before) & set(more):
@@ -58,17 +58,19 @@ def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:
     parts = ELEMENT.fullmatch(rest)
     numeric = [field.name for field in described.fields.values() if field.type != "char"]
     if parts is None or parts[1] not in numeric:
-        raise ValueError(f"{target} is no numeric field of {described.name}; {near(rest, numeric)}")
+        raise ValueError(
+            f"{target} is no numeric field of {described.name}; {suggest_known(rest, numeric)}"
+        )
     field = described.fields[parts[1]]
     if parts[2] is None:
         # A whole array stands for all its elements.
-        return tuple(element(described, field.name, i) for i in range(max(field.count, 1)))
+        return tuple(locate_element(described, field.name, i) for i in range(max(field.count, 1)))
     if int(parts[2]) >= max(field.count, 1):
         raise ValueError(f"{target} is out of range; {field.name} has {max(field.count, 1)}")
-    return (element(described, field.name, int(parts[2])),)
+    return (locate_element(described, field.name, int(parts[2])),)
 
 
-def messages(targets: Iterable[str]) -> frozenset[int]:
+def parse_message_targets(targets: Iterable[str]) -> frozenset[int]:
     """The ids of whole messages.
 
     Raises
@@ -80,13 +82,13 @@ def messages(targets: Iterable[str]) -> frozenset[int]:
     for target in targets:
         if "." in target:
             raise ValueError(f"{target} names a field; this fault acts on whole messages")
-        if message(target).id in ids:
+        if find_message(target).id in ids:
             raise ValueError(f"{target} is named twice; once is enough")
-        ids.add(message(target).id)
+        ids.add(find_message(target).id)
     return frozenset(ids)
 
 
-def named(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
+def parse_named_targets(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
     """What stands behind `PSEUDORANGE.` or `PLANT.`.
 
     Raises

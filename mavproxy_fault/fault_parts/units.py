@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from mavproxy_fault.fault_parts.elements import Element
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 
 # Unit: its quantity, and how many of it are one of the quantity's SI unit (or degree).
 SIZES: dict[str, tuple[str, float]] = {
@@ -34,7 +34,7 @@ def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
     first: dict[str, float] = {}
     found: dict[int, tuple[float, ...]] = {}
     for number, listed in elements.items():
-        described = known(number)
+        described = message_layout(number)
         row = []
         for one in listed:
             quantity, size = SIZES.get(described.fields[one.name].unit, ("", 1.0))

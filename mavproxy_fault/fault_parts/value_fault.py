@@ -16,7 +16,7 @@ from mavproxy_fault.wire.frame import Number
 
 GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
 MOST_SENDERS = 256  # whose states a fault keeps; those who come later pass it by
-ROWS_MAX = 65_536  # values of the past that a fault keeps per sender; 65 s at 1 kHz
+MOST_ROWS = 65_536  # values of the past that a fault keeps per sender; 65 s at 1 kHz
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
@@ -47,7 +47,7 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         # One number or a list of one for each element, in every message of the target.
         if isinstance(value, tuple):
             for elements in self.elements.values():
-                each(value, len(elements))
+                broadcast_values(value, len(elements))
 
     def new_state(self, start_us: int) -> ValueState:
         """The state when the fault becomes active."""
@@ -85,12 +85,12 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         return [self.of(x, t_s) for x in before], None
 
 
-def has_room(inner: Any, key: tuple[int, ...]) -> bool:
+def can_add_sender(inner: Any, key: tuple[int, ...]) -> bool:
     """Whether a rule's state may take up a sender: a peer can make up any number of them."""
     return not isinstance(inner, dict) or len(inner) < MOST_SENDERS or key in inner
 
 
-def each(value: float | tuple[float, ...], count: int) -> Sequence[float]:
+def broadcast_values(value: float | tuple[float, ...], count: int) -> Sequence[float]:
     """One number for every element: the same for all, or a list of as many.
 
     Raises

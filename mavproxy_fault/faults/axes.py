@@ -55,14 +55,14 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
     angles_deg: Three
 
     def __post_init__(self) -> None:
-        check_three(self.elements)
+        check_vector_target(self.elements)
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """The vector as a sensor turned by these angles measures it."""
         roll, pitch, yaw = (math.radians(angle) for angle in self.angles_deg)
-        return times(body_matrix(roll, pitch, yaw), before), None
+        return multiply_matrix(body_matrix(roll, pitch, yaw), before), None
 
 
 class Iron(ValueFault, frozen=True, kw_only=True):
@@ -78,17 +78,17 @@ class Iron(ValueFault, frozen=True, kw_only=True):
     soft: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
     def __post_init__(self) -> None:
-        check_three(self.elements)
+        check_vector_target(self.elements)
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """soft @ field + hard."""
-        field = times(self.soft, before)
+        field = multiply_matrix(self.soft, before)
         return [x + offset for x, offset in zip(field, self.hard, strict=True)], None
 
 
-def check_three(elements: Any) -> None:
+def check_vector_target(elements: Any) -> None:
     """Refuse a target that is no vector.
 
     Raises
@@ -101,6 +101,6 @@ def check_three(elements: Any) -> None:
             raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z as target")
 
 
-def times(matrix: Matrix, vector: Sequence[float]) -> list[float]:
+def multiply_matrix(matrix: Matrix, vector: Sequence[float]) -> list[float]:
     """matrix @ vector."""
     return [sum(a * b for a, b in zip(row, vector, strict=True)) for row in matrix]

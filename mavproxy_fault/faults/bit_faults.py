@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
-from mavproxy_fault.wire.dialect import PACKERS, known
+from mavproxy_fault.wire.dialect import PACKERS, message_layout
 from mavproxy_fault.wire.frame import Number
 
 if TYPE_CHECKING:
@@ -73,7 +73,8 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
             for one in elements:
                 if one.code not in "fd":
                     raise ValueError(
-                        f"{known(number).name}.{one.name} is an integer; it holds no {self.value}"
+                        f"{message_layout(number).name}.{one.name} is an integer; "
+                        f"it holds no {self.value}"
                     )
 
     def of(self, healthy: Number, t_s: float) -> Number:
@@ -97,7 +98,7 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
             for one in elements:
                 if one.code in "fd":
                     raise ValueError(
-                        f"{known(number).name}.{one.name} is no integer; it has no flags"
+                        f"{message_layout(number).name}.{one.name} is no integer; it has no flags"
                     )
 
     def of(self, healthy: Number, t_s: float) -> Number:

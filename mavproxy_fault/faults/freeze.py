@@ -4,7 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.profile import Duration, NotNegative
-from mavproxy_fault.fault_parts.value_fault import GYRO, ROWS_MAX, ValueFault
+from mavproxy_fault.fault_parts.value_fault import GYRO, MOST_ROWS, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
@@ -45,7 +45,7 @@ class Replay(ValueFault, frozen=True, kw_only=True):
         tapes: dict[Key, tuple[list[list[Number]], int]] = state or {}
         tape, at = tapes.get(key, ([], 0))
         # Where the clock stands still, the tape ends when it is full.
-        if (t_s < self.value and len(tape) < ROWS_MAX) or not tape:
+        if (t_s < self.value and len(tape) < MOST_ROWS) or not tape:
             # Appending to the list of the old state would alter it; a copy per frame would cost
             # time quadratic in the stretch. The tape only grows at its end and is read up to `at`.
             tape = [*tape, before] if len(tape) != at else _appended(tape, before)
@@ -80,7 +80,7 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
         return now, {**last, key: (t_s, now)}
 
 
-class Float(ValueFault, frozen=True, kw_only=True):
+class FloatToNeutral(ValueFault, frozen=True, kw_only=True):
     """Let go of the value: it falls back to `neutral` with the time constant `settle_s`."""
 
     name: ClassVar[str] = "float"

@@ -4,11 +4,11 @@ import math
 from typing import Any, ClassVar, Literal
 
 from mavproxy_fault.fault_parts.profile import NotNegative
-from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, each
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, broadcast_values
 from mavproxy_fault.wire.frame import Number
 
 
-class Noise(ValueFault, frozen=True, kw_only=True):
+class NoiseFault(ValueFault, frozen=True, kw_only=True):
     """Add white noise: Gaussian with sigma `value`, or uniform in plus or minus `value`."""
 
     name: ClassVar[str] = "noise"
@@ -24,7 +24,7 @@ class Noise(ValueFault, frozen=True, kw_only=True):
     ) -> tuple[list[Number], Any]:
         """Add one draw to each element."""
         count = len(before)
-        sigma = each(self.value, count)
+        sigma = broadcast_values(self.value, count)
         if self.distribution == "uniform":
             draws = rng.uniform(-1.0, 1.0, count).tolist()
         else:

@@ -16,7 +16,7 @@ from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.satellite import check_count
 from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import SIMULATOR, PlantChange, plant_frame
 from mavproxy_fault.wire.plant_names import SATELLITES
@@ -30,7 +30,7 @@ STEP_US = 20_000  # a changing value is sent at 50 Hz at most
 Values = tuple[float | None, ...]
 
 
-class Sent(NamedTuple):
+class PlantFaultState(NamedTuple):
     """When the fault began, to whom it said what last and when, and the profile's own state."""
 
     start_us: int
@@ -40,22 +40,22 @@ class Sent(NamedTuple):
     inner: Any = None
 
 
-class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
+class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
     """What both kinds share: telling the simulator the values of `names`."""
 
     names: tuple[str, ...] = ()
 
-    def new_state(self, start_us: int) -> Sent:
+    def new_state(self, start_us: int) -> PlantFaultState:
         """Nothing said yet."""
-        return Sent(start_us)
+        return PlantFaultState(start_us)
 
     def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
         """The value of each name, `t_s` after the fault began."""
         raise NotImplementedError
 
     def apply(
-        self, frame: Frame, t_us: int, state: Sent, rng: "Generator"
-    ) -> tuple[list[Outgoing], Sent]:
+        self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
+    ) -> tuple[list[Outgoing], PlantFaultState]:
         """Pass the frame; answer a simulator's with the values."""
         passed = Outgoing(t_us, frame)
         since_us = t_us - state.at_us
@@ -68,16 +68,16 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
             return [passed], state._replace(inner=inner)
         target = (frame.system, frame.component)
         messages = self._messages(values, target, t_us)
-        return [passed, *messages], Sent(state.start_us, target, values, t_us, inner)
+        return [passed, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
 
-    def fed(self, state: Sent, value: float, t_us: int) -> Sent:
+    def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
         """The state after a live value that came at `t_us`."""
         return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
-    def release_us(self, state: Sent) -> None:
+    def release_us(self, state: PlantFaultState) -> None:
         """It keeps nothing back."""
 
-    def release(self, t_us: int, state: Sent) -> tuple[list[Outgoing], Sent]:
+    def release(self, t_us: int, state: PlantFaultState) -> tuple[list[Outgoing], PlantFaultState]:
         """At the end: healthy again."""
         # Nothing was ever said to the simulator: there is nothing to take back.
         if state.values is None:
@@ -89,7 +89,7 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
     def _messages(
         self, values: Sequence[float | None], target: tuple[int, int], t_us: int
     ) -> list[Outgoing]:
-        layout = known("TUNNEL")
+        layout = message_layout("TUNNEL")
         return [
             Outgoing(
                 t_us,
@@ -102,7 +102,7 @@ class InSimulator(msgspec.Struct, frozen=True, kw_only=True):
         ]
 
 
-class Plant(InSimulator, frozen=True, kw_only=True):
+class PlantFault(SimulatorFault, frozen=True, kw_only=True):
     """Set a parameter of the simulated plant to `value`, or to a profile of absolute values."""
 
     name: ClassVar[str] = "plant"
@@ -125,8 +125,8 @@ class Plant(InSimulator, frozen=True, kw_only=True):
         return (self.profile.value(t_s, state),) * len(self.names), state
 
     def apply(
-        self, frame: Frame, t_us: int, state: Sent, rng: "Generator"
-    ) -> tuple[list[Outgoing], Sent]:
+        self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
+    ) -> tuple[list[Outgoing], PlantFaultState]:
         """As for every such fault; an epoch of a recording has no simulator, and is set itself."""
         epoch: Any = frame
         if not isinstance(epoch, RangeEpoch):
@@ -148,7 +148,7 @@ class Plant(InSimulator, frozen=True, kw_only=True):
         return [Outgoing(t_us, changed, size)], state
 
 
-class InReceiver(InSimulator, frozen=True, kw_only=True):
+class ReceiverFault(SimulatorFault, frozen=True, kw_only=True):
     """Satellite faults that the simulated receiver carries out, so that its position follows.
 
     Metres go to `pseudorange_m[G12]`; a lost satellite to `satellite_lost[G12]`.

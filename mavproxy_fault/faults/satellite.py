@@ -12,13 +12,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import msgspec
 
 from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
-from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS, ValueFault, each, has_room
+from mavproxy_fault.fault_parts.value_fault import (
+    MOST_SENDERS,
+    ValueFault,
+    broadcast_values,
+    can_add_sender,
+)
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rtcm import transport as rtcm
 from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -36,7 +41,7 @@ class PartialMessage(NamedTuple):
     parts: Mapping[int, bytes]
 
 
-class Ranges(NamedTuple):
+class SatelliteFaultState(NamedTuple):
     """The state: when the fault began, the inner fault's own state, and what it keeps back."""
 
     start_us: int
@@ -44,7 +49,7 @@ class Ranges(NamedTuple):
     partial: Mapping[Sender, PartialMessage]
 
 
-class Satellites(msgspec.Struct, frozen=True, kw_only=True):
+class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
     """A value fault (or loss) applied to pseudoranges instead of fields."""
 
     acts_on: ClassVar[ActsOn] = "satellites"
@@ -56,13 +61,13 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_count(self.fault, self.names)
 
-    def new_state(self, start_us: int) -> Ranges:
+    def new_state(self, start_us: int) -> SatelliteFaultState:
         """Nothing kept yet."""
-        return Ranges(start_us, None, {})
+        return SatelliteFaultState(start_us, None, {})
 
     def apply(
-        self, frame: Frame, t_us: int, state: Ranges, rng: "Generator"
-    ) -> tuple[list[Outgoing], Ranges]:
+        self, frame: Frame, t_us: int, state: SatelliteFaultState, rng: "Generator"
+    ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """Keep a fragment back, or patch the message that it completes; or an epoch of a file."""
         if isinstance(frame, RangeEpoch):
             return self._in_epoch(frame, t_us, state, rng)
@@ -82,7 +87,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
             broken, old = _unpatched(old, t_us), None
         since_us, frames, parts = old or PartialMessage(t_us, (), {})
         new = PartialMessage(since_us, (*frames, frame), {**parts, number: payload[1:]})
-        whole = rtcm.joined(dict(new.parts))
+        whole = rtcm.join_fragments(dict(new.parts))
         # Completed or not, the entry of this sender is written anew below.
         rest = {sender: part for sender, part in state.partial.items() if sender != key}
         if len(rest) >= MOST_SENDERS:  # a peer can make up any number of them
@@ -98,9 +103,9 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         data: bytes,
         sequence: int,
         t_us: int,
-        state: Ranges,
+        state: SatelliteFaultState,
         rng: Any,
-    ) -> tuple[list[Outgoing], Ranges]:
+    ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """The fragments of a whole message, with the fault in it."""
         healthy = [Outgoing(t_us, frame) for frame in frames]
         present = self._present(data)
@@ -115,16 +120,16 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         # A lost satellite has no size in metres: NaN marks the frame as touched all the same.
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
         sends = [
-            Outgoing(t_us, refilled(frame, payload), size_m)
+            Outgoing(t_us, replace_tunnel_payload(frame, payload), size_m)
             # A message with satellites lost may need fewer fragments: `strict=False` drops the
             # last.
-            for frame, payload in zip(frames, rtcm.fragments(message, sequence), strict=False)
+            for frame, payload in zip(frames, rtcm.split_fragments(message, sequence), strict=False)
         ]
         return sends, state
 
     def _in_epoch(
-        self, epoch: Any, t_us: int, state: Ranges, rng: "Generator"
-    ) -> tuple[list[Outgoing], Ranges]:
+        self, epoch: Any, t_us: int, state: SatelliteFaultState, rng: "Generator"
+    ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """The same for a `RangeEpoch`, which the engine takes for a frame."""
         present = [n for n in self.names if n in epoch.satellites and n not in epoch.lost]
         if not present:
@@ -147,7 +152,7 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         return [name for name in self.names if name in satellites]
 
     def _errors(
-        self, frame: Frame, present: list[str], t_us: int, state: Ranges, rng: Any
+        self, frame: Frame, present: list[str], t_us: int, state: SatelliteFaultState, rng: Any
     ) -> tuple[dict[str, float], list[str], Any]:
         if isinstance(self.fault, Drop):
             lost = [name for name in present if rng.random() < self.fault.value]
@@ -157,21 +162,23 @@ class Satellites(msgspec.Struct, frozen=True, kw_only=True):
         # For every name of the target, also those out of view: a satellite's error must not depend
         # on who else is there.
         healthy: list[int | float] = [0.0] * len(self.names)
-        if not has_room(state.inner, key):
+        if not can_add_sender(state.inner, key):
             return {}, [], state.inner
         errors, inner = self.fault.after(healthy, key, t_s, state.inner, rng)
         by_name = dict(zip(self.names, errors, strict=True))
         return {name: float(by_name[name]) for name in present}, [], inner
 
-    def fed(self, state: Ranges, value: float, t_us: int) -> Ranges:
+    def fed(self, state: SatelliteFaultState, value: float, t_us: int) -> SatelliteFaultState:
         """The state after a live value that came at `t_us`."""
         return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
-    def release_us(self, state: Ranges) -> int | None:
+    def release_us(self, state: SatelliteFaultState) -> int | None:
         """When the oldest message that is still broken off must leave."""
         return min((message.since_us + HOLD_US for message in state.partial.values()), default=None)
 
-    def release(self, t_us: int, state: Ranges) -> tuple[list[Outgoing], Ranges]:
+    def release(
+        self, t_us: int, state: SatelliteFaultState
+    ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """All fragments kept, as they came."""
         sends = [out for message in state.partial.values() for out in _unpatched(message, t_us)]
         return sends, state._replace(partial={})
@@ -192,12 +199,12 @@ def check_count(fault: object, names: tuple[str, ...]) -> None:
     value = getattr(fault, "value", None)
     # Only a list must fit in length.
     if isinstance(value, tuple):
-        each(value, len(names))
+        broadcast_values(value, len(names))
 
 
-def refilled(frame: Frame, payload: bytes) -> Frame:
+def replace_tunnel_payload(frame: Frame, payload: bytes) -> Frame:
     """A TUNNEL frame with another payload, header and signature block as they were."""
-    layout = known("TUNNEL")
+    layout = message_layout("TUNNEL")
     values = {
         "payload_type": rtcm.PAYLOAD_TYPE,
         "target_system": frame.number("target_system"),
@@ -205,4 +212,4 @@ def refilled(frame: Frame, payload: bytes) -> Frame:
         "payload_length": len(payload),
         "payload": payload,
     }
-    return frame.with_payload(Frame(build(layout, values), layout).payload)
+    return frame.with_payload(Frame(build_frame(layout, values), layout).payload)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.fault_parts.draft import rewritten
+from mavproxy_fault.fault_parts.draft import rewrite_fields
 from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
 from mavproxy_fault.fault_parts.profile import Seconds
 from mavproxy_fault.fault_parts.spoofed_messages import MOVERS, Move, Three
@@ -88,7 +88,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         pairs = zip(moved.velocity_mps, self.velocity_error_mps, strict=True)
         north, east, down = (velocity + error for velocity, error in pairs)
         shift = Shift(moved.offset_m, (north, east, down))
-        out = rewritten(frame, t_us, mover(frame, Move(*shift)))
+        out = rewrite_fields(frame, t_us, mover(frame, Move(*shift)))
         # It marks position and velocity as unknown: nothing was moved.
         if out.frame is frame:
             return [out], state

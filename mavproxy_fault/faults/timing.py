@@ -25,7 +25,7 @@ class Delay(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """The same frame, later."""
-        return [late(frame, t_us, self.value)], None
+        return [delay_frame(frame, t_us, self.value)], None
 
 
 class Jitter(LinkFault, frozen=True, kw_only=True):
@@ -53,11 +53,11 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """The same frame, a random time later."""
-        out = late(frame, t_us, self.base_s + self._draw(rng))
+        out = delay_frame(frame, t_us, self.base_s + self._draw(rng))
         # It would overtake the frame before, so it waits until that one leaves.
         if self.keep_order and out.due_us < state:
             # Equal due times leave in the order in which they came.
-            out = late(frame, t_us, (state - t_us) * 1e-6)
+            out = delay_frame(frame, t_us, (state - t_us) * 1e-6)
         return [out], max(out.due_us, state)
 
     def _draw(self, rng: "Generator") -> float:
@@ -84,7 +84,7 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
         """Hold this frame back or not."""
-        return [late(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
+        return [delay_frame(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
 
 
 class Duplicate(LinkFault, frozen=True, kw_only=True):
@@ -110,10 +110,13 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
             return [first], None
         # The copies spread evenly up to `by_s`.
         step_s = self.by_s / self.copies
-        return [first, *(late(frame, t_us, step_s * (i + 1)) for i in range(self.copies))], None
+        return [
+            first,
+            *(delay_frame(frame, t_us, step_s * (i + 1)) for i in range(self.copies)),
+        ], None
 
 
-def late(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:
+def delay_frame(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:
     """A frame held back by so many seconds."""
     by_us = round(by_s * 1e6)
     # The label counts the delay as magnitude; a frame that is not late was not touched.

@@ -15,29 +15,29 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 import msgspec
 
 from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
 Parameters = tuple[float, ...]
-Call = tuple[int, Parameters]
+CommandCall = tuple[int, Parameters]
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 INVALID, ARDUPILOT = 8, 3  # MAV_AUTOPILOT_
 FIXED_WING = 1  # MAV_TYPE_
 ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
-AGAIN_US = 900_000  # heartbeats come once a second, more or less
+RETRY_US = 900_000  # heartbeats come once a second, more or less
 LOITER, RETURN, LAND, TAKE_OFF = 17, 20, 21, 22  # MAV_CMD_NAV_
 SET_MODE, MISSION_START, ARM = 176, 300, 400  # MAV_CMD_
 GUIDED, PLANE_TAKE_OFF = 4, 13  # modes of ArduCopter, of ArduPlane
 PX4_HOLD = (1.0, 4.0, 3.0)  # custom mode: automatic, loiter
-NOTHING_TOLD = math.nan
+UNKNOWN_HEIGHT_M = math.nan
 
-Deed = Literal["arm", "disarm", "take-off", "hold", "return", "land", "mission"]
-SIMPLE: dict[str, Call] = {
+VehicleAction = Literal["arm", "disarm", "take-off", "hold", "return", "land", "mission"]
+SIMPLE_COMMANDS: dict[str, CommandCall] = {
     "arm": (ARM, (1.0,)),
     "disarm": (ARM, (0.0,)),
     "return": (RETURN, ()),
@@ -46,7 +46,7 @@ SIMPLE: dict[str, Call] = {
 }
 
 
-class Asked(NamedTuple):
+class CommandState(NamedTuple):
     """How far it is: calls granted of how many, when and to whom the last one went, the field's
     height."""
 
@@ -54,7 +54,7 @@ class Asked(NamedTuple):
     calls: int = 1
     at_us: int | None = None
     target: tuple[int, int] = (1, AUTOPILOT)
-    field_m: float = NOTHING_TOLD  # above mean sea level
+    field_m: float = UNKNOWN_HEIGHT_M  # above mean sea level
 
 
 class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,7 +66,7 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
     messages: ClassVar[tuple[str, ...]] = ("HEARTBEAT", "COMMAND_ACK", "GLOBAL_POSITION_INT")
     commands_vehicle: ClassVar[bool] = True
 
-    do: Deed | None = None
+    do: VehicleAction | None = None
     height_m: float = 10.0  # of a take-off, above the field
     number: int | None = None
     params: Parameters = ()
@@ -82,13 +82,13 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         if not 0.0 < self.height_m < 1e4:
             raise ValueError(f"height_m = {self.height_m:g} is no height; above 0, below 10000")
 
-    def new_state(self, start_us: int) -> Asked:
+    def new_state(self, start_us: int) -> CommandState:
         """Nothing asked yet."""
-        return Asked()
+        return CommandState()
 
     def apply(
-        self, frame: Frame, t_us: int, state: Asked, rng: "Generator"
-    ) -> tuple[list[Outgoing], Asked]:
+        self, frame: Frame, t_us: int, state: CommandState, rng: "Generator"
+    ) -> tuple[list[Outgoing], CommandState]:
         """Pass the frame; with a heartbeat goes the command that is not granted yet."""
         passed = Outgoing(t_us, frame)
         name = frame.layout.name
@@ -100,21 +100,21 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         if name == "COMMAND_ACK":
             return [passed], self._acknowledged(frame, state)
         autopilot = int(frame.number("autopilot"))
-        waited = state.at_us is None or t_us - state.at_us >= AGAIN_US
+        waited = state.at_us is None or t_us - state.at_us >= RETRY_US
         if autopilot == INVALID or not waited:
             return [passed], state
         calls = self._calls(autopilot, int(frame.number("type")), state.field_m)
         if state.granted >= len(calls):
             return [passed], state
         target = frame.system, frame.component
-        asked = Outgoing(t_us, command(*calls[state.granted], target), back=True)
+        asked = Outgoing(t_us, command_frame(*calls[state.granted], target), back=True)
         return [passed, asked], state._replace(at_us=t_us, target=target, calls=len(calls))
 
-    def done(self, state: Asked) -> bool:
+    def done(self, state: CommandState) -> bool:
         """Whether all is granted; what is to be taken back stays until its time is over."""
         return state.granted >= state.calls and self.afterwards is None
 
-    def _acknowledged(self, frame: Frame, state: Asked) -> Asked:
+    def _acknowledged(self, frame: Frame, state: CommandState) -> CommandState:
         """The next call is due once the one before was granted."""
         if state.at_us is None or frame.number("result") not in (ACCEPTED, IN_PROGRESS):
             return state
@@ -124,7 +124,7 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             return state
         return state._replace(granted=state.granted + 1, at_us=None)
 
-    def _calls(self, autopilot: int, kind: int, field_m: float) -> list[Call]:
+    def _calls(self, autopilot: int, kind: int, field_m: float) -> list[CommandCall]:
         """The commands, one after the other; empty while something is not known yet."""
         if self.number is not None:
             return [(self.number, self.params)]
@@ -132,7 +132,7 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         if self.do == "hold":
             return [(LOITER, ())] if ardupilot else [(SET_MODE, PX4_HOLD)]
         if self.do != "take-off":
-            return [SIMPLE[self.do or "arm"]]
+            return [SIMPLE_COMMANDS[self.do or "arm"]]
         if ardupilot and kind == FIXED_WING:
             return [(SET_MODE, (1.0, float(PLANE_TAKE_OFF)))]
         height: Parameters = (0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
@@ -144,25 +144,25 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             return []
         return [(TAKE_OFF, (*height, field_m + self.height_m))]
 
-    def release_us(self, state: Asked) -> None:
+    def release_us(self, state: CommandState) -> None:
         """It keeps nothing back."""
 
-    def release(self, t_us: int, state: Asked) -> tuple[list[Outgoing], Asked]:
+    def release(self, t_us: int, state: CommandState) -> tuple[list[Outgoing], CommandState]:
         """At the end: the command with the parameters for afterwards, if it was given."""
         if self.number is None or self.afterwards is None or not state.granted:
             return [], state
-        last = command(self.number, self.afterwards, state.target)
+        last = command_frame(self.number, self.afterwards, state.target)
         return [Outgoing(t_us, last, back=True)], state
 
 
 NUMBERS = {
-    **{deed: {call[0]} for deed, call in SIMPLE.items()},
+    **{deed: {call[0]} for deed, call in SIMPLE_COMMANDS.items()},
     "hold": {LOITER, SET_MODE},
     "take-off": {TAKE_OFF, SET_MODE},
 }
 
 
-def command(number: int, parameters: Parameters, target: tuple[int, int]) -> Frame:
+def command_frame(number: int, parameters: Parameters, target: tuple[int, int]) -> Frame:
     """A COMMAND_LONG to a component, from the vehicle's own onboard computer."""
     system, component = target
     values: dict[str, float] = {
@@ -171,5 +171,5 @@ def command(number: int, parameters: Parameters, target: tuple[int, int]) -> Fra
         "target_component": component,
         **{f"param{place}": value for place, value in enumerate(parameters, 1)},
     }
-    layout = known("COMMAND_LONG")
-    return Frame(build(layout, values, system=system, component=COMPONENT), layout)
+    layout = message_layout("COMMAND_LONG")
+    return Frame(build_frame(layout, values, system=system, component=COMPONENT), layout)

@@ -16,19 +16,19 @@ from types import TracebackType
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.bus_users import CONFIG, USERS, own_folder
-from mavproxy_fault.links.open_hint import holder
+from mavproxy_fault.links.bus_users import CONFIG, USERS, credentials_folder
+from mavproxy_fault.links.open_hint import describe_port_owner
 
 DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"
 ENCODING = "application/json"
 RUN_NAME = re.compile(r"[\w.-]+", re.ASCII)
-ANY = "*"  # a session for whichever run there is
+ANY_RUN = "*"  # a session for whichever run there is
 OPEN_MS = 3000
 LOG = logging.getLogger(__name__)
 
-Answer = Callable[[str, bytes], object]
-Received = Callable[[str, bytes], None]
+QueryHandler = Callable[[str, bytes], object]
+SampleHandler = Callable[[str, bytes], None]
 
 
 class Bus:
@@ -89,7 +89,7 @@ class Bus:
             **options,
         )
 
-    def subscribe(self, suffix: str, received: Received) -> None:
+    def subscribe(self, suffix: str, received: SampleHandler) -> None:
         """Call `received(key, payload)` for every sample under a suffix (wildcards allowed).
 
         What its publisher kept comes first.
@@ -104,7 +104,7 @@ class Bus:
         )
         self._declared.append(subscriber)
 
-    def answer(self, suffix: str, answer: Answer) -> None:
+    def answer(self, suffix: str, answer: QueryHandler) -> None:
         """Reply to queries under a suffix with the JSON of what `answer(key, payload)` returns.
 
         A ConfigError becomes an error reply with its text.
@@ -197,26 +197,26 @@ def open_bus(
         If the address is taken (router) or nobody listens there (client), or a name or the
         configuration is wrong.
     """
-    if run != ANY:
-        check_run(run)
-    address = with_port(DEFAULT_URL if url is None or url == "auto" else url)
+    if run != ANY_RUN:
+        check_run_name(run)
+    address = choose_free_port(DEFAULT_URL if url is None or url == "auto" else url)
     config_file = config_file or os.environ.get("ZENOH_CONFIG", "")
     if config_file:
-        return _opened(address, run, router, read_config(config_file))
-    own = own_folder()
+        return _open_session(address, run, router, read_config(config_file))
+    own = credentials_folder()
     config = read_config(str(own / CONFIG))
     if router:
         users = json.dumps(str(own / USERS))
         config.insert_json5("transport/auth/usrpwd/dictionary_file", users)
-        return _opened(address, run, router, config)
+        return _open_session(address, run, router, config)
     try:
-        return _opened(address, run, router, config)
+        return _open_session(address, run, router, config)
     except ConfigError:
         # A router of the user's own, such as zenohd or that of ROS 2, may ask for nobody's name.
-        return _opened(address, run, router, read_config(""))
+        return _open_session(address, run, router, read_config(""))
 
 
-def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
+def _open_session(address: str, run: str, router: bool, config: Any) -> Bus:
     import zenoh
 
     settings: dict[str, object] = {
@@ -245,7 +245,9 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
     except zenoh.ZError as error:
         # Behind it stands a path of Zenoh's own source.
         reason = str(error).split(" at /")[0]
-        wrong = _why_not_ours(address, reason) if router else _why_refused(address)
+        wrong = (
+            _explain_router_failure(address, reason) if router else _explain_client_failure(address)
+        )
         raise ConfigError(
             f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
             + ("free" if router else "served by a proxy, a run or zenohd")
@@ -260,14 +262,18 @@ def _opened(address: str, run: str, router: bool, config: Any) -> Bus:
         ) from None
 
 
-def _why_not_ours(address: str, reason: str) -> str:
+def _explain_router_failure(address: str, reason: str) -> str:
     """What a router is told: who has the address, where that is the reason."""
     port = address.rpartition(":")[2]
-    held = f": {holder(int(port), tcp=True)}" if "address already in use" in reason.lower() else ""
+    held = (
+        f": {describe_port_owner(int(port), tcp=True)}"
+        if "address already in use" in reason.lower()
+        else ""
+    )
     return "cannot be opened as the router" + held
 
 
-def _why_refused(address: str) -> str:
+def _explain_client_failure(address: str) -> str:
     """What a client is told: somebody who listens and refuses is another than nobody at all."""
     host, _, port = address.partition("/")[2].rpartition(":")
     with contextlib.suppress(OSError, ValueError), socket.create_connection((host, int(port)), 1.0):
@@ -278,7 +284,7 @@ def _why_refused(address: str) -> str:
     return "has no router listening"
 
 
-def check_run(run: str) -> None:
+def check_run_name(run: str) -> None:
     """Refuse a run's name that no key could hold.
 
     Raises
@@ -365,7 +371,7 @@ def open_run_bus(
         yield bus
 
 
-def with_port(url: str) -> str:
+def choose_free_port(url: str) -> str:
     """`url` with port 0 replaced by a port that is free now."""
     if not url.endswith(":0"):
         return url

@@ -20,7 +20,7 @@ from mavproxy_fault.numerics.code_cache import is_usable, user_number
 CONFIG, USERS = "config.json5", "users.txt"
 
 
-def own_folder() -> Path:
+def credentials_folder() -> Path:
     """The folder with the configuration and the list of users, made at the first use.
 
     Raises
@@ -28,16 +28,16 @@ def own_folder() -> Path:
     ConfigError
         If there is no place to keep them.
     """
-    for place in _places():
+    for place in _candidate_folders():
         if is_usable(place):
-            return _filled(place / "zenoh")
+            return _create_credentials(place / "zenoh")
     raise ConfigError(
         "--zenoh: no folder to keep the bus's password in; set XDG_STATE_HOME to one that can be"
         " written to, give --zenoh-config FILE, or --zenoh off"
     )
 
 
-def _places() -> Iterator[Path]:
+def _candidate_folders() -> Iterator[Path]:
     home = os.environ.get("XDG_STATE_HOME")
     if home is None:
         with contextlib.suppress(RuntimeError):  # a user without a name has no home either
@@ -48,7 +48,7 @@ def _places() -> Iterator[Path]:
     yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{user_number()}"
 
 
-def _filled(folder: Path) -> Path:
+def _create_credentials(folder: Path) -> Path:
     if (folder / CONFIG).exists():
         return folder
     # Made aside and moved at once: of two processes that start together one is first for both.

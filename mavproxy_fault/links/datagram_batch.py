@@ -13,8 +13,8 @@ from typing import Any
 
 BATCH = 64
 # The longest datagram: a shorter buffer would cut one without a word.
-ROW = 65_536
-NAME = 32  # bytes kept for a socket address
+MAX_DATAGRAM = 65_536
+ADDRESS_SIZE = 32  # bytes kept for a socket address
 DONTWAIT = getattr(socket, "MSG_DONTWAIT", 0)  # Windows has none
 
 
@@ -38,7 +38,7 @@ def _libc() -> Any:
 
 
 _LIBC = _libc()
-BATCHES = _LIBC is not None
+HAS_RECVMMSG = _LIBC is not None
 
 
 class _Part(ctypes.Structure):
@@ -64,16 +64,16 @@ class BatchedDatagrams:
 
     def __init__(self, sock: socket.socket) -> None:
         self._fileno = sock.fileno()
-        self._data = ctypes.create_string_buffer(BATCH * ROW)
-        self._names = ctypes.create_string_buffer(BATCH * NAME)
+        self._data = ctypes.create_string_buffer(BATCH * MAX_DATAGRAM)
+        self._names = ctypes.create_string_buffer(BATCH * ADDRESS_SIZE)
         self._parts = (_Part * BATCH)()
         self._messages = (_Message * BATCH)()
         self._view = memoryview(self._data)
         self._name_view = memoryview(self._names)
         for n, (part, message) in enumerate(zip(self._parts, self._messages, strict=True)):
-            part.base, part.length = ctypes.addressof(self._data) + n * ROW, ROW
-            message.name = ctypes.addressof(self._names) + n * NAME
-            message.name_length = NAME
+            part.base, part.length = ctypes.addressof(self._data) + n * MAX_DATAGRAM, MAX_DATAGRAM
+            message.name = ctypes.addressof(self._names) + n * ADDRESS_SIZE
+            message.name_length = ADDRESS_SIZE
             message.part, message.part_count = ctypes.addressof(part), 1
 
     def receive(self) -> list[tuple[bytes, bytes]]:
@@ -83,10 +83,12 @@ class BatchedDatagrams:
         # The count is -1 where nothing waits: then there is nothing to go through.
         for n in range(count):
             message = self._messages[n]
-            name = bytes(self._name_view[n * NAME : n * NAME + message.name_length])
+            name = bytes(self._name_view[n * ADDRESS_SIZE : n * ADDRESS_SIZE + message.name_length])
             # Copied, as the buffers are filled again at the next call.
-            found.append((name, bytes(self._view[n * ROW : n * ROW + message.length])))
-            message.name_length = NAME
+            found.append(
+                (name, bytes(self._view[n * MAX_DATAGRAM : n * MAX_DATAGRAM + message.length]))
+            )
+            message.name_length = ADDRESS_SIZE
         return found
 
     def send(self, data: bytes, address: bytes | None = None) -> bool:

@@ -8,7 +8,7 @@ import socket
 import struct
 
 BATCH = 64
-LONGEST = 65_536  # a shorter buffer would cut a datagram without a word
+MAX_DATAGRAM = 65_536  # a shorter buffer would cut a datagram without a word
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 
 
@@ -23,7 +23,7 @@ class PlainDatagrams:
         found: list[tuple[bytes, bytes]] = []
         while len(found) < BATCH:
             try:
-                data, address = self._sock.recvfrom(LONGEST)
+                data, address = self._sock.recvfrom(MAX_DATAGRAM)
             except OSError:  # nothing waits, or an earlier datagram of ours was refused
                 break
             found.append((_raw(address), data))

@@ -50,7 +50,7 @@ class Descriptors:
         self._selector.close()
 
 
-def wait_on(links: Sequence[Link], wait_s: float) -> None:
+def wait_until_readable(links: Sequence[Link], wait_s: float) -> None:
     """Wait until one of the links has something to read, `wait_s` seconds at most."""
     descriptors = [descriptor for link in links for descriptor in link.filenos()]
     if descriptors:

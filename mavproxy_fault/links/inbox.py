@@ -1,6 +1,6 @@
 """The frames that come in on a link, whichever of its streams they come on."""
 
-from mavproxy_fault.links.descriptors import wait_on
+from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -19,7 +19,7 @@ class Inbox:
         Waits up to `wait_s` seconds for something to come.
         """
         if wait_s > 0.0:
-            wait_on([self.link], wait_s)
+            wait_until_readable([self.link], wait_s)
         return [frame for chunk in self.link.read() for frame in self.parsed(*chunk)]
 
     def incomplete(self, stream: int) -> bool:

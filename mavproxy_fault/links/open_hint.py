@@ -16,7 +16,9 @@ def open_hint(kind: str, host: str, port: int, error: OSError) -> str:
     if kind == "serial":
         return f"allowed: {_devices()}"
     if error.errno == errno.EADDRINUSE:
-        return f"{holder(port, tcp=kind == 'tcpin')}; allowed: a free port, or 0 for any"
+        return (
+            f"{describe_port_owner(port, tcp=kind == 'tcpin')}; allowed: a free port, or 0 for any"
+        )
     if error.errno == errno.EADDRNOTAVAIL:
         scheme = "tcp" if kind == "tcpin" else "udpout"
         return f"it is no address of this machine; to send there say {scheme}:{host}:{port}"
@@ -30,7 +32,7 @@ def _devices() -> str:
     return names or "a serial device, of which there is none here"
 
 
-def holder(port: int, *, tcp: bool) -> str:
+def describe_port_owner(port: int, *, tcp: bool) -> str:
     """Who has a port, as far as this system and this user's rights show it."""
     inodes = _inodes(port, "tcp" if tcp else "udp")
     # Other users' processes have descriptors that cannot be listed.

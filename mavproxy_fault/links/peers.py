@@ -9,13 +9,13 @@ import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-FORGET_S = 60.0  # a silent peer makes room for a newcomer, unless it was the last to speak
-MOST_PEERS = 32
+PEER_EXPIRY_S = 60.0  # a silent peer makes room for a newcomer, unless it was the last to speak
+MAX_PEERS = 32
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
-def nothing_is_a_frame(_: bytes) -> bool:
+def reject_every_datagram(_: bytes) -> bool:
     """What a link believes that was given no way to tell."""
     return False
 
@@ -30,7 +30,7 @@ class Admission:
 
     allowed: tuple[Network, ...] = ()
     lock: bool = False
-    is_frame: Callable[[bytes], bool] = nothing_is_a_frame
+    is_frame: Callable[[bytes], bool] = reject_every_datagram
 
 
 @dataclass(slots=True)
@@ -79,16 +79,16 @@ class Peers:
         if self.admission.lock and any(peer.proven for peer in self.known.values()):
             return False
         allowed = self.admission.allowed
-        return not allowed or any(host_of(address) in network for network in allowed)
+        return not allowed or any(host_address(address) in network for network in allowed)
 
     def _make_room(self, proven: bool, now_s: float) -> bool:
         """Forget whom a newcomer may displace; whether there is room for it."""
         # A proven newcomer may displace anybody, an unproven one only its like.
         weaker = {a: peer for a, peer in self.known.items() if proven or not peer.proven}
         for address, peer in weaker.items():
-            if now_s - peer.spoke_s > FORGET_S and address != self._latest:
+            if now_s - peer.spoke_s > PEER_EXPIRY_S and address != self._latest:
                 del self.known[address]
-        if len(self.known) < MOST_PEERS:
+        if len(self.known) < MAX_PEERS:
             return True
         remaining = [address for address in weaker if address in self.known]
         if not remaining:
@@ -97,7 +97,7 @@ class Peers:
         return True
 
 
-def host_of(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+def host_address(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """The host of a raw `sockaddr_in` or `sockaddr_in6`."""
     # In the machine's own order, unlike the port and the host.
     family = int.from_bytes(address[:2], "little")
@@ -108,7 +108,7 @@ def host_of(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     return found.ipv4_mapped or found
 
 
-def networks(texts: Sequence[str]) -> tuple[Network, ...]:
+def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:
     """Networks by their text, such as 10.0.0.7 or 192.168.1.0/24.
 
     Raises

@@ -12,15 +12,17 @@ from collections.abc import Sequence
 
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
-from mavproxy_fault.links.peers import MOST_PEERS
+from mavproxy_fault.links.peers import MAX_PEERS
 from mavproxy_fault.links.stream import READ_SIZE, Stream
 
 LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.5
-LOOK_S = 0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
-REST_S = 0.5  # for which nobody is let in where there are no descriptors at all
-SILENT_S = 60  # after which a connection is asked whether the other side still lives
-TOGETHER = 1 << 16  # bytes at most that are kept, or dropped, as a whole
+ACCEPT_CHECK_S = (
+    0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
+)
+ACCEPT_PAUSE_S = 0.5  # for which nobody is let in where there are no descriptors at all
+KEEPALIVE_IDLE_S = 60  # after which a connection is asked whether the other side still lives
+MAX_JOINED_BYTES = 1 << 16  # bytes at most that are kept, or dropped, as a whole
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
 
 
@@ -31,12 +33,16 @@ def _prepare(sock: socket.socket) -> None:
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
     # The system finds out that a peer is gone that never said so.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (("TCP_KEEPIDLE", SILENT_S), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
+    for name, value in (
+        ("TCP_KEEPIDLE", KEEPALIVE_IDLE_S),
+        ("TCP_KEEPINTVL", 10),
+        ("TCP_KEEPCNT", 3),
+    ):
         if hasattr(socket, name):  # some systems know only the first, or none
             sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-def _meets_itself(sock: socket.socket) -> bool:
+def _is_self_connected(sock: socket.socket) -> bool:
     """Whether a port was called that nobody serves and that the system chose for the caller."""
     try:
         return bool(sock.getsockname() == sock.getpeername())
@@ -93,7 +99,7 @@ class TcpServer:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
         now_s = time.monotonic()
-        if len(self._peers) == 1 and now_s - self._looked_s < LOOK_S:
+        if len(self._peers) == 1 and now_s - self._looked_s < ACCEPT_CHECK_S:
             # Nobody else to be asked for: one system call, not two.
             self._read_from(next(iter(self._peers)), READ_SIZE, chunks)
             if chunks:
@@ -145,10 +151,10 @@ class TcpServer:
                 else:
                     self.counters.errors += 1
                 return
-            if len(self._peers) >= MOST_PEERS:
+            if len(self._peers) >= MAX_PEERS:
                 # Each frame goes to each of them: a thousand would take the loop's time for good.
                 sock.close()
-                self._refused(f"{MOST_PEERS} peers are connected; a further one is turned away")
+                self._refused(f"{MAX_PEERS} peers are connected; a further one is turned away")
                 continue
             _prepare(sock)
             stream = _stream(sock, self._descriptors, self.counters)
@@ -166,7 +172,7 @@ class TcpServer:
             pass
         except OSError:  # its place went to another thread, or the limit was lowered
             self._descriptors.remove(self._listener.fileno())
-            self._rests_until_s = time.monotonic() + REST_S
+            self._rests_until_s = time.monotonic() + ACCEPT_PAUSE_S
             self._tell(why)
         else:
             self._refused(why)
@@ -194,7 +200,7 @@ class TcpServer:
     def write_all(self, chunks: Sequence[bytes]) -> None:
         """Send several chunks to every peer, with one system call for each peer."""
         data = b"".join(chunks)
-        if not self._peers or len(data) > TOGETHER:
+        if not self._peers or len(data) > MAX_JOINED_BYTES:
             for chunk in chunks:
                 self.write(chunk)
             return
@@ -278,7 +284,7 @@ class TcpClient:
         if not self._descriptors.ready():
             return False
         # Writable also means failed: only the socket's error tells the two apart.
-        if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or _meets_itself(sock):
+        if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or _is_self_connected(sock):
             self._lose(sock, stream)
             return False
         stream.open = True

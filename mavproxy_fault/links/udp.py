@@ -39,7 +39,7 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        batched = datagram_batch.BATCHES
+        batched = datagram_batch.HAS_RECVMMSG
         kind = datagram_batch.BatchedDatagrams if batched else PlainDatagrams
         self._datagrams = kind(self.sock)
 

@@ -1,7 +1,7 @@
 """Live control: requests of ground stations, of RflySim's scripts and of the bus become edits.
 
-Everything here runs in the thread of the proxy's loop and does no I/O. `Control` looks at commands
-that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehicle's name.
+Everything here runs in the thread of the proxy's loop and does no I/O. `LiveControl` looks at
+commands that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehicle's name.
 """
 
 import math
@@ -15,37 +15,39 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import MOST_BYTES, read_yaml
 from mavproxy_fault.live.failure_command import (
     MESSAGES,
     TYPES,
     UNITS,
     extent_of,
+    failure_id,
     faults_for,
-    name_of,
 )
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
-from mavproxy_fault.live.watching import View, Watched
+from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
-from mavproxy_fault.schedule.together import check_id
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 INJECT_FAILURE = 420  # MAV_CMD
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
-COMMANDS = frozenset(known(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
-PARAMETER = known("PARAM_VALUE").id
-ENABLES = b"SYS_FAILURE_EN"  # PX4's parameter; 0 in whatever type, is 0 in the bytes of all
-NAMES = {known(name).id: name for name in MESSAGES}
-QUESTIONS = ("state", "schedule/save")  # these change nothing
+COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
+PARAMETER = message_layout("PARAM_VALUE").id
+FAILURE_PARAMETER = (
+    b"SYS_FAILURE_EN"  # PX4's parameter; 0 in whatever type, is 0 in the bytes of all
+)
+NAMES = {message_layout(name).id: name for name in MESSAGES}
+READ_ONLY_REQUESTS = ("state", "schedule/save")  # these change nothing
 LARGEST = sys.float_info.max
 AUTOPILOT = 1  # component that answers a command to all
 
 
-class Control:
+class LiveControl:
     """Joins what asks for faults to the engine; with `allowed` false it denies.
 
     Requests may name files of `folders` only; None allows all.
@@ -63,7 +65,7 @@ class Control:
         self.allowed = allowed
         self.rflysim = rflysim
         self.folders = folders
-        self.view = View()
+        self.view = SubscribedMessages()
         # Names of messages that have come, by which a failure command finds what it can act on.
         self._passed: set[str] = set()
         self._latched: set[str] = set()
@@ -84,7 +86,7 @@ class Control:
                 # Looked at once: from then on frames of this message pass without coming here.
                 self._unheard -= {frame.id}
                 self._want()
-            if frame.id == PARAMETER and frame.read("param_id") == ENABLES:
+            if frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
                 self._enabled = frame.number("param_value") != 0.0
             return None
         if frame.number("command") != INJECT_FAILURE:
@@ -92,7 +94,7 @@ class Control:
         # COMMAND_INT has whole numbers where the duration would be.
         several = range(1, 6 if "param5" in frame.layout.fields else 5)
         result = self._inject([frame.number(f"param{n}") for n in several], t_us)
-        return [acknowledgement(frame, result)]
+        return [acknowledge_command(frame, result)]
 
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
         if not self.allowed or not self._enabled:
@@ -115,14 +117,14 @@ class Control:
         if not entries:
             return UNSUPPORTED
         # A new failure of a unit takes the place of the one before, as in PX4.
-        self.engine.clear(name_of(unit, instance))
+        self.engine.clear(failure_id(unit, instance))
         for entry in entries:
             self.engine.arm(entry)
         return ACCEPTED
 
     def _clear(self, unit: str, instance: int) -> int:
         """End the failures of one instance, or of all of a unit."""
-        head = name_of(unit, instance)
+        head = failure_id(unit, instance)
         # Ids are `unit-instance.part`; instance 0 ends those of every instance.
         for id in self.engine.ids():
             if id.rpartition(".")[0] == head or (not instance and id.startswith(f"{head}-")):
@@ -229,7 +231,9 @@ class Control:
         elif what in edits:
             edit = edits[what](payload)
         else:
-            raise ConfigError(f"@ctl: {what} is unknown; {near(what, [*edits, *QUESTIONS])}")
+            raise ConfigError(
+                f"@ctl: {what} is unknown; {suggest_known(what, [*edits, *READ_ONLY_REQUESTS])}"
+            )
 
         def act(t_us: int) -> Any:
             self.engine.tell_time(t_us)
@@ -266,7 +270,7 @@ class Control:
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
-            raise ConfigError(f"disarm: {id} is no fault; {near(id, self.engine.ids())}")
+            raise ConfigError(f"disarm: {id} is no fault; {suggest_known(id, self.engine.ids())}")
         return {"cleared": id}
 
     def _update(self, id: str, value: float, sent_us: int | None) -> Any:
@@ -291,7 +295,7 @@ class Control:
         return act
 
 
-def acknowledgement(command: Frame, result: int) -> Frame:
+def acknowledge_command(command: Frame, result: int) -> Frame:
     """The COMMAND_ACK to whoever sent a command, from the one it was for."""
     values = {
         "command": int(command.number("command")),
@@ -299,8 +303,8 @@ def acknowledgement(command: Frame, result: int) -> Frame:
         "target_system": command.system,
         "target_component": command.component,
     }
-    layout = known("COMMAND_ACK")
-    raw = build(
+    layout = message_layout("COMMAND_ACK")
+    raw = build_frame(
         layout,
         values,
         # A command to all (0) is answered as the usual vehicle would.

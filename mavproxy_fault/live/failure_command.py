@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 
 UNITS = {
     0: "gyro", 1: "accel", 2: "mag", 3: "baro", 4: "gps", 5: "optical-flow", 6: "vio",
@@ -41,13 +41,13 @@ DEGE7_PER_M = 90.0  # of latitude
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class UnitPart:
     """A unit's share of one message.
 
-    `fields` come with the field's counts per unit of the magnitudes; `group` is the unit's group of
-    bits in `fields_updated`; `shared` says that the message carries other things too; `instance` is
-    the number of the unit whose message it is, 0 where an id or an index tells; of an `indexed`
-    part the elements are the units after the first `skipped` ones.
+    `parse_field_targets` come with the field's counts per unit of the magnitudes; `group` is the
+    unit's group of bits in `fields_updated`; `shared` says that the message carries other things
+    too; `instance` is the number of the unit whose message it is, 0 where an id or an index tells;
+    of an `indexed` part the elements are the units after the first `skipped` ones.
     """
 
     message: str
@@ -61,16 +61,16 @@ class Part:
     def has(self, instance: int) -> bool:
         """Whether it tells of this instance; 0 is all of them."""
         if self.indexed and instance:
-            elements = [known(self.message).fields[name].count for name, _ in self.fields]
+            elements = [message_layout(self.message).fields[name].count for name, _ in self.fields]
             return 0 < instance - self.skipped <= min(elements)
         return not self.instance or instance in (0, self.instance)
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class FailureUnit:
     """The parts of a unit, and how wrong (offset), noisy (sigma) and drifting (per s) it gets."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[UnitPart, ...]
     wrong: float = 1.0
     noise: float = 1.0
     drift: float = 0.1
@@ -80,79 +80,80 @@ def _axes(stem: str, scale: float = 1.0) -> tuple[tuple[str, float], ...]:
     return tuple((f"{axis}{stem}", scale) for axis in "xyz")
 
 
-def _imu(stem: str, group: str, scaled: float) -> tuple[Part, ...]:
+def _imu(stem: str, group: str, scaled: float) -> tuple[UnitPart, ...]:
     """HIL_SENSOR, HIGHRES_IMU and the scaled and raw messages of the IMU or magnetometer."""
     rows = [
-        Part("HIL_SENSOR", _axes(stem), group, True),
-        Part("HIGHRES_IMU", _axes(stem), "", True),
+        UnitPart("HIL_SENSOR", _axes(stem), group, True),
+        UnitPart("HIGHRES_IMU", _axes(stem), "", True),
     ]
-    rows += [Part("RAW_IMU", _axes(stem, scaled), "", True)]
+    rows += [UnitPart("RAW_IMU", _axes(stem, scaled), "", True)]
     for number, name in enumerate(("SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"), 1):
-        rows.append(Part(name, _axes(stem, scaled), "", True, number))
+        rows.append(UnitPart(name, _axes(stem, scaled), "", True, number))
     return tuple(rows)
 
 
 POSITION = (("lat", DEGE7_PER_M), ("lon", DEGE7_PER_M), ("alt", 1000.0))
 HEIGHTS = (("abs_pressure", 1.0), ("pressure_alt", -M_PER_HPA))
-CONTROLS = (Part("HIL_ACTUATOR_CONTROLS", (("controls", 1.0),), "", True, indexed=True),)
+CONTROLS = (UnitPart("HIL_ACTUATOR_CONTROLS", (("controls", 1.0),), "", True, indexed=True),)
 
-WHAT: dict[str, Unit] = {
-    "gyro": Unit(_imu("gyro", "gyro", 1000.0), 0.5, 1.0, 0.02),
-    "accel": Unit(_imu("acc", "accel", 1000.0 / STANDARD_GRAVITY_MPS2), 3.0, 5.0, 0.2),
-    "mag": Unit(_imu("mag", "mag", 1000.0), 0.3, 0.3, 0.02),
-    "baro": Unit((
-        Part("HIL_SENSOR", HEIGHTS, "baro", True),
-        Part("HIGHRES_IMU", HEIGHTS, "", True),
-        Part("SCALED_PRESSURE", (("press_abs", 1.0),), "", True, 1),
-        Part("SCALED_PRESSURE2", (("press_abs", 1.0),), "", True, 2),
+FAILURE_UNITS: dict[str, FailureUnit] = {
+    "gyro": FailureUnit(_imu("gyro", "gyro", 1000.0), 0.5, 1.0, 0.02),
+    "accel": FailureUnit(_imu("acc", "accel", 1000.0 / STANDARD_GRAVITY_MPS2), 3.0, 5.0, 0.2),
+    "mag": FailureUnit(_imu("mag", "mag", 1000.0), 0.3, 0.3, 0.02),
+    "baro": FailureUnit((
+        UnitPart("HIL_SENSOR", HEIGHTS, "baro", True),
+        UnitPart("HIGHRES_IMU", HEIGHTS, "", True),
+        UnitPart("SCALED_PRESSURE", (("press_abs", 1.0),), "", True, 1),
+        UnitPart("SCALED_PRESSURE2", (("press_abs", 1.0),), "", True, 2),
     ), 5.0, 5.0, 0.12),
-    "gps": Unit((
-        Part("HIL_GPS", POSITION),
-        Part("GPS_INPUT", (*POSITION[:2], ("alt", 1.0))),
-        Part("GPS_RAW_INT", POSITION, instance=1),
-        Part("GPS2_RAW", POSITION, instance=2),
+    "gps": FailureUnit((
+        UnitPart("HIL_GPS", POSITION),
+        UnitPart("GPS_INPUT", (*POSITION[:2], ("alt", 1.0))),
+        UnitPart("GPS_RAW_INT", POSITION, instance=1),
+        UnitPart("GPS2_RAW", POSITION, instance=2),
     ), 200.0, 100.0, 2.0),
-    "optical-flow": Unit((
-        Part("HIL_OPTICAL_FLOW", (("integrated_x", 1.0), ("integrated_y", 1.0))),
-        Part("OPTICAL_FLOW_RAD", (("integrated_x", 1.0), ("integrated_y", 1.0))),
-        Part("OPTICAL_FLOW", (("flow_x", 100.0), ("flow_y", 100.0))),
+    "optical-flow": FailureUnit((
+        UnitPart("HIL_OPTICAL_FLOW", (("integrated_x", 1.0), ("integrated_y", 1.0))),
+        UnitPart("OPTICAL_FLOW_RAD", (("integrated_x", 1.0), ("integrated_y", 1.0))),
+        UnitPart("OPTICAL_FLOW", (("flow_x", 100.0), ("flow_y", 100.0))),
     ), 0.2, 0.2, 0.02),
-    "vio": Unit((
-        Part("ODOMETRY", _axes("")),
-        Part("VISION_POSITION_ESTIMATE", _axes("")),
+    "vio": FailureUnit((
+        UnitPart("ODOMETRY", _axes("")),
+        UnitPart("VISION_POSITION_ESTIMATE", _axes("")),
     ), 5.0, 2.0, 0.5),
-    "distance": Unit((Part("DISTANCE_SENSOR", (("current_distance", 100.0),)),), 5.0, 2.0, 0.2),
-    "airspeed": Unit((
-        Part("HIL_SENSOR", (("diff_pressure", 1.0),), "airspeed", True),
-        Part("HIGHRES_IMU", (("diff_pressure", 1.0),), "", True),
-        Part("SCALED_PRESSURE", (("press_diff", 1.0),), "", True, 1),
+    "distance": FailureUnit((UnitPart("DISTANCE_SENSOR", (("current_distance", 100.0),)),), 5.0,
+    2.0, 0.2), "airspeed": FailureUnit((
+        UnitPart("HIL_SENSOR", (("diff_pressure", 1.0),), "airspeed", True),
+        UnitPart("HIGHRES_IMU", (("diff_pressure", 1.0),), "", True),
+        UnitPart("SCALED_PRESSURE", (("press_diff", 1.0),), "", True, 1),
     ), 2.0, 1.0, 0.05),
-    "battery": Unit((
-        Part("BATTERY_STATUS", (("voltages[0]", 1000.0),)),
-        Part("SYS_STATUS", (("voltage_battery", 1000.0),), "", True),
+    "battery": FailureUnit((
+        UnitPart("BATTERY_STATUS", (("voltages[0]", 1000.0),)),
+        UnitPart("SYS_STATUS", (("voltage_battery", 1000.0),), "", True),
     ), -3.0, 1.0, -0.05),
-    "motor": Unit(CONTROLS, -0.3, 0.2, -0.02),
-    "servo": Unit(CONTROLS, 0.3, 0.2, 0.02),
-    "avoidance": Unit((Part("OBSTACLE_DISTANCE", (("distances", 100.0),)),), -2.0, 2.0, -0.2),
-    "rc": Unit((
-        Part("RC_CHANNELS", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
-        Part("RC_CHANNELS_OVERRIDE", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
-        Part("MANUAL_CONTROL", (("x", 2.0), ("y", 2.0), ("z", 2.0), ("r", 2.0))),
+    "motor": FailureUnit(CONTROLS, -0.3, 0.2, -0.02),
+    "servo": FailureUnit(CONTROLS, 0.3, 0.2, 0.02),
+    "avoidance": FailureUnit((UnitPart("OBSTACLE_DISTANCE", (("distances", 100.0),)),), -2.0, 2.0,
+    -0.2), "rc": FailureUnit((
+        UnitPart("RC_CHANNELS", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
+        UnitPart("RC_CHANNELS_OVERRIDE", tuple((f"chan{n}_raw", 1.0) for n in range(1, 9))),
+        UnitPart("MANUAL_CONTROL", (("x", 2.0), ("y", 2.0), ("z", 2.0), ("r", 2.0))),
     ), 200.0, 100.0, 20.0),
-    "mavlink": Unit(()),  # the link itself: every message
-    "esc": Unit((
-        Part("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),), "", True, indexed=True),
-        Part("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),), "", True, indexed=True, skipped=4),
-        Part("HIL_ACTUATOR_CONTROLS", (("controls", 1e-4),), "", True, indexed=True),  # 10,000 rpm
+    "mavlink": FailureUnit(()),  # the link itself: every message
+    "esc": FailureUnit((
+        UnitPart("ESC_TELEMETRY_1_TO_4", (("rpm", 1.0),), "", True, indexed=True),
+        UnitPart("ESC_TELEMETRY_5_TO_8", (("rpm", 1.0),), "", True, indexed=True, skipped=4),
+        # 10,000 rpm
+        UnitPart("HIL_ACTUATOR_CONTROLS", (("controls", 1e-4),), "", True, indexed=True),
     ), 1000.0, 500.0, 50.0),
-    "traffic": Unit((
-        Part("ADSB_VEHICLE", (*POSITION[:2], ("altitude", 1000.0))),
+    "traffic": FailureUnit((
+        UnitPart("ADSB_VEHICLE", (*POSITION[:2], ("altitude", 1000.0))),
     ), 5000.0, 500.0, 50.0),
 }  # fmt: skip
-MESSAGES = frozenset(part.message for unit in WHAT.values() for part in unit.parts)
+MESSAGES = frozenset(part.message for unit in FAILURE_UNITS.values() for part in unit.parts)
 
 
-def name_of(unit: str, instance: int) -> str:
+def failure_id(unit: str, instance: int) -> str:
     """The id of the faults of one failure; a second failure of a unit replaces the first."""
     return f"mav-{unit}-{instance}" if instance else f"mav-{unit}"
 
@@ -197,7 +198,8 @@ def faults_for(
     passed : collection of str
         Names of the messages seen so far.
     extent : Extent
-        In the unit's own measure (as `WHAT` has it), or seconds for what is slow or delayed.
+        In the unit's own measure (as `FAILURE_UNITS` has it), or seconds for what is slow or
+        delayed.
 
     Returns
     -------
@@ -205,17 +207,17 @@ def faults_for(
         Empty if no message of the unit has passed.
     """
     if unit == "mavlink":
-        whole = {"id": f"{name_of(unit, instance)}.1", **_of_the_link(kind, extent)}
+        whole = {"id": f"{failure_id(unit, instance)}.1", **_of_the_link(kind, extent)}
         return [_lasting(whole, extent)] if passed else []
     # A part of one instance is left alone when another instance is meant.
-    chosen = [p for p in WHAT[unit].parts if p.message in passed and p.has(instance)]
+    chosen = [p for p in FAILURE_UNITS[unit].parts if p.message in passed and p.has(instance)]
     entries = []
     for number, part in enumerate(chosen, 1):
-        entry = _lasting(_of_a_part(WHAT[unit], part, kind, instance, extent), extent)
+        entry = _lasting(_of_a_part(FAILURE_UNITS[unit], part, kind, instance, extent), extent)
         if instance and not part.instance and not part.indexed:
             # MAVLink's instances count from 1, the messages' ids from 0.
             entry["where"] = {"id": instance - 1}
-        entries.append({"id": f"{name_of(unit, instance)}.{number}", **entry})
+        entries.append({"id": f"{failure_id(unit, instance)}.{number}", **entry})
     return entries
 
 
@@ -240,7 +242,9 @@ def _of_the_link(kind: str, extent: Extent) -> dict[str, Any]:
     return whole[kind]
 
 
-def _of_a_part(unit: Unit, part: Part, kind: str, instance: int, extent: Extent) -> dict[str, Any]:
+def _of_a_part(
+    unit: FailureUnit, part: UnitPart, kind: str, instance: int, extent: Extent
+) -> dict[str, Any]:
     if kind == "intermittent":
         return {**_of_a_part(unit, part, "off", instance, extent), **INTERMITTENT}
     # A message of its own can be lost or late as a whole.
@@ -276,9 +280,9 @@ def _of_a_part(unit: Unit, part: Part, kind: str, instance: int, extent: Extent)
     return {**target, "fault": "drift", "value": [extent.of(unit.drift) * s for s in scales]}
 
 
-def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
+def _elements(part: UnitPart, instance: int) -> tuple[list[str], list[float]]:
     """The targets of a part and the scale of each element they name."""
-    from mavproxy_fault.fault_parts.target import fields
+    from mavproxy_fault.fault_parts.target import parse_field_targets
 
     found: list[str] = []
     scales: list[float] = []
@@ -286,6 +290,6 @@ def _elements(part: Part, instance: int) -> tuple[list[str], list[float]]:
         chosen = f"[{instance - 1 - part.skipped}]" if part.indexed and instance else ""
         found.append(f"{part.message}.{name}{chosen}")
         # One number per element: an array field has as many.
-        (elements,) = fields([found[-1]]).values()
+        (elements,) = parse_field_targets([found[-1]]).values()
         scales += [scale] * len(elements)
     return found, scales

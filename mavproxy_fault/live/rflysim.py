@@ -27,7 +27,7 @@ SLOTS = 8
 
 # First parameter of a sensor fault.
 NOISE_AND_BIAS, SCALE_FACTOR = 3, 4
-SHIPPED = Path(__file__).parents[1] / "schedule" / "presets" / "rflysim" / "faultmodel.yaml"
+DEFAULT_MAP = Path(__file__).parents[1] / "schedule" / "presets" / "rflysim" / "faultmodel.yaml"
 
 
 class Packet(msgspec.Struct, frozen=True):
@@ -55,7 +55,7 @@ class Packet(msgspec.Struct, frozen=True):
         return Packet(numbers[1], faults, NO_FAULT in ids)
 
 
-class Meaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FaultMeaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What an id stands for.
 
     A motor's parameters are factors on its commands; a sensor's are a mode (3: noise and bias per
@@ -79,7 +79,7 @@ class Meaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class IdMap(msgspec.Struct, frozen=True):
     """RflySim's ids and their meanings."""
 
-    meanings: dict[int, Meaning]
+    meanings: dict[int, FaultMeaning]
 
     def entries(self, packet: Packet) -> list[dict[str, Any]]:
         """The entries of a schedule that a packet asks for; ids not in the map are passed over."""
@@ -95,7 +95,7 @@ class IdMap(msgspec.Struct, frozen=True):
         return found
 
 
-def read_map(path: Path | str = SHIPPED) -> IdMap:
+def read_map(path: Path | str = DEFAULT_MAP) -> IdMap:
     """The id map of a YAML file.
 
     Raises
@@ -111,12 +111,12 @@ def read_map(path: Path | str = SHIPPED) -> IdMap:
         if not (id.isascii() and id.isdigit()):
             check.wrong((id,), "is no fault id; they are whole numbers such as 123450")
             continue
-        meanings[int(id)] = check.struct(value, Meaning, (id,))
+        meanings[int(id)] = check.struct(value, FaultMeaning, (id,))
     check.finish()
     return IdMap(meanings)
 
 
-def _motor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+def _motor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
     """A factor for each motor."""
     return [
         {"fault": "scale", "target": f"{target}[{motor}]", "value": factor}
@@ -125,7 +125,7 @@ def _motor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, An
     ]
 
 
-def _sensor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+def _sensor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
     """Noise and bias per axis as y = (floor + (1 - floor) gain) noise + bias, or a scale factor."""
     mode, numbers = round(parameters[0]), parameters[1:]
     targets = meaning.targets
@@ -145,7 +145,7 @@ def _sensor(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, A
     return entries
 
 
-def _plant(meaning: Meaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
+def _plant(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
     values = [value * meaning.scale for value in parameters]
     if meaning.value is not None:
         values = [meaning.value] * len(meaning.targets)

@@ -21,19 +21,19 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, join_bus, open_bus, running_proxies
-from mavproxy_fault.live.control import QUESTIONS, Control
-from mavproxy_fault.live.journal import RFLYSIM, Edit, Journal
+from mavproxy_fault.live.control import READ_ONLY_REQUESTS, LiveControl
+from mavproxy_fault.live.edit_log import RFLYSIM, Edit, EditLog
 from mavproxy_fault.live.rflysim import FIRST_PORT, PACKED
-from mavproxy_fault.live.watching import Watched
+from mavproxy_fault.live.subscriptions import Watched
 from mavproxy_fault.wire.label import Label
 
-PATIENCE_S = 3.0
-LOOK_S = 1.0  # between two looks whether the bus has its router
+REQUEST_TIMEOUT_S = 3.0
+ROUTER_CHECK_S = 1.0  # between two looks whether the bus has its router
 DEFAULT_RUN = "live"
 # Python's default of 5 ms would hold a frame up for as long.
 SWITCH_INTERVAL_S = 2e-4
 WATCH = "@ctl/watch"
-SHOW_S = 0.04  # between two looks at what viewers watch
+PUBLISH_PERIOD_S = 0.04  # between two looks at what viewers watch
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class Listener(Protocol):
 
 
 @contextlib.contextmanager
-def short_turns() -> Iterator[None]:
+def short_thread_turns() -> Iterator[None]:
     """Let threads take short turns, so that one that imports or parses holds no frame up."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -64,7 +64,7 @@ def short_turns() -> Iterator[None]:
             gc.enable()
 
 
-class Requests:
+class LoopCalls:
     """Hands work of other threads to the loop, and its outcome back."""
 
     def __init__(self) -> None:
@@ -101,11 +101,11 @@ class Requests:
         with contextlib.suppress(BlockingIOError):
             self._wakes.send(b"!")
         try:
-            return outcome.result(PATIENCE_S)
+            return outcome.result(REQUEST_TIMEOUT_S)
         except TimeoutError:
             # Or the loop would carry out what nobody waits for any more.
             outcome.cancel()
-            raise ConfigError(f"the proxy did not answer within {PATIENCE_S} s") from None
+            raise ConfigError(f"the proxy did not answer within {REQUEST_TIMEOUT_S} s") from None
         except CancelledError:
             raise ConfigError("the proxy has ended; ask another") from None
         finally:
@@ -141,12 +141,12 @@ class Requests:
         while not self._waiting.empty():
             self._waiting.get()[1].cancel()
         with self._changed:
-            self._changed.wait_for(lambda: not self._asking, PATIENCE_S)
+            self._changed.wait_for(lambda: not self._asking, REQUEST_TIMEOUT_S)
         self._reads.close()
         self._wakes.close()
 
 
-class Live:
+class LiveSession:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
     `now_us` tells the vehicle's time; `journal` takes every request that may change something;
@@ -155,16 +155,16 @@ class Live:
 
     def __init__(
         self,
-        control: Control,
+        control: LiveControl,
         now_us: Callable[[], int],
-        journal: Journal | None = None,
+        journal: EditLog | None = None,
         listener: Listener | None = None,
     ) -> None:
         self.control = control
         self._listener = listener
         self._now_us = now_us
         self.journal = journal
-        self._requests = Requests()
+        self._requests = LoopCalls()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
         self._config_file = ""
@@ -210,7 +210,7 @@ class Live:
 
     def _become_router(self, bus: Bus) -> None:
         """Be the router where the one there was has ended; unless another was faster."""
-        with short_turns(), contextlib.suppress(ConfigError):
+        with short_thread_turns(), contextlib.suppress(ConfigError):
             fresh = open_bus(bus.url, run=bus.run, router=True, config_file=self._config_file)
             self.do(lambda: self.offer(fresh))
             bus.close()
@@ -220,7 +220,7 @@ class Live:
         # A look each second, and one successor at a time.
         if self._bus is None or now_s < self._look_s or self._successor.is_alive():
             return
-        self._look_s = now_s + LOOK_S
+        self._look_s = now_s + ROUTER_CHECK_S
         if not self._bus.is_joined:
             self._successor = threading.Thread(
                 target=self._become_router, args=(self._bus,), daemon=True
@@ -246,7 +246,7 @@ class Live:
         ConfigError
             If it is refused.
         """
-        with short_turns():
+        with short_thread_turns():
             # Reading and checking happens on the asker's thread: the loop must not wait for it.
             act = None if key.endswith(WATCH) else self.control.prepare(key, payload)
         return self.do(lambda: self._act(key, payload, act))
@@ -261,7 +261,7 @@ class Live:
             return self.control.watch(payload, time.monotonic())
         # The time is taken in the loop's thread, just before the edit.
         t_us = self._now_us()
-        if self.journal is not None and not key.endswith(QUESTIONS):
+        if self.journal is not None and not key.endswith(READ_ONLY_REQUESTS):
             self.journal.note(key, payload, t_us)
         return act(t_us)
 
@@ -295,7 +295,7 @@ class Live:
         """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
         if now_s < self._show_s:
             return
-        self._show_s = now_s + SHOW_S
+        self._show_s = now_s + PUBLISH_PERIOD_S
         self._look_after_bus(now_s)
         engine = self.control.engine
         # Only where something changed since the last look.

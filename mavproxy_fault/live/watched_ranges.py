@@ -9,7 +9,7 @@ MOST_EPOCHS = 100  # kept for a viewer's next look
 Epochs = dict[int, dict[str, float]]  # metres by satellite, by stamp
 
 
-class RangeSource:
+class RangeSampler:
     """One receiver's ranges, as they came and as they left."""
 
     def __init__(self) -> None:

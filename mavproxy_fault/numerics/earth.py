@@ -21,7 +21,7 @@ _SOMIGLIANA_K = 0.00193185265241
 _GRAVITY_M = 0.00344978650684  # omega^2 a^2 b / mu
 
 
-def radii(lat_rad: ArrayLike) -> tuple[Array, Array]:
+def curvature_radii(lat_rad: ArrayLike) -> tuple[Array, Array]:
     """Radii of curvature in the meridian and in the prime vertical [m]."""
     w2 = 1.0 - WGS84_ECCENTRICITY2 * np.sin(lat_rad) ** 2
     prime = WGS84_SEMI_MAJOR_M / np.sqrt(w2)

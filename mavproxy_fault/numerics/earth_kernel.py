@@ -19,7 +19,7 @@ ecef_of = cast(_Coordinates, inlined(earth.ecef_of))
 
 
 @compiled
-def geodetic(r_ecef_m: Vector) -> tuple[float, float, float]:
+def geodetic_position(r_ecef_m: Vector) -> tuple[float, float, float]:
     """Latitude and longitude in rad and ellipsoidal height in m of a place (3,) in ECEF."""
     return geodetic_of(r_ecef_m[0], r_ecef_m[1], r_ecef_m[2])
 

@@ -11,7 +11,7 @@ Vector = NDArray[np.float64]
 
 
 @compiled
-def multiply(a: Vector, b: Vector) -> Vector:
+def multiply_matrices(a: Vector, b: Vector) -> Vector:
     """a b (n, m) of a (n, k) and b (k, m)."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
@@ -34,7 +34,7 @@ def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
 
 
 @compiled
-def transposed(a: Vector) -> Vector:
+def transpose_matrix(a: Vector) -> Vector:
     """a' (m, n) as an array of its own."""
     out = np.empty((a.shape[1], a.shape[0]))
     for i in range(a.shape[0]):
@@ -44,7 +44,7 @@ def transposed(a: Vector) -> Vector:
 
 
 @compiled
-def apply(a: Vector, v: Vector) -> Vector:
+def multiply_vector(a: Vector, v: Vector) -> Vector:
     """a v (n,) of a (n, k) and v (k,)."""
     out = np.zeros(a.shape[0])
     for i in range(a.shape[0]):
@@ -54,7 +54,7 @@ def apply(a: Vector, v: Vector) -> Vector:
 
 
 @compiled
-def lower(s: Vector) -> Vector:
+def cholesky_factor(s: Vector) -> Vector:
     """Cholesky's lower triangle of a positive definite matrix (n, n); NaN where it is not."""
     n = s.shape[0]
     low = np.zeros((n, n))
@@ -72,7 +72,7 @@ def lower(s: Vector) -> Vector:
 
 
 @compiled
-def lower_inverse(low: Vector) -> Vector:
+def invert_lower(low: Vector) -> Vector:
     """The inverse of a lower triangle (n, n)."""
     n = low.shape[0]
     root = np.zeros((n, n))
@@ -88,7 +88,7 @@ def lower_inverse(low: Vector) -> Vector:
 
 
 @compiled
-def square(a: Vector) -> Vector:
+def gram_matrix(a: Vector) -> Vector:
     """a' a (n, n)."""
     n = a.shape[1]
     out = np.zeros((n, n))
@@ -102,6 +102,6 @@ def square(a: Vector) -> Vector:
 
 
 @compiled
-def inverse(s: Vector) -> Vector:
+def invert_positive_definite(s: Vector) -> Vector:
     """The inverse of a positive definite matrix (n, n), by Cholesky; NaN where it is not."""
-    return square(lower_inverse(lower(s)))
+    return gram_matrix(invert_lower(cholesky_factor(s)))

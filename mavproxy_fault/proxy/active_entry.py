@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 LOG = logging.getLogger(__name__)
-BOTH = "both"  # directions of one stretch
+BOTH_DIRECTIONS = "both"  # directions of one stretch
 NEVER_US = 1 << 62
-TELL_US = 200_000  # between two labels about new values of one fault
+VALUE_LABEL_INTERVAL_US = 200_000  # between two labels about new values of one fault
 
 
-def after_s(t_us: int, seconds: float) -> int:
+def add_seconds(t_us: int, seconds: float) -> int:
     """A stamp so many seconds later; NEVER_US where no clock gets there."""
     # Infinite durations and stamps near the end of 64 bits are never reached.
     later_us = t_us + seconds * 1e6
     return t_us + round(seconds * 1e6) if later_us < NEVER_US else NEVER_US
 
 
-class Chance:
+class LazyGenerator:
     """A generator of random numbers that loads numpy when it is first drawn from."""
 
     def __init__(self, seed: int, name: str) -> None:
@@ -46,7 +46,7 @@ class Chance:
         return found
 
 
-class Running:
+class ActiveEntry:
     """An entry, the state of its fault, and the count of what it did.
 
     `base_us` is the stamp from which `at_s` counts; an `injected` entry stands in no schedule, and
@@ -64,7 +64,7 @@ class Running:
         self.base_us = base_us
         self.condition = entry.condition
         self.armed = True  # a condition starts the fault when it becomes true, not while it is
-        self.earliest_us = after_s(base_us, entry.at_s)
+        self.earliest_us = add_seconds(base_us, entry.at_s)
         # With a condition too, that counts from the event or moment on.
         self._waits = entry.after is not None or entry.moment is not None
         self.start_us = NEVER_US if entry.when or self._waits else self.earliest_us
@@ -80,7 +80,7 @@ class Running:
         self.stirred = False  # the engine has to look: a first frame, a new value, an end of itself
         self.direction = ""
         self.states: dict[str, Any] = {}
-        self.rng = cast("Generator", Chance(seed, entry.id))
+        self.rng = cast("Generator", LazyGenerator(seed, entry.id))
         self.live: tuple[float, int] | None = None  # newest streamed value and when it came
         self.latency_us: int | None = None
         self.value: float | None = None  # given live, constant or streamed
@@ -117,7 +117,7 @@ class Running:
 
     def _end(self) -> int:
         for_s = self.entry.for_s
-        return NEVER_US if for_s is None or self.start_us == NEVER_US else after_s(
+        return NEVER_US if for_s is None or self.start_us == NEVER_US else add_seconds(
             self.start_us, for_s
         )  # fmt: skip
 
@@ -140,7 +140,7 @@ class Running:
         """Start if the condition has become true, or note the moment; whether it did."""
         moment = self.entry.moment
         if moment is not None and self._waits and moment.holds(telemetry):
-            self.follow(after_s(t_us, self.entry.at_s))
+            self.follow(add_seconds(t_us, self.entry.at_s))
             return True
         # One that acts, or waits for its end, is not started a second time.
         if self.active or self.condition is None or self._waits or t_us < self.earliest_us:
@@ -181,7 +181,7 @@ class Running:
             missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
             self.starts += max(missed, 0)
             if repeat.times is None or self.starts < repeat.times:
-                next_us = after_s(self.start_us, repeat.every_s * (1 + max(missed, 0)))
+                next_us = add_seconds(self.start_us, repeat.every_s * (1 + max(missed, 0)))
                 self.start_us = max(next_us, self.start_us + 1)  # it cannot stand still
                 self.end_us = self._end()
                 return
@@ -266,7 +266,7 @@ class Running:
             self.direction = direction
             self.stirred = True
         elif self.direction != direction:
-            self.direction = BOTH
+            self.direction = BOTH_DIRECTIONS
 
     def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """What the fault makes of a frame, its state of that direction brought up to date."""
@@ -350,7 +350,7 @@ class Running:
         if self._announced_us is None:
             self.changed_us = None  # what was given before is the value that it began with
         # A slider moves many times a second: labels tell of it a few times.
-        elif not self.unannounced or t_us - self._announced_us < TELL_US:
+        elif not self.unannounced or t_us - self._announced_us < VALUE_LABEL_INTERVAL_US:
             return None
         self.unannounced = self.stirred = False
         self._announced_us = t_us

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 if TYPE_CHECKING:
     from mavproxy_fault.wire.label import Label
@@ -13,7 +13,7 @@ NOTICE = 5  # MAV_SEVERITY_NOTICE
 TEXT_LENGTH = 50
 
 
-def text(label: "Label") -> str:
+def label_text(label: "Label") -> str:
     """One line about a label, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
     if label.end_us is not None:
         return f"FAULT {label.id} off: {label.frames} frames"
@@ -22,9 +22,12 @@ def text(label: "Label") -> str:
     return f"FAULT {label.id} on: {label.preset or label.fault} {' '.join(label.targets)}".rstrip()
 
 
-def announcement(label: "Label", system: int) -> Frame:
+def label_announcement(label: "Label", system: int) -> Frame:
     """A STATUSTEXT for a label, cut to the message's 50 characters."""
-    layout = known("STATUSTEXT")
+    layout = message_layout("STATUSTEXT")
     # ASCII: STATUSTEXT of old receivers knows no more.
-    values = {"severity": NOTICE, "text": text(label).encode("ascii", "replace")[:TEXT_LENGTH]}
-    return Frame(build(layout, values, system=system, component=COMPONENT), layout)
+    values = {
+        "severity": NOTICE,
+        "text": label_text(label).encode("ascii", "replace")[:TEXT_LENGTH],
+    }
+    return Frame(build_frame(layout, values, system=system, component=COMPONENT), layout)

@@ -15,25 +15,25 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavproxy_fault.proxy.announcements import announcement
-from mavproxy_fault.proxy.interfaces import Control, Direction, Engine, LinkRole, Send
+from mavproxy_fault.proxy.announcements import label_announcement
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
+from mavproxy_fault.proxy.interfaces import CommandResponder, Direction, FaultEngine, LinkRole, Send
 from mavproxy_fault.proxy.numbering import Numbering
-from mavproxy_fault.proxy.outgoing import Departures, source_of, together
-from mavproxy_fault.proxy.patience import Patience
+from mavproxy_fault.proxy.outgoing_batch import OutgoingBatch, join_datagrams, source_of
+from mavproxy_fault.proxy.resync_deadline import ResyncDeadline
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
 from mavproxy_fault.proxy.sender_rules import missing_before
 from mavproxy_fault.proxy.senders import (
-    DOUBTED,
     GAPS,
-    LEAD,
     LINKS,
     SENDERS,
-    SPEAKER,
     T0,
+    UNCONFIRMED,
     UNKNOWN,
+    VEHICLE_SYSTEM,
+    WALL_OFFSET,
     new_senders,
 )
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
@@ -73,11 +73,11 @@ class Core:
     def __init__(
         self,
         links: Sequence[LinkRole],
-        engine: Engine | None = None,
+        engine: FaultEngine | None = None,
         *,
         signing: Signing | None = None,
-        control: Control | None = None,
-        tape: Tape | None = None,
+        control: CommandResponder | None = None,
+        tape: CaptureBuffer | None = None,
     ) -> None:
         self.links = tuple(links)
         self.engine = engine
@@ -93,7 +93,7 @@ class Core:
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
-        self._patience: dict[tuple[int, int], Patience] = {}
+        self._patience: dict[tuple[int, int], ResyncDeadline] = {}
         self._give_up_us: dict[tuple[int, int], int] = {}  # streams that owe the rest of a frame
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
@@ -138,7 +138,7 @@ class Core:
             self._patience.pop(key, None)
             self._give_up_us.pop(key, None)
         if data and not role.datagrams:
-            self._patience.setdefault(key, Patience()).came(len(data), now_us)
+            self._patience.setdefault(key, ResyncDeadline()).came(len(data), now_us)
             self._wait_for_rest(key)
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
@@ -204,7 +204,7 @@ class Core:
         """End every fault; what is still delayed stays unsent."""
         sends = self.due(now_us)
         if self.engine is not None:
-            departures: Departures = []
+            departures: OutgoingBatch = []
             labels = [*self.engine.drain_labels(), *self.engine.finish(self.clock.t_us)]
             self._announce(labels, now_us, departures)
             sends += self._sends(departures, now_us) + self.due(now_us)
@@ -233,7 +233,7 @@ class Core:
     # Input
 
     def _process(self, items: Iterable[Frame | Junk], arrival: Arrival) -> list[Send]:
-        departures: Departures = []
+        departures: OutgoingBatch = []
         for item in items:
             is_frame = isinstance(item, Frame)
             if self._tape is not None:
@@ -244,10 +244,10 @@ class Core:
                 self._junk(item, arrival, departures)
         # What came in one datagram leaves in one.
         if self.links[arrival.link].datagrams and len(departures) > 1:
-            departures = together(departures)
+            departures = join_datagrams(departures)
         return self._sends(departures, arrival.now_us)
 
-    def _frame(self, frame: Frame, arrival: Arrival, departures: Departures) -> None:
+    def _frame(self, frame: Frame, arrival: Arrival, departures: OutgoingBatch) -> None:
         state = self.states[arrival.link]
         state.frames += 1
         if not self._admit(frame, arrival):
@@ -280,7 +280,7 @@ class Core:
             self._emit(departure, frame, links, arrival.now_us - t_us, arrival.now_us, departures)
         self._announce(engine.drain_labels(), arrival.now_us, departures)
 
-    def _junk(self, junk: Junk, arrival: Arrival, departures: Departures) -> None:
+    def _junk(self, junk: Junk, arrival: Arrival, departures: OutgoingBatch) -> None:
         self.states[arrival.link].junk += 1
         mask = self._routes.everywhere & ~(1 << arrival.link)
         now_us = arrival.now_us
@@ -304,14 +304,14 @@ class Core:
         if self.senders[LINKS + sender] == 1 << link:
             self.states[link].gaps += missing_before(self.senders, sender, frame.seq)
         if arrival.direction == "from-vehicle":
-            self.senders[SPEAKER] = system
+            self.senders[VEHICLE_SYSTEM] = system
         return True
 
-    def _time(self, frame: Frame, now_us: int, state: LinkState, departures: Departures) -> int:
+    def _time(self, frame: Frame, now_us: int, state: LinkState, departures: OutgoingBatch) -> int:
         senders = self.senders
         t_us = self.clock.read(frame, now_us)
-        if senders[DOUBTED] != self._doubted:
-            self._doubted = senders[DOUBTED]
+        if senders[UNCONFIRMED] != self._doubted:
+            self._doubted = senders[UNCONFIRMED]
             state.doubted += 1
         if senders[T0] == UNKNOWN:
             self._on_wall_clock = True
@@ -319,10 +319,10 @@ class Core:
             # The first stamp ever: the schedule, begun on the wall clock, begins on this one anew.
             self._on_wall_clock = False
             if self.engine is not None:
-                senders[LEAD] = now_us - t_us
+                senders[WALL_OFFSET] = now_us - t_us
                 self.engine.restart(t_us)
                 self._announce(self.engine.drain_labels(), now_us, departures)
-        senders[LEAD] = now_us - t_us
+        senders[WALL_OFFSET] = now_us - t_us
         return t_us
 
     # What leaves
@@ -334,7 +334,7 @@ class Core:
         mask: int,
         lead_us: int,
         now_us: int,
-        departures: Departures,
+        departures: OutgoingBatch,
     ) -> None:
         """Send or keep what the engine gave back for `origin`, which may be an earlier frame."""
         frame = outgoing.frame
@@ -352,7 +352,7 @@ class Core:
         else:
             heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
 
-    def _leave(self, mask: int, raw: bytes, now_us: int, departures: Departures) -> None:
+    def _leave(self, mask: int, raw: bytes, now_us: int, departures: OutgoingBatch) -> None:
         if mask:
             self._record(raw, now_us)
             departures.append((mask, raw))
@@ -361,19 +361,19 @@ class Core:
         if self._tape is not None:
             self._tape.send(when_us, raw)
         if self.control is not None:
-            self.control.sent(raw, when_us - self.senders[LEAD])
+            self.control.sent(raw, when_us - self.senders[WALL_OFFSET])
 
-    def _announce(self, labels: "list[Label]", now_us: int, departures: Departures) -> None:
+    def _announce(self, labels: "list[Label]", now_us: int, departures: OutgoingBatch) -> None:
         for label in labels:
             self._labels.append(label)
             self._leave(
                 self._listeners,
-                self._numbering.numbered(announcement(label, self.senders[SPEAKER])),
+                self._numbering.numbered(label_announcement(label, self.senders[VEHICLE_SYSTEM])),
                 now_us,
                 departures,
             )
 
-    def _sends(self, departures: Departures, when_us: int) -> list[Send]:
+    def _sends(self, departures: OutgoingBatch, when_us: int) -> list[Send]:
         return [send for mask, data in departures for send in self._to_links(mask, data, when_us)]
 
     def _to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
@@ -387,16 +387,16 @@ class Core:
 
     def _engine_due_us(self) -> int:
         release_us = None if self.engine is None else self.engine.release_us
-        return NEVER_US if release_us is None else release_us + self.senders[LEAD]
+        return NEVER_US if release_us is None else release_us + self.senders[WALL_OFFSET]
 
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
-        departures: Departures = []
-        for outgoing in self.engine.due(when_us - self.senders[LEAD]):
+        departures: OutgoingBatch = []
+        for outgoing in self.engine.due(when_us - self.senders[WALL_OFFSET]):
             mask = self._links_of_pending(outgoing.frame)
             if outgoing.back:  # to whom it went before, wherever that is
                 mask = self._routes.everywhere
-            self._emit(outgoing, None, mask, self.senders[LEAD], when_us, departures)
+            self._emit(outgoing, None, mask, self.senders[WALL_OFFSET], when_us, departures)
         self._announce(self.engine.drain_labels(), when_us, departures)
         return self._sends(departures, when_us)
 

@@ -12,18 +12,18 @@ from typing import Any
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.proxy.active_entry import NEVER_US, Running, after_s
-from mavproxy_fault.proxy.value_entry import RunningValueFault, at_work
+from mavproxy_fault.proxy.active_entry import NEVER_US, ActiveEntry, add_seconds
+from mavproxy_fault.proxy.value_entry import ActiveValueEntry, activate_entry
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
-from mavproxy_fault.schedule.saving import as_yaml
+from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
-ENDED_KEPT = 32  # injected faults that are over
+MAX_ENDED_FAULTS = 32  # injected faults that are over
 
 
 class Engine:
@@ -44,12 +44,12 @@ class Engine:
         self.now_us = 0
         self.wanted: frozenset[int] | None = frozenset()
         self._schedule = schedule
-        self._all: list[Running] = []
-        self._by_id: dict[int, tuple[Running, ...]] = {}
-        self._any: tuple[Running, ...] = ()
-        self._buffering: tuple[Running, ...] = ()
-        self._watched: dict[int, tuple[Running, ...]] = {}
-        self._followers: dict[str, list[tuple[int, Running]]] = {}
+        self._all: list[ActiveEntry] = []
+        self._by_id: dict[int, tuple[ActiveEntry, ...]] = {}
+        self._any: tuple[ActiveEntry, ...] = ()
+        self._buffering: tuple[ActiveEntry, ...] = ()
+        self._watched: dict[int, tuple[ActiveEntry, ...]] = {}
+        self._followers: dict[str, list[tuple[int, ActiveEntry]]] = {}
         self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
@@ -83,9 +83,9 @@ class Engine:
         self._edited()
         self._advance(t0_us)
 
-    def _run(self, entry: Entry, base_us: int) -> Running:
+    def _run(self, entry: Entry, base_us: int) -> ActiveEntry:
         assert self.t0_us is not None
-        return at_work(entry, self.seed, base_us, self.t0_us)
+        return activate_entry(entry, self.seed, base_us, self.t0_us)
 
     def tell_time(self, t_us: int) -> None:
         """Let edits count from this stamp, whatever frame was seen last."""
@@ -140,7 +140,7 @@ class Engine:
                     heappush(due, (running.next_us, further))
         self._index()
 
-    def _end(self, running: Running, t_us: int) -> None:
+    def _end(self, running: ActiveEntry, t_us: int) -> None:
         self._kept += running.release(t_us, overdue=False)
         label = running.close(t_us)
         if label is not None:
@@ -148,18 +148,18 @@ class Engine:
         running.rest(self.now_us)
         self._follow(running, "end", t_us)
 
-    def _follow(self, leader: Running, event: str, t_us: int) -> None:
+    def _follow(self, leader: ActiveEntry, event: str, t_us: int) -> None:
         """Set the start of entries that wait for another one."""
         for _, running in self._followers.get(leader.entry.id, ()):
             after = running.entry.after
             if after is None or running.starts or running.start_us < NEVER_US:
                 continue
             if after.event == event:
-                running.follow(after_s(t_us, after.delay_s))
+                running.follow(add_seconds(t_us, after.delay_s))
 
-    def _that_follow(self) -> dict[str, list[tuple[int, Running]]]:
+    def _that_follow(self) -> dict[str, list[tuple[int, ActiveEntry]]]:
         """The entries that wait for another one, with their places, by its id."""
-        found: dict[str, list[tuple[int, Running]]] = {}
+        found: dict[str, list[tuple[int, ActiveEntry]]] = {}
         for place, running in enumerate(self._all):
             if running.entry.after is not None:
                 found.setdefault(running.entry.after.id, []).append((place, running))
@@ -201,7 +201,7 @@ class Engine:
         """When the next fault starts or ends by the clock."""
         return self._edge_us
 
-    def acting(self, number: int) -> tuple[Running, ...] | None:
+    def acting(self, number: int) -> tuple[ActiveEntry, ...] | None:
         """Who acts on a message now; None if a condition watches it as well."""
         return None if number in self._watched else self._by_id.get(number, self._any)
 
@@ -230,8 +230,8 @@ class Engine:
                 running.sealed += 1
                 continue
             if sends is not None:
-                sends = _through(running, sends, direction, t_us)
-            elif isinstance(running, RunningValueFault):
+                sends = _apply_to_outgoing(running, sends, direction, t_us)
+            elif isinstance(running, ActiveValueEntry):
                 if draft is None:
                     draft = Draft(frame)
                 running.edit(draft, direction, t_us)
@@ -245,7 +245,7 @@ class Engine:
             sends, self._kept = self._kept + sends, []
         return sends
 
-    def _look(self, running: Running, t_us: int) -> None:
+    def _look(self, running: ActiveEntry, t_us: int) -> None:
         """Write a label about what a fault has just begun to do; see whether it ended itself."""
         if running.end_us <= t_us:
             self._edge_us = t_us  # with the next frame
@@ -270,7 +270,7 @@ class Engine:
             self._advance(t_us)
         for running in self._any:
             if running.takes_junk(direction):
-                sends = _through(running, sends, direction, t_us)
+                sends = _apply_to_outgoing(running, sends, direction, t_us)
         return sends
 
     def drain_labels(self) -> list[Label]:
@@ -314,7 +314,7 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                running = at_work(one, self.seed, self.now_us, self.t0_us, injected=True)
+                running = activate_entry(one, self.seed, self.now_us, self.t0_us, injected=True)
                 self._all.append(running)
             self._advance(self.now_us)
             self._forget()
@@ -333,12 +333,12 @@ class Engine:
     def _forget(self) -> None:
         """Let go of the injected faults that ended first, beyond some that a page may show."""
         ended = [running for running in self._all if running.injected and running.done]
-        for running in ended[: -ENDED_KEPT or None]:
+        for running in ended[: -MAX_ENDED_FAULTS or None]:
             self._all.remove(running)
 
     def clear(self, id: str) -> bool:
         """End and forget a fault (with its parts), or `all`; whether there was one."""
-        ids = {one.id for one in self._entries() if _of(one.id, id)}
+        ids = {one.id for one in self._entries() if _is_fault_or_part(one.id, id)}
         for running in self._all:
             if running.active and running.entry.id in ids:
                 self._end(running, self.now_us)
@@ -366,11 +366,11 @@ class Engine:
         """
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
-            raise ConfigError(f"update: {id} is no fault; {near(id, self.ids())}")
+            raise ConfigError(f"update: {id} is no fault; {suggest_known(id, self.ids())}")
         chosen[0].feed(value, self.now_us, latency_us)
         self._edited()
 
-    def prepared(self, schedule: Schedule) -> dict[str, Running]:
+    def prepared(self, schedule: Schedule) -> dict[str, ActiveEntry]:
         """What `replace` will need, by id; it touches nothing, so another thread may make it."""
         t0_us = self.t0_us
         if t0_us is None:
@@ -391,8 +391,8 @@ class Engine:
         schedule: Schedule,
         *,
         anew: bool = False,
-        prepared: Mapping[str, Running] | None = None,
-    ) -> Sequence[Running]:
+        prepared: Mapping[str, ActiveEntry] | None = None,
+    ) -> Sequence[ActiveEntry]:
         """Take another schedule; entries that stand in both as they were go on undisturbed.
 
         With `anew` the times count from now instead of the start, and every entry begins again.
@@ -403,10 +403,12 @@ class Engine:
         self._schedule = schedule
         if self.t0_us is not None:
             wanted = {} if anew else {entry.id: entry for entry in schedule.faults}
-            going: dict[str, Running] = {}
+            going: dict[str, ActiveEntry] = {}
             for running in self._all:
                 entry = wanted.get(running.entry.id)
-                if entry and _essence(running.entry, self._late_s(running)) == _essence(entry):
+                if entry and _comparable_entry(
+                    running.entry, self._late_s(running)
+                ) == _comparable_entry(entry):
                     going[entry.id] = running
                 elif running.active:
                     self._end(running, self.now_us)
@@ -459,31 +461,33 @@ class Engine:
         Its times count from the start, or with `anew` from when the first entry was loaded.
         """
         if self.t0_us is None:
-            return as_yaml(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
+            return write_schedule(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
         late_s = [self._late_s(running) for running in self._all]
         first_s = min(late_s, default=0.0) if anew else 0.0
         late = zip(self._entries(), (one_s - first_s for one_s in late_s), strict=True)
-        return as_yaml(self.seed, late)
+        return write_schedule(self.seed, late)
 
-    def _late_s(self, running: Running) -> float:
+    def _late_s(self, running: ActiveEntry) -> float:
         """Seconds from the start to the moment from which the times of an entry count."""
         assert self.t0_us is not None
         return (running.base_us - self.t0_us) * 1e-6
 
 
-def _essence(entry: Entry, late_s: float = 0.0) -> Entry:
+def _comparable_entry(entry: Entry, late_s: float = 0.0) -> Entry:
     """An entry without how it was written, its times counted from so much earlier."""
     # Rounded as in a saved file, so that what was saved and loaded again is the same.
     return msgspec.structs.replace(entry, at_s=round(late_s + entry.at_s, 6), written={})
 
 
-def _of(id: str, chosen: str) -> bool:
+def _is_fault_or_part(id: str, chosen: str) -> bool:
     """Whether an id is the one chosen, or a part of it."""
     head, _, part = id.rpartition(".")
     return chosen == "all" or id == chosen or (head == chosen and part.isdigit())
 
 
-def _through(running: Running, sends: list[Outgoing], direction: str, t_us: int) -> list[Outgoing]:
+def _apply_to_outgoing(
+    running: ActiveEntry, sends: list[Outgoing], direction: str, t_us: int
+) -> list[Outgoing]:
     """What a further entry makes of what the ones before let through; delays add up."""
     found: list[Outgoing] = []
     for out in sends:

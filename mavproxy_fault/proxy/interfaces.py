@@ -29,7 +29,7 @@ class LinkRole:
     datagrams: bool = True
 
 
-class Engine(Protocol):
+class FaultEngine(Protocol):
     """The faults: frames in, timed frames out, on the vehicle's time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
@@ -63,7 +63,7 @@ class Engine(Protocol):
         """End every label."""
 
 
-class Control(Protocol):
+class CommandResponder(Protocol):
     """Whatever answers commands for the proxy itself; `wanted` are the messages it must see."""
 
     @property

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from mavproxy_fault.proxy.senders import NEXT_SEQ, UNKNOWN
-from mavproxy_fault.wire.frame import Frame, framed
+from mavproxy_fault.wire.frame import Frame, frame_payload
 
 
 class Numbering:
@@ -27,6 +27,6 @@ class Numbering:
         if counted_from != expected:  # the sender has spoken since
             seq = expected
         self._made[sender] = expected, (seq + 1) & 0xFF
-        return framed(
+        return frame_payload(
             frame.layout, frame.payload, seq=seq, system=frame.system, component=frame.component
         )

@@ -11,19 +11,19 @@ References
 from array import array
 from functools import cache
 
-from mavproxy_fault.proxy.sender_rules import addressee, links_towards
+from mavproxy_fault.proxy.sender_rules import read_target, select_links
 from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
-WINDOW_US = 1_000_000
-MOST_REMEMBERED = 4096
+LOOP_WINDOW_US = 1_000_000
+MAX_REMEMBERED = 4096
 
 
 @cache
-def target_places(name: str) -> tuple[int, int]:
+def target_offsets(name: str) -> tuple[int, int]:
     """Offsets of a message's target system and component; -1 without one."""
-    fields = known(name).fields
+    fields = message_layout(name).fields
     system, component = fields.get("target_system"), fields.get("target_component")
     return (system.offset if system else -1), (component.offset if component else -1)
 
@@ -51,11 +51,11 @@ class Routes:
     def find(self, frame: Frame, link: int) -> int:
         """The links a frame from `link` goes to."""
         elsewhere = self.everywhere & ~(1 << link)
-        places = target_places(frame.layout.name)
+        places = target_offsets(frame.layout.name)
         if places[0] < 0:
             return elsewhere
-        target = addressee(frame.raw, frame.payload_at, frame.length, places)
-        return links_towards(self._senders, target, elsewhere)
+        target = read_target(frame.raw, frame.payload_at, frame.length, places)
+        return select_links(self._senders, target, elsewhere)
 
 
 class LoopGuard:
@@ -73,7 +73,7 @@ class LoopGuard:
 
     def passes(self, raw: bytes, *, from_home: bool, now_us: int) -> bool:
         """Whether to forward these bytes."""
-        if now_us - self._since_us > WINDOW_US or len(self._recent) >= MOST_REMEMBERED:
+        if now_us - self._since_us > LOOP_WINDOW_US or len(self._recent) >= MAX_REMEMBERED:
             self._older, self._recent, self._since_us = self._recent, {}, now_us
         counts = self._recent.get(raw)
         if counts is None:

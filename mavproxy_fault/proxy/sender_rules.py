@@ -7,24 +7,24 @@ Each rule stands here once and works on the flat array of `senders`. The core ca
 from collections.abc import MutableSequence, Sequence
 
 from mavproxy_fault.proxy.senders import (
-    DOUBTED,
+    CANDIDATE_STAMP,
+    CLOCK_OFFSET,
     GAPS,
-    HEARD_AT,
+    LAST_HEARD,
     LINKS,
-    NEWEST,
+    NEWEST_STAMP,
+    NEWEST_TIME,
     NEXT_SEQ,
-    NOW,
-    SHIFT,
-    SUSPECT,
     SYSTEM_LINKS,
     SYSTEM_TIME,
     T0,
+    UNCONFIRMED,
     UNKNOWN,
 )
 
-UNIX_FROM_US = 10**15  # stamps beyond are Unix time (2001 on); no vehicle is up for 31 years
-BEYOND_US = 1 << 53  # no stamp reaches the year 2255: such a number is damage, and read as none
-NEAR_US = 10_000_000
+UNIX_TIME_FROM_US = 10**15  # stamps beyond are Unix time (2001 on); no vehicle is up for 31 years
+MAX_STAMP_US = 1 << 53  # no stamp reaches the year 2255: such a number is damage, and read as none
+MAX_TIME_JUMP_US = 10_000_000
 
 Senders = MutableSequence[int]
 
@@ -50,35 +50,36 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     if stamp_us == 0:
         if senders[newest_at] != UNKNOWN:
             return senders[newest_at]
-        return now_us if senders[T0] == UNKNOWN else senders[NOW]
-    clock = sender << 1 | (1 if stamp_us >= UNIX_FROM_US else 0)
-    shift = senders[SHIFT + clock]
+        return now_us if senders[T0] == UNKNOWN else senders[NEWEST_TIME]
+    clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
+    shift = senders[CLOCK_OFFSET + clock]
     if shift == UNKNOWN:
         if senders[T0] == UNKNOWN:
             senders[T0] = stamp_us
-            senders[NOW] = stamp_us
-        ahead_us = stamp_us - senders[NOW]
-        shift = 0 if abs(ahead_us) <= NEAR_US else -ahead_us
-        senders[SHIFT + clock] = shift
+            senders[NEWEST_TIME] = stamp_us
+        ahead_us = stamp_us - senders[NEWEST_TIME]
+        shift = 0 if abs(ahead_us) <= MAX_TIME_JUMP_US else -ahead_us
+        senders[CLOCK_OFFSET + clock] = shift
     else:
-        leap_us = stamp_us - senders[NEWEST + clock]
-        if leap_us < -NEAR_US or (
-            leap_us > NEAR_US and leap_us > now_us - senders[HEARD_AT + clock] + NEAR_US
+        leap_us = stamp_us - senders[NEWEST_STAMP + clock]
+        if leap_us < -MAX_TIME_JUMP_US or (
+            leap_us > MAX_TIME_JUMP_US
+            and leap_us > now_us - senders[LAST_HEARD + clock] + MAX_TIME_JUMP_US
         ):
-            suspect = senders[SUSPECT + clock]
-            senders[SUSPECT + clock] = stamp_us
-            same_way = (suspect > senders[NEWEST + clock]) == (leap_us > 0)
-            if suspect == 0 or not same_way or stamp_us < suspect - NEAR_US:
-                senders[DOUBTED] += 1
+            suspect = senders[CANDIDATE_STAMP + clock]
+            senders[CANDIDATE_STAMP + clock] = stamp_us
+            same_way = (suspect > senders[NEWEST_STAMP + clock]) == (leap_us > 0)
+            if suspect == 0 or not same_way or stamp_us < suspect - MAX_TIME_JUMP_US:
+                senders[UNCONFIRMED] += 1
                 return senders[newest_at]
             if leap_us < 0:  # the vehicle has started again: its time goes on from the newest
-                shift = senders[NOW] - min(suspect, stamp_us)
-                senders[SHIFT + clock] = shift
+                shift = senders[NEWEST_TIME] - min(suspect, stamp_us)
+                senders[CLOCK_OFFSET + clock] = shift
     t_us = stamp_us + shift
-    senders[NEWEST + clock] = stamp_us
-    senders[HEARD_AT + clock] = now_us
-    senders[SUSPECT + clock] = 0
-    senders[NOW] = t_us
+    senders[NEWEST_STAMP + clock] = stamp_us
+    senders[LAST_HEARD + clock] = now_us
+    senders[CANDIDATE_STAMP + clock] = 0
+    senders[NEWEST_TIME] = t_us
     senders[newest_at] = t_us
     return t_us
 
@@ -94,7 +95,7 @@ def missing_before(senders: Senders, sender: int, seq: int) -> int:
     return missing
 
 
-def addressee(data: Sequence[int], payload: int, length: int, places: tuple[int, int]) -> int:
+def read_target(data: Sequence[int], payload: int, length: int, places: tuple[int, int]) -> int:
     """`system << 8 | component` that a frame is for, 0 for all; cut zeros read as 0.
 
     `payload` is where the payload of `length` bytes begins in `data`, `places` are the offsets of
@@ -109,7 +110,7 @@ def addressee(data: Sequence[int], payload: int, length: int, places: tuple[int,
     return system | data[payload + component_at]
 
 
-def links_towards(senders: Senders, addressee: int, elsewhere: int) -> int:
+def select_links(senders: Senders, addressee: int, elsewhere: int) -> int:
     """The links a frame goes to, of those that it did not come from (bit masks).
 
     One component's frame goes where that component was heard, else where its system was, else to

@@ -16,7 +16,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class Latencies:
+class LatencyHistogram:
     """A histogram with eight steps per octave, so that percentiles are right to 9 %."""
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Latencies:
         return {f"p{percent}_us": self.percentile_us(percent) for percent in PERCENTILES}
 
 
-def figures(core: "Core", number: int) -> dict[str, Any]:
+def link_statistics(core: "Core", number: int) -> dict[str, Any]:
     """What the core has counted of what came in on one link."""
     role, state, parsed = core.links[number], core.states[number], core.parsed(number)
     return {
@@ -64,7 +64,7 @@ def figures(core: "Core", number: int) -> dict[str, Any]:
     }
 
 
-def table(endpoints: Sequence[dict[str, Any]]) -> str:
+def format_endpoints(endpoints: Sequence[dict[str, Any]]) -> str:
     """The endpoints' figures as aligned text, a line each."""
     rows = [[title for title, _ in COLUMNS]]
     rows += [

@@ -8,23 +8,23 @@ from typing import Any
 from mavproxy_fault.fault_parts.draft import INFINITE, Change, Draft
 from mavproxy_fault.fault_parts.elements import Element
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.fault_parts.value_fault import ValueState, has_room
-from mavproxy_fault.proxy.active_entry import Running
+from mavproxy_fault.fault_parts.value_fault import ValueState, can_add_sender
+from mavproxy_fault.proxy.active_entry import ActiveEntry
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
 
-LOWEST = -FLOAT_MAX
-NOWHERE = 1 << 16  # beyond every payload
+FLOAT_MIN = -FLOAT_MAX
+NO_FLOAT_INDEX = 1 << 16  # beyond every payload
 
 
-def float_place(elements: Sequence[Element]) -> int:
+def float_index(elements: Sequence[Element]) -> int:
     """Which float of the payload it is; NOWHERE for several elements, or one of another type."""
     one = elements[0]
     alone = len(elements) == 1 and one.code == "f" and one.start % 4 == 0
-    return one.start // 4 if alone and sys.byteorder == "little" else NOWHERE
+    return one.start // 4 if alone and sys.byteorder == "little" else NO_FLOAT_INDEX
 
 
-class RunningValueFault(Running):
+class ActiveValueEntry(ActiveEntry):
     """It changes values in place; what the others on the frame have done is in them already."""
 
     def __init__(self, entry: Entry, *times: int, injected: bool = False) -> None:
@@ -35,7 +35,7 @@ class RunningValueFault(Running):
         self._chance = entry.probability
         quick = self.fault.by_value and not self.ends_itself
         self._floats = {
-            number: float_place(found) if quick and number not in self._factors else NOWHERE
+            number: float_index(found) if quick and number not in self._factors else NO_FLOAT_INDEX
             for number, found in self._elements.items()
         }
         self._of = self.fault.of
@@ -49,7 +49,7 @@ class RunningValueFault(Running):
             if place < len(floats):  # one number, by a rule for one
                 healthy = floats[place]
                 value = self._of(healthy, (t_us - self.start_us) / 1e6)
-                if type(value) is float and value != healthy and LOWEST <= value <= FLOAT_MAX:
+                if type(value) is float and value != healthy and FLOAT_MIN <= value <= FLOAT_MAX:
                     floats[place] = value
                     # Read back: the change that a receiver sees, rounding included.
                     step, cut = abs(floats[place] - healthy), 0
@@ -81,7 +81,7 @@ class RunningValueFault(Running):
         start_us, inner = self.states.get(direction) or self.fresh_state(direction)
         before = draft.values(elements)
         key = draft.sender() if self._by_sender else ()
-        if key and not has_room(inner, key):
+        if key and not can_add_sender(inner, key):
             return -1.0, 0, False
         t_s = (t_us - start_us) / 1e6
         if draft.id in self._factors:
@@ -116,10 +116,10 @@ class RunningValueFault(Running):
         return [Outgoing(t_us, draft.sealed())]
 
 
-def at_work(
+def activate_entry(
     entry: Entry, seed: int, base_us: int, t0_us: int, *, injected: bool = False
-) -> Running:
-    """The entry with all that it needs to act; what the parameters mean, see `Running`."""
+) -> ActiveEntry:
+    """The entry with all that it needs to act; what the parameters mean, see `ActiveEntry`."""
     # One with an `apply` of its own acts on whole frames, whatever it derives from.
-    kind = Running if hasattr(entry.fault, "apply") else RunningValueFault
+    kind = ActiveEntry if hasattr(entry.fault, "apply") else ActiveValueEntry
     return kind(entry, seed, base_us, t0_us, injected=injected)

@@ -10,18 +10,18 @@ rule.
 from array import array
 from functools import cache
 
-from mavproxy_fault.proxy.sender_rules import BEYOND_US, vehicle_time
-from mavproxy_fault.proxy.senders import NOW, T0, UNKNOWN, new_senders
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, vehicle_time
+from mavproxy_fault.proxy.senders import NEWEST_TIME, T0, UNKNOWN, new_senders
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
 STAMP_FIELDS = {"time_usec": 1, "time_boot_ms": 1000, "usec": 1}  # microseconds per count
 
 
 @cache
-def stamp_place(name: str) -> tuple[int, int, int] | None:
+def stamp_location(name: str) -> tuple[int, int, int] | None:
     """Offset and size of a message's stamp, and microseconds per count; None without one."""
-    fields = known(name).fields
+    fields = message_layout(name).fields
     for field, scale in STAMP_FIELDS.items():
         # Microseconds in 32 bits (SERVO_OUTPUT_RAW) begin anew every 72 minutes: no clock.
         if field in fields and not fields[field].extension and fields[field].size * scale >= 8:
@@ -34,14 +34,14 @@ def stamp_us(frame: Frame) -> int:
 
     `compiled.frames.stamp` is the same on an array of bytes.
     """
-    place = stamp_place(frame.layout.name)
+    place = stamp_location(frame.layout.name)
     if place is None:
         return 0
     offset, size, scale = place
     start = frame.payload_at + offset
     end = min(start + size, frame.payload_at + frame.length)
     found = int.from_bytes(frame.raw[start:end], "little") * scale
-    return found if found < BEYOND_US else 0
+    return found if found < MAX_STAMP_US else 0
 
 
 class VehicleClock:
@@ -59,7 +59,7 @@ class VehicleClock:
     @property
     def t_us(self) -> int:
         """The newest time."""
-        return self._senders[NOW]
+        return self._senders[NEWEST_TIME]
 
     def read(self, frame: Frame, now_us: int) -> int:
         """The time of a frame that came at `now_us` of the wall clock."""

@@ -16,7 +16,7 @@ from typing import TypedDict
 SENT, FIT = 24, 25  # when it was sent, and for how many hours GPS's holds
 
 
-class Elements(TypedDict):
+class OrbitElements(TypedDict):
     """Of an orbit, by the names of `Ephemeris`; second harmonics of radius, argument of latitude
     and inclination are the last six."""
 
@@ -37,9 +37,9 @@ class Elements(TypedDict):
     cic_rad: float
 
 
-def orbit(v: Sequence[float]) -> Elements:
+def orbit_elements(v: Sequence[float]) -> OrbitElements:
     """The orbit's elements in a record's numbers."""
-    return Elements(
+    return OrbitElements(
         sqrt_a=v[SQRT_A],
         eccentricity=v[ECCENTRICITY],
         i0_rad=v[I0],

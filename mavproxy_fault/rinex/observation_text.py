@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 from mavproxy_fault.rinex.rinex_text import types_2, types_3
-from mavproxy_fault.rinex.signal_fields import FIELD, Observation
+from mavproxy_fault.rinex.signal_fields import FIELD, ObservationField
 
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 NAME = 3  # the satellite's name begins a line of RINEX 3
@@ -26,7 +26,7 @@ class FileEpoch(NamedTuple):
     """Stamp in us since the start of GPS time, and the observations of each satellite."""
 
     t_us: int
-    observations: dict[str, list[Observation]]
+    observations: dict[str, list[ObservationField]]
 
 
 def file_epochs(lines: Sequence[str], version: float, start: int) -> Iterator[FileEpoch]:
@@ -52,12 +52,12 @@ def _epochs_3(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[
             t_us = _stamp_us(int(head[2:6]), head[6:29].split())
         except (ValueError, IndexError):
             continue
-        found: dict[str, list[Observation]] = {}
+        found: dict[str, list[ObservationField]] = {}
         while at < len(lines) and not lines[at].startswith(">"):
             line = lines[at]
             name = line[:NAME].replace(" ", "0")
             found[name] = [
-                Observation(kind, at, NAME + FIELD * i)
+                ObservationField(kind, at, NAME + FIELD * i)
                 for i, kind in enumerate(types.get(line[:1], ()))
             ]
             at += 1
@@ -79,12 +79,12 @@ def _epochs_2(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[
         for _ in range((count - 1) // HEAD_NAMES_2):
             names = names.ljust(3 * HEAD_NAMES_2) + lines[at][NAMES_AT_2:].rstrip()
             at += 1
-        found: dict[str, list[Observation]] = {}
+        found: dict[str, list[ObservationField]] = {}
         for k in range(count if flag <= 1 else 0):
             name = names[3 * k : 3 * k + 3].replace(" ", "0")
             name = "G" + name[1:] if name[:1] == "0" else name  # GPS's letter may be left out
             found[name] = [
-                Observation(kind, at + i // PER_LINE_2, FIELD * (i % PER_LINE_2))
+                ObservationField(kind, at + i // PER_LINE_2, FIELD * (i % PER_LINE_2))
                 for i, kind in enumerate(types)
                 if at + i // PER_LINE_2 < len(lines)
             ]

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 
 
 class Setting(NamedTuple):
@@ -25,7 +25,7 @@ class RangeEpoch(msgspec.Struct, frozen=True):
     parameters (`spoof_north_m[all]`) that are set."""
 
     # Faults of satellites ask for the message that carries raw ranges on a link.
-    id: ClassVar[int] = known("TUNNEL").id
+    id: ClassVar[int] = message_layout("TUNNEL").id
     system: ClassVar[int] = 0
     component: ClassVar[int] = 0
 

@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 Sky = Callable[[int], Mapping[str, Vector]]
 
 HEALTHY = Setting(0.0, 0.0)
-EVERYBODY = "GEJ"  # the systems that `[all]` stands for
+ALL_SYSTEMS = "GEJ"  # the systems that `[all]` stands for
 
 
 class SignalChange(NamedTuple):
@@ -72,7 +72,7 @@ def _settings_of(satellite: str, settings: Mapping[str, Setting]) -> dict[str, S
     for name, setting in settings.items():
         parts = INDEXED.fullmatch(name)
         assert parts is not None  # `check_plant_name` has seen it
-        everybody = parts[2] == "all" and satellite[0] in EVERYBODY
+        everybody = parts[2] == "all" and satellite[0] in ALL_SYSTEMS
         if everybody or parts[2] in (satellite[0], satellite):
             found[parts[1]] = setting
     return found

@@ -23,7 +23,7 @@ CARRIERS_MHZ = {
 }
 
 
-class Observation(NamedTuple):
+class ObservationField(NamedTuple):
     """One field of a satellite: what is observed (`C1C`, or `C1` in RINEX 2), line and column."""
 
     name: str
@@ -38,7 +38,7 @@ class Observation(NamedTuple):
 
 def write_change(
     lines: list[str],
-    observations: Sequence[Observation],
+    observations: Sequence[ObservationField],
     satellite: str,
     change: SignalChange,
     rng: np.random.Generator,
@@ -74,7 +74,7 @@ def _extra_sigma(before_dbhz: float, after_dbhz: float) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(variances[:, 0] - variances[:, 1]))
 
 
-def _number(lines: Sequence[str], observation: Observation) -> float | None:
+def _number(lines: Sequence[str], observation: ObservationField) -> float | None:
     """What a field holds; None where it is blank or zero, which RINEX knows as "not observed"."""
     column = observation.column
     try:
@@ -84,7 +84,7 @@ def _number(lines: Sequence[str], observation: Observation) -> float | None:
     return value if value != 0.0 and math.isfinite(value) else None
 
 
-def _write(lines: list[str], observation: Observation, added: float) -> None:
+def _write(lines: list[str], observation: ObservationField, added: float) -> None:
     """Add to a field that holds a number; NaN makes it blank."""
     before, column = _number(lines, observation), observation.column
     if before is None or added == 0.0:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavproxy_fault.rtcm.bit_fields import BitReader, pack_bits
-from mavproxy_fault.rtcm.transport import unwrap, wrap
+from mavproxy_fault.rtcm.transport import unwrap_message, wrap_message
 
 NUMBERS = {"G": 1019, "E": 1046}
 SYSTEMS = {number: system for system, number in NUMBERS.items()}
@@ -180,7 +180,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
             # Half a turn would round to one count more than the field holds.
             count = (count + 2**31) % 2**32 - 2**31
         fields.append((count, abs(bits)))
-    return wrap(pack_bits(fields))
+    return wrap_message(pack_bits(fields))
 
 
 def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephemeris:
@@ -191,7 +191,7 @@ def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephe
     ValueError
         If it is not such a message with a right CRC.
     """
-    body = unwrap(message)
+    body = unwrap_message(message)
     number = BitReader(body).unsigned(12)
     if number not in SYSTEMS:
         raise ValueError(f"RTCM {number} is no ephemeris of GPS or Galileo (1019, 1046)")

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rtcm.bit_fields import BitReader, pack_columns
-from mavproxy_fault.rtcm.transport import unwrap, wrap
+from mavproxy_fault.rtcm.transport import unwrap_message, wrap_message
 
 NUMBERS = {"G": 1077, "E": 1097}
 SYSTEMS = {number: system for system, number in NUMBERS.items()}
@@ -332,7 +332,7 @@ def _packed(
     cells: Sequence[Sequence[int]],
 ) -> bytes:
     """The whole message: masks, then columns of satellites, then columns of signals."""
-    return wrap(
+    return wrap_message(
         pack_columns(
             [
                 *zip(((value,) for value in head), (12, 12, 30, 1, 18), strict=True),
@@ -347,7 +347,7 @@ def _packed(
 
 
 def _decode(message: bytes) -> _Message:
-    bits = BitReader(unwrap(message))
+    bits = BitReader(unwrap_message(message))
     number = bits.unsigned(12)
     if number not in SYSTEMS:
         raise ValueError(f"RTCM {number} is not MSM7 of GPS or Galileo (1077, 1097)")

@@ -40,7 +40,7 @@ NAMES = tuple(f"{letter}{n:02d}" for letter in NUMBERS for n in range(NUMBERS_OF
 _SYSTEM_NUMBERS = np.array(list(NUMBERS.values()))
 
 
-class Ranges(NamedTuple):
+class RangeColumns(NamedTuple):
     """Observations of k messages in a row, one signal per satellite, the first with a pseudorange.
 
     By message `tow_ms` (k,), NO_MSM7 where it is none of GPS or Galileo or ends early; `more` (k,),
@@ -58,7 +58,7 @@ class Ranges(NamedTuple):
     cn0_dbhz: Floats
 
 
-def read_ranges(messages: Messages) -> Ranges:
+def read_ranges(messages: Messages) -> RangeColumns:
     """Read all MSM7 messages among some."""
     heads = np.empty((3, len(messages.ends)), np.int64)
     # At most so many rows can be in so many bytes: no array grows in the loop.
@@ -67,7 +67,7 @@ def read_ranges(messages: Messages) -> Ranges:
     count = _read(messages.data, messages.ends, _SYSTEM_NUMBERS, heads, code, values)
     tow_ms, more, ends = heads
     pseudorange_m, doppler_mps, cn0_dbhz = values[:, :count]
-    return Ranges(tow_ms, more, ends, code[:count], pseudorange_m, doppler_mps, cn0_dbhz)
+    return RangeColumns(tow_ms, more, ends, code[:count], pseudorange_m, doppler_mps, cn0_dbhz)
 
 
 @compiled
@@ -79,7 +79,7 @@ def _read(
     code: Integers,
     values: Floats,
 ) -> int:
-    """Fill the columns of `Ranges`; how many rows there are."""
+    """Fill the columns of `RangeColumns`; how many rows there are."""
     rows, begin = NO_ROWS, 0
     for message in range(len(ends)):
         at, end = 8 * (begin + HEADER), 8 * (ends[message] - TRAILER)

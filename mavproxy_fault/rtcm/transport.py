@@ -17,8 +17,8 @@ References
 import struct
 from collections.abc import Iterator
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 PREAMBLE = 0xD3
 HEADER = 3
@@ -66,7 +66,7 @@ def crc24q(data: bytes) -> int:
     return crc
 
 
-def wrap(body: bytes) -> bytes:
+def wrap_message(body: bytes) -> bytes:
     """A whole message around `body`, which starts with the twelve bits of the message number.
 
     Raises
@@ -80,7 +80,7 @@ def wrap(body: bytes) -> bytes:
     return head + crc24q(head).to_bytes(TRAILER, "big")
 
 
-def unwrap(message: bytes) -> bytes:
+def unwrap_message(message: bytes) -> bytes:
     """The body of one whole message.
 
     Raises
@@ -119,7 +119,7 @@ def split_messages(data: bytes) -> Iterator[bytes]:
             at = data.find(PREAMBLE, at + 1)
 
 
-def fragments(message: bytes, sequence: int) -> list[bytes]:
+def split_fragments(message: bytes, sequence: int) -> list[bytes]:
     """TUNNEL payloads (flags byte and data) that carry one message.
 
     Raises
@@ -148,9 +148,9 @@ def tunnel_frames(
 
     `sequence` counts RTCM messages, `seq` is the MAVLink sequence number of the first frame.
     """
-    layout = known("TUNNEL")
+    layout = message_layout("TUNNEL")
     return [
-        build(
+        build_frame(
             layout,
             {
                 "payload_type": PAYLOAD_TYPE,
@@ -161,7 +161,7 @@ def tunnel_frames(
             system=system,
             component=component,
         )
-        for number, payload in enumerate(fragments(message, sequence))
+        for number, payload in enumerate(split_fragments(message, sequence))
     ]
 
 
@@ -199,7 +199,7 @@ class Reassembler:
             return list(split_messages(data))
         parts = self._pending.setdefault(sequence, {})
         parts[flags >> 1 & 3] = data
-        whole = joined(parts)
+        whole = join_fragments(parts)
         if whole is not None:
             del self._pending[sequence]
             return list(split_messages(whole))
@@ -209,7 +209,7 @@ class Reassembler:
         return []
 
 
-def joined(parts: dict[int, bytes]) -> bytes | None:
+def join_fragments(parts: dict[int, bytes]) -> bytes | None:
     """All fragments up to the first that is not full, joined; None while one of them is missing."""
     whole = b""
     for number in range(FRAGMENTS_MAX):

@@ -6,21 +6,23 @@ from typing import Any, NamedTuple
 from mavproxy_fault.fault_parts import target as targets
 from mavproxy_fault.fault_parts.fault import Fault
 from mavproxy_fault.fault_parts.units import factors_of
-from mavproxy_fault.faults.plant_fault import InReceiver, receiver_names
+from mavproxy_fault.faults.plant_fault import ReceiverFault, receiver_names
 from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
-from mavproxy_fault.faults.satellite import Satellites
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.faults.satellite import SatelliteFault
+from mavproxy_fault.wire.dialect import message_layout
 
-GIVEN = ("elements", "factors", "names")  # fields of a fault that come from its target
+TARGET_FIELDS = ("elements", "factors", "names")  # fields of a fault that come from its target
 
 # What carries messages to the simulator along: whatever it sends regularly.
-RIDDEN = frozenset(known(name).id for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS"))
-TUNNEL = frozenset({known("TUNNEL").id})
+CARRIER_IDS = frozenset(
+    message_layout(name).id for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS")
+)
+TUNNEL = frozenset({message_layout("TUNNEL").id})
 
 Ids = frozenset[int] | None
 
 
-class Aim(NamedTuple):
+class ResolvedTarget(NamedTuple):
     """A target understood: what the fault is given, the messages it must see, the satellites."""
 
     given: dict[str, Any]
@@ -28,7 +30,7 @@ class Aim(NamedTuple):
     satellites: tuple[str, ...] = ()
 
 
-def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
+def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> ResolvedTarget:
     """What the target of a fault means.
 
     Raises
@@ -42,43 +44,49 @@ def aim(name: str, kind: type[Any], names: Sequence[str]) -> Aim:
         if not acts_on_ranges(kind):
             able = ", ".join(one for one, kind in known_faults().items() if acts_on_ranges(kind))
             raise ValueError(f"{on_ranges[0]} is no target for {name}; satellites take {able}")
-        return Aim({}, TUNNEL, targets.named(names, targets.RANGES))
+        return ResolvedTarget({}, TUNNEL, targets.parse_named_targets(names, targets.RANGES))
     # A plant change travels in answers to the simulator, so it needs its frames.
     if kind.acts_on == "plant":
         if not names:
             raise ValueError("is missing; give PLANT.<parameter>, for example PLANT.mass_kg_add")
-        return Aim({"names": targets.named(names, targets.PLANT)}, RIDDEN)
+        return ResolvedTarget(
+            {"names": targets.parse_named_targets(names, targets.PLANT)}, CARRIER_IDS
+        )
     if kind.acts_on == "fields":
         if not names:
             raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
-        elements = targets.fields(names)
+        elements = targets.parse_field_targets(names)
         # What a fault does to the bits on the wire is the same in every unit.
         factors = {} if getattr(kind, "on_wire", False) else factors_of(elements)
         given = {"elements": elements, "factors": factors}
-        return Aim(given, frozenset(elements))
+        return ResolvedTarget(given, frozenset(elements))
     # Without a target: the messages that the fault itself names, if it does.
-    ids = targets.messages(names) or targets.messages(getattr(kind, "messages", ()))
-    return Aim({}, ids or None)
+    ids = targets.parse_message_targets(names) or targets.parse_message_targets(
+        getattr(kind, "messages", ())
+    )
+    return ResolvedTarget({}, ids or None)
 
 
-def wrong_targets(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
+def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
     """What is wrong with each of the targets; empty if they are right."""
     found: list[str] = []
     # One by one first, so that the error names the very target that is wrong.
     for part in [[one] for one in names] or [[]]:
         try:
-            aim(name, kind, part)
+            resolve_target(name, kind, part)
         except ValueError as error:
             found.append(str(error))
     if not found:
         try:
-            aim(name, kind, names)
+            resolve_target(name, kind, names)
         except ValueError as error:  # right one by one, but not together
             found.append(str(error))
     return found
 
 
-def bind(kind: type[Any], parameters: dict[str, Any], at: Aim, via: str) -> tuple[Fault, Ids]:
+def bind_fault(
+    kind: type[Any], parameters: dict[str, Any], at: ResolvedTarget, via: str
+) -> tuple[Fault, Ids]:
     """The fault with its parameters and target, and the messages it must see.
 
     Raises
@@ -94,5 +102,5 @@ def bind(kind: type[Any], parameters: dict[str, Any], at: Aim, via: str) -> tupl
     if via == "simulator":
         names = receiver_names(at.satellites, fault)
         # The simulator's own frames carry the changes to it.
-        return InReceiver(names=names, fault=fault), RIDDEN
-    return Satellites(fault=fault, names=at.satellites), at.ids
+        return ReceiverFault(names=names, fault=fault), CARRIER_IDS
+    return SatelliteFault(fault=fault, names=at.satellites), at.ids

@@ -9,9 +9,9 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import DocumentCheck
-from mavproxy_fault.documents.document_kind import refuse_others
+from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import (
     Document,
     Flaw,
@@ -23,10 +23,10 @@ from mavproxy_fault.documents.yaml_document import (
 from mavproxy_fault.fault_parts.fault import Fault
 from mavproxy_fault.fault_parts.profile import Duration, Profile, Seconds
 from mavproxy_fault.faults.registry import fault_class, known_aliases, known_faults
-from mavproxy_fault.schedule.binding import GIVEN, aim, bind, wrong_targets
+from mavproxy_fault.schedule.binding import TARGET_FIELDS, bind_fault, resolve_target, target_errors
+from mavproxy_fault.schedule.cross_checks import check_together, default_id, entry_ids
 from mavproxy_fault.schedule.presets import preset_names, preset_parts
-from mavproxy_fault.schedule.together import check_together, default_id, entry_ids
-from mavproxy_fault.schedule.triggers import Condition, moment
+from mavproxy_fault.schedule.triggers import Condition, event_condition
 
 SCHEDULE_KEYS = ("seed", "faults")
 Via = Literal["proxy", "simulator"]
@@ -60,7 +60,7 @@ class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     times: Annotated[int, Meta(ge=1)] | None = None
 
 
-class Keys(
+class EntryKeys(
     msgspec.Struct,
     frozen=True,
     forbid_unknown_fields=True,
@@ -88,14 +88,14 @@ class Keys(
     via: Via | None = None
 
 
-KEYS = tuple(field.encode_name for field in msgspec.structs.fields(Keys))
+KEYS = tuple(field.encode_name for field in msgspec.structs.fields(EntryKeys))
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """One fault of a schedule, ready to run.
 
     `ids` are the messages it acts on (None: all); `written` are the keys as the user wrote them.
-    Until its `moment` is true, where it has one, `at_s` does not count.
+    Until its `event_condition` is true, where it has one, `at_s` does not count.
     """
 
     id: str
@@ -177,7 +177,7 @@ def parse_schedule(
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
-    refuse_others(data, SCHEDULE_KEYS, where, "a schedule")
+    refuse_other_kinds(data, SCHEDULE_KEYS, where, "a schedule")
     check.keys(data, SCHEDULE_KEYS, ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
@@ -244,7 +244,7 @@ def _from_preset(
     if "fault" in data:
         check.wrong((*path, "fault"), "stands beside preset; give one of them")
     if name not in preset_names():
-        text = f"= {reprlib.repr(name)} is unknown; {near(str(name), preset_names())}"
+        text = f"= {reprlib.repr(name)} is unknown; {suggest_known(str(name), preset_names())}"
         check.wrong((*path, "preset"), text)
         return []
     entries = []
@@ -266,33 +266,35 @@ def _entry(
     data: dict[str, Any], number: int, check: DocumentCheck, path: Path, via: Via
 ) -> Entry | None:
     before = check.count
-    keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, Keys, path, ())
+    keys = check.arguments({k: v for k, v in data.items() if k in KEYS}, EntryKeys, path, ())
     _check_repeat(keys, check, path)
     keys["condition"] = _condition(keys.get("when"), check, (*path, "when"), Condition)
-    keys["moment"] = _condition(keys.pop("count_from", None), check, (*path, "from"), moment)
+    keys["moment"] = _condition(
+        keys.pop("count_from", None), check, (*path, "from"), event_condition
+    )
     if keys["moment"] is not None and "after" in keys:
         check.wrong((*path, "from"), "stands beside after; give one of them")
     name = keys.pop("fault", None)
     kind = _kind(name, data, check, path)
     if kind is None:
         return None
-    own = [field.name for field in msgspec.structs.fields(kind) if field.name not in GIVEN]
+    own = [field.name for field in msgspec.structs.fields(kind) if field.name not in TARGET_FIELDS]
     check.keys(data, (*KEYS, *own), path)
-    found = check.arguments(data, kind, path, GIVEN)
+    found = check.arguments(data, kind, path, TARGET_FIELDS)
     _open_table(found, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
     # A target that was refused already says nothing more.
-    for text in wrong_targets(name, kind, names) if None not in names else ():
+    for text in target_errors(name, kind, names) if None not in names else ():
         check.wrong((*path, "target"), f"= {text}" if names else text)
     # Binding needs every field right.
     if check.count > before:
         return None
-    at = aim(name, kind, names)
+    at = resolve_target(name, kind, names)
     # Only satellites can be falsified in two places.
     wanted = keys.pop("via", None) or (via if at.satellites else "proxy")
     try:
-        fault, ids = bind(kind, found, at, wanted)
+        fault, ids = bind_fault(kind, found, at, wanted)
     except ValueError as error:
         check.refused(kind, str(error), path)
         return None
@@ -309,7 +311,7 @@ def _kind(
     kind = fault_class(name) if name is not None else None
     if name is not None and kind is None:
         known = [*known_faults(), *known_aliases()]
-        check.wrong((*path, "fault"), f"= {name} is unknown; {near(name, known)}")
+        check.wrong((*path, "fault"), f"= {name} is unknown; {suggest_known(name, known)}")
     elif "fault" not in data:
         check.wrong(path, "lacks fault; give `fault` or `preset`")
     return kind

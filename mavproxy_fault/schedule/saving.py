@@ -9,7 +9,7 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.schedule.entries import Entry
 
 
-def as_yaml(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
+def write_schedule(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
     """What `read_schedule` takes: entries, each with the seconds after which its times count."""
     written: dict[str, dict[str, Any]] = {}
     for entry, late_s in entries:

@@ -5,8 +5,9 @@
     mode == "AUTO.MISSION" and abs(ATTITUDE.roll) < 0.1 and altitude_m > 20
 
 A field stands for its newest value from the vehicle; a comparison with a message that has not come
-yet is false. `mode` is PX4's name of the flight mode (other autopilots: the number in custom_mode).
-The syntax is Python's, read by its parser; of the syntax tree only what is listed here is taken.
+yet is false. `flight_mode` is PX4's name of the flight mode (other autopilots: the number in
+custom_mode). The syntax is Python's, read by its parser; of the syntax tree only what is listed
+here is taken.
 """
 
 import ast
@@ -15,9 +16,9 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mavproxy_fault.documents.suggestion import near
-from mavproxy_fault.fault_parts.target import message
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.documents.suggestion import suggest_known
+from mavproxy_fault.fault_parts.target import find_message
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
 Value = float | int | str | bool | None
@@ -60,14 +61,14 @@ PX4_AUTO = (
     "FOLLOW",
     "PRECLAND",
 )
-WORDS: Mapping[str, str] = {
+KEYWORDS: Mapping[str, str] = {
     "armed": "HEARTBEAT",
     "mode": "HEARTBEAT",
     "altitude_m": "GLOBAL_POSITION_INT",
 }
 
 
-MOMENTS = {"arming": "armed", "take-off": "armed and altitude_m > 0.5"}
+FLIGHT_EVENTS = {"arming": "armed", "take-off": "armed and altitude_m > 0.5"}
 FIRST_STAMP = "first-stamp"
 ITEM = re.compile(r"mission-item:(\d+)")
 
@@ -81,7 +82,7 @@ class Telemetry:
 
     def note(self, frame: Frame) -> None:
         """Take a frame in; heartbeats of what is no autopilot are passed over."""
-        # A ground station's heartbeat would disarm the vehicle in `armed`.
+        # A ground station's heartbeat would disarm the vehicle in `is_armed`.
         if frame.id == 0 and frame.number("autopilot") == NO_AUTOPILOT:
             return
         self.newest[frame.id] = frame
@@ -193,7 +194,7 @@ class Condition:
         if name == "count":
             if not isinstance(argument, ast.Name):
                 raise ValueError(f"= {self.text!r}: count() takes the name of a message")
-            number = message(argument.id).id
+            number = find_message(argument.id).id
             self.ids.add(number)
             return lambda telemetry: telemetry.counts.get(number, 0)
         part = self._part(argument)
@@ -215,13 +216,13 @@ class Condition:
             return self._word(node.id)
         if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
             raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is no MESSAGE.field")
-        layout = message(node.value.id)
+        layout = find_message(node.value.id)
         field = layout.fields.get(node.attr)
         # Text has no number, and an index must exist in the message's definition.
         if field is None or field.type == "char" or not 0 <= index < max(field.count, 1):
             raise ValueError(
                 f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
-                f"{near(node.attr, layout.fields)}"
+                f"{suggest_known(node.attr, layout.fields)}"
             )
         self.ids.add(layout.id)
         name, number = field.name, layout.id
@@ -233,11 +234,11 @@ class Condition:
         return read
 
     def _word(self, word: str) -> Callable[[Telemetry], Value]:
-        if word not in WORDS:
-            raise ValueError(f"= {self.text!r}: {word} is unknown; words are {', '.join(WORDS)}")
-        number = known(WORDS[word]).id
+        if word not in KEYWORDS:
+            raise ValueError(f"= {self.text!r}: {word} is unknown; words are {', '.join(KEYWORDS)}")
+        number = message_layout(KEYWORDS[word]).id
         self.ids.add(number)
-        meaning = {"armed": armed, "mode": mode, "altitude_m": altitude_m}[word]
+        meaning = {"armed": is_armed, "mode": flight_mode, "altitude_m": altitude_m}[word]
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)
@@ -251,12 +252,12 @@ def _refused(a: Any, b: Any) -> bool:
     raise AssertionError("refused when parsed")
 
 
-def armed(heartbeat: Frame) -> bool:
+def is_armed(heartbeat: Frame) -> bool:
     """Whether the vehicle says that it is armed."""
     return bool(int(heartbeat.number("base_mode")) & ARMED)
 
 
-def mode(heartbeat: Frame) -> str | int:
+def flight_mode(heartbeat: Frame) -> str | int:
     """PX4's flight mode by name; of other autopilots the number."""
     number = int(heartbeat.number("custom_mode"))
     if heartbeat.number("autopilot") != PX4:
@@ -274,7 +275,7 @@ def altitude_m(position: Frame) -> float:
     return position.number("relative_alt") / 1000.0
 
 
-def moment(text: str) -> Condition | None:
+def event_condition(text: str) -> Condition | None:
     """What is true from a moment of a flight on; None for the first stamp, which needs nothing.
 
     Raises
@@ -286,9 +287,9 @@ def moment(text: str) -> Condition | None:
         return None
     if item := ITEM.fullmatch(text):
         return Condition(f"MISSION_ITEM_REACHED.seq >= {item[1]}")
-    if text not in MOMENTS:
+    if text not in FLIGHT_EVENTS:
         raise ValueError(
-            f"= {text} is no moment of a flight; there are {FIRST_STAMP}, {', '.join(MOMENTS)} "
-            "and mission-item:N"
+            f"= {text} is no moment of a flight; there are {FIRST_STAMP}, "
+            f"{', '.join(FLIGHT_EVENTS)} and mission-item:N"
         )
-    return Condition(MOMENTS[text])
+    return Condition(FLIGHT_EVENTS[text])

@@ -79,7 +79,7 @@ class Layout:
 
 
 @cache
-def _table() -> dict[str, dict[str, Any]]:
+def _message_table() -> dict[str, dict[str, Any]]:
     table: dict[str, dict[str, Any]] = json.loads(
         Path(__file__).with_name("messages.json").read_bytes()
     )
@@ -88,19 +88,19 @@ def _table() -> dict[str, dict[str, Any]]:
 
 @cache
 def _names_by_id() -> dict[int, str]:
-    return {entry["id"]: name for name, entry in _table().items()}
+    return {entry["id"]: name for name, entry in _message_table().items()}
 
 
 def message_names() -> list[str]:
     """Names of all messages known, sorted."""
-    return sorted(_table())
+    return sorted(_message_table())
 
 
 @cache
-def layout(key: str | int) -> Layout | None:
+def find_layout(key: str | int) -> Layout | None:
     """The layout of a message by name or id; None if the dialect does not know it."""
     name = key if isinstance(key, str) else _names_by_id().get(key)
-    entry = _table().get(name) if name is not None else None
+    entry = _message_table().get(name) if name is not None else None
     if name is None or entry is None:
         return None
     fields = {}
@@ -117,7 +117,7 @@ def layout(key: str | int) -> Layout | None:
     )
 
 
-def known(key: str | int) -> Layout:
+def message_layout(key: str | int) -> Layout:
     """The layout of a message the caller knows to exist.
 
     Raises
@@ -125,7 +125,7 @@ def known(key: str | int) -> Layout:
     KeyError
         If the dialect has no such message.
     """
-    found = layout(key)
+    found = find_layout(key)
     if found is None:
         raise KeyError(key)
     return found

@@ -121,15 +121,16 @@ class Frame:
     def patched(self, changes: Mapping[tuple[str, int], Number]) -> "Frame":
         """A frame with some elements changed, keyed by field and index, and the CRC redone.
 
-        Integers saturate at the limits of their type (see `saturate`). The payload keeps its length
-        unless the change reaches into zeros that were cut, and then grows as little as it must.
-        A signed frame comes back with its old signature, now wrong: the sender signs it again.
+        Integers saturate at the limits of their type (see `saturate_value`). The payload keeps its
+        length unless the change reaches into zeros that were cut, and then grows as little as it
+        must. A signed frame comes back with its old signature, now wrong: the sender signs it
+        again.
         """
         payload = bytearray(self.payload)
         for (name, index), value in changes.items():
             field = self.layout.fields[name]
             start = field.offset + index * field.size
-            data = field.packer.pack(saturate(field, value))
+            data = field.packer.pack(saturate_value(field, value))
             if start + field.size > len(payload):
                 # Only as many bytes as are no trailing zeros, but all that lie inside the payload.
                 data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
@@ -148,7 +149,7 @@ class Frame:
         return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
 
 
-def saturate(field: Field, value: Number) -> Number:
+def saturate_value(field: Field, value: Number) -> Number:
     """The value nearest to `value` that the field's type can hold; NaN in an integer becomes 0."""
     code = field.code
     if code == "d":
@@ -162,7 +163,7 @@ def saturate(field: Field, value: Number) -> Number:
     return low if value <= low else high if value >= high else round(value)
 
 
-def build(
+def build_frame(
     layout: Layout,
     values: Mapping[str, object],
     *,
@@ -179,7 +180,7 @@ def build(
     struct.error
         If a value does not fit its field.
     """
-    packer, blanks = _packings.get(layout.id) or _packing(layout)
+    packer, blanks = _packings.get(layout.id) or _make_packing(layout)
     flat: list[object] = []
     for name, blank in blanks:
         value = values.get(name, blank)
@@ -187,14 +188,14 @@ def build(
             items: tuple[object, ...] = tuple(value)  # type: ignore[arg-type]
             flat += items + blank[len(items) :]
         else:
-            flat.append(_whole(name, value, blank) if isinstance(blank, bytes) else value)
+            flat.append(_fit_bytes(name, value, blank) if isinstance(blank, bytes) else value)
     if not values.keys() <= layout.fields.keys():
         unknown = sorted(values.keys() - layout.fields.keys())
         raise KeyError(f"{layout.name} has no field {', '.join(unknown)}")
-    return framed(layout, packer.pack(*flat), seq=seq, system=system, component=component)
+    return frame_payload(layout, packer.pack(*flat), seq=seq, system=system, component=component)
 
 
-def _whole(name: str, value: object, blank: bytes) -> bytes:
+def _fit_bytes(name: str, value: object, blank: bytes) -> bytes:
     """Text, which is cut where it is too long, or an array of bytes, which must not be."""
     data: bytes = bytes(value)  # type: ignore[call-overload]
     if blank and len(data) > len(blank):
@@ -202,7 +203,9 @@ def _whole(name: str, value: object, blank: bytes) -> bytes:
     return data
 
 
-def framed(layout: Layout, payload: bytes, *, seq: int, system: int, component: int) -> bytes:
+def frame_payload(
+    layout: Layout, payload: bytes, *, seq: int, system: int, component: int
+) -> bytes:
     """The bytes of a MAVLink 2 frame around a payload, whose trailing zeros are cut."""
     # At least one byte stays, by the MAVLink 2 rule.
     payload = payload.rstrip(b"\0") or b"\0"
@@ -212,7 +215,7 @@ def framed(layout: Layout, payload: bytes, *, seq: int, system: int, component: 
     return _STX + body + mcrf4xx(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
 
 
-def _packing(layout: Layout) -> Packing:
+def _make_packing(layout: Layout) -> Packing:
     """How a payload is packed, and what stands for each field that is not given.
 
     Text and arrays of bytes are packed as bytes, in one piece.

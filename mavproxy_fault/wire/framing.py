@@ -15,7 +15,7 @@ from numba.extending import intrinsic, register_jitable
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def inlined(function: Function) -> Function:
+def inline_in_kernels(function: Function) -> Function:
     """Let compiled code call a function, which becomes part of its caller."""
     return cast(Function, register_jitable(inline="always")(function))
 
@@ -49,7 +49,7 @@ load64, store64 = _access(64)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def _swapped(_: Any, value: Any) -> Any:
+def _swap_bytes(_: Any, value: Any) -> Any:
     """The eight bytes of a word in opposite order."""
 
     def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
@@ -58,19 +58,19 @@ def _swapped(_: Any, value: Any) -> Any:
     return types.uint64(types.uint64), code
 
 
-@inlined
+@inline_in_kernels
 def big_endian64(address: Any) -> Any:
     """A big-endian word of eight bytes, as tlogs stamp their records."""
-    return np.int64(_swapped(load64(np.uint64(address))))
+    return np.int64(_swap_bytes(load64(np.uint64(address))))
 
 
-@inlined
+@inline_in_kernels
 def byte_at(address: Any) -> Any:
     """One byte, as an unsigned word."""
     return np.uint64(load8(np.uint64(address)))
 
 
-@inlined
+@inline_in_kernels
 def _crc_step(word: Any, tables: Any) -> Any:
     """CRC of eight bytes that a CRC was put into."""
     low = np.uint64(0xFF)
@@ -86,8 +86,8 @@ def _crc_step(word: Any, tables: Any) -> Any:
     )
 
 
-@inlined
-def crc(start: Any, stop: Any, extra: Any, tables: Any) -> Any:
+@inline_in_kernels
+def range_crc(start: Any, stop: Any, extra: Any, tables: Any) -> Any:
     """CRC of the two or more bytes at addresses [start, stop) and of the CRC extra.
 
     The start value 0xFFFF is put into the first two bytes; then zeros before them change nothing,
@@ -106,8 +106,8 @@ def crc(start: Any, stop: Any, extra: Any, tables: Any) -> Any:
     return (found >> np.uint64(8)) ^ np.uint64(tables[0, (found ^ extra) & np.uint64(0xFF)])
 
 
-@inlined
-def header(base: Any, size: Any, at: Any) -> Any:
+@inline_in_kernels
+def frame_header(base: Any, size: Any, at: Any) -> Any:
     """Bytes before the payload, message id and end of the frame at `at`; zeros if none is whole.
 
     `base` is the address of the data, `size` and `at` count bytes from there. No message is without
@@ -130,9 +130,9 @@ def header(base: Any, size: Any, at: Any) -> Any:
     return head, number, end
 
 
-@inlined
-def verified(base: Any, at: Any, head: Any, extra: Any, tables: Any) -> Any:
-    """Whether the checksum of a frame whose `header` was found is right."""
+@inline_in_kernels
+def has_valid_checksum(base: Any, at: Any, head: Any, extra: Any, tables: Any) -> Any:
+    """Whether the checksum of a frame whose `frame_header` was found is right."""
     tail = base + at + head + np.int64(byte_at(base + at + 1))
     sent = byte_at(tail) | byte_at(tail + 1) << np.uint64(8)
-    return crc(base + at + 1, tail, extra, tables) == sent
+    return range_crc(base + at + 1, tail, extra, tables) == sent

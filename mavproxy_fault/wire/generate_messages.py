@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-TABLE = Path(__file__).with_name("messages.json")
+TABLE_PATH = Path(__file__).with_name("messages.json")
 
 
 def extension_fields() -> dict[str, set[str]]:
@@ -31,7 +31,7 @@ def extension_fields() -> dict[str, set[str]]:
     return found
 
 
-def table() -> dict[str, Any]:
+def build_message_table() -> dict[str, Any]:
     """Id, CRC extra and fields in wire order ([name, type, count, unit, extension]) by name."""
     from pymavlink.dialects.v20 import all as dialect
 
@@ -59,6 +59,8 @@ def table() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    rows = (f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in table().items())
+    rows = (
+        f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in build_message_table().items()
+    )
     # One message a line: a new release of pymavlink shows as the lines that it changes.
-    TABLE.write_text("{\n" + ",\n".join(rows) + "\n}\n")
+    TABLE_PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n")

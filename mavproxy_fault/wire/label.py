@@ -48,14 +48,14 @@ def read_labels(path: Path) -> list[Label]:
     if path.exists() and not path.is_file():  # a device may never end
         raise ConfigError(f"{path}: is not a file; give a labels.jsonl")
     try:
-        return newest(_lines(path))
+        return latest_labels(_lines(path))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a labels.jsonl") from None
     except ValueError as error:  # msgspec's decode errors are
         raise ConfigError(f"{path}: {error}; give a labels.jsonl") from None
 
 
-def newest(labels: Iterable[Label]) -> list[Label]:
+def latest_labels(labels: Iterable[Label]) -> list[Label]:
     """The last word on every stretch, in order of start."""
     last = {(label.id, label.start_us): label for label in labels}
     return sorted(last.values(), key=lambda label: (label.start_us, label.id))

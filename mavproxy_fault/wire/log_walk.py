@@ -14,13 +14,13 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.wire.framing import (
     big_endian64,
     byte_at,
-    header,
-    inlined,
+    frame_header,
+    has_valid_checksum,
+    inline_in_kernels,
     load8,
     load64,
     store8,
     store64,
-    verified,
 )
 
 Bytes = NDArray[np.uint8]
@@ -58,7 +58,7 @@ class LogFrames(NamedTuple):
 Resume = tuple[int, int, int, int]
 
 
-@inlined
+@inline_in_kernels
 def _follows(base: Any, size: Any, at: Any, end: Any) -> Any:
     """Whether a further record, stamped near the one whose frame is at `at`, starts at `end`."""
     # At the end of the log nothing can follow, which proves nothing against the frame.
@@ -70,20 +70,20 @@ def _follows(base: Any, size: Any, at: Any, end: Any) -> Any:
     return abs(big_endian64(base + end) - big_endian64(base + at - 8)) < NEAR_US
 
 
-@inlined
+@inline_in_kernels
 def _record(base: Any, size: Any, probe: Any, previous: Any, messages: Any) -> Any:
     """Whether a frame is at `probe`, its slot and its end.
 
     A message that the dialect does not know has no checksum to verify: it counts as a frame only
     between a record that ended at `previous` and one that follows.
     """
-    head, number, end = header(base, size, probe)
+    head, number, end = frame_header(base, size, probe)
     slot = np.int16(UNKNOWN)
     if head and number < messages.slots.shape[0]:
         slot = messages.slots[number]
     good = False
     if slot >= 0:
-        good = verified(base, probe, head, messages.extras[slot], messages.tables)
+        good = has_valid_checksum(base, probe, head, messages.extras[slot], messages.tables)
     elif head and probe == previous + 8:
         good = _follows(base, size, probe, end)
     return good, slot, end
@@ -145,7 +145,7 @@ def walk(
     return used + 1, previous, junk
 
 
-@inlined
+@inline_in_kernels
 def _next(base: Any, runs: Any, run: Any, place: Any, end: Any) -> Any:
     """The frame after the one at `place` of a run that ends at `end`.
 
@@ -159,7 +159,7 @@ def _next(base: Any, runs: Any, run: Any, place: Any, end: Any) -> Any:
     return run + 1, 0, at, big_endian64(base + at - 8) if at - 8 >= end else np.int64(-1)
 
 
-@inlined
+@inline_in_kernels
 def _lone(stamp: Any, before: Any, after: Any) -> Any:
     """Whether a stamp is missing or far from both its neighbours, which are near each other.
 
@@ -185,7 +185,7 @@ def first_stamp(data: Bytes, runs: Integers) -> Any:
         at = runs[0, 0]
         stamp = big_endian64(base + at - 8) if at >= 8 else stamp
     while at >= 0:
-        _, _, end = header(base, size, at)
+        _, _, end = frame_header(base, size, at)
         before = stamp
         run, place, at, stamp = _next(base, runs, run, place, end)
         if before >= 0 and stamp >= 0 and abs(stamp - before) <= SLIP_US:
@@ -231,7 +231,7 @@ def unroll(
         probe = runs[run, 0] if place == 0 else end + 8
         stamp = big_endian64(base + probe - 8) if probe - 8 >= end else stamp
     while filled < at.shape[0] and probe >= 0:
-        _, number, end = header(base, size, probe)
+        _, number, end = frame_header(base, size, probe)
         at[filled] = probe
         slot[filled] = slots[number] if number < slots.shape[0] else np.int16(UNKNOWN)
         run, place, probe, after = _next(base, runs, run, place, end)

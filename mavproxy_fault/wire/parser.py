@@ -15,7 +15,7 @@ from typing import Literal
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.dialect import Layout, layout
+from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.frame import (
     HEADER_V1,
     HEADER_V2,
@@ -27,9 +27,11 @@ from mavproxy_fault.wire.frame import (
 )
 
 CRC_LENGTH = 2
-NOWHERE = (-1, -1)
-START = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
-STEPS = frozenset(mcrf4xx(bytes((last,)), 0) for last in range(256))  # the CRC's table of bytes
+NO_FRAME = (-1, -1)
+START_BYTES = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
+CRC_TABLE_ENTRIES = frozenset(
+    mcrf4xx(bytes((last,)), 0) for last in range(256)
+)  # the CRC's table of bytes
 JunkKind = Literal["foreign", "crc", "unknown"]
 
 
@@ -71,7 +73,7 @@ class Parser:
         self.counters = ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
-        self._hidden = NOWHERE  # a verified frame that lies ahead
+        self._hidden = NO_FRAME  # a verified frame that lies ahead
 
     @property
     def incomplete(self) -> int:
@@ -89,7 +91,7 @@ class Parser:
     @property
     def holds_frame(self) -> bool:
         """Whether a verified frame lies inside of what waits for more of the stream."""
-        return _frame_inside(self._incomplete, 1, len(self._incomplete)) is not None
+        return _find_frame_inside(self._incomplete, 1, len(self._incomplete)) is not None
 
     def release(self) -> list[Frame | Junk]:
         """The stream has ended: what is incomplete is parsed as far as it goes."""
@@ -103,7 +105,7 @@ class Parser:
 
     def _parse(self, data: bytes, *, final: bool, at: int = 0) -> list[Frame | Junk]:
         found: list[Frame | Junk] = []
-        self._hidden = NOWHERE
+        self._hidden = NO_FRAME
         counters = self.counters
         junk_from = 0
         end = len(data)
@@ -141,7 +143,7 @@ class Parser:
 
     def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
         """What begins at a start byte; None if it is incomplete, False if it is no frame."""
-        place = span(data, at)
+        place = frame_span(data, at)
         if place is None or at + place[0] > len(data):
             return None
         length, number, checked = place
@@ -149,11 +151,11 @@ class Parser:
         if number in self._layouts:
             known = self._layouts[number]
         else:
-            known = self._layouts[number] = layout(number)
+            known = self._layouts[number] = find_layout(number)
         crc = data[at + checked] | data[at + checked + 1] << 8
         body = data[at + 1 : at + checked]
         if known is None:
-            if not _possible(body, crc) or self._hides_frame(data, at, at + length):
+            if not _crc_is_possible(body, crc) or self._hides_frame(data, at, at + length):
                 return False
             self.counters.unknown += 1
             return Junk(data[at : at + length], "unknown")
@@ -174,12 +176,12 @@ class Parser:
         # around it, and to look for it anew would cost time quadratic in their number.
         if at < self._hidden[0] and self._hidden[1] <= end:
             return True
-        inside = _frame_inside(data, at + 1, end)
+        inside = _find_frame_inside(data, at + 1, end)
         self._hidden = inside or self._hidden
         return inside is not None
 
 
-def span(data: bytes, at: int) -> tuple[int, int, int] | None:
+def frame_span(data: bytes, at: int) -> tuple[int, int, int] | None:
     """Length, message id and offset of the CRC of a frame by its header; None if that is cut."""
     if data[at] == STX_V2:
         if at + HEADER_V2 > len(data):
@@ -198,21 +200,21 @@ def begins_with_frame(data: bytes) -> bool:
     return bool(data) and isinstance(next(iter(Parser().push(data, datagram=True))), Frame)
 
 
-def _possible(body: bytes, crc: int) -> bool:
+def _crc_is_possible(body: bytes, crc: int) -> bool:
     """Whether some CRC extra gives this CRC."""
     # The last step takes in the extra: it shifts the register and adds one entry of the table.
-    return crc ^ (mcrf4xx(body) >> 8) in STEPS
+    return crc ^ (mcrf4xx(body) >> 8) in CRC_TABLE_ENTRIES
 
 
-def _frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | None:
+def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | None:
     """Where the first verified frame begins and ends that lies wholly inside a stretch."""
     # A message that is unknown and by chance passes must not hide a known one.
-    for begin in START.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
+    for begin in START_BYTES.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
         at = begin.start()
-        place = span(data, at)
+        place = frame_span(data, at)
         if place is None or at + place[0] > end:
             continue
-        known = layout(place[1])
+        known = find_layout(place[1])
         checked = at + place[2]
         if known is not None and mcrf4xx(
             data[at + 1 : checked] + bytes((known.crc_extra,))

@@ -14,8 +14,8 @@ import math
 
 import msgspec
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 PAYLOAD_TYPE = 33800  # TUNNEL.payload_type
 PAYLOAD_MAX = 128
@@ -56,7 +56,9 @@ def plant_frame(
         "payload_length": len(payload),
         "payload": payload,
     }
-    return build(known("TUNNEL"), values, seq=seq, system=system, component=component)
+    return build_frame(
+        message_layout("TUNNEL"), values, seq=seq, system=system, component=component
+    )
 
 
 def plant_change(frame: Frame) -> PlantChange | None:

@@ -6,7 +6,7 @@ them a vehicle has is for the simulator to say: a fixed wing has no second motor
 
 import re
 
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 
 AIRFRAME = ("mass_kg_add", "inertia_scale", "load_shift_x_m", "load_shift_y_m")
 MOTOR = ("motor_efficiency", "propeller_efficiency")
@@ -40,10 +40,12 @@ def check_plant_name(name: str) -> None:
         if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *RECEIVER)):
             return
         known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SIGNALS)]
-        raise ValueError(f"{name} is no parameter of the plant; {near(name, known)}")
+        raise ValueError(f"{name} is no parameter of the plant; {suggest_known(name, known)}")
     base, index = parts.groups()
     if base not in (*MOTOR, *SIGNALS):
-        raise ValueError(f"{name} is no parameter of the plant; {near(base, (*MOTOR, *SIGNALS))}")
+        raise ValueError(
+            f"{name} is no parameter of the plant; {suggest_known(base, (*MOTOR, *SIGNALS))}"
+        )
     if base in MOTOR and not (index.isascii() and index.isdigit()):
         raise ValueError(f"{name} names no motor; they are like {base}[0]")
     if base in SIGNALS and index not in GROUPS and not SATELLITE_NAME.fullmatch(index):

@@ -21,7 +21,7 @@ DIGEST_LENGTH = 6
 STAMP_AT = slice(-12, -6)  # little-endian, after the link id
 
 
-def key_of(passphrase: str) -> bytes:
+def derive_key(passphrase: str) -> bytes:
     """The key of a passphrase as ground stations derive it: its SHA-256."""
     # As Mission Planner and QGroundControl do.
     return hashlib.sha256(passphrase.encode()).digest()
@@ -52,13 +52,13 @@ class Verifier:
         return True
 
 
-def resigned(frame: Frame, key: bytes) -> Frame:
+def resign_frame(frame: Frame, key: bytes) -> Frame:
     """A changed frame signed again, with the link id and stamp it came with."""
     # With a newer stamp the sender's own next frames would look like replayed ones.
     return Frame(frame.raw[:-DIGEST_LENGTH] + _digest(key, frame.raw), frame.layout)
 
 
-def signed(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
+def sign_frame(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
     """An unsigned MAVLink 2 frame with a signature; `stamp` in 10 us since 2015-01-01."""
     raw = frame.raw[:2] + bytes((frame.raw[2] | SIGNED,)) + frame.raw[3:-2]
     crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
@@ -66,7 +66,7 @@ def signed(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
     return Frame(raw + _digest(key, raw + bytes(DIGEST_LENGTH)), frame.layout)
 
 
-def stripped(frame: Frame) -> Frame:
+def strip_signature(frame: Frame) -> Frame:
     """A signed frame without its signature: flag cleared, 13 bytes less, CRC redone."""
     raw = frame.raw[:2] + bytes((frame.raw[2] & ~SIGNED,)) + frame.raw[3 : -SIGNATURE_LENGTH - 2]
     crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
@@ -91,9 +91,9 @@ class Signing:
         if self.key is not None and not self._verifier.verify(frame):
             return frame, True
         if self.strip:
-            return stripped(frame), False
+            return strip_signature(frame), False
         return frame, self.key is None
 
     def leave(self, frame: Frame) -> Frame:
         """A changed signed frame, signed again if there is a key."""
-        return frame if self.key is None else resigned(frame, self.key)
+        return frame if self.key is None else resign_frame(frame, self.key)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
-from mavproxy_fault.wire.dialect import Layout, known, message_names
+from mavproxy_fault.wire.dialect import Layout, message_layout, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 from mavproxy_fault.wire.written import written_bytes
 
@@ -58,7 +58,8 @@ class Log:
     columns : dict of structured arrays
         Per message `t_us` (the log's stamp), `system`, `component`, `seq` and the message's fields.
     frames : structured array
-        Every frame in the log's order: `t_us`, `id`, `system`, `component`, `seq`, `known`.
+        Every frame in the log's order: `t_us`, `id`, `system`, `component`, `seq`,
+        `message_layout`.
     junk_bytes : int
         Bytes that belong to no frame found: broken records, a cut tail, foreign bytes.
     size, end : int
@@ -95,7 +96,7 @@ def row_dtype(name: str) -> np.dtype[np.void]:
     ]
     # A message may have fields of these names: they get an underscore.
     taken = {"t_us", "system", "component", "seq"}
-    for field in known(name).fields.values():
+    for field in message_layout(name).fields.values():
         column = field.name + "_" if field.name in taken else field.name
         if field.type == "char":
             fields.append((column, f"S{max(field.count, 1)}"))
@@ -111,7 +112,7 @@ def _messages() -> "LogMessages":
     """The dialect as the compiled walk takes it."""
     from mavproxy_fault.wire.log_walk import LogMessages
 
-    layouts = [known(name) for name in message_names()]
+    layouts = [message_layout(name) for name in message_names()]
     # A table by message id: kernels look up faster in it than in a dictionary.
     slots = np.full(max(item.id for item in layouts) + 1, -1, np.int16)
     for slot, item in enumerate(layouts):
@@ -154,7 +155,7 @@ def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
         yield _Block(runs[:found].copy(), counts, junk, start)
 
 
-def _whole(data: NDArray[np.uint8]) -> _Block:
+def _entire_log(data: NDArray[np.uint8]) -> _Block:
     """A log as one block."""
     blocks = list(_blocks(data, BLOCK_FRAMES))
     return _Block(
@@ -165,7 +166,7 @@ def _whole(data: NDArray[np.uint8]) -> _Block:
     )
 
 
-def _unrolled(data: NDArray[np.uint8], block: _Block) -> Iterator["LogFrames"]:
+def _unroll_frames(data: NDArray[np.uint8], block: _Block) -> Iterator["LogFrames"]:
     """Start, stamp and slot of every frame, some at a time in arrays that are used again."""
     from mavproxy_fault.wire.log_walk import LogFrames, first_stamp, unroll
 
@@ -233,7 +234,7 @@ def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
 def read_log(path: str | Path) -> Log:
     """Read a whole log."""
     data = map_bytes(Path(path))
-    return _log(data, _whole(data))
+    return _log(data, _entire_log(data))
 
 
 def read_parts(path: str | Path) -> Iterator[Log]:
@@ -244,8 +245,8 @@ def read_parts(path: str | Path) -> Iterator[Log]:
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
-    frames = np.concatenate([_frames(data, some) for some in _unrolled(data, block)])
-    columns = _columns(data, block.counts, _unrolled(data, block))
+    frames = np.concatenate([_frames(data, some) for some in _unroll_frames(data, block)])
+    columns = _columns(data, block.counts, _unroll_frames(data, block))
     return Log(columns, frames, block.junk_bytes, len(data), block.end)
 
 
@@ -261,15 +262,15 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
         first four has `_` appended.
     """
     data = map_bytes(Path(path))
-    block = _whole(data)
-    return _columns(data, block.counts, _unrolled(data, block), only)
+    block = _entire_log(data)
+    return _columns(data, block.counts, _unroll_frames(data, block), only)
 
 
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """The same block by block (131,072 frames each), for logs larger than memory."""
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
-        yield _columns(data, block.counts, _unrolled(data, block), only)
+        yield _columns(data, block.counts, _unroll_frames(data, block), only)
 
 
 def read_ordered(
@@ -282,10 +283,10 @@ def read_ordered(
 
     Bytes that belong to no frame are added to the first number of `junk`.
     """
-    yield from ordered(map_bytes(Path(path)), only, frames, junk)
+    yield from read_ordered_bytes(map_bytes(Path(path)), only, frames, junk)
 
 
-def ordered(
+def read_ordered_bytes(
     data: NDArray[np.uint8],
     only: Collection[str],
     frames: int = ORDERED_FRAMES,
@@ -299,7 +300,7 @@ def ordered(
         parts = [
             # Copies, as the arrays are used again for the next part.
             type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())
-            for some in _unrolled(data, block)
+            for some in _unroll_frames(data, block)
         ]
         columns = _columns(data, block.counts, parts, only)
         slot = np.concatenate([frames.slot for frames in parts])
@@ -312,7 +313,7 @@ def extent_us(path: str | Path) -> tuple[int, int] | None:
     ends: list[int] = []
     # A log of gigabytes must not be walked for its two ends.
     for part in (data[:END_BYTES], data[-END_BYTES:]):
-        for _, t_us, _ in _unrolled(part, _whole(part)):
+        for _, t_us, _ in _unroll_frames(part, _entire_log(part)):
             ends.extend(t_us[[0, -1]].tolist() if len(t_us) else [])
     return (ends[0], ends[-1]) if ends else None
 
@@ -320,9 +321,9 @@ def extent_us(path: str | Path) -> tuple[int, int] | None:
 def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]:
     """Stamp, bytes and layout of every frame in order; None where the message is unknown."""
     data = map_bytes(Path(path))
-    layouts = [known(name) for name in message_names()]
+    layouts = [message_layout(name) for name in message_names()]
     for block in _blocks(data, BLOCK_FRAMES):
-        for at, t_us, slot in _unrolled(data, block):
+        for at, t_us, slot in _unroll_frames(data, block):
             second = data[at] == 0xFD
             signed = second & (data[at + 2] & SIGNED == SIGNED)
             ends = at + data[at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
@@ -340,13 +341,13 @@ def read_frames(path: str | Path) -> Iterator[tuple[int, Frame]]:
             yield t_us, Frame(raw, found)
 
 
-def record(t_us: int, frame: bytes) -> bytes:
+def log_record(t_us: int, frame: bytes) -> bytes:
     """One record of a log."""
     return struct.pack(">Q", t_us) + frame
 
 
-def write(path: str | Path, frames: Iterable[tuple[int, bytes]]) -> None:
+def write_log(path: str | Path, frames: Iterable[tuple[int, bytes]]) -> None:
     """Write stamps and frames as a log."""
     with Path(path).open("wb") as file:
         for t_us, frame in frames:
-            file.write(record(t_us, frame))
+            file.write(log_record(t_us, frame))

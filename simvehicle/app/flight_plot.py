@@ -15,11 +15,11 @@ from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
-_PICTURES = (".png", ".svg", ".pdf")
+_PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class PlottedFlight:
     """What was flown, at about 10 Hz; arrays have n rows.
 
     Time [s], position NED and height above ground [m], velocity NED and airspeed [m/s], roll,
@@ -38,7 +38,7 @@ class Flight:
     actuators: list[str]
 
 
-def fly(scenario: Scenario, seed: int | None = None) -> Flight:
+def trace_flight(scenario: Scenario, seed: int | None = None) -> PlottedFlight:
     """Fly a scenario with the built-in controller and keep what a picture shows."""
     # `None`: the scenario's own seed.
     simulation = Simulation(scenario, seed)
@@ -68,15 +68,15 @@ def fly(scenario: Scenario, seed: int | None = None) -> Flight:
         )
     t, r, height, v, airspeed, euler, rates, controls = map(np.array, zip(*rows, strict=True))
     names = simulation.kind.actuators(simulation.vehicle)
-    return Flight(t, r, height, v, airspeed, euler, rates, controls, plan, names)
+    return PlottedFlight(t, r, height, v, airspeed, euler, rates, controls, plan, names)
 
 
 def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int:
     """Fly a scenario and draw it; the exit code."""
     # Before the flight: a wrong ending costs no minutes.
-    if Path(path).suffix.lower() not in _PICTURES:
-        raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURES)} are known")
-    figure = draw(fly(scenario, seed), scenario.name)
+    if Path(path).suffix.lower() not in _PICTURE_SUFFIXES:
+        raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURE_SUFFIXES)} are known")
+    figure = draw_flight(trace_flight(scenario, seed), scenario.name)
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:
@@ -85,7 +85,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
     return 0
 
 
-def draw(flight: Flight, title: str) -> Any:
+def draw_flight(flight: PlottedFlight, title: str) -> Any:
     """Path on the left, states over time on the right."""
     # `Figure` without pyplot: nothing stays behind, no window is needed.
     from matplotlib.figure import Figure
@@ -94,11 +94,11 @@ def draw(flight: Flight, title: str) -> Any:
     figure.suptitle(title)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.1))
     left, right = halves
-    path(left.subplots(), flight)
+    draw_path(left.subplots(), flight)
     panels = [
         ("height above ground [m]", flight.height_agl_m[:, None], [""]),
         ("speed [m/s]", _speeds(flight), ["airspeed", "over ground"]),
-        ("attitude [deg]", _unbroken(flight.euler_deg), ["roll", "pitch", "yaw"]),
+        ("attitude [deg]", _break_at_wraps(flight.euler_deg), ["roll", "pitch", "yaw"]),
         ("body rates [deg/s]", flight.rates_dps, ["p", "q", "r"]),
         ("controls", flight.controls, flight.actuators),
     ]
@@ -116,7 +116,7 @@ def draw(flight: Flight, title: str) -> Any:
     return figure
 
 
-def path(axes: Any, flight: Flight) -> None:
+def draw_path(axes: Any, flight: PlottedFlight) -> None:
     """The planned and the flown path, north up."""
     if len(flight.plan_m):
         axes.plot(flight.plan_m[:, 1], flight.plan_m[:, 0], "--", color="0.6", label="planned")
@@ -131,12 +131,12 @@ def path(axes: Any, flight: Flight) -> None:
     axes.legend(fontsize=8)
 
 
-def _speeds(flight: Flight) -> Array:
+def _speeds(flight: PlottedFlight) -> Array:
     ground = np.hypot(flight.v_ned_mps[:, 0], flight.v_ned_mps[:, 1])
     return np.stack([flight.airspeed_mps, ground], axis=-1)
 
 
-def _unbroken(angles_deg: Array) -> Array:
+def _break_at_wraps(angles_deg: Array) -> Array:
     """Angles with a gap instead of a stroke where they wrap."""
     out = angles_deg.copy()
     # Half a turn between two samples is the wrap, not the vehicle.

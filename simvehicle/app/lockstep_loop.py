@@ -7,28 +7,30 @@ from typing import Protocol
 
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.app.battery_watch import BatteryWatch
+from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.pace import Pace
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
-from simvehicle.hil.plant_changes import Plant, PlantChanges
+from simvehicle.hil.plant_changes import ChangeablePlant, PlantChanges
 from simvehicle.sensors.readings import Reading
-from simvehicle.vehicles.actuators import CHANNELS, Mix, read_controls
+from simvehicle.vehicles.actuators import CHANNEL_COUNT, Mix, read_controls
 from simvehicle.vehicles.body import Controls, Truth
 
-RESTART = (
+RESTART_ADVICE = (
     "it, or the proxy before it, may have died; start simulator, proxy and autopilot anew "
     "together, for PX4 does not connect a second time"
 )
-FLOWN_BEFORE = (
+STALE_AUTOPILOT_ADVICE = (
     "an autopilot that flew before this simulator was started has to be started anew, and a proxy "
     "with it: its clock does not go back"
 )
-FIRST_WORD_S = 5.0  # after which a peer that only listens is served too
-FIRST_ANSWER_S = 15.0  # after which it is told that none comes; PX4 needs three, a busy machine ten
+FIRST_MESSAGE_TIMEOUT_S = 5.0  # after which a peer that only listens is served too
+FIRST_ANSWER_TIMEOUT_S = (
+    15.0  # after which it is told that none comes; PX4 needs three, a busy machine ten
+)
 
 
-class Simulated(Plant, Protocol):
+class SteppedSimulation(ChangeablePlant, Protocol):
     """What the loop needs of a simulation."""
 
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
@@ -38,8 +40,8 @@ class Simulated(Plant, Protocol):
         """Do what can be done of the next step before its controls are there."""
 
 
-class Packer(Protocol):
-    """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.Hil` is one."""
+class FramePacker(Protocol):
+    """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.HilPacker` is one."""
 
     start_us: int
     step_us: int | None  # the stamp that the autopilot answers, of the last frames; None: nobody
@@ -48,7 +50,7 @@ class Packer(Protocol):
         """The frames of a step."""
 
 
-class Incoming(Protocol):
+class FrameSource(Protocol):
     """What the loop needs to hear an autopilot; `Inbox` is one."""
 
     link: Link
@@ -57,7 +59,7 @@ class Incoming(Protocol):
         """What has come since the last call, after waiting so long at most for something."""
 
 
-class Plain(Protocol):
+class PlainStepper(Protocol):
     """What flies plain steps in the loop's place; `simvehicle.plain` says what those are."""
 
     def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
@@ -97,19 +99,19 @@ class LockstepLoop:
         What is added where no answer ever came, and to the progress while steps wait for none.
     """
 
-    unanswered = FLOWN_BEFORE
+    unanswered = STALE_AUTOPILOT_ADVICE
     unlocked = ", not in lockstep"
 
     def __init__(
         self,
-        simulation: Simulated,
-        hil: Packer,
-        inbox: Incoming,
+        simulation: SteppedSimulation,
+        hil: FramePacker,
+        inbox: FrameSource,
         mix: Mix,
         speed: float,
         progress: Progress,
         lockstep: Lockstep | None = None,
-        plain: Plain | None = None,
+        plain: PlainStepper | None = None,
     ) -> None:
         self.t_us = 0
         self.lockstep = lockstep or Lockstep()
@@ -117,10 +119,12 @@ class LockstepLoop:
         self._hil = hil
         self._inbox = inbox
         self._changes = PlantChanges(simulation, progress.say)
-        self._battery = BatteryWatch(progress.say)
+        self._battery = BatteryWarnings(progress.say)
         self._mix = mix
         self._progress = progress
-        self._controls = Controls(mix([0.0] * CHANNELS), armed=False)  # until PX4's first answer
+        self._controls = Controls(
+            mix([0.0] * CHANNEL_COUNT), armed=False
+        )  # until PX4's first answer
         self._speed = speed
         self._plain = plain if math.isinf(speed) else None
         self._locked = False
@@ -160,10 +164,10 @@ class LockstepLoop:
             now_s = time.monotonic()
             if link.peer_count and connected_s is None:
                 connected_s = now_s
-            if connected_s is not None and now_s - connected_s > FIRST_WORD_S:
+            if connected_s is not None and now_s - connected_s > FIRST_MESSAGE_TIMEOUT_S:
                 break
         self._progress.say(f"{link.name}: connected")
-        self._answer_due_s = time.monotonic() + FIRST_ANSWER_S
+        self._answer_due_s = time.monotonic() + FIRST_ANSWER_TIMEOUT_S
 
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
@@ -181,7 +185,7 @@ class LockstepLoop:
         if self._answer_due_s is not None and now_s > self._answer_due_s:
             self._answer_due_s = None
             if not self.lockstep.answered:
-                self._progress.say(f"no answer for {FIRST_ANSWER_S:g} s; {self.unanswered}")
+                self._progress.say(f"no answer for {FIRST_ANSWER_TIMEOUT_S:g} s; {self.unanswered}")
         self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
 
     def _flown(self, truth: Truth) -> None:
@@ -221,7 +225,7 @@ class LockstepLoop:
         if locked:
             self._progress.say(f"in lockstep from {stamp_s:.3f} s")
             if self._answer_due_s is not None and self.armed:
-                self._progress.say(f"its motors are on already; {FLOWN_BEFORE}")
+                self._progress.say(f"its motors are on already; {STALE_AUTOPILOT_ADVICE}")
             self._answer_due_s = None
         else:
             self._progress.say(
@@ -245,7 +249,7 @@ def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None
     except (PeerGoneError, AutopilotSilentError) as gone:
         armed = ", with its motors on" if loop.armed else ""
         progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight{armed}")
-        progress.say(RESTART)
+        progress.say(RESTART_ADVICE)
         # Without an end of its own a flight is over when the autopilot leaves on the ground.
         over = until_us is None and isinstance(gone, PeerGoneError) and not loop.armed
         return 0 if over else 1

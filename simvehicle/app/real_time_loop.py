@@ -6,13 +6,13 @@ and no step waits for one.
 
 import time
 
-from simvehicle.app.lockstep_loop import Incoming, LockstepLoop, Packer, Simulated
+from simvehicle.app.lockstep_loop import FramePacker, FrameSource, LockstepLoop, SteppedSimulation
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.lockstep import SILENCE_S, AutopilotSilentError, Lockstep
+from simvehicle.hil.lockstep import SILENCE_TIMEOUT_S, AutopilotSilentError, Lockstep
 from simvehicle.vehicles.actuators import Mix
 
-LATE_S = 1e-3  # a step that begins later than this is an overrun
-TOLD_S = 1.0  # without controls, after which it is told
+OVERRUN_S = 1e-3  # a step that begins later than this is an overrun
+SILENCE_WARNING_S = 1.0  # without controls, after which it is told
 
 
 class FreeRunning(Lockstep):
@@ -32,7 +32,9 @@ class FreeRunning(Lockstep):
             When controls that once came have been missing for long.
         """
         if self.silent_s(now_s) > self._silence_s:
-            raise AutopilotSilentError(f"the autopilot has sent nothing for {SILENCE_S:g} s")
+            raise AutopilotSilentError(
+                f"the autopilot has sent nothing for {SILENCE_TIMEOUT_S:g} s"
+            )
         return 0.0
 
     def silent_s(self, now_s: float) -> float:
@@ -50,7 +52,7 @@ class Overruns:
     def add(self, late_s: float) -> None:
         """Count a step that began so late."""
         self.steps += 1
-        self.late += late_s > LATE_S
+        self.late += late_s > OVERRUN_S
         self.worst_s = max(self.worst_s, late_s)
 
     def text(self) -> str:
@@ -71,7 +73,12 @@ class RealTimeLoop(LockstepLoop):
     unlocked = ""
 
     def __init__(
-        self, simulation: Simulated, hil: Packer, inbox: Incoming, mix: Mix, progress: Progress
+        self,
+        simulation: SteppedSimulation,
+        hil: FramePacker,
+        inbox: FrameSource,
+        mix: Mix,
+        progress: Progress,
     ) -> None:
         self._free = FreeRunning()
         super().__init__(simulation, hil, inbox, mix, 1.0, progress, self._free)
@@ -86,9 +93,11 @@ class RealTimeLoop(LockstepLoop):
 
     def _tell_silence(self, now_s: float) -> None:
         """The vehicle flies on its last controls: nobody may take that for the autopilot's."""
-        mute = self._free.silent_s(now_s) > TOLD_S
+        mute = self._free.silent_s(now_s) > SILENCE_WARNING_S
         if mute and not self._mute:
-            self._progress.say(f"no controls for {TOLD_S:g} s; the vehicle flies on the last ones")
+            self._progress.say(
+                f"no controls for {SILENCE_WARNING_S:g} s; the vehicle flies on the last ones"
+            )
         if self._mute and not mute:
             self._progress.say("controls come again")
         self._mute = mute

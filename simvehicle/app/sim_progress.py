@@ -3,8 +3,8 @@
 import sys
 from typing import TextIO
 
-TERMINAL_S = 0.5  # a line that is written over
-FILE_S = 10.0  # lines that stay
+TERMINAL_PERIOD_S = 0.5  # a line that is written over
+FILE_PERIOD_S = 10.0  # lines that stay
 
 
 class Progress:
@@ -14,7 +14,7 @@ class Progress:
         self._out = out or sys.stderr
         self._terminal = self._out.isatty()
         # A file keeps each line, so it gets fewer.
-        self._period_s = TERMINAL_S if self._terminal else FILE_S
+        self._period_s = TERMINAL_PERIOD_S if self._terminal else FILE_PERIOD_S
         self._start_s = self._last_s = now_s
         self._last_us = 0
         self._open = False  # whether a line waits to be written over

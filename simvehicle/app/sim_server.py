@@ -13,30 +13,30 @@ from contextlib import ExitStack, closing
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.descriptors import wait_on
+from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
-from simvehicle.app.battery_watch import BatteryWatch
+from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.pace import Pace, parse_speed
 from simvehicle.app.real_time_loop import RealTimeLoop
 from simvehicle.app.sim_progress import Progress
 from simvehicle.autopilot.autopilot_link import AutopilotLink
 from simvehicle.autopilot.enums import MavType
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mission_service import Missions
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.pilot import Pilot
-from simvehicle.autopilot.telemetry import Home
+from simvehicle.autopilot.telemetry import HomePosition
 from simvehicle.guidance.route import CircleTrack
-from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, Hil
+from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, HilPacker
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import Mix
 
-DATAGRAM = 1400  # bytes that cross an Ethernet in one piece
+DATAGRAM_MAX_BYTES = 1400  # bytes that cross an Ethernet in one piece
 
 
 def main(args: argparse.Namespace) -> int:
@@ -69,9 +69,9 @@ def main(args: argparse.Namespace) -> int:
         )
         try:
             if real_time and hil is not None:
-                return _in_real_time(simulation, hil, progress)
+                return _run_real_time(simulation, hil, progress)
             if served and hil is not None:
-                return _lockstep(simulation, hil, speed, progress)
+                return _run_lockstep(simulation, hil, speed, progress)
             loop = FreeLoop(simulation, hil, gcs, speed, progress)
             # With a ground station the flight goes on until somebody ends it.
             loop.run(None if gcs else round(scenario.duration_s * 1e6))
@@ -122,23 +122,23 @@ def check_sensors(scenario: Scenario) -> None:
                 )
 
 
-def _lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
-    mav_type, mix = airframe(simulation)
-    packer = Hil(mav_type=mav_type)
+def _run_lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
+    mav_type, mix = mav_type_and_mix(simulation)
+    packer = HilPacker(mav_type=mav_type)
     loop = LockstepLoop(simulation, packer, Inbox(link), mix, speed, progress)
     return serve_autopilot(loop, progress, None)
 
 
-def _in_real_time(simulation: Simulation, link: Link, progress: Progress) -> int:
-    mav_type, mix = airframe(simulation)
-    loop = RealTimeLoop(simulation, Hil(mav_type=mav_type), Inbox(link), mix, progress)
+def _run_real_time(simulation: Simulation, link: Link, progress: Progress) -> int:
+    mav_type, mix = mav_type_and_mix(simulation)
+    loop = RealTimeLoop(simulation, HilPacker(mav_type=mav_type), Inbox(link), mix, progress)
     try:
         return serve_autopilot(loop, progress, None)
     finally:
         progress.say(loop.overruns.text())
 
 
-def airframe(simulation: Any) -> tuple[MavType, Mix]:
+def mav_type_and_mix(simulation: Any) -> tuple[MavType, Mix]:
     """What the vehicle calls itself, and how PX4's channels drive it."""
     kind, vehicle = simulation.kind, simulation.vehicle
     return kind.mav_type(vehicle), kind.mix(vehicle)
@@ -169,13 +169,13 @@ class FreeLoop:
         self._simulation = simulation
         self._hil = Inbox(hil) if hil else None
         self._changes = PlantChanges(simulation, progress.say)
-        self._battery = BatteryWatch(progress.say)
-        self._packer = Hil(mav_type=airframe(simulation)[0])
+        self._battery = BatteryWarnings(progress.say)
+        self._packer = HilPacker(mav_type=mav_type_and_mix(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None
         self._services: AutopilotLink | None = None
         self._pilot: Pilot | None = None
         if gcs:
-            self._services, self._pilot = services(simulation)
+            self._services, self._pilot = create_services(simulation)
         self._pace = Pace(speed)
         self._progress = progress
         self._clock = clock
@@ -189,7 +189,7 @@ class FreeLoop:
             self._progress.step(self.t_us, now_s)
             wait_s = self._pace.wait_s(self.t_us, now_s)
             if wait_s > 0.0:
-                wait_on(self._links, wait_s)
+                wait_until_readable(self._links, wait_s)
 
     def step(self) -> None:
         """One step of the simulation and of everything on the links."""
@@ -199,7 +199,7 @@ class FreeLoop:
         self.t_us, truth, readings = self._simulation.step(controls)
         self._battery.look(truth)
         if self._hil:
-            for chunk in datagrams(self._packer.frames(self.t_us, truth, readings)):
+            for chunk in join_datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
                 # Plant faults come back on the HIL link.
@@ -212,24 +212,26 @@ class FreeLoop:
                 for raw in self._services.received(frame, self.t_us)
             ]
             # Answers before telemetry: a command is acknowledged at once.
-            answers += self._services.tick(self.t_us, truth, readings, throttle(self._simulation))
+            answers += self._services.tick(
+                self.t_us, truth, readings, throttle_command(self._simulation)
+            )
             for raw in answers:
                 link.write(raw)
 
 
-def throttle(simulation: Any) -> float:
+def throttle_command(simulation: Any) -> float:
     """The motors' command, 0 to 1."""
     return float(simulation.kind.throttle(simulation.controls))
 
 
-def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
+def create_services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start, kind = simulation.scenario.start, simulation.kind
     parameters, missions = Parameters(kind.parameters), Missions()
-    flight = Flight(
+    flight = CommandedFlight(
         parameters,
         missions,
-        Home(start.lat_deg, start.lon_deg, start.alt_m),
+        HomePosition(start.lat_deg, start.lon_deg, start.alt_m),
         simulation.home.ned,
         airborne=start.height_m > 0.0,
         own_mission=bool(simulation.scenario.mission) or simulation.scenario.controls is not None,
@@ -245,7 +247,7 @@ def services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
             simulation.plant(f"motor_efficiency[{motor}]", 0.0 if off else None)
         return True
 
-    link = AutopilotLink(flight, parameters, missions, fail_motor, airframe(simulation)[0])
+    link = AutopilotLink(flight, parameters, missions, fail_motor, mav_type_and_mix(simulation)[0])
     return link, Pilot(simulation, flight)
 
 
@@ -257,16 +259,16 @@ def _acceptance_m(simulation: Simulation, radius_m: float) -> float:
     return 1.3 * wait.radius_m if isinstance(wait, CircleTrack) else radius_m
 
 
-def datagrams(frames: list[bytes]) -> list[bytes]:
+def join_datagrams(frames: list[bytes]) -> list[bytes]:
     """Frames joined to chunks that fit a datagram."""
     whole = b"".join(frames)
     # The common case, one datagram a step.
-    if len(whole) <= DATAGRAM:
+    if len(whole) <= DATAGRAM_MAX_BYTES:
         return [whole]
     chunks = [b""]
     for frame in frames:
         # A frame is never split: receivers of datagrams take whole frames.
-        if len(chunks[-1]) + len(frame) > DATAGRAM:
+        if len(chunks[-1]) + len(frame) > DATAGRAM_MAX_BYTES:
             chunks.append(b"")
         chunks[-1] += frame
     return chunks

@@ -1,22 +1,22 @@
 """What a ground station expects of a vehicle, as a core without I/O.
 
 Frames come in by `received`, time passes by `tick`; both hand back the frames to send. The vehicle
-identifies as PX4 and answers as PX4 does; what it flies is `Flight`, whose goal the simulation's
-own controller follows.
+identifies as PX4 and answers as PX4 does; what it flies is `CommandedFlight`, whose goal the
+simulation's own controller follows.
 """
 
 from collections.abc import Callable, Iterable
 
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.frame import Frame, build_frame
 from simvehicle.autopilot.command_service import Commands
 from simvehicle.autopilot.enums import MavType
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mission_service import Missions
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.hil_frames import START_US
-from simvehicle.hil.outgoing_message import Message, message
+from simvehicle.hil.outgoing_message import Message, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading, Reading
 from simvehicle.vehicles.body import Truth
 
@@ -26,7 +26,7 @@ MISSION_MESSAGES = {
     "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_CLEAR_ALL",
 }  # fmt: skip
 FTP_NAK, FTP_FAIL = 129, 1  # opcode and error of the MAVLink FTP protocol
-AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
 class AutopilotLink:
@@ -48,7 +48,7 @@ class AutopilotLink:
 
     def __init__(
         self,
-        flight: Flight,
+        flight: CommandedFlight,
         parameters: Parameters,
         missions: Missions,
         fail_motor: Callable[[int, bool], bool],
@@ -128,7 +128,7 @@ class AutopilotLink:
                 bool(frame.number("start_stop")),
             )
         elif name == "TIMESYNC":
-            return timesync(frame, now.stamp_us)
+            return answer_timesync(frame, now.stamp_us)
         elif name == "FILE_TRANSFER_PROTOCOL":
             return [refuse_ftp(frame)]
         return []
@@ -138,7 +138,7 @@ class AutopilotLink:
         system = frame.number("target_system") if "target_system" in fields else 0
         component = frame.number("target_component") if "target_component" in fields else 0
         # 0 is MAVLink's "to all".
-        return system in (0, self._system) and component in (0, AUTOPILOT)
+        return system in (0, self._system) and component in (0, AUTOPILOT_COMPONENT)
 
     def _draw(self, reading: BatteryReading) -> None:
         if self._battery is not None:
@@ -152,14 +152,16 @@ class AutopilotLink:
         seq = self._seq
         # The sequence number is a byte.
         self._seq = (seq + 1) & 0xFF
-        return build(layout, values, seq=seq, system=self._system, component=AUTOPILOT)
+        return build_frame(
+            layout, values, seq=seq, system=self._system, component=AUTOPILOT_COMPONENT
+        )
 
 
-def timesync(frame: Frame, stamp_us: int) -> list[Message]:
+def answer_timesync(frame: Frame, stamp_us: int) -> list[Message]:
     """The vehicle's clock in nanoseconds against a request (tc1 = 0); answers get none."""
     if frame.number("tc1") != 0:
         return []
-    return [message("TIMESYNC", tc1=stamp_us * 1000, ts1=frame.number("ts1"))]
+    return [make_message("TIMESYNC", tc1=stamp_us * 1000, ts1=frame.number("ts1"))]
 
 
 def refuse_ftp(frame: Frame) -> Message:
@@ -176,7 +178,7 @@ def refuse_ftp(frame: Frame) -> Message:
     # An answer's number is one above the request's.
     seq = (asked[0] | asked[1] << 8) + 1 & 0xFFFF
     payload = [seq & 0xFF, seq >> 8, asked[2], FTP_NAK, 1, asked[3], 0, 0, 0, 0, 0, 0, FTP_FAIL]
-    return message(
+    return make_message(
         "FILE_TRANSFER_PROTOCOL",
         target_network=0,
         target_system=frame.system,

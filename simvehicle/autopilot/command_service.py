@@ -8,25 +8,25 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame as WireFrame
-from simvehicle.autopilot.enums import BaseMode, Command, Frame, Mode, Result
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.enums import BaseMode, Command, CommandResult, CoordinateFrame, FlightMode
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mode_list import available_modes
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot, protocol_version
-from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
+from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
 
-FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
+FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
 FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
-AVAILABLE_MODES = known("AVAILABLE_MODES").id
-PLACE_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
+AVAILABLE_MODES = message_layout("AVAILABLE_MODES").id
+POSITION_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CommandRequest:
     """One command, whichever message it came in; a place is in degrees, height in m."""
 
     command: int
@@ -37,7 +37,7 @@ class Request:
     frame: int
 
 
-Answer = tuple[Result, list[Message]]
+CommandAnswer = tuple[CommandResult, list[Message]]
 
 
 class Commands:
@@ -45,7 +45,7 @@ class Commands:
 
     def __init__(
         self,
-        flight: Flight,
+        flight: CommandedFlight,
         streams: Streams,
         parameters: Parameters,
         fail_motor: Callable[[int, bool], bool],
@@ -54,11 +54,11 @@ class Commands:
         self._flight = flight
         self._streams = streams
         self._parameters = parameters
-        self._handlers: dict[int, Callable[[Request, Snapshot], Answer]] = {
+        self._handlers: dict[int, Callable[[CommandRequest, Snapshot], CommandAnswer]] = {
             Command.ARM_DISARM: self._arm,
             Command.TAKEOFF: self._take_off,
-            Command.LAND: lambda request, now: self._mode(Mode.LAND),
-            Command.RETURN_TO_LAUNCH: lambda request, now: self._mode(Mode.RETURN),
+            Command.LAND: lambda request, now: self._mode(FlightMode.LAND),
+            Command.RETURN_TO_LAUNCH: lambda request, now: self._mode(FlightMode.RETURN),
             Command.MISSION_START: self._start_mission,
             Command.SET_MODE: self._set_mode,
             Command.REPOSITION: self._reposition,
@@ -70,7 +70,7 @@ class Commands:
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
             Command.REQUEST_PROTOCOL_VERSION: lambda request, now: (
-                Result.ACCEPTED,
+                CommandResult.ACCEPTED,
                 [protocol_version()],
             ),
             Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, now: self._send(
@@ -81,11 +81,11 @@ class Commands:
 
     def received(self, frame: WireFrame, now: Snapshot) -> list[Message]:
         """Carry out a COMMAND_LONG or COMMAND_INT: its acknowledgement, then what it asked for."""
-        request = read_request(frame)
+        request = read_command_request(frame)
         handler = self._handlers.get(request.command)
         # What no handler knows is answered too: a ground station repeats what is not.
-        result, messages = handler(request, now) if handler else (Result.UNSUPPORTED, [])
-        ack = message(
+        result, messages = handler(request, now) if handler else (CommandResult.UNSUPPORTED, [])
+        ack = make_message(
             "COMMAND_ACK",
             command=request.command,
             result=result,
@@ -100,81 +100,81 @@ class Commands:
         if int(frame.number("base_mode")) & BaseMode.CUSTOM:
             self._custom_mode(int(frame.number("custom_mode")))
 
-    def _arm(self, request: Request, now: Snapshot) -> Answer:
+    def _arm(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         if request.params[0] == 1:
             self._flight.arm()
-            return Result.ACCEPTED, []
-        if request.params[0] == 0 and self._flight.disarm(request.params[1] == FORCE):
-            return Result.ACCEPTED, []
-        return Result.DENIED, []
+            return CommandResult.ACCEPTED, []
+        if request.params[0] == 0 and self._flight.disarm(request.params[1] == FORCE_ARMING):
+            return CommandResult.ACCEPTED, []
+        return CommandResult.DENIED, []
 
-    def _take_off(self, request: Request, now: Snapshot) -> Answer:
+    def _take_off(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         self._flight.take_off(self._amsl(request))
-        return Result.ACCEPTED, []
+        return CommandResult.ACCEPTED, []
 
-    def _start_mission(self, request: Request, now: Snapshot) -> Answer:
+    def _start_mission(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         first = request.params[0]
         # NaN: no item was named, the mission begins where it stands.
-        if math.isfinite(first) and not self._flight.set_current(whole(first)):
-            return Result.DENIED, []
-        if not self._flight.set_mode(Mode.MISSION):
-            return Result.DENIED, []
+        if math.isfinite(first) and not self._flight.set_current(integer_parameter(first)):
+            return CommandResult.DENIED, []
+        if not self._flight.set_mode(FlightMode.MISSION):
+            return CommandResult.DENIED, []
         self._flight.arm()
-        return Result.ACCEPTED, []
+        return CommandResult.ACCEPTED, []
 
-    def _set_mode(self, request: Request, now: Snapshot) -> Answer:
-        base, main, sub, _ = (max(whole(v), 0) for v in request.params)
+    def _set_mode(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+        base, main, sub, _ = (max(integer_parameter(v), 0) for v in request.params)
         # The other flags are not modes of PX4.
         if not base & BaseMode.CUSTOM:
-            return Result.UNSUPPORTED, []
+            return CommandResult.UNSUPPORTED, []
         # PX4's custom_mode: sub-mode in the top byte, main mode in the one below.
         return self._custom_mode(sub << 24 | main << 16)
 
-    def _custom_mode(self, custom_mode: int) -> Answer:
-        if custom_mode not in set(Mode):
-            return Result.DENIED, []
-        return self._mode(Mode(custom_mode))
+    def _custom_mode(self, custom_mode: int) -> CommandAnswer:
+        if custom_mode not in set(FlightMode):
+            return CommandResult.DENIED, []
+        return self._mode(FlightMode(custom_mode))
 
-    def _mode(self, mode: Mode) -> Answer:
-        return (Result.ACCEPTED if self._flight.set_mode(mode) else Result.DENIED), []
+    def _mode(self, mode: FlightMode) -> CommandAnswer:
+        return (CommandResult.ACCEPTED if self._flight.set_mode(mode) else CommandResult.DENIED), []
 
-    def _reposition(self, request: Request, now: Snapshot) -> Answer:
+    def _reposition(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         speed = request.params[0]
         # Without a speed in the command it stays as it is.
         if math.isfinite(speed) and speed > 0:
             self._flight.set_speed(speed)
         yaw = request.params[3]
         accepted = self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
-        return (Result.ACCEPTED if accepted else Result.DENIED), []
+        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _pause(self, request: Request, now: Snapshot) -> Answer:
-        return self._mode(Mode.MISSION if request.params[0] == 1 else Mode.HOLD)
+    def _pause(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+        return self._mode(FlightMode.MISSION if request.params[0] == 1 else FlightMode.HOLD)
 
-    def _speed(self, request: Request, now: Snapshot) -> Answer:
+    def _speed(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         accepted = self._flight.set_speed(request.params[1])
-        return (Result.ACCEPTED if accepted else Result.DENIED), []
+        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _set_current(self, request: Request, now: Snapshot) -> Answer:
-        accepted = self._flight.set_current(whole(request.params[0]))
-        return (Result.ACCEPTED if accepted else Result.DENIED), []
+    def _set_current(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+        accepted = self._flight.set_current(integer_parameter(request.params[0]))
+        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _get_interval(self, request: Request, now: Snapshot) -> Answer:
-        number = whole(request.params[0])
+    def _get_interval(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+        number = integer_parameter(request.params[0])
         interval = self._streams.interval_us(number)
         # Also of a message that there is not: its interval is 0.
-        return Result.ACCEPTED, [
-            message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
+        return CommandResult.ACCEPTED, [
+            make_message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
         ]
 
-    def _set_interval(self, request: Request, now: Snapshot) -> Answer:
+    def _set_interval(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         number, interval = request.params[:2]
         if not math.isfinite(interval):
-            return Result.DENIED, []
-        known = self._streams.set_interval(whole(number), interval)
-        return (Result.ACCEPTED if known else Result.UNSUPPORTED), []
+            return CommandResult.DENIED, []
+        known = self._streams.set_interval(integer_parameter(number), interval)
+        return (CommandResult.ACCEPTED if known else CommandResult.UNSUPPORTED), []
 
-    def _request_message(self, request: Request, now: Snapshot) -> Answer:
-        number, index = whole(request.params[0]), whole(request.params[1])
+    def _request_message(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+        number, index = integer_parameter(request.params[0]), integer_parameter(request.params[1])
         if number == PROTOCOL_VERSION.id:
             # Modes are a list by index and no stream.
             found = [protocol_version()]
@@ -182,47 +182,52 @@ class Commands:
             found = available_modes(max(index, 0))
         else:
             found = self._streams.request(number, now)
-        return (Result.ACCEPTED if found else Result.UNSUPPORTED), found
+        return (CommandResult.ACCEPTED if found else CommandResult.UNSUPPORTED), found
 
-    def _send(self, name: str, now: Snapshot) -> Answer:
-        return Result.ACCEPTED, [self._streams.make(name, now)]
+    def _send(self, name: str, now: Snapshot) -> CommandAnswer:
+        return CommandResult.ACCEPTED, [self._streams.make(name, now)]
 
-    def _inject(self, request: Request, now: Snapshot) -> Answer:
+    def _inject(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         """Motors can be stopped and started; other failures are for a proxy on the way.
 
         As PX4 it denies all of it while SYS_FAILURE_EN is 0.
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
-            return Result.DENIED, []
-        unit, kind, instance = (whole(value) for value in request.params[:3])
+            return CommandResult.DENIED, []
+        unit, kind, instance = (integer_parameter(value) for value in request.params[:3])
         if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
-            return Result.UNSUPPORTED, []
+            return CommandResult.UNSUPPORTED, []
         found = self._fail_motor(instance, kind == FAILURE_OFF)
-        return (Result.ACCEPTED if found else Result.DENIED), []
+        return (CommandResult.ACCEPTED if found else CommandResult.DENIED), []
 
-    def _amsl(self, request: Request) -> float:
-        relative = request.frame in (Frame.GLOBAL_RELATIVE, Frame.GLOBAL_RELATIVE_INT)
+    def _amsl(self, request: CommandRequest) -> float:
+        relative = request.frame in (
+            CoordinateFrame.GLOBAL_RELATIVE,
+            CoordinateFrame.GLOBAL_RELATIVE_INT,
+        )
         return request.z_m + (self._flight.home.alt_m if relative else 0.0)
 
 
-def whole(value: float) -> int:
+def integer_parameter(value: float) -> int:
     """A parameter as an integer; what is none becomes -1, which no handler knows."""
     # COMMAND_LONG has floats only, NaN meaning that it is not given.
     return int(value) if math.isfinite(value) else -1
 
 
-def read_request(frame: WireFrame) -> Request:
+def read_command_request(frame: WireFrame) -> CommandRequest:
     """The command in a COMMAND_LONG or COMMAND_INT."""
     p1, p2, p3, p4 = (float(frame.number(f"param{i}")) for i in range(1, 5))
     if frame.layout.name == "COMMAND_LONG":
         lat_deg, lon_deg, z_m = (float(frame.number(f"param{i}")) for i in range(5, 8))
         # COMMAND_LONG names no frame: its heights are above mean sea level.
-        kind = int(Frame.GLOBAL)
+        kind = int(CoordinateFrame.GLOBAL)
     else:
         # COMMAND_INT has whole degrees by 1e7, finer than the floats of COMMAND_LONG.
         x, y = int(frame.number("x")), int(frame.number("y"))
-        lat_deg = math.nan if x == PLACE_UNKNOWN else x * 1e-7
-        lon_deg = math.nan if y == PLACE_UNKNOWN else y * 1e-7
+        lat_deg = math.nan if x == POSITION_UNKNOWN else x * 1e-7
+        lon_deg = math.nan if y == POSITION_UNKNOWN else y * 1e-7
         z_m = float(frame.number("z"))
         kind = int(frame.number("frame"))
-    return Request(int(frame.number("command")), (p1, p2, p3, p4), lat_deg, lon_deg, z_m, kind)
+    return CommandRequest(
+        int(frame.number("command")), (p1, p2, p3, p4), lat_deg, lon_deg, z_m, kind
+    )

@@ -36,7 +36,7 @@ class Command(IntEnum):
     REQUEST_AUTOPILOT_CAPABILITIES = 520
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -71,7 +71,7 @@ class MissionType(IntEnum):
     ALL = 255
 
 
-class Frame(IntEnum):
+class CoordinateFrame(IntEnum):
     """MAV_FRAME."""
 
     GLOBAL = 0
@@ -126,7 +126,7 @@ class Capability(IntFlag):
     MAVLINK2 = 8192
 
 
-class Sensor(IntFlag):
+class SysStatusSensor(IntFlag):
     """MAV_SYS_STATUS_SENSOR."""
 
     GYRO = 0x1
@@ -154,7 +154,7 @@ PARAM_INT32 = 6  # MAV_PARAM_TYPE_INT32
 PARAM_REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 
 
-class Mode(IntEnum):
+class FlightMode(IntEnum):
     """The flight modes flown, as PX4's custom mode: sub mode << 24 | main mode (AUTO = 4) << 16."""
 
     TAKEOFF = 2 << 24 | 4 << 16

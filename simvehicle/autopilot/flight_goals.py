@@ -1,8 +1,8 @@
 """What is flown: PX4's automatic modes as goals for the controller.
 
-`Flight` holds mode, arming and mission progress; `advance` looks at the truth once a step and sets
-`goal`, which the vehicle's own controller follows. Aborting, climbing and landing follow PX4's
-modes TAKEOFF, HOLD, MISSION, RETURN and LAND in their outlines [1]_.
+`CommandedFlight` holds mode, arming and mission progress; `advance` looks at the truth once a step
+and sets `goal`, which the vehicle's own controller follows. Aborting, climbing and landing follow
+PX4's modes TAKEOFF, HOLD, MISSION, RETURN and LAND in their outlines [1]_.
 
 References
 ----------
@@ -16,20 +16,20 @@ from enum import Enum
 
 import numpy as np
 
-from simvehicle.autopilot.enums import Command, LandedState, Mode
-from simvehicle.autopilot.mission_service import Item, Missions
+from simvehicle.autopilot.enums import Command, FlightMode, LandedState
+from simvehicle.autopilot.mission_service import MissionItem, Missions
 from simvehicle.autopilot.parameter_service import Parameters
-from simvehicle.autopilot.telemetry import Home
-from simvehicle.hil.outgoing_message import Message, message, statustext
+from simvehicle.autopilot.telemetry import HomePosition
+from simvehicle.hil.outgoing_message import Message, make_message, statustext
 from simvehicle.vehicles.body import Truth, Vector
 
 HEIGHT_TOLERANCE_M = 1.0
-MIN_SPEED_MPS = 0.5
+SLOWEST_COMMAND_MPS = 0.5
 
-Locate = Callable[[float, float, float], Vector]  # latitude, longitude in degrees, m MSL -> NED
+LocateNed = Callable[[float, float, float], Vector]  # latitude, longitude in degrees, m MSL -> NED
 
 
-class Kind(Enum):
+class GoalKind(Enum):
     """What the controller does about a goal."""
 
     IDLE = "idle"  # actuators off
@@ -41,13 +41,13 @@ class Kind(Enum):
 class Goal:
     """Where to; `speed_mps` None is the vehicle's own choice, `yaw_rad` NaN as well."""
 
-    kind: Kind
+    kind: GoalKind
     r_ned_m: Vector
     speed_mps: float | None = None
     yaw_rad: float = math.nan
 
 
-class Flight:
+class CommandedFlight:
     """The modes of one vehicle.
 
     Parameters
@@ -66,19 +66,19 @@ class Flight:
         self,
         parameters: Parameters,
         missions: Missions,
-        home: Home,
-        locate: Locate,
+        home: HomePosition,
+        locate: LocateNed,
         *,
         airborne: bool = False,
         own_mission: bool = False,
         acceptance_m: float = 2.0,
     ) -> None:
         self.home = home
-        self.mode = Mode.MISSION if own_mission else Mode.HOLD
+        self.mode = FlightMode.MISSION if own_mission else FlightMode.HOLD
         self.armed = airborne or own_mission
         self.commanded = False  # whether a ground station has taken over
         self.landed = LandedState.IN_AIR if airborne else LandedState.ON_GROUND
-        self.goal = Goal(Kind.IDLE, np.zeros(3))  # until the first `advance`
+        self.goal = Goal(GoalKind.IDLE, np.zeros(3))  # until the first `advance`
         self.seq = 0
         self._own_mission = own_mission
         self._parameters = parameters
@@ -89,7 +89,7 @@ class Flight:
         self._acceptance_m = acceptance_m
         self._speed_mps: float | None = None
         self._truth: Truth | None = None
-        self._aimed_at: Item | None = None  # the item that the goal was made from
+        self._aimed_at: MissionItem | None = None  # the item that the goal was made from
         self._reached_us: int | None = None  # since when the current item is reached
         self._ground_us: int | None = None  # since when a landing vehicle is on the ground
 
@@ -103,8 +103,8 @@ class Flight:
     def arm(self) -> None:
         """Motors on; the mode decides what follows. After a landing that is HOLD again."""
         # Or the vehicle would land again at once.
-        if not self.armed and self.mode in (Mode.LAND, Mode.RETURN):
-            self.mode = Mode.HOLD
+        if not self.armed and self.mode in (FlightMode.LAND, FlightMode.RETURN):
+            self.mode = FlightMode.HOLD
         self.armed = self.commanded = True
         self._enter(self.mode)
 
@@ -115,12 +115,12 @@ class Flight:
             return False
         self.armed = False
         self.commanded = True
-        self.goal = replace(self.goal, kind=Kind.IDLE)
+        self.goal = replace(self.goal, kind=GoalKind.IDLE)
         return True
 
-    def set_mode(self, mode: Mode) -> bool:
+    def set_mode(self, mode: FlightMode) -> bool:
         """Change the mode; a mission needs items."""
-        if mode == Mode.MISSION and not self._missions.items:
+        if mode == FlightMode.MISSION and not self._missions.items:
             return False
         self.commanded = True
         self._enter(mode)
@@ -129,7 +129,7 @@ class Flight:
     def take_off(self, alt_m: float) -> None:
         """Climb over the present place to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
         self.commanded = True
-        self._enter(Mode.TAKEOFF)
+        self._enter(FlightMode.TAKEOFF)
         if math.isfinite(alt_m):
             self.goal = replace(self.goal, r_ned_m=self._above_here(alt_m))
 
@@ -138,7 +138,7 @@ class Flight:
         if not self.armed or self.landed == LandedState.ON_GROUND:
             return False
         self.commanded = True
-        self.mode = Mode.HOLD
+        self.mode = FlightMode.HOLD
         here = self._here()
         # NED counts down: height above home is -down.
         alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(here[2])
@@ -146,13 +146,13 @@ class Flight:
             place = self._locate(lat_deg, lon_deg, alt_m)
         else:
             place = self._above_here(alt_m)
-        self.goal = Goal(Kind.FLY, place, self._speed_mps, yaw_rad)
+        self.goal = Goal(GoalKind.FLY, place, self._speed_mps, yaw_rad)
         return True
 
     def set_speed(self, speed_mps: float) -> bool:
         """Speed over ground from now on; -1 returns to the vehicle's own."""
         # Very slow is no speed of a vehicle; negative ones mean its own choice.
-        if not math.isfinite(speed_mps) or 0 <= speed_mps < MIN_SPEED_MPS:
+        if not math.isfinite(speed_mps) or 0 <= speed_mps < SLOWEST_COMMAND_MPS:
             return False
         self._speed_mps = speed_mps if speed_mps > 0 else None
         self.goal = replace(self.goal, speed_mps=self._speed_mps)
@@ -180,8 +180,8 @@ class Flight:
             self._mission_seen = self._missions.changed
             self.seq = 0
             self._reached_us = None
-            if self.flown and self.mode == Mode.MISSION and not self._missions.items:
-                self._enter(Mode.HOLD)
+            if self.flown and self.mode == FlightMode.MISSION and not self._missions.items:
+                self._enter(FlightMode.HOLD)
         messages: list[Message] = []
         if self.armed and self.flown:
             messages = self._fly(truth)
@@ -189,37 +189,37 @@ class Flight:
         return messages
 
     def _fly(self, truth: Truth) -> list[Message]:
-        if self.mode == Mode.TAKEOFF:
+        if self.mode == FlightMode.TAKEOFF:
             # Height alone: wind may push it aside meanwhile.
             if abs(self.goal.r_ned_m[2] - truth.r_ned_m[2]) < HEIGHT_TOLERANCE_M:
-                self.mode = Mode.HOLD
+                self.mode = FlightMode.HOLD
                 return [statustext("Takeoff complete")]
-        elif self.mode == Mode.MISSION:
+        elif self.mode == FlightMode.MISSION:
             return self._fly_mission(truth)
-        elif self.mode == Mode.RETURN:
+        elif self.mode == FlightMode.RETURN:
             if self._is_there(self.goal.r_ned_m):
-                self._enter(Mode.LAND)
+                self._enter(FlightMode.LAND)
         # At the place above home: from there it goes down.
-        elif self.mode == Mode.LAND:
+        elif self.mode == FlightMode.LAND:
             return self._touch_down(truth)
         return []
 
     def _fly_mission(self, truth: Truth) -> list[Message]:
         item = self._missions.items[self.seq]
         if item.command == Command.RETURN_TO_LAUNCH:
-            self._enter(Mode.RETURN)
+            self._enter(FlightMode.RETURN)
             # The item counts as reached when its command begins.
-            return [message("MISSION_ITEM_REACHED", seq=self.seq)]
+            return [make_message("MISSION_ITEM_REACHED", seq=self.seq)]
         if item.command == Command.CHANGE_SPEED:
             self.set_speed(item.params[1])
         elif item.command != Command.DELAY:
             # By identity: two equal items in a row are two goals.
             if self._aimed_at is not item:
                 self._aimed_at = item
-                kind = Kind.LAND if item.command == Command.LAND else Kind.FLY
+                kind = GoalKind.LAND if item.command == Command.LAND else GoalKind.FLY
                 yaw = math.radians(item.params[3])
                 self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
-            if self.goal.kind is Kind.LAND:
+            if self.goal.kind is GoalKind.LAND:
                 return self._touch_down(truth)
             # Once reached it counts as reached, also where wind carries the vehicle off again.
             if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
@@ -229,7 +229,7 @@ class Flight:
             self._reached_us = truth.t_us
         return self._finish_item(item, truth.t_us)
 
-    def _finish_item(self, item: Item, t_us: int) -> list[Message]:
+    def _finish_item(self, item: MissionItem, t_us: int) -> list[Message]:
         """Wait where the item says so, then go on with the next."""
         # Until somebody commands otherwise.
         if item.command == Command.LOITER_UNLIMITED:
@@ -239,12 +239,12 @@ class Flight:
         # The time at the place counts, not the way there.
         if self._reached_us is None or t_us - self._reached_us < wait_s * 1e6:
             return []
-        reached = message("MISSION_ITEM_REACHED", seq=self.seq)
+        reached = make_message("MISSION_ITEM_REACHED", seq=self.seq)
         self._reached_us = None
         if self.seq + 1 < len(self._missions.items):
             self.seq += 1
             return [reached]
-        self.mode = Mode.HOLD
+        self.mode = FlightMode.HOLD
         return [reached, statustext("Mission finished, loitering")]
 
     def _touch_down(self, truth: Truth) -> list[Message]:
@@ -258,45 +258,45 @@ class Flight:
         if truth.t_us - self._ground_us < self._parameters["COM_DISARM_LAND"] * 1e6:
             return []
         self.armed = False
-        self.goal = replace(self.goal, kind=Kind.IDLE)
+        self.goal = replace(self.goal, kind=GoalKind.IDLE)
         messages = [statustext("Landing detected"), statustext("Disarmed by landing")]
-        if self.mode == Mode.MISSION:
-            messages.insert(0, message("MISSION_ITEM_REACHED", seq=self.seq))
+        if self.mode == FlightMode.MISSION:
+            messages.insert(0, make_message("MISSION_ITEM_REACHED", seq=self.seq))
         return messages
 
-    def _enter(self, mode: Mode) -> None:
+    def _enter(self, mode: FlightMode) -> None:
         """Set a mode and its goal from where the vehicle is."""
         self.mode = mode
         self._aimed_at = None
         self._reached_us = self._ground_us = None
         if not self.armed:
             return
-        if mode == Mode.TAKEOFF:
+        if mode == FlightMode.TAKEOFF:
             height = self._parameters["MIS_TAKEOFF_ALT"]
             place = self._above_here(self.home.alt_m + height)
-        elif mode == Mode.RETURN:
+        elif mode == FlightMode.RETURN:
             here = self._here()
             # Never lower than it is now: what is between here and home is not known.
             height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(here[2]))
             place = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
         else:
             place = self._here()
-        kind = Kind.LAND if mode == Mode.LAND else Kind.FLY
+        kind = GoalKind.LAND if mode == FlightMode.LAND else GoalKind.FLY
         # On the ground HOLD holds nothing: the motors stay off.
-        if mode == Mode.HOLD and self.landed == LandedState.ON_GROUND:
-            kind = Kind.IDLE
+        if mode == FlightMode.HOLD and self.landed == LandedState.ON_GROUND:
+            kind = GoalKind.IDLE
         self.goal = Goal(kind, place, self._speed_mps)
 
     def _landed_state(self, truth: Truth) -> LandedState:
         if truth.on_ground:
             return LandedState.ON_GROUND
-        if self.mode == Mode.TAKEOFF:
+        if self.mode == FlightMode.TAKEOFF:
             return LandedState.TAKEOFF
         # A landing item of a mission lands as well.
-        landing = self.mode == Mode.LAND or self.goal.kind is Kind.LAND
+        landing = self.mode == FlightMode.LAND or self.goal.kind is GoalKind.LAND
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
-    def _place(self, item: Item) -> Vector:
+    def _place(self, item: MissionItem) -> Vector:
         """Where an item lies; 0, 0 means here, as in a take-off item without a place."""
         alt_m = item.z_m + (self.home.alt_m if item.relative else 0.0)
         if item.x_degE7 == 0 and item.y_degE7 == 0:

@@ -12,23 +12,28 @@ import math
 from dataclasses import dataclass, field, replace
 
 from mavproxy_fault.wire.frame import Frame as WireFrame
-from simvehicle.autopilot.enums import Command, Frame, MissionResult, MissionType
-from simvehicle.hil.outgoing_message import Message, message
+from simvehicle.autopilot.enums import Command, CoordinateFrame, MissionResult, MissionType
+from simvehicle.hil.outgoing_message import Message, make_message
 
 MAX_ITEMS = 1000
 RETRY_US = 500_000  # a request for an item is sent again after this
 RETRIES = 6
 
-GLOBAL_FRAMES = (Frame.GLOBAL, Frame.GLOBAL_INT)
-RELATIVE_FRAMES = (Frame.GLOBAL_RELATIVE, Frame.GLOBAL_RELATIVE_INT)
-POSITIONS = (
+GLOBAL_FRAMES = (CoordinateFrame.GLOBAL, CoordinateFrame.GLOBAL_INT)
+RELATIVE_FRAMES = (CoordinateFrame.GLOBAL_RELATIVE, CoordinateFrame.GLOBAL_RELATIVE_INT)
+POSITION_COMMANDS = (
     Command.WAYPOINT, Command.LOITER_UNLIMITED, Command.LOITER_TIME, Command.LAND, Command.TAKEOFF,
 )  # fmt: skip
-FLOWN = (*POSITIONS, Command.RETURN_TO_LAUNCH, Command.DELAY, Command.CHANGE_SPEED)
+SUPPORTED_COMMANDS = (
+    *POSITION_COMMANDS,
+    Command.RETURN_TO_LAUNCH,
+    Command.DELAY,
+    Command.CHANGE_SPEED,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class MissionItem:
     """One mission item; `x_degE7`, `y_degE7` are latitude and longitude, `z_m` by `frame`."""
 
     command: int
@@ -46,13 +51,13 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Upload:
+class MissionUpload:
     """An upload under way: what has come of `count` items, from whom, and when it was asked for."""
 
     system: int
     component: int
     count: int
-    items: tuple[Item, ...] = ()
+    items: tuple[MissionItem, ...] = ()
     asked_us: int = 0
     retries: int = 0
 
@@ -64,9 +69,9 @@ class Missions:
     `changed` counts the missions taken, so that who flies one notices a new one.
     """
 
-    items: tuple[Item, ...] = ()
+    items: tuple[MissionItem, ...] = ()
     changed: int = 0
-    upload: Upload | None = field(default=None, repr=False)
+    upload: MissionUpload | None = field(default=None, repr=False)
 
     def received(self, frame: WireFrame, t_us: int) -> list[Message]:
         """Answer one message of the mission protocol."""
@@ -79,7 +84,7 @@ class Missions:
         # Fences and rally points are none here: an empty list, no error.
         if name == "MISSION_REQUEST_LIST":
             count = len(self.items) if kind == MissionType.MISSION else 0
-            return [_to(frame, "MISSION_COUNT", count=count, mission_type=kind)]
+            return [_reply_message(frame, "MISSION_COUNT", count=count, mission_type=kind)]
         if name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             return self._request(frame, kind)
         if name == "MISSION_CLEAR_ALL":
@@ -99,7 +104,7 @@ class Missions:
         if upload.retries == RETRIES:
             self.upload = None
             return [
-                message(
+                make_message(
                     "MISSION_ACK",
                     target_system=upload.system,
                     target_component=upload.component,
@@ -107,7 +112,7 @@ class Missions:
                 )
             ]
         self.upload = replace(upload, asked_us=t_us, retries=upload.retries + 1)
-        return [_ask(self.upload)]
+        return [_request_item(self.upload)]
 
     def _count(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         count = int(frame.number("count"))
@@ -120,8 +125,8 @@ class Missions:
         if count == 0:
             self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
-        self.upload = Upload(frame.system, frame.component, count, asked_us=t_us)
-        return [_ask(self.upload)]
+        self.upload = MissionUpload(frame.system, frame.component, count, asked_us=t_us)
+        return [_request_item(self.upload)]
 
     def _item(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         upload = self.upload
@@ -133,17 +138,17 @@ class Missions:
             return []
         # A later one: the one we wait for was lost or came out of order.
         if seq > len(upload.items):
-            return [_ask(upload)]
+            return [_request_item(upload)]
         item = read_item(frame)
         # Refused as a whole: half a mission must not be flown.
-        wrong = check(item)
+        wrong = check_item(item)
         if wrong is not None:
             self.upload = None
             return [_ack(frame, wrong, kind)]
         upload = replace(upload, items=(*upload.items, item), asked_us=t_us, retries=0)
         if len(upload.items) < upload.count:
             self.upload = upload
-            return [_ask(upload)]
+            return [_request_item(upload)]
         self._accept(upload.items)
         return [_ack(frame, MissionResult.ACCEPTED, kind)]
 
@@ -156,7 +161,7 @@ class Missions:
         whole = frame.layout.name == "MISSION_REQUEST_INT"
         scale = 1 if whole else 1e-7
         return [
-            _to(
+            _reply_message(
                 frame,
                 "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
                 seq=seq,
@@ -170,19 +175,19 @@ class Missions:
             )
         ]
 
-    def _accept(self, items: tuple[Item, ...]) -> None:
+    def _accept(self, items: tuple[MissionItem, ...]) -> None:
         self.items = items
         self.changed += 1
         self.upload = None
 
 
-def read_item(frame: WireFrame) -> Item:
+def read_item(frame: WireFrame) -> MissionItem:
     """The item in a MISSION_ITEM_INT, or a MISSION_ITEM with its position in degrees."""
     x, y = frame.number("x"), frame.number("y")
     if frame.layout.name == "MISSION_ITEM":
         # NaN is "here" in an item of floats, as 0, 0 is.
         x, y = (round(v * 1e7) if math.isfinite(v) else 0 for v in (x, y))
-    return Item(
+    return MissionItem(
         int(frame.number("command")),
         int(frame.number("frame")),
         tuple(float(frame.number(f"param{i}")) for i in range(1, 5)),  # type: ignore[arg-type]
@@ -193,11 +198,11 @@ def read_item(frame: WireFrame) -> Item:
     )
 
 
-def check(item: Item) -> MissionResult | None:
+def check_item(item: MissionItem) -> MissionResult | None:
     """What is wrong with an item, None where it can be flown."""
-    if item.command not in FLOWN:
+    if item.command not in SUPPORTED_COMMANDS:
         return MissionResult.UNSUPPORTED
-    if item.command not in POSITIONS:
+    if item.command not in POSITION_COMMANDS:
         return None
     if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
         return MissionResult.UNSUPPORTED_FRAME
@@ -209,8 +214,8 @@ def check(item: Item) -> MissionResult | None:
     return None if math.isfinite(item.z_m) else MissionResult.INVALID
 
 
-def _ask(upload: Upload) -> Message:
-    return message(
+def _request_item(upload: MissionUpload) -> Message:
+    return make_message(
         "MISSION_REQUEST_INT",
         target_system=upload.system,
         target_component=upload.component,
@@ -219,9 +224,9 @@ def _ask(upload: Upload) -> Message:
 
 
 def _ack(frame: WireFrame, result: MissionResult, kind: int) -> Message:
-    return _to(frame, "MISSION_ACK", type=result, mission_type=kind)
+    return _reply_message(frame, "MISSION_ACK", type=result, mission_type=kind)
 
 
-def _to(to: WireFrame, name: str, /, **values: object) -> Message:
+def _reply_message(to: WireFrame, name: str, /, **values: object) -> Message:
     """A message to the sender of a frame."""
-    return message(name, target_system=to.system, target_component=to.component, **values)
+    return make_message(name, target_system=to.system, target_component=to.component, **values)

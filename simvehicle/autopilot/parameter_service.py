@@ -14,10 +14,10 @@ from collections.abc import Mapping
 
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.autopilot.enums import PARAM_INT32, PARAM_REAL32
-from simvehicle.hil.outgoing_message import Message, message
+from simvehicle.hil.outgoing_message import Message, make_message
 
 # Meaning and defaults are those of PX4's parameter reference, scaled to this vehicle.
-COMMON: dict[str, int | float] = {
+COMMON_PARAMETERS: dict[str, int | float] = {
     "BAT1_N_CELLS": 4,
     "CAL_ACC0_ID": 1310988,
     "CAL_GYRO0_ID": 1310988,
@@ -37,7 +37,7 @@ class Parameters:
     """The vehicle's parameters by name; integers stay integers."""
 
     def __init__(self, more: Mapping[str, int | float] = {}) -> None:
-        self._values = dict(sorted({**COMMON, **more}.items()))
+        self._values = dict(sorted({**COMMON_PARAMETERS, **more}.items()))
         self._names = list(self._values)
 
     def __getitem__(self, name: str) -> int | float:
@@ -56,12 +56,12 @@ class Parameters:
         index = int(frame.number("param_index"))
         if index < 0:
             # A negative index means that the name counts.
-            return _text(frame)
+            return _parameter_name(frame)
         return self._names[index] if index < len(self._names) else ""
 
     def _set(self, frame: Frame) -> list[Message]:
         """Take a value of the right type and confirm what holds now."""
-        name = _text(frame)
+        name = _parameter_name(frame)
         if name not in self._values:
             return []
         integer = isinstance(self._values[name], int)
@@ -78,7 +78,7 @@ class Parameters:
     def _value(self, name: str) -> Message:
         value = self._values[name]
         integer = isinstance(value, int)
-        return message(
+        return make_message(
             "PARAM_VALUE",
             param_id=name.encode(),
             # Bytewise, the other way round.
@@ -89,6 +89,6 @@ class Parameters:
         )
 
 
-def _text(frame: Frame) -> str:
+def _parameter_name(frame: Frame) -> str:
     name = frame.read("param_id")
     return name.decode("ascii", "replace") if isinstance(name, bytes) else ""

@@ -1,4 +1,4 @@
-"""The vehicle flown by its own controller to the goals of a `Flight`."""
+"""The vehicle flown by its own controller to the goals of a `CommandedFlight`."""
 
 import math
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from simvehicle.autopilot.flight_goals import Flight, Goal, Kind
-from simvehicle.guidance.route import Aim, CircleTrack, Track
+from simvehicle.autopilot.flight_goals import CommandedFlight, Goal, GoalKind
+from simvehicle.guidance.route import CircleTrack, GuidanceSetpoint, GuidanceTrack
 from simvehicle.vehicles.body import Controls
 
 
@@ -21,22 +21,22 @@ class Approach:
     north_m: float
     east_m: float
     near_m: float
-    wait: Track
+    wait: GuidanceTrack
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> Aim:
+    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim at the place from afar."""
         # Height and speed are those of the waiting place from the start.
         aim = self.wait.look(north_m, east_m, ahead_m)
         dn, de = self.north_m - north_m, self.east_m - east_m
         if math.hypot(dn, de) < self.near_m:
             return aim
-        return Aim(math.atan2(de, dn), 0.0, 0.0, aim.height_m, aim.speed_mps)
+        return GuidanceSetpoint(math.atan2(de, dn), 0.0, 0.0, aim.height_m, aim.speed_mps)
 
 
 class Pilot:
     """Turns the goal of the moment into controls, or into a track for the built-in controller."""
 
-    def __init__(self, simulation: Any, flight: Flight) -> None:
+    def __init__(self, simulation: Any, flight: CommandedFlight) -> None:
         self._simulation = simulation
         self.flight = flight
         self._goal: Goal | None = None
@@ -46,7 +46,7 @@ class Pilot:
     def controls(self) -> Controls | None:
         """Actuators off on the ground; None where the built-in controller flies."""
         goal = self.flight.goal
-        if goal.kind is Kind.IDLE:
+        if goal.kind is GoalKind.IDLE:
             self._goal = None
             return self._idle
         # By identity: an equal goal that was set anew is followed anew.
@@ -67,4 +67,4 @@ class Pilot:
         else:
             controller.yaw_rad = goal.yaw_rad
         controller.track = wait
-        controller.landing = goal.kind is Kind.LAND
+        controller.landing = goal.kind is GoalKind.LAND

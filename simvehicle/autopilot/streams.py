@@ -2,28 +2,28 @@
 
 from collections.abc import Callable
 
-from mavproxy_fault.wire.dialect import known, layout
+from mavproxy_fault.wire.dialect import find_layout, message_layout
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.outgoing_message import Message
 
-S = 1_000_000
+SECOND_US = 1_000_000
 # Name -> what makes it and how often it leaves unasked, in microseconds (0: on request only)
-SOURCES: dict[str, tuple[Callable[[Snapshot], Message], int]] = {
-    "HEARTBEAT": (telemetry.heartbeat, S),
-    "SYS_STATUS": (telemetry.sys_status, S // 2),
-    "ATTITUDE": (telemetry.attitude, S // 20),
-    "ATTITUDE_QUATERNION": (telemetry.attitude_quaternion, S // 20),
-    "GLOBAL_POSITION_INT": (telemetry.global_position_int, S // 10),
-    "LOCAL_POSITION_NED": (telemetry.local_position_ned, S // 10),
-    "GPS_RAW_INT": (telemetry.gps_raw_int, S // 5),
-    "VFR_HUD": (telemetry.vfr_hud, S // 5),
-    "ALTITUDE": (telemetry.altitude, S // 5),
-    "HOME_POSITION": (telemetry.home_position, S),
-    "EXTENDED_SYS_STATE": (telemetry.extended_sys_state, S // 2),
-    "BATTERY_STATUS": (telemetry.battery_status, S),
-    "SYSTEM_TIME": (telemetry.system_time, S),
-    "MISSION_CURRENT": (telemetry.mission_current, S),
+MESSAGE_SOURCES: dict[str, tuple[Callable[[Snapshot], Message], int]] = {
+    "HEARTBEAT": (telemetry.heartbeat, SECOND_US),
+    "SYS_STATUS": (telemetry.sys_status, SECOND_US // 2),
+    "ATTITUDE": (telemetry.attitude, SECOND_US // 20),
+    "ATTITUDE_QUATERNION": (telemetry.attitude_quaternion, SECOND_US // 20),
+    "GLOBAL_POSITION_INT": (telemetry.global_position_int, SECOND_US // 10),
+    "LOCAL_POSITION_NED": (telemetry.local_position_ned, SECOND_US // 10),
+    "GPS_RAW_INT": (telemetry.gps_raw_int, SECOND_US // 5),
+    "VFR_HUD": (telemetry.vfr_hud, SECOND_US // 5),
+    "ALTITUDE": (telemetry.altitude, SECOND_US // 5),
+    "HOME_POSITION": (telemetry.home_position, SECOND_US),
+    "EXTENDED_SYS_STATE": (telemetry.extended_sys_state, SECOND_US // 2),
+    "BATTERY_STATUS": (telemetry.battery_status, SECOND_US),
+    "SYSTEM_TIME": (telemetry.system_time, SECOND_US),
+    "MISSION_CURRENT": (telemetry.mission_current, SECOND_US),
     "AUTOPILOT_VERSION": (telemetry.autopilot_version, 0),
     "CURRENT_MODE": (telemetry.current_mode, 0),
 }
@@ -35,14 +35,14 @@ DATA_STREAMS = {
     10: ("ATTITUDE",),
     11: ("VFR_HUD",),
 }
-FASTEST_US = 4_000  # one message per simulation step
+SHORTEST_INTERVAL_US = 4_000  # one message per simulation step
 
 
 class Streams:
     """The intervals in force and when each message is due; the state of one link."""
 
     def __init__(self) -> None:
-        self._interval_us = {name: interval for name, (_, interval) in SOURCES.items()}
+        self._interval_us = {name: interval for name, (_, interval) in MESSAGE_SOURCES.items()}
         self._due_us = {name: 0 for name, interval in self._interval_us.items() if interval}
 
     def tick(self, now: Snapshot) -> list[Message]:
@@ -54,27 +54,29 @@ class Streams:
                 due_us += interval
                 # After a pause one message leaves, not all that were missed.
                 self._due_us[name] = due_us if due_us > now.stamp_us else now.stamp_us + interval
-                out.append(SOURCES[name][0](now))
+                out.append(MESSAGE_SOURCES[name][0](now))
         return out
 
     def interval_us(self, number: int) -> int:
         """The interval of a message in microseconds, -1 where off, 0 where not available."""
-        found = layout(number)
-        if found is None or found.name not in SOURCES:
+        found = find_layout(number)
+        if found is None or found.name not in MESSAGE_SOURCES:
             return 0
         # MAVLink's words: -1 is off, 0 not available.
         return self._interval_us[found.name] or -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
         """Set, reset (0) or stop (-1) a stream; whether the message is one of ours."""
-        found = layout(number)
-        if found is None or found.name not in SOURCES:
+        found = find_layout(number)
+        if found is None or found.name not in MESSAGE_SOURCES:
             return False
         name = found.name
         if interval_us == 0:
-            interval_us = SOURCES[name][1]
+            interval_us = MESSAGE_SOURCES[name][1]
         # Never faster than the simulation steps.
-        self._interval_us[name] = max(round(interval_us), FASTEST_US) if interval_us > 0 else 0
+        self._interval_us[name] = (
+            max(round(interval_us), SHORTEST_INTERVAL_US) if interval_us > 0 else 0
+        )
         if self._interval_us[name]:
             # Due at once: who asks for a stream wants to see it.
             self._due_us[name] = 0
@@ -84,16 +86,18 @@ class Streams:
 
     def request(self, number: int, now: Snapshot) -> list[Message]:
         """A message once; nothing where it is not one of ours."""
-        found = layout(number)
-        source = SOURCES.get(found.name) if found else None
+        found = find_layout(number)
+        source = MESSAGE_SOURCES.get(found.name) if found else None
         return [source[0](now)] if source else []
 
     def make(self, name: str, now: Snapshot) -> Message:
         """A message of ours by name."""
-        return SOURCES[name][0](now)
+        return MESSAGE_SOURCES[name][0](now)
 
     def data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
         """The old way to set rates: REQUEST_DATA_STREAM, which has no answer."""
         for name in DATA_STREAMS.get(stream, ()):
             # -1 stops a stream.
-            self.set_interval(known(name).id, S / rate_hz if start and rate_hz > 0 else -1)
+            self.set_interval(
+                message_layout(name).id, SECOND_US / rate_hz if start and rate_hz > 0 else -1
+            )

@@ -9,28 +9,29 @@ from simvehicle.autopilot.enums import (
     AUTOPILOT_PX4,
     BaseMode,
     Capability,
+    FlightMode,
     LandedState,
-    Mode,
-    Sensor,
+    SysStatusSensor,
     SystemState,
 )
-from simvehicle.autopilot.mode_list import LISTED
+from simvehicle.autopilot.mode_list import LISTED_MODES
 from simvehicle.hil import hil_messages
-from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, message
+from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
 # major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the PX4 release whose ways are followed
-FIRMWARE = 1 << 24 | 18 << 16 | 0 << 8 | 255
-SENSORS = (
-    Sensor.GYRO | Sensor.ACCEL | Sensor.MAG | Sensor.ABSOLUTE_PRESSURE | Sensor.GPS
-    | Sensor.GEOFENCE | Sensor.AHRS | Sensor.BATTERY | Sensor.PREARM_CHECK
+FIRMWARE_VERSION = 1 << 24 | 18 << 16 | 0 << 8 | 255
+PRESENT_SENSORS = (
+    SysStatusSensor.GYRO | SysStatusSensor.ACCEL | SysStatusSensor.MAG |
+    SysStatusSensor.ABSOLUTE_PRESSURE | SysStatusSensor.GPS | SysStatusSensor.GEOFENCE |
+    SysStatusSensor.AHRS | SysStatusSensor.BATTERY | SysStatusSensor.PREARM_CHECK
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class HomePosition:
     """Where the vehicle started."""
 
     lat_deg: float
@@ -47,8 +48,8 @@ class Snapshot:
     gps: GpsReading | None
     battery: BatteryReading | None
     consumed_mah: float
-    home: Home
-    mode: Mode
+    home: HomePosition
+    mode: FlightMode
     armed: bool
     landed: LandedState
     mav_type: int
@@ -70,7 +71,7 @@ class Snapshot:
 def heartbeat(now: Snapshot) -> Message:
     """PX4's modes as PX4 packs them."""
     base = BaseMode.CUSTOM | BaseMode.AUTO | BaseMode.GUIDED | BaseMode.STABILIZED
-    return message(
+    return make_message(
         "HEARTBEAT",
         type=now.mav_type,
         autopilot=AUTOPILOT_PX4,
@@ -84,11 +85,11 @@ def heartbeat(now: Snapshot) -> Message:
 def sys_status(now: Snapshot) -> Message:
     """All sensors healthy: whoever breaks one is the proxy, and it says so itself."""
     battery = now.battery
-    return message(
+    return make_message(
         "SYS_STATUS",
-        onboard_control_sensors_present=SENSORS,
-        onboard_control_sensors_enabled=SENSORS,
-        onboard_control_sensors_health=SENSORS,
+        onboard_control_sensors_present=PRESENT_SENSORS,
+        onboard_control_sensors_enabled=PRESENT_SENSORS,
+        onboard_control_sensors_health=PRESENT_SENSORS,
         voltage_battery=round((battery.voltage_v if battery else now.truth.battery_v) * 1e3),
         current_battery=round((battery.current_a if battery else now.truth.battery_a) * 100),
         battery_remaining=round(
@@ -101,7 +102,7 @@ def attitude(now: Snapshot) -> Message:
     """Euler angles and body rates."""
     roll, pitch, yaw = now.euler_rad
     p, q, r = now.truth.omega_b_rps.tolist()
-    return message(
+    return make_message(
         "ATTITUDE",
         time_boot_ms=now.boot_ms,
         roll=roll, pitch=pitch, yaw=yaw, rollspeed=p, pitchspeed=q, yawspeed=r,
@@ -112,7 +113,7 @@ def attitude_quaternion(now: Snapshot) -> Message:
     """The same as a quaternion."""
     w, x, y, z = now.truth.q_nb.tolist()
     p, q, r = now.truth.omega_b_rps.tolist()
-    return message(
+    return make_message(
         "ATTITUDE_QUATERNION",
         time_boot_ms=now.boot_ms,
         q1=w, q2=x, q3=y, q4=z, rollspeed=p, pitchspeed=q, yawspeed=r,
@@ -123,16 +124,16 @@ def global_position_int(now: Snapshot) -> Message:
     """Position and velocity over ground."""
     truth = now.truth
     north, east, down = truth.v_ned_mps.tolist()
-    return message(
+    return make_message(
         "GLOBAL_POSITION_INT",
         time_boot_ms=now.boot_ms,
         lat=round(math.degrees(truth.lat_rad) * 1e7),
         lon=round(math.degrees(truth.lon_rad) * 1e7),
         alt=round(truth.alt_msl_m * 1e3),
         relative_alt=round((truth.alt_msl_m - now.home.alt_m) * 1e3),
-        vx=hil_messages.limited(north * 100, -0x8000, 0x7FFF),
-        vy=hil_messages.limited(east * 100, -0x8000, 0x7FFF),
-        vz=hil_messages.limited(down * 100, -0x8000, 0x7FFF),
+        vx=hil_messages.round_within(north * 100, -0x8000, 0x7FFF),
+        vy=hil_messages.round_within(east * 100, -0x8000, 0x7FFF),
+        vz=hil_messages.round_within(down * 100, -0x8000, 0x7FFF),
         hdg=_heading_cdeg(now),
     )
 
@@ -141,7 +142,7 @@ def local_position_ned(now: Snapshot) -> Message:
     """Position and velocity against home."""
     x, y, z = now.truth.r_ned_m.tolist()
     vx, vy, vz = now.truth.v_ned_mps.tolist()
-    return message(
+    return make_message(
         "LOCAL_POSITION_NED",
         time_boot_ms=now.boot_ms,
         x=x, y=y, z=z, vx=vx, vy=vy, vz=vz,
@@ -151,21 +152,21 @@ def local_position_ned(now: Snapshot) -> Message:
 def gps_raw_int(now: Snapshot) -> Message:
     """The receiver's last solution; no fix before the first."""
     if now.gps is None:
-        return message(
+        return make_message(
             "GPS_RAW_INT",
             time_usec=now.stamp_us,
             fix_type=NO_GPS_FIX,
             eph=0xFFFF, epv=0xFFFF, vel=0xFFFF, cog=0xFFFF, satellites_visible=0,
         )  # fmt: skip
-    values = hil_messages.gps(now.gps, now.stamp_us)[1]
+    values = hil_messages.hil_gps(now.gps, now.stamp_us)[1]
     shared = ("time_usec", "fix_type", "lat", "lon", "alt", "vel", "cog", "satellites_visible")
-    return message(
+    return make_message(
         "GPS_RAW_INT",
         **{name: values[name] for name in shared},
         eph=0xFFFF,  # dilution of precision, which the receiver does not tell
         epv=0xFFFF,
-        h_acc=hil_messages.limited(now.gps.eph_m * 1e3, 0, 0xFFFFFFFF),
-        v_acc=hil_messages.limited(now.gps.epv_m * 1e3, 0, 0xFFFFFFFF),
+        h_acc=hil_messages.round_within(now.gps.eph_m * 1e3, 0, 0xFFFFFFFF),
+        v_acc=hil_messages.round_within(now.gps.epv_m * 1e3, 0, 0xFFFFFFFF),
     )
 
 
@@ -174,7 +175,7 @@ def vfr_hud(now: Snapshot) -> Message:
     truth = now.truth
     north, east, down = truth.v_ned_mps.tolist()
     airspeed = math.hypot(*truth.v_air_b_mps.tolist())
-    return message(
+    return make_message(
         "VFR_HUD",
         airspeed=airspeed * math.sqrt(truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3),
         groundspeed=math.hypot(north, east),
@@ -189,7 +190,7 @@ def altitude(now: Snapshot) -> Message:
     """The same height against its several references."""
     truth = now.truth
     above_home = truth.alt_msl_m - now.home.alt_m
-    return message(
+    return make_message(
         "ALTITUDE",
         time_usec=now.stamp_us,
         altitude_monotonic=truth.alt_msl_m,
@@ -204,7 +205,7 @@ def altitude(now: Snapshot) -> Message:
 def home_position(now: Snapshot) -> Message:
     """Where the vehicle started, level and facing north."""
     home = now.home
-    return message(
+    return make_message(
         "HOME_POSITION",
         latitude=round(home.lat_deg * 1e7),
         longitude=round(home.lon_deg * 1e7),
@@ -216,7 +217,7 @@ def home_position(now: Snapshot) -> Message:
 
 def extended_sys_state(now: Snapshot) -> Message:
     """On the ground or in the air."""
-    return message("EXTENDED_SYS_STATE", landed_state=now.landed)
+    return make_message("EXTENDED_SYS_STATE", landed_state=now.landed)
 
 
 def battery_status(now: Snapshot) -> Message:
@@ -225,37 +226,37 @@ def battery_status(now: Snapshot) -> Message:
     reading = now.battery or BatteryReading(
         truth.t_us, truth.battery_v, truth.battery_a, truth.battery_remaining
     )
-    return hil_messages.battery(reading, now.consumed_mah)
+    return hil_messages.battery_status(reading, now.consumed_mah)
 
 
 def system_time(now: Snapshot) -> Message:
     """Time since start; the simulated vehicle knows no calendar."""
-    return message("SYSTEM_TIME", time_boot_ms=now.boot_ms)
+    return make_message("SYSTEM_TIME", time_boot_ms=now.boot_ms)
 
 
 def mission_current(now: Snapshot) -> Message:
     """Which item is flown."""
-    return message("MISSION_CURRENT", seq=now.mission_seq, total=now.mission_count)
+    return make_message("MISSION_CURRENT", seq=now.mission_seq, total=now.mission_count)
 
 
 def autopilot_version(now: Snapshot) -> Message:
     """Capabilities the services really have."""
-    return message(
+    return make_message(
         "AUTOPILOT_VERSION",
         capabilities=Capability.MISSION_INT
         | Capability.COMMAND_INT
         | Capability.PARAM_ENCODE_BYTEWISE
         | Capability.MAVLINK2,
-        flight_sw_version=FIRMWARE,
+        flight_sw_version=FIRMWARE_VERSION,
         uid=1,
     )
 
 
 def current_mode(now: Snapshot) -> Message:
     """The mode flown, by its standard and by PX4's number."""
-    return message(
+    return make_message(
         "CURRENT_MODE",
-        standard_mode=LISTED[now.mode][1],
+        standard_mode=LISTED_MODES[now.mode][1],
         custom_mode=now.mode,
         intended_custom_mode=now.mode,
     )

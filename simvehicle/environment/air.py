@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 SEA_LEVEL_PA = 101325.0
 SEA_LEVEL_K = 288.15
 _LAPSE_KPM = 0.0065
-_GAS = 287.05287  # J/(kg K)
-_EARTH_M = 6356766.0  # radius that turns geometric into geopotential height
+_GAS_CONSTANT = 287.05287  # J/(kg K)
+_EARTH_RADIUS_M = 6356766.0  # radius that turns geometric into geopotential height
 _TROPOPAUSE_M = 11000.0
 _SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicle needs a floor
 
@@ -30,8 +30,8 @@ _SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicl
 def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
     """Pressure [Pa], temperature [K] and density [kg/m^3] at a height above mean sea level."""
     # The standard atmosphere is one of geopotential height: gravity shrinks on the way up.
-    h = _EARTH_M * alt_msl_m / (_EARTH_M + alt_msl_m)
-    exponent = STANDARD_GRAVITY_MPS2 / (_GAS * _LAPSE_KPM)
+    h = _EARTH_RADIUS_M * alt_msl_m / (_EARTH_RADIUS_M + alt_msl_m)
+    exponent = STANDARD_GRAVITY_MPS2 / (_GAS_CONSTANT * _LAPSE_KPM)
     if h < _TROPOPAUSE_M:
         temperature = SEA_LEVEL_K - _LAPSE_KPM * h
         pressure = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
@@ -40,16 +40,16 @@ def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
         # Above the tropopause the temperature stays, and pressure falls exponentially.
         edge = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
         pressure = edge * math.exp(
-            -STANDARD_GRAVITY_MPS2 * (h - _TROPOPAUSE_M) / (_GAS * temperature)
+            -STANDARD_GRAVITY_MPS2 * (h - _TROPOPAUSE_M) / (_GAS_CONSTANT * temperature)
         )
-    return pressure, temperature, pressure / (_GAS * temperature)
+    return pressure, temperature, pressure / (_GAS_CONSTANT * temperature)
 
 
 def pressure_altitude(pressure_pa: float) -> float:
     """Height above mean sea level [m] at which the standard troposphere has this pressure."""
-    ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS * _LAPSE_KPM / STANDARD_GRAVITY_MPS2)
+    ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS_CONSTANT * _LAPSE_KPM / STANDARD_GRAVITY_MPS2)
     h = (1.0 - ratio) * SEA_LEVEL_K / _LAPSE_KPM
-    return _EARTH_M * h / (_EARTH_M - h)
+    return _EARTH_RADIUS_M * h / (_EARTH_RADIUS_M - h)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,13 @@ class Gusts:
     length_m: tuple[float, float, float]
 
 
-ACROSS, UP = 1, 3  # where the second-order filters begin among the states of all
-SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY = 0, 3, 6, 7, 8  # where they begin in `weather`
+LATERAL_FILTER, VERTICAL_FILTER = (
+    1,
+    3,
+)  # where the second-order filters begin among the states of all
+SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY_WIND = 0, 3, 6, 7, 8  # where they begin in `weather`
 
-GUSTS = {
+GUST_LEVELS = {
     "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),
     "light": Gusts((1.06, 1.06, 0.7), (200.0, 200.0, 50.0)),
     "moderate": Gusts((2.12, 2.12, 1.4), (200.0, 200.0, 50.0)),
@@ -73,7 +76,7 @@ GUSTS = {
 
 
 @inlined
-def _second_order(x: Array, a: float, sigma: float, dt: float, noise: Array) -> float:
+def _step_lateral_filter(x: Array, a: float, sigma: float, dt: float, noise: Array) -> float:
     """One exact step of the lateral Dryden filter with the states x (2,), in place; the gust.
 
     H(s) = sigma sqrt(3 a) (s + a / sqrt(3)) / (s + a)^2 for white noise of unit density, a = V / L;
@@ -95,7 +98,7 @@ def _second_order(x: Array, a: float, sigma: float, dt: float, noise: Array) -> 
 
 
 @compiled
-def wind_step(
+def step_wind(
     filters: Array,
     noise: Array,
     weather: Array,
@@ -132,14 +135,22 @@ def wind_step(
     e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
     rate = speed / weather[LENGTH + 1]
-    v = _second_order(filters[ACROSS:UP], rate, weather[SIGMA + 1], dt, noise[ACROSS:UP])
+    v = _step_lateral_filter(
+        filters[LATERAL_FILTER:VERTICAL_FILTER],
+        rate,
+        weather[SIGMA + 1],
+        dt,
+        noise[LATERAL_FILTER:VERTICAL_FILTER],
+    )
     rate = speed / weather[LENGTH + 2]
-    w = _second_order(filters[UP:], rate, weather[SIGMA + 2], dt, noise[UP:])
+    w = _step_lateral_filter(
+        filters[VERTICAL_FILTER:], rate, weather[SIGMA + 2], dt, noise[VERTICAL_FILTER:]
+    )
     u = weather[SIGMA] * filters[0]
     north, east, down = to_ned(x[E0], x[E1], x[E2], x[E3], u, v, w)
     reference = weather[REFERENCE]
     # Below a hundredth of the reference the power law would end at no wind at all.
     grown = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]
-    out[0] = weather[STEADY] * grown + north
-    out[1] = weather[STEADY + 1] * grown + east
-    out[2] = weather[STEADY + 2] * grown + down
+    out[0] = weather[STEADY_WIND] * grown + north
+    out[1] = weather[STEADY_WIND + 1] * grown + east
+    out[2] = weather[STEADY_WIND + 2] * grown + down

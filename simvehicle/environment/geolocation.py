@@ -21,14 +21,15 @@ from simvehicle.environment.air import standard_air
 from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NORTH, U, V, W
 
 Array = NDArray[np.float64]
-# Where they begin in what `locate` fills in, and its length; latitude, longitude and height first.
-AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, PULL, PLACE = 3, 6, 9, 13, 16, 19
+# Where they begin in what `locate_state` fills in, and its length; latitude, longitude and height
+# first.
+AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, LOCAL_GRAVITY, LOCATION_SIZE = 3, 6, 9, 13, 16, 19
 _AXES, _GEOID = 3, 12  # in `Home.packed`, behind the position
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class HomeFrame:
     """Origin of the NED frame: Earth-fixed position (3,) [m] and axes (3, 3)."""
 
     r_ecef_m: Array
@@ -37,11 +38,11 @@ class Home:
 
     @property
     def packed(self) -> Array:
-        """Position, axes row by row and geoid (13,), as `locate` reads them."""
+        """Position, axes row by row and geoid (13,), as `locate_state` reads them."""
         return np.array([*self.r_ecef_m, *self.rot_en.ravel(), self.geoid_m])
 
     @classmethod
-    def at(cls, lat_deg: float, lon_deg: float, alt_msl_m: float, geoid_m: float) -> "Home":
+    def at(cls, lat_deg: float, lon_deg: float, alt_msl_m: float, geoid_m: float) -> "HomeFrame":
         """Home at a point; `geoid_m` is the geoid's height above the ellipsoid."""
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         return cls(ecef_from_geodetic(lat, lon, alt_msl_m + geoid_m), rot_en(lat, lon), geoid_m)
@@ -54,7 +55,7 @@ class Home:
 
 
 @compiled
-def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
+def locate_state(x: Array, wind: Array, home: Array, out: Array) -> None:
     """Everything about a place that the truth needs.
 
     Parameters
@@ -105,4 +106,4 @@ def locate(x: Array, wind: Array, home: Array, out: Array) -> None:
     pull = _gravity(lat, height)
     for i in range(3):
         out[VELOCITY + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd
-        out[PULL + i] = c[2, i] * pull
+        out[LOCAL_GRAVITY + i] = c[2, i] * pull

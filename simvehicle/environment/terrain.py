@@ -17,7 +17,7 @@ _KEYS = ("ncols", "nrows", "xllcorner", "yllcorner", "cellsize")
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class TerrainGrid:
     """Heights (rows from south to north, columns from west to east) [m] at cell centres [deg]."""
 
     height_m: NDArray[np.float64]
@@ -42,7 +42,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class LevelGround:
     """Ground of one height above mean sea level [m]."""
 
     alt_m: float
@@ -52,7 +52,7 @@ class Level:
         return self.alt_m
 
 
-def read_grid(path: str | Path) -> Grid:
+def read_terrain_grid(path: str | Path) -> TerrainGrid:
     """Read an ASCII raster.
 
     Raises
@@ -81,7 +81,7 @@ def read_grid(path: str | Path) -> Grid:
     if np.any(values == header.get("nodata_value", -9999.0)) or not np.all(np.isfinite(values)):
         raise ConfigError(f"{path}: has cells without data; every cell needs a height")
     cell = header["cellsize"]
-    return Grid(
+    return TerrainGrid(
         # The format begins in the north; rows here go to the north.
         np.flipud(values.reshape(shape)).copy(),
         # The corner of the cell is given; its height is that of the centre.

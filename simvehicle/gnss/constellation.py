@@ -20,12 +20,18 @@ from mavproxy_fault.rtcm.ephemeris_messages import (
     encode_ephemeris,
 )
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.navigation_file import SHIPPED, WEEK_S, Navigation, gps_time, read_navigation
+from simvehicle.gnss.navigation_file import (
+    SHIPPED,
+    WEEK_S,
+    NavigationData,
+    gps_time,
+    read_navigation,
+)
 
 SHIPPED_TIME = datetime(2021, 3, 19, 12, 0, 0)
 SHIPPED_LON_RAD = math.radians(139.522)  # of the site, 35.339 degrees north
-TURN_STEP_RAD = SEMICIRCLE / 1024  # the node stays a whole number of the message's counts
-LETTERS = {"GPS": "G", "Galileo": "E"}
+ROTATION_STEP_RAD = SEMICIRCLE / 1024  # the node stays a whole number of the message's counts
+SYSTEM_LETTERS = {"GPS": "G", "Galileo": "E"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,7 @@ class Constellation:
         return ephemeris.toe_s + (ephemeris.week - self.week) * WEEK_S
 
 
-def constellation_of(
+def build_constellation(
     config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
 ) -> Constellation:
     """The constellation of a scenario; `folder` is what a relative file name counts from.
@@ -87,15 +93,15 @@ def constellation_of(
     path = SHIPPED if config.navigation is None else (folder or Path()) / config.navigation
     navigation = read_navigation(path)
     if config.navigation is None:
-        navigation = _over(navigation, home_lat_rad, home_lon_rad)
-    letters = {LETTERS[system] for system in config.systems}
+        navigation = _rotate_over(navigation, home_lat_rad, home_lon_rad)
+    letters = {SYSTEM_LETTERS[system] for system in config.systems}
     ephemerides = {n: sets for n, sets in navigation.ephemerides.items() if n[0] in letters}
     if config.time is not None:
         week, start_s = gps_time(config.time.replace(tzinfo=None))
     elif config.navigation is None:
         week, start_s = gps_time(SHIPPED_TIME)
     else:
-        week, start_s = _busiest(ephemerides)
+        week, start_s = _time_of_most_satellites(ephemerides)
     constellation = Constellation(
         tuple(ephemerides),
         tuple(ephemerides.values()),
@@ -112,7 +118,7 @@ def constellation_of(
     return constellation
 
 
-def _busiest(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]:
+def _time_of_most_satellites(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]:
     """The time of ephemeris at which most satellites have a valid one; the first of several."""
     times = sorted({e.week * WEEK_S + e.toe_s for sets in ephemerides.values() for e in sets})
     if not times:
@@ -128,9 +134,9 @@ def _busiest(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]
     return int(best // WEEK_S), best % WEEK_S
 
 
-def _over(navigation: Navigation, lat_rad: float, lon_rad: float) -> Navigation:
+def _rotate_over(navigation: NavigationData, lat_rad: float, lon_rad: float) -> NavigationData:
     """The shipped satellites turned over another home."""
-    shift_rad = round((lon_rad - SHIPPED_LON_RAD) / TURN_STEP_RAD) * TURN_STEP_RAD
+    shift_rad = round((lon_rad - SHIPPED_LON_RAD) / ROTATION_STEP_RAD) * ROTATION_STEP_RAD
     mirror = SEMICIRCLE if lat_rad < 0.0 else 0.0
     # Near the site itself nothing is turned, so that the satellites stand where the real ones did.
     if abs(shift_rad) < math.radians(5.0) and not mirror:

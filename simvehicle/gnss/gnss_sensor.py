@@ -14,25 +14,36 @@ from numpy.typing import NDArray
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
-from simvehicle.gnss.constellation import Constellation, constellation_of
+from simvehicle.gnss.constellation import Constellation, build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_state import Broadcast, Faults, GnssState
+from simvehicle.gnss.gnss_state import Broadcast, GnssState, SignalFaults
 from simvehicle.gnss.navigation_file import WEEK_S
 from simvehicle.gnss.pseudorange import Atmosphere
-from simvehicle.gnss.receiver import Fix, solve
-from simvehicle.gnss.satellite_orbits import orbits_at, orbits_of
-from simvehicle.gnss.signal_errors import CN0_S, Clock, next_clock, next_wander
-from simvehicle.gnss.signal_kernel import CODE, RATE, Channel, signals
-from simvehicle.gnss.spoofing import spoofs
-from simvehicle.gnss.tracking import LONG_AGO_US, Stamps, Tracking, next_tracking, power_off
+from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
+from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
+from simvehicle.gnss.signal_errors import (
+    CN0_CORRELATION_S,
+    ReceiverClock,
+    step_clock,
+    step_gauss_markov,
+)
+from simvehicle.gnss.signal_kernel import CODE, RATE, SignalChannel, simulate_signals
+from simvehicle.gnss.spoofing import spoofed_places
+from simvehicle.gnss.tracking import (
+    LONG_AGO_US,
+    Stamps,
+    Tracking,
+    powered_off_tracking,
+    update_tracking,
+)
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
 from simvehicle.vehicles.body import Truth
 
 Vector = NDArray[np.float64]
 
-US = 1e-6
+S_PER_US = 1e-6
 BROADCAST_US = 30_000_000  # every ephemeris goes out again this often
-LOST = 2  # the row of `Faults.signals`, which are in the order of `SATELLITE`
+LOST_ROW = 2  # the row of `Faults.signals`, which are in the order of `SATELLITE`
 PLANT_NAME = re.compile(rf"({'|'.join((*SATELLITE, *SPOOF))})\[([GE]\d\d|all|G|E)\]")
 
 
@@ -46,7 +57,7 @@ def gnss_sensor(
     ConfigError
         If the navigation file is wrong, or has no valid satellite at the start.
     """
-    return GnssSensor(config, constellation_of(config, home_lat_rad, home_lon_rad, folder))
+    return GnssSensor(config, build_constellation(config, home_lat_rad, home_lon_rad, folder))
 
 
 @dataclass(frozen=True)
@@ -73,7 +84,7 @@ class GnssSensor:
 
     @cached_property
     def _levels(self) -> Vector:
-        """Sizes of the errors as `signals` wants them."""
+        """Sizes of the errors as `simulate_signals` wants them."""
         c = self.config
         rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
         sizes = (c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m)
@@ -82,17 +93,17 @@ class GnssSensor:
     @cached_property
     def _wander_s(self) -> Vector:
         """Correlation times (3, 1) of multipath, orbit and C/N0."""
-        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_S]])
+        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_CORRELATION_S]])
 
     @cached_property
     def _unsent(self) -> Stamps:
         return np.full(len(self.constellation.satellites), LONG_AGO_US)
 
     @cached_property
-    def _channel(self) -> Channel:
+    def _channel(self) -> SignalChannel:
         galileo = [name[0] == "E" for name in self.constellation.satellites]
         atmosphere = self._atmosphere
-        return Channel(
+        return SignalChannel(
             atmosphere.coefficients,
             atmosphere.troposphere,
             self._levels,
@@ -106,7 +117,7 @@ class GnssSensor:
         drawn = rng.standard_normal((3, n))
         return GnssState(
             t_us=None,
-            clock=Clock(
+            clock=ReceiverClock(
                 clock.offset_s * float(rng.standard_normal()),
                 clock.drift * float(rng.standard_normal()),
             ),
@@ -115,9 +126,9 @@ class GnssSensor:
             search_s=receiver.search_s * rng.standard_exponential(n),
             message_s=rng.uniform(*receiver.message_s, n),
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
-            tracking=power_off(n, cold=receiver.start == "cold"),
+            tracking=powered_off_tracking(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
-            faults=Faults(np.zeros((len(SATELLITE), n)), np.zeros((len(SPOOF), n))),
+            faults=SignalFaults(np.zeros((len(SATELLITE), n)), np.zeros((len(SPOOF), n))),
             spoofed=np.zeros((4, n)),
         )
 
@@ -130,21 +141,23 @@ class GnssSensor:
         place it measures at is that of the truth, moved by the clock's offset.
         """
         t_us = truth.t_us
-        step_s = 0.0 if state.t_us is None else (t_us - state.t_us) * US
+        step_s = 0.0 if state.t_us is None else (t_us - state.t_us) * S_PER_US
         state = self._advanced(state, t_us, rng)
         count = len(self.constellation.satellites)
         # For every satellite, tracked or not, and with the receiver off: a fault changes no draw,
         # so the flight without it has the same noise.
         noise = rng.standard_normal((2, count))
         if state.faults.off:
-            off = power_off(count, cold=True)
+            off = powered_off_tracking(count, cold=True)
             return [], replace(state, tracking=off, fix=None, sent_us=self._unsent)
-        tow_s = self.constellation.start_s + t_us * US
+        tow_s = self.constellation.start_s + t_us * S_PER_US
         elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise, step_s)
         tracking = self._tracking(elevation, cn0, state, t_us)
         usable = np.flatnonzero(tracking.usable(t_us))
-        orbits = orbits_at(state.broadcast.orbits, usable)
-        fix = solve(orbits, tow_s, code[usable], rate[usable], self._atmosphere, state.fix)
+        orbits = select_orbits(state.broadcast.orbits, usable)
+        fix = solve_receiver_fix(
+            orbits, tow_s, code[usable], rate[usable], self._atmosphere, state.fix
+        )
         due = self._due(usable, state.sent_us, t_us)
         sent_us = state.sent_us.copy()
         sent_us[due] = t_us
@@ -194,14 +207,15 @@ class GnssSensor:
     def _signals(
         self, truth: Truth, tow_s: float, state: GnssState, noise: Vector, step_s: float
     ) -> Vector:
-        """What the antenna receives when the receiver's clock shows `tow_s`; rows of `signals`.
+        """What the antenna receives when the receiver's clock shows `tow_s`; rows of
+        `simulate_signals`.
 
         A spoofed signal is that of the place and time which the spoofer pretends.
         """
         here = np.array([truth.lat_rad, truth.lon_rad, truth.height_m, *truth.v_ned_mps.tolist()])
         out = self._received(here, tow_s, state, noise)
         if state.faults.spoof.any():
-            for spoof in spoofs(state.faults.spoof, state.spoofed, step_s):
+            for spoof in spoofed_places(state.faults.spoof, state.spoofed, step_s):
                 # With the same clock and noise: the receiver is where it is, only the geometry is
                 # another.
                 made_up = self._received(spoof.place(here), tow_s, state, noise)
@@ -211,7 +225,7 @@ class GnssSensor:
 
     def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
         """The signals at a place: latitude, longitude, height and velocity NED (6,)."""
-        return signals(
+        return simulate_signals(
             state.broadcast.orbits.table,
             tow_s,
             where,
@@ -230,7 +244,7 @@ class GnssSensor:
         return Broadcast(
             chosen,
             np.array([k is not None for k in chosen]),
-            orbits_of([every[k or 0] for every, k in sets], constellation.week),
+            tabulate_orbits([every[k or 0] for every, k in sets], constellation.week),
             constellation.holds_until_s(tow_s, chosen),
         )
 
@@ -239,7 +253,7 @@ class GnssSensor:
         config = self.config
         n = len(self.constellation.satellites)
         draws = rng.standard_normal(3 * n + 2)
-        tow_s = self.constellation.start_s + t_us * US
+        tow_s = self.constellation.start_s + t_us * S_PER_US
         # The choice goes through all ephemerides, so it is made only when it may change.
         if tow_s > state.broadcast.until_s:
             old = state.broadcast
@@ -249,12 +263,12 @@ class GnssSensor:
             state = replace(state, broadcast=new, sent_us=sent_us)
         if state.t_us is None:
             return replace(state, t_us=t_us)
-        step_s = (t_us - state.t_us) * US
+        step_s = (t_us - state.t_us) * S_PER_US
         return replace(
             state,
             t_us=t_us,
-            clock=next_clock(state.clock, config.clock, step_s, draws[:2]),
-            wander=next_wander(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
+            clock=step_clock(state.clock, config.clock, step_s, draws[:2]),
+            wander=step_gauss_markov(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
         )
 
     def _tracking(
@@ -265,10 +279,10 @@ class GnssSensor:
         signal = (
             (elevation_rad >= math.radians(self.config.mask_deg))
             & (cn0_dbhz >= receiver.lock_dbhz)
-            & (state.faults.signals[LOST] == 0.0)
+            & (state.faults.signals[LOST_ROW] == 0.0)
             & state.broadcast.valid
         )
-        return next_tracking(
+        return update_tracking(
             state.tracking, signal, t_us, receiver, state.search_s, state.message_s
         )
 
@@ -307,7 +321,7 @@ class GnssSensor:
             cn0[pick],
         )
 
-    def _position(self, truth: Truth, fix: Fix) -> GpsReading:
+    def _position(self, truth: Truth, fix: ReceiverFix) -> GpsReading:
         """The solution as a receiver reports it; mean sea level is taken as known."""
         known = bool(fix.r_ecef_m.any())
         undulation_m = truth.height_m - truth.alt_msl_m

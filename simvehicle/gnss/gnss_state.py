@@ -4,15 +4,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.gnss.receiver import Fix
+from simvehicle.gnss.receiver import ReceiverFix
 from simvehicle.gnss.satellite_orbits import Orbits
-from simvehicle.gnss.signal_errors import Clock
+from simvehicle.gnss.signal_errors import ReceiverClock
 from simvehicle.gnss.tracking import Stamps, Tracking
 
 Vector = NDArray[np.float64]
 
 
-class Faults(msgspec.Struct, frozen=True):
+class SignalFaults(msgspec.Struct, frozen=True):
     """What a scenario does to the signals before the receiver.
 
     The rows of `signals` (4, n) are metres added to the range, decibels taken from the signal,
@@ -48,13 +48,13 @@ class GnssState(msgspec.Struct, frozen=True):
     """
 
     t_us: int | None
-    clock: Clock
+    clock: ReceiverClock
     wander: Vector
     search_s: Vector
     message_s: Vector
     broadcast: Broadcast
     tracking: Tracking
     sent_us: Stamps
-    faults: Faults
+    faults: SignalFaults
     spoofed: Vector
-    fix: Fix | None = None
+    fix: ReceiverFix | None = None

@@ -22,7 +22,7 @@ from mavproxy_fault.rinex.navigation_record import (
     SOURCE,
     TOE,
     WEEK,
-    orbit,
+    orbit_elements,
 )
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
 
@@ -32,13 +32,13 @@ GPS_EPOCH = datetime(1980, 1, 6)
 WEEK_S = 604_800.0
 INAV_CLOCK = 1 << 9  # data sources, bit 9: af0 to af2, toc and SISA are for E5b, E1
 UNKNOWN_SISA = 255
-LINES = {"R": 4, "S": 4}  # lines of a record; 8 for every other system
+RECORD_LINES = {"R": 4, "S": 4}  # lines of a record; 8 for every other system
 # IS-GPS-200N 20.3.3.3.1.3: upper limits of the user range accuracy, index 0 to 14
 URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24, 48, 96, 192, 384, 768, 1536, 3072, 6144)
 
 
 @dataclass(frozen=True, slots=True)
-class Navigation:
+class NavigationData:
     """What a navigation file says; each satellite's ephemerides are in order of `toe`.
 
     `alpha`, `beta` are Klobuchar's coefficients in s, s/semicircle, ... (four each), all zero if
@@ -57,7 +57,7 @@ def gps_time(moment: datetime) -> tuple[int, float]:
     return week, seconds - week * WEEK_S
 
 
-def read_navigation(path: Path) -> Navigation:
+def read_navigation(path: Path) -> NavigationData:
     """The navigation file at `path`.
 
     Ephemerides come with the resolution of their RTCM messages, so that what is broadcast and what
@@ -76,7 +76,7 @@ def read_navigation(path: Path) -> Navigation:
     return parse_navigation(lines, str(path))
 
 
-def parse_navigation(lines: list[str], where: str) -> Navigation:
+def parse_navigation(lines: list[str], where: str) -> NavigationData:
     """The navigation file with these lines; `where` names it in errors (see `read_navigation`)."""
     end, alpha, beta = _header(lines, where)
     found: dict[str, dict[float, Ephemeris]] = {}
@@ -92,7 +92,7 @@ def parse_navigation(lines: list[str], where: str) -> Navigation:
             "at least one, better those of all in view"
         )
     ephemerides = {name: tuple(e for _, e in sorted(found[name].items())) for name in sorted(found)}
-    return Navigation(ephemerides, alpha, beta)
+    return NavigationData(ephemerides, alpha, beta)
 
 
 def _header(lines: list[str], where: str) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
@@ -127,7 +127,7 @@ def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, li
                 f"{where}:{at + 1}: {lines[at][:23]!r} does not start a record; "
                 "a satellite like G12 and its time"
             )
-        count = LINES.get(system, 8)
+        count = RECORD_LINES.get(system, 8)
         record = lines[at : at + count]
         cut = next((i for i, line in enumerate(record[1:], 1) if line[:1].strip()), len(record))
         if cut < count:
@@ -164,7 +164,7 @@ def _ephemeris(record: list[str], line: int, where: str) -> Ephemeris | None:
         af2_per_s=clock[2],
         iode=int(v[IODE]),
         iodc=int(v[IODE]) if galileo else int(v[DELAY_B]),
-        **orbit(v),
+        **orbit_elements(v),
         group_delay_s=v[DELAY_B] if galileo else v[DELAY],
         group_delay_e5a_s=v[DELAY] if galileo else 0.0,
         accuracy=sisa_index(v[ACCURACY]) if galileo else ura_index(v[ACCURACY]),

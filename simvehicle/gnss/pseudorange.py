@@ -26,16 +26,18 @@ from simvehicle.gnss.signal_delays import ionosphere_m, troposphere_m
 
 Vector = NDArray[np.float64]
 
-FLIGHT_S = 0.075  # typical; where the iteration starts
-NONE = np.zeros(0)
-# Rows of `sights`, in the order of `Sight`; the direction has three.
-(RANGE, RANGE_RATE, SAT_CLOCK, SAT_CLOCK_RATE, SAT_ELEVATION, SAT_AZIMUTH, DELAY, TOWARD) = range(8)
-SIGHT = TOWARD + 3
-LOWEST_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
+FLIGHT_TIME_S = 0.075  # typical; where the iteration starts
+NO_COEFFICIENTS = np.zeros(0)
+# Rows of `signal_geometry_rows`, in the order of `SignalGeometry`; the direction has three.
+(RANGE, RANGE_RATE, SAT_CLOCK, SAT_CLOCK_RATE, SAT_ELEVATION, SAT_AZIMUTH, DELAY, LINE_OF_SIGHT) = (
+    range(8)
+)
+GEOMETRY_ROWS = LINE_OF_SIGHT + 3
+LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class SignalGeometry:
     """n satellites as one receiver sees them; all arrays are (n,) but `toward` (n, 3).
 
     `range_m`, `rate_mps` are geometry alone; `toward` are unit vectors from the receiver to the
@@ -63,18 +65,18 @@ class Atmosphere:
     @property
     def coefficients(self) -> Vector:
         """Klobuchar's, or an empty array without an ionosphere."""
-        return NONE if self.klobuchar is None else self.klobuchar
+        return NO_COEFFICIENTS if self.klobuchar is None else self.klobuchar
 
 
-def sight(
+def signal_geometry(
     orbits: Orbits, tow_s: float, r_ecef_m: Vector, v_ecef_mps: Vector, atmosphere: Atmosphere
-) -> Sight:
+) -> SignalGeometry:
     """The satellites seen at GPS time `tow_s` from `r_ecef_m` (3,), moving with `v_ecef_mps` (3,).
 
     Satellites below the horizon are computed all the same; the atmosphere's delay of those below
     3 degrees is that at 3 degrees.
     """
-    out = sights(
+    out = signal_geometry_rows(
         orbits.table,
         tow_s,
         r_ecef_m,
@@ -82,12 +84,14 @@ def sight(
         atmosphere.coefficients,
         atmosphere.troposphere,
     )
-    range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay = out[:TOWARD]
-    return Sight(range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay, out[TOWARD:].T)
+    range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay = out[:LINE_OF_SIGHT]
+    return SignalGeometry(
+        range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay, out[LINE_OF_SIGHT:].T
+    )
 
 
 @compiled
-def sights(
+def signal_geometry_rows(
     table: Vector,
     tow_s: float,
     r_ecef_m: Vector,
@@ -95,7 +99,8 @@ def sights(
     coefficients: Vector,
     troposphere: bool,
 ) -> Vector:
-    """`Sight` as rows (10, n); no coefficients, no ionosphere; the place is `r_ecef_m[:3]`.
+    """`SignalGeometry` as rows (10, n); no coefficients, no ionosphere; the place is
+    `r_ecef_m[:3]`.
 
     The time of flight comes from two evaluations of the orbit, each refined along the velocity;
     what is left is below a micrometre.
@@ -103,9 +108,9 @@ def sights(
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
     lat, lon, height = geodetic_of(rx, ry, rz)
     s_lat, c_lat, s_lon, c_lon = sin(lat), cos(lat), sin(lon), cos(lon)
-    out = np.empty((SIGHT, len(table)))
+    out = np.empty((GEOMETRY_ROWS, len(table)))
     for k in range(len(table)):
-        flight = FLIGHT_S
+        flight = FLIGHT_TIME_S
         # The orbit moves 3 km/s: where it was when the signal left asks for the time of flight
         # first.
         for _ in range(2):
@@ -134,7 +139,7 @@ def sights(
         elevation = asin(min(max(c_lat * outward + s_lat * ez, -1.0), 1.0))
         azimuth = atan2(east, north)
         # Below, both models grow without bound.
-        above = max(elevation, LOWEST_RAD)
+        above = max(elevation, LOWEST_ELEVATION_RAD)
         delay = 0.0
         if len(coefficients):
             delay += ionosphere_m(tow_s, lat, lon, above, azimuth, coefficients)
@@ -145,5 +150,5 @@ def sights(
         out[SAT_CLOCK, k] = clock + clock_rate * (start - flight)
         out[SAT_CLOCK_RATE, k] = clock_rate
         out[SAT_ELEVATION, k], out[SAT_AZIMUTH, k], out[DELAY, k] = elevation, azimuth, delay
-        out[TOWARD, k], out[TOWARD + 1, k], out[TOWARD + 2, k] = ex, ey, ez
+        out[LINE_OF_SIGHT, k], out[LINE_OF_SIGHT + 1, k], out[LINE_OF_SIGHT + 2, k] = ex, ey, ez
     return out

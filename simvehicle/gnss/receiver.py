@@ -17,15 +17,15 @@ from simvehicle.gnss.satellite_orbits import Orbits, satellite_states
 
 Vector = NDArray[np.float64]
 
-SURFACE_M = 6.37e6
+EARTH_RADIUS_M = 6.37e6
 EPH_MAX_M = 100.0  # worse is no fix
-FLAT_EPH_MAX_M = 1000.0  # a two-dimensional fix stands and falls with the height it holds
+EPH_MAX_2D_M = 1000.0  # a two-dimensional fix stands and falls with the height it holds
 LAST_HEIGHT_SIGMA_M, SEA_HEIGHT_SIGMA_M = 50.0, 500.0
-FREE = (math.nan, 1.0)  # no height is held
+NO_KNOWN_HEIGHT = (math.nan, 1.0)  # no height is held
 REASONS = {kernel.SINGULAR: "satellites in one plane", kernel.DIVERGED: "no convergence"}
 
 
-class Fix(msgspec.Struct, frozen=True):
+class ReceiverFix(msgspec.Struct, frozen=True):
     """A solution; `clock_m` (m,) are the offsets by system, the first GPS's if there is one.
 
     `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 2 two-dimensional (one satellite too few, so
@@ -48,14 +48,14 @@ class Fix(msgspec.Struct, frozen=True):
     reason: str = ""
 
 
-def solve(
+def solve_receiver_fix(
     orbits: Orbits,
     tow_s: float,
     pseudorange_m: Vector,
     doppler_mps: Vector,
     atmosphere: Atmosphere,
-    last: Fix | None = None,
-) -> Fix:
+    last: ReceiverFix | None = None,
+) -> ReceiverFix:
     """Position, velocity and clock of one epoch.
 
     Parameters
@@ -75,55 +75,55 @@ def solve(
     # Three coordinates and a clock for each system are solved for.
     lacking = 3 + max(len(systems), 1) - count
     if lacking > 1:
-        return _none(count, f"{count} satellites of {len(systems)} systems", last)
+        return _no_fix(count, f"{count} satellites of {len(systems)} systems", last)
     # Clocks of other systems than last time: the last solution is no start.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
     start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
-    out = kernel.navigate(
-        kernel.Observed(orbits.table, system, pseudorange_m, doppler_mps),
+    out = kernel.solve_navigation(
+        kernel.ReceiverObservations(orbits.table, system, pseudorange_m, doppler_mps),
         tow_s,
         atmosphere.coefficients,
         atmosphere.troposphere,
-        np.concatenate(start or (_somewhere_below(orbits, tow_s), np.zeros(len(systems)))),
+        np.concatenate(start or (_point_below_satellites(orbits, tow_s), np.zeros(len(systems)))),
         near,
-        _known_height(last) if lacking == 1 else FREE,
+        _known_height(last) if lacking == 1 else NO_KNOWN_HEIGHT,
     )
     if out[kernel.STATUS] != kernel.SOLVED:
-        return _none(count, REASONS[float(out[kernel.STATUS])], last)
+        return _no_fix(count, REASONS[float(out[kernel.STATUS])], last)
     sigma = out[kernel.SIGMA : kernel.SIGMA + 3]
-    if math.hypot(sigma[0], sigma[1]) > (FLAT_EPH_MAX_M if lacking == 1 else EPH_MAX_M):
-        return _none(count, "geometry too poor", last)
-    return Fix(
+    if math.hypot(sigma[0], sigma[1]) > (EPH_MAX_2D_M if lacking == 1 else EPH_MAX_M):
+        return _no_fix(count, "geometry too poor", last)
+    return ReceiverFix(
         2 if lacking == 1 else 3,
         count,
-        out[kernel.PLACE : kernel.PLACE + 3],
+        out[kernel.POSITION : kernel.POSITION + 3],
         float(out[kernel.GEODETIC]),
         float(out[kernel.GEODETIC + 1]),
         float(out[kernel.GEODETIC + 2]),
-        out[kernel.MOTION : kernel.MOTION + 3],
-        out[kernel.MOTION_NED : kernel.MOTION_NED + 3],
+        out[kernel.VELOCITY : kernel.VELOCITY + 3],
+        out[kernel.VELOCITY_NED : kernel.VELOCITY_NED + 3],
         out[kernel.CLOCK : kernel.CLOCK + len(systems)],
         float(out[kernel.DRIFT]),
         sigma,
     )
 
 
-def _known_height(last: Fix | None) -> tuple[float, float]:
+def _known_height(last: ReceiverFix | None) -> tuple[float, float]:
     """Height to hold [m] and how wrong it may be: the last one, or the ellipsoid's."""
     if last is not None and last.r_ecef_m.any():
         return last.height_m, LAST_HEIGHT_SIGMA_M
     return 0.0, SEA_HEIGHT_SIGMA_M
 
 
-def _somewhere_below(orbits: Orbits, tow_s: float) -> Vector:
+def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
     """A place on the Earth's surface amid the satellites, to start from."""
     # The mean of what is seen points to the zenith, roughly: the iteration finds the rest.
     middle = satellite_states(orbits, np.full(len(orbits.table), tow_s))[0].mean(axis=0)
-    return np.asarray(SURFACE_M * middle / np.linalg.norm(middle))
+    return np.asarray(EARTH_RADIUS_M * middle / np.linalg.norm(middle))
 
 
-def _none(count: int, reason: str, last: Fix | None) -> Fix:
+def _no_fix(count: int, reason: str, last: ReceiverFix | None) -> ReceiverFix:
     """No fix; the place stays the last one."""
     still, unknown = np.zeros(3), np.full(3, np.inf)
     if last is None:
@@ -131,6 +131,6 @@ def _none(count: int, reason: str, last: Fix | None) -> Fix:
     else:
         place, lat, lon, height = last.r_ecef_m, last.lat_rad, last.lon_rad, last.height_m
     fix_type = min(count, 1)
-    return Fix(
+    return ReceiverFix(
         fix_type, count, place, lat, lon, height, still, still, np.zeros(0), 0.0, unknown, reason
     )

@@ -11,33 +11,33 @@ from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_of, ned_axes
 from simvehicle.gnss.pseudorange import (
     DELAY,
+    LINE_OF_SIGHT,
     RANGE,
     RANGE_RATE,
     SAT_CLOCK,
     SAT_CLOCK_RATE,
     SAT_ELEVATION,
-    TOWARD,
-    sights,
+    signal_geometry_rows,
 )
 
 Vector = NDArray[np.float64]
 
-ROUNDS_MAX = 12
+ITERATIONS_MAX = 12
 CONVERGED_M = 1e-4
-NEAR_M = 10.0  # the geometry hardly changes over such a step
+SMALL_STEP_M = 10.0  # the geometry hardly changes over such a step
 ZENITH_SIGMA_M = 0.5  # what a pseudorange from the zenith is taken to be wrong by
 SINE_MIN = 0.05
 PIVOT_MIN = 1e-12
 
 # rows of the answer
 FIRST_CLOCK = 3  # in what is solved for: behind the position
-STATUS, PLACE, CLOCK, MOTION, DRIFT, SIGMA, GEODETIC, MOTION_NED = 0, 1, 4, 6, 9, 10, 13, 16
-SIZE = 19
+STATUS, POSITION, CLOCK, VELOCITY, DRIFT, SIGMA, GEODETIC, VELOCITY_NED = 0, 1, 4, 6, 9, 10, 13, 16
+SOLUTION_SIZE = 19
 SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
 
 
 @compiled
-def inverted(matrix: Vector) -> Vector:
+def invert_matrix(matrix: Vector) -> Vector:
     """The inverse of a small positive definite matrix (m, m), Gauss and Jordan; empty if singular.
 
     Loops and not slices, here and below: they compile in a fraction of the time.
@@ -83,7 +83,7 @@ def least_squares(
             right[a] += weighted * residual[i]
             for b in range(m):
                 normal[a, b] += weighted * design[i, b]
-    covariance = inverted(normal)
+    covariance = invert_matrix(normal)
     step = np.zeros(len(covariance))
     for a in range(len(covariance)):
         for b in range(m):
@@ -91,7 +91,7 @@ def least_squares(
     return step, covariance
 
 
-class Observed(NamedTuple):
+class ReceiverObservations(NamedTuple):
     """What a receiver has of n satellites in one epoch.
 
     `table` (n, 20) are the orbits, `system` (n,) the index of each one's clock, `code_m` (n,) the
@@ -105,8 +105,8 @@ class Observed(NamedTuple):
 
 
 @compiled
-def navigate(
-    observed: Observed,
+def solve_navigation(
+    observed: ReceiverObservations,
     tow_s: float,
     coefficients: Vector,
     troposphere: bool,
@@ -124,21 +124,21 @@ def navigate(
     table = observed.table
     n, m = len(table), len(start)
     rows = n if np.isnan(known_height[0]) else n + 1
-    out = np.zeros(SIZE)
+    out = np.zeros(SOLUTION_SIZE)
     x = np.zeros(m)
     for a in range(m):
         x[a] = start[a]
     weights, residual = np.ones(rows), np.zeros(rows)
     design, still = np.zeros((rows, m)), np.zeros(3)
-    for _ in range(ROUNDS_MAX):
+    for _ in range(ITERATIONS_MAX):
         own_s = tow_s - x[FIRST_CLOCK] / SPEED_OF_LIGHT_MPS
-        seen = sights(table, own_s, x, still, coefficients, troposphere)
+        seen = signal_geometry_rows(table, own_s, x, still, coefficients, troposphere)
         _linearise(observed, seen, x, design, residual)
         for i in range(n if near else 0):
             # Errors grow towards the horizon about as one over the sine.
             weights[i] = (max(sin(seen[SAT_ELEVATION, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
-            _hold(known_height, x, design, residual)
+            _fill_height_row(known_height, x, design, residual)
             weights[n] = 1.0 / known_height[1] ** 2 if near else 1.0
         step, covariance = least_squares(design, residual, weights, m)
         if len(step) == 0:
@@ -148,7 +148,7 @@ def navigate(
         for a in range(m):
             x[a] += step[a]
             size = max(size, abs(step[a]))
-        if near and size < NEAR_M:
+        if near and size < SMALL_STEP_M:
             break
         # The first rounds are without weights: elevations of a wrong place mean nothing.
         near = near or size < CONVERGED_M
@@ -156,29 +156,31 @@ def navigate(
         out[STATUS] = DIVERGED
         return out
     for a in range(m):
-        out[PLACE + a] = x[a]  # and the clocks after it
-    _add_motion(out, seen, observed.rate_mps, design, weights)
+        out[POSITION + a] = x[a]  # and the clocks after it
+    _add_velocity(out, seen, observed.rate_mps, design, weights)
     _add_local(out, covariance)
     return out
 
 
 @compiled
 def _linearise(
-    observed: Observed, seen: Vector, x: Vector, design: Vector, residual: Vector
+    observed: ReceiverObservations, seen: Vector, x: Vector, design: Vector, residual: Vector
 ) -> None:
     """Fill the rows of the n ranges: what each changes by, and what it is off by."""
     for i in range(len(observed.code_m)):
         own = FIRST_CLOCK + observed.system[i]
         # Moving towards a satellite shortens its range.
         for a in range(3):
-            design[i, a] = -seen[TOWARD + a, i]
+            design[i, a] = -seen[LINE_OF_SIGHT + a, i]
         design[i, own] = 1.0
         model_m = seen[RANGE, i] - SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK, i]
         residual[i] = observed.code_m[i] - (model_m + seen[DELAY, i] + x[own])
 
 
 @compiled
-def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector) -> None:
+def _fill_height_row(
+    known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector
+) -> None:
     """Make the last row that of a height which is measured."""
     lat, lon, height = geodetic_of(x[0], x[1], x[2])
     design[-1, 0] = cos(lat) * cos(lon)
@@ -188,7 +190,7 @@ def _hold(known_height: tuple[float, float], x: Vector, design: Vector, residual
 
 
 @compiled
-def _add_motion(
+def _add_velocity(
     out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
 ) -> None:
     """Velocity and drift from range rates; `design` becomes that of one clock.
@@ -202,21 +204,21 @@ def _add_motion(
         )
         design[i, FIRST_CLOCK] = 1.0
     # A literal 4 would have `least_squares` compiled once more, for that literal.
-    motion, _ = least_squares(design, residual, weights, 1 + DRIFT - MOTION)
+    motion, _ = least_squares(design, residual, weights, 1 + DRIFT - VELOCITY)
     for a in range(len(motion)):
-        out[MOTION + a] = motion[a]  # and the drift after it
+        out[VELOCITY + a] = motion[a]  # and the drift after it
 
 
 @compiled
 def _add_local(out: Vector, covariance: Vector) -> None:
     """Geodetic coordinates, the velocity in NED and the standard deviations in NED."""
-    lat, lon, height = geodetic_of(out[PLACE], out[PLACE + 1], out[PLACE + 2])
+    lat, lon, height = geodetic_of(out[POSITION], out[POSITION + 1], out[POSITION + 2])
     out[GEODETIC], out[GEODETIC + 1], out[GEODETIC + 2] = lat, lon, height
     axes = ned_axes(lat, lon)
     for a in range(3):
         variance = 0.0
         for i in range(3):
-            out[MOTION_NED + a] += axes[a, i] * out[MOTION + i]
+            out[VELOCITY_NED + a] += axes[a, i] * out[VELOCITY + i]
             for j in range(3):
                 # The diagonal of the rotated covariance is all that is shown.
                 variance += axes[a, i] * covariance[i, j] * axes[a, j]

@@ -26,8 +26,13 @@ State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
 WEEK_S = 604_800.0
-ROW = 20  # numbers of a satellite in a table, in the order of `_row`
-VELOCITY, CLOCK, CLOCK_RATE, STATE = 3, 6, 7, 8  # where they begin in a state, after the position
+ROW_SIZE = 20  # numbers of a satellite in a table, in the order of `_orbit_row`
+VELOCITY, CLOCK, CLOCK_RATE, STATE_SIZE = (
+    3,
+    6,
+    7,
+    8,
+)  # where they begin in a state, after the position
 KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
 
 
@@ -42,19 +47,19 @@ class Orbits(msgspec.Struct, frozen=True):
     table: Vector
 
 
-def orbits_of(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
+def tabulate_orbits(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
     """Ephemerides as a table, with their times counted in GPS week `week`."""
-    table = np.array([_row(e, week) for e in ephemerides], dtype=float).reshape(-1, ROW)
+    table = np.array([_orbit_row(e, week) for e in ephemerides], dtype=float).reshape(-1, ROW_SIZE)
     return Orbits(tuple(e.satellite for e in ephemerides), week, table)
 
 
-def orbits_at(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
+def select_orbits(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
     """The satellites at some places (m,)."""
     names = tuple(orbits.satellites[k] for k in pick)
     return Orbits(names, orbits.week, orbits.table[pick])
 
 
-def _row(e: Ephemeris, week: int) -> tuple[float, ...]:
+def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:
     """Elements in the order of `satellite_state`, with what they give once and for all."""
     # All times in one week, so that a flight across its end needs no case.
     shift_s = (e.week - week) * WEEK_S
@@ -97,7 +102,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     (
         toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate,
         toc, af0, af1, af2,
-    ) = to_fixed_tuple(row, ROW)  # fmt: skip
+    ) = to_fixed_tuple(row, ROW_SIZE)  # fmt: skip
     t = tow_s - toe
     mean = m0 + motion * t
     # Kepler's equation, with the first step of the series as a start.
@@ -143,10 +148,10 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
 
 @compiled
 def _states(table: Vector, tow_s: Vector) -> Vector:
-    out = np.empty((len(table), STATE))
+    out = np.empty((len(table), STATE_SIZE))
     for k in range(len(table)):
         state = satellite_state(table[k], tow_s[k])
-        for i in range(STATE):
+        for i in range(STATE_SIZE):
             out[k, i] = state[i]
     return out
 

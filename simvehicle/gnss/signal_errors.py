@@ -17,19 +17,21 @@ from simvehicle.gnss.gnss_config import ClockConfig
 
 Vector = NDArray[np.float64]
 
-CN0_S = 20.0  # correlation time
-TINY_S = 1e-9  # a process without a correlation time is white
-JUMP_S = 1e-3  # the clock is set back by a millisecond when it is half of one out
+CN0_CORRELATION_S = 20.0  # correlation time
+SHORTEST_CORRELATION_S = 1e-9  # a process without a correlation time is white
+CLOCK_JUMP_S = 1e-3  # the clock is set back by a millisecond when it is half of one out
 
 
-class Clock(msgspec.Struct, frozen=True):
+class ReceiverClock(msgspec.Struct, frozen=True):
     """Receiver clock minus GPS time, and its rate."""
 
     offset_s: float
     drift: float
 
 
-def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) -> Clock:
+def step_clock(
+    clock: ReceiverClock, config: ClockConfig, step_s: float, draws: Vector
+) -> ReceiverClock:
     """The clock `step_s` later [1]_; `draws` (2,) are standard normal."""
     q_offset, q_drift = config.h0_s / 2.0, 2.0 * math.pi**2 * config.h2_hz
     # Cholesky factor of [[q_o T + q_d T^3/3, q_d T^2/2], [., q_d T]], from the second row
@@ -38,16 +40,19 @@ def next_clock(clock: Clock, config: ClockConfig, step_s: float, draws: Vector) 
     free = q_offset * step_s + q_drift * step_s**3 / 12.0
     offset_kick = drift_kick * step_s / 2.0 + math.sqrt(free) * draws[1]
     offset_s = clock.offset_s + clock.drift * step_s + offset_kick
-    return Clock(
-        float(offset_s - round(offset_s / JUMP_S) * JUMP_S), float(clock.drift + drift_kick)
+    return ReceiverClock(
+        float(offset_s - round(offset_s / CLOCK_JUMP_S) * CLOCK_JUMP_S),
+        float(clock.drift + drift_kick),
     )
 
 
-def next_wander(value: Vector, time_s: float | Vector, step_s: float, draws: Vector) -> Vector:
+def step_gauss_markov(
+    value: Vector, time_s: float | Vector, step_s: float, draws: Vector
+) -> Vector:
     """Gauss-Markov processes (n,) of unit variance and correlation time `time_s`, `step_s` later;
     `draws` (n,) are standard normal."""
     # Clipped, since a correlation time of 0 means white noise, not a division by it.
-    phi = np.exp(-step_s / np.maximum(time_s, TINY_S))
+    phi = np.exp(-step_s / np.maximum(time_s, SHORTEST_CORRELATION_S))
     return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
 

@@ -19,7 +19,7 @@ from simvehicle.gnss.pseudorange import (
     SAT_CLOCK,
     SAT_CLOCK_RATE,
     SAT_ELEVATION,
-    sights,
+    signal_geometry_rows,
 )
 from simvehicle.gnss.signal_errors import multipath_sigma_m
 
@@ -32,14 +32,14 @@ _multipath_sigma = cast(_Scalar, inlined(multipath_sigma_m))
 # entries of `levels`
 CN0_HORIZON, CN0_RISE, CN0_SIGMA, THERMAL, MULTIPATH, ORBIT, GALILEO = range(7)
 ELEVATION, CN0, CODE, RATE = range(4)  # rows of the answer
-LONGER, WEAKER, _, FASTER = range(4)  # rows of the faults, in the order of `SATELLITE`
+RANGE_ADDED, CN0_DROP, _, RATE_ADDED = range(4)  # rows of the faults, in the order of `SATELLITE`
 
 
-class Channel(NamedTuple):
+class SignalChannel(NamedTuple):
     """What lies between satellites and receiver, the same for a whole flight.
 
-    `coefficients` and `troposphere` as for `sights`, `levels` (7,) the sizes of the errors by the
-    names above, `galileo` (n,) 1 for Galileo's satellites.
+    `coefficients` and `troposphere` as for `signal_geometry_rows`, `levels` (7,) the sizes of the
+    errors by the names above, `galileo` (n,) 1 for Galileo's satellites.
     """
 
     coefficients: Vector
@@ -49,12 +49,12 @@ class Channel(NamedTuple):
 
 
 @compiled
-def signals(
+def simulate_signals(
     table: Vector,
     tow_s: float,
     where: Vector,
     clock: tuple[float, float],
-    channel: Channel,
+    channel: SignalChannel,
     wander: Vector,
     faults: Vector,
     noise: Vector,
@@ -88,24 +88,26 @@ def signals(
         # The receiver samples when its own clock says so: by then it is a little further.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
-    seen = sights(table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere)
+    seen = signal_geometry_rows(
+        table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere
+    )
     out = np.empty((4, len(table)))
     for k in range(len(table)):
         elevation = seen[SAT_ELEVATION, k]
         # Antennas lose towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
-        cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[WEAKER, k]
+        cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[CN0_DROP, k]
         code = (
             seen[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[SAT_CLOCK, k]) + seen[DELAY, k]
         )
         # One offset of Galileo's time against GPS's for all its satellites: the receiver solves for
         # it.
-        code += levels[GALILEO] * channel.galileo[k] + faults[LONGER, k]
+        code += levels[GALILEO] * channel.galileo[k] + faults[RANGE_ADDED, k]
         code += levels[ORBIT] * wander[1, k]
         # Multipath wanders by itself but shrinks with elevation, so it is scaled only here.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
         rate = seen[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - seen[SAT_CLOCK_RATE, k])
-        rate += faults[FASTER, k] + levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
+        rate += faults[RATE_ADDED, k] + levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
         out[ELEVATION, k], out[CN0, k], out[CODE, k], out[RATE, k] = elevation, cn0, code, rate
     return out

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS
 
 Vector = NDArray[np.float64]
@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `Faults.spoof`
 
 
-class Spoof(NamedTuple):
+class SpoofedPlace(NamedTuple):
     """One pretended place and time: `change` (4,) is north, east, down and delay [m], `rate` (4,)
     how fast they change [m/s], `satellites` (n,) whose signals are made up for it."""
 
@@ -38,7 +38,7 @@ class Spoof(NamedTuple):
 
     def place(self, here: Vector) -> Vector:
         """The pretended latitude, longitude [rad], height [m] and velocity NED (6,)."""
-        meridian_m, prime_m = radii(here[0])
+        meridian_m, prime_m = curvature_radii(here[0])
         north_m, east_m, down_m = self.change[:DELAY].tolist()
         there = here.copy()
         there[0] += north_m / (float(meridian_m) + here[2])
@@ -48,7 +48,7 @@ class Spoof(NamedTuple):
         return there
 
 
-def spoofs(spoof: Vector, before: Vector, step_s: float) -> Iterator[Spoof]:
+def spoofed_places(spoof: Vector, before: Vector, step_s: float) -> Iterator[SpoofedPlace]:
     """Each place that is pretended to some satellites.
 
     Parameters
@@ -64,4 +64,4 @@ def spoofs(spoof: Vector, before: Vector, step_s: float) -> Iterator[Spoof]:
         moved = (change - before[:, satellites][:, 0]) / step_s if step_s > 0.0 else 0.0 * change
         # A leap is no motion: it shows in the code alone, not in the Doppler.
         rate = np.where(np.abs(moved) <= FASTEST_SPOOF_MPS, moved, 0.0)
-        yield Spoof(change, rate, satellites)
+        yield SpoofedPlace(change, rate, satellites)

@@ -38,13 +38,13 @@ class Tracking(msgspec.Struct, frozen=True):
         return (self.from_us <= t_us) & (self.message_us <= t_us)
 
 
-def power_off(count: int, cold: bool) -> Tracking:
+def powered_off_tracking(count: int, cold: bool) -> Tracking:
     """A receiver without power, which will start cold or hot."""
     never = np.full(count, NEVER_US)
     return Tracking(False, cold, np.zeros(count, dtype=bool), never, never)
 
 
-def next_tracking(
+def update_tracking(
     old: Tracking,
     signal: Mask,
     t_us: int,

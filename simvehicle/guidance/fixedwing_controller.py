@@ -14,15 +14,15 @@ import numpy as np
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
-from simvehicle.guidance.route import Aim, CircleTrack, PathTrack, Track
+from simvehicle.guidance.route import CircleTrack, GuidanceSetpoint, GuidanceTrack, PathTrack
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.trim import Trim
+from simvehicle.vehicles.fixedwing.trim import TrimPoint
 
 _PITCH_LIMIT = math.radians(20.0)
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate
 _CLIMB_LIMIT = 0.12  # climb rate over airspeed
-_LEVEL_M, _FREE_M = 3.0, 18.0  # heights of wings level and of full bank
+_WINGS_LEVEL_M, _FULL_BANK_M = 3.0, 18.0  # heights of wings level and of full bank
 _SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0
 
 
@@ -36,7 +36,7 @@ class _Integrals:
     bank: float = 0.0
 
 
-class Now(NamedTuple):
+class WingMotion(NamedTuple):
     """Roll, pitch [rad], body rates [rad/s], sideways and whole airspeed [m/s], dynamic pressure
     times area [N]."""
 
@@ -68,13 +68,13 @@ class FixedWingController:
     def __init__(self, vehicle: FixedWing, density: float, home_alt_m: float) -> None:
         self.vehicle = vehicle
         self.home_alt_m = home_alt_m
-        self.track: Track | None = None
+        self.track: GuidanceTrack | None = None
         self.landing = False
         self._density = density
-        self._trims: dict[float, Trim] = {}
+        self._trims: dict[float, TrimPoint] = {}
         self._integrals = _Integrals()
 
-    def trim(self, speed_mps: float) -> Trim:
+    def trim(self, speed_mps: float) -> TrimPoint:
         """Trim at this speed, kept for later; a speed that cannot be flown becomes the cruise's."""
         if speed_mps not in self._trims:
             try:
@@ -113,12 +113,14 @@ class FixedWingController:
         if self.landing and truth.on_ground:
             return Controls(np.zeros(4))
         # Close to the ground a bank would put a wing tip into it.
-        room = max(0.0, min(1.0, (truth.height_agl_m - _LEVEL_M) / (_FREE_M - _LEVEL_M)))
+        room = max(
+            0.0, min(1.0, (truth.height_agl_m - _WINGS_LEVEL_M) / (_FULL_BANK_M - _WINGS_LEVEL_M))
+        )
         limit = self.bank_limit * room
         bank = max(-limit, min(limit, self._bank(aim, math.atan2(ve, vn), ground_speed)))
         return self._attitude(truth, aim, bank, -vd)
 
-    def _bank(self, aim: Aim, course: float, ground_speed: float) -> float:
+    def _bank(self, aim: GuidanceSetpoint, course: float, ground_speed: float) -> float:
         """Bank angle that brings the vehicle onto the track [rad]."""
         approach = self.track_gain * aim.cross_track_m / ground_speed
         wanted = aim.course_rad - math.asin(max(-0.95, min(0.95, approach)))
@@ -128,7 +130,7 @@ class FixedWingController:
         lateral = aim.curvature_pm * along * along + self.course_gain * ground_speed * error
         return math.atan(lateral / STANDARD_GRAVITY_MPS2)
 
-    def _attitude(self, truth: Truth, aim: Aim, bank: float, climb: float) -> Controls:
+    def _attitude(self, truth: Truth, aim: GuidanceSetpoint, bank: float, climb: float) -> Controls:
         """Surfaces and throttle for a bank angle, a height and a speed."""
         point = self.trim(aim.speed_mps)
         now = self._now(truth, point)
@@ -146,7 +148,7 @@ class FixedWingController:
             throttle *= 0.5
         return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))
 
-    def _now(self, truth: Truth, point: Trim) -> Now:
+    def _now(self, truth: Truth, point: TrimPoint) -> WingMotion:
         roll, pitch, _ = euler_angles(truth.q_nb.tolist())
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
@@ -154,9 +156,9 @@ class FixedWingController:
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)
         area = self.vehicle.parameters.wing.area_m2
         qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * area
-        return Now(roll, pitch, p, q, r, v, airspeed, qs)
+        return WingMotion(roll, pitch, p, q, r, v, airspeed, qs)
 
-    def _climb_rate(self, truth: Truth, aim: Aim, now: Now) -> float:
+    def _climb_rate(self, truth: Truth, aim: GuidanceSetpoint, now: WingMotion) -> float:
         """Climb rate that closes the height error, or the sink rate of a landing [m/s]."""
         if self.landing:
             return -_SINK_MPS if truth.height_agl_m > _FLARE_M else -_FLARE_MPS
@@ -164,7 +166,9 @@ class FixedWingController:
         limit = _CLIMB_LIMIT * now.airspeed
         return max(-limit, min(limit, _HEIGHT_GAIN * error))
 
-    def _pitch(self, truth: Truth, point: Trim, now: Now, wanted: float, climb: float) -> float:
+    def _pitch(
+        self, truth: Truth, point: TrimPoint, now: WingMotion, wanted: float, climb: float
+    ) -> float:
         """Pitch for a climb rate; the angle of attack that carries the turn is fed forward."""
         aero, integrals = self.vehicle.aero, self._integrals
         # At the limit of the climb rate, or on the ground, the integral would only wind up.
@@ -177,7 +181,7 @@ class FixedWingController:
         pitch = min(0.3, alpha) + wanted / now.airspeed + integrals.climb
         return max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch))
 
-    def _elevator(self, point: Trim, now: Now, pitch: float) -> float:
+    def _elevator(self, point: TrimPoint, now: WingMotion, pitch: float) -> float:
         """Deflection [rad] that doubles the airframe's own pitch stiffness and adds damping."""
         aero, integrals, inverse = self.vehicle.aero, self._integrals, self.vehicle.body.inverse_jy
         chord = self.vehicle.parameters.wing.chord_m
@@ -192,7 +196,7 @@ class FixedWingController:
         moment = added * (pitch - now.pitch) + integrals.pitch - lack * (now.q - turning)
         return moment / power + point.elevator_rad
 
-    def _aileron(self, point: Trim, now: Now, bank: float) -> float:
+    def _aileron(self, point: TrimPoint, now: WingMotion, bank: float) -> float:
         """Deflection [rad] for a bank angle."""
         aero, body, integrals = self.vehicle.aero, self.vehicle.body, self._integrals
         span = self.vehicle.parameters.wing.span_m
@@ -205,7 +209,7 @@ class FixedWingController:
         integrals.bank = max(-0.3, min(0.3, integral))
         return (stiff * (bank + integrals.bank - now.roll) - lack * now.p) / power
 
-    def _rudder(self, now: Now) -> float:
+    def _rudder(self, now: WingMotion) -> float:
         """Deflection [rad] that damps yaw about the rate of a coordinated turn."""
         aero, body = self.vehicle.aero, self.vehicle.body
         span = self.vehicle.parameters.wing.span_m
@@ -213,7 +217,7 @@ class FixedWingController:
         turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.sin(now.roll)
         return -(now.r - turning) / power if abs(power) > 1e-6 else 0.0
 
-    def _throttle(self, point: Trim, now: Now, wanted: float) -> float:
+    def _throttle(self, point: TrimPoint, now: WingMotion, wanted: float) -> float:
         """Throttle for the airspeed and the climb rate."""
         short = point.airspeed_mps - now.airspeed
         integral = self._integrals.speed + 0.02 * short / self.rate_hz

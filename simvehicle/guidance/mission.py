@@ -23,7 +23,7 @@ Arc = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class MissionPath:
     """Points along a path, a fixed distance apart; all arrays have shape (n,).
 
     Position north and east of home [m], course [rad], curvature [1/m] (positive to the right),
@@ -40,20 +40,22 @@ class Path:
     spacing_m: float
 
 
-def straight(length_m: float) -> Arc:
+def straight_arc(length_m: float) -> Arc:
     """A straight."""
     return length_m, 0.0
 
 
-def turn(radius_m: float, angle_deg: float) -> Arc:
+def turn_arc(radius_m: float, angle_deg: float) -> Arc:
     """An arc to the right (or to the left, for a negative angle)."""
     return radius_m * math.radians(abs(angle_deg)), math.copysign(1.0 / radius_m, angle_deg)
 
 
-def _polygon(sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: float) -> list[Arc]:
+def _polygon_arcs(
+    sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: float
+) -> list[Arc]:
     """A closed polygon with rounded corners, from the middle of its first side."""
     cuts = [radius_m * math.tan(math.radians(angle) / 2.0) for angle in turns_deg]
-    arcs = [straight(sides_m[0] / 2.0 - cuts[0])]
+    arcs = [straight_arc(sides_m[0] / 2.0 - cuts[0])]
     for index, angle in enumerate(turns_deg):
         following = (index + 1) % len(sides_m)
         length = sides_m[following] - cuts[index]
@@ -61,36 +63,36 @@ def _polygon(sides_m: Sequence[float], turns_deg: Sequence[float], radius_m: flo
             length -= sides_m[0] / 2.0
         else:
             length -= cuts[index + 1]
-        arcs += [turn(radius_m, angle), straight(length)]
+        arcs += [turn_arc(radius_m, angle), straight_arc(length)]
     return arcs
 
 
-def lap_of(shape: str, size_m: float, radius_m: float) -> list[Arc]:
+def lap_arcs(shape: str, size_m: float, radius_m: float) -> list[Arc]:
     """One lap of a shape; arcs of negative length tell that the corners do not fit."""
     a = size_m
     match shape:
         case "line":
-            return [straight(a)]
+            return [straight_arc(a)]
         case "circle":
-            return [turn(a / 2.0, 360.0)]
+            return [turn_arc(a / 2.0, 360.0)]
         case "eight":
             lobe = a / 6.0  # two circles two diameters apart, joined by their crossing tangents
             run = math.sqrt(3.0) * lobe
             arc = 240.0
             return [
-                *(straight(run), turn(lobe, arc), straight(2.0 * run)),
-                *(turn(lobe, -arc), straight(run)),
+                *(straight_arc(run), turn_arc(lobe, arc), straight_arc(2.0 * run)),
+                *(turn_arc(lobe, -arc), straight_arc(run)),
             ]
         case "s":
             bend = max(radius_m, a / 4.0)
-            return [straight(a), turn(bend, 180.0), straight(a), turn(bend, -180.0)]
+            return [straight_arc(a), turn_arc(bend, 180.0), straight_arc(a), turn_arc(bend, -180.0)]
         case "triangle":
-            return _polygon([a, a, a], [120.0, 120.0, 120.0], radius_m)
+            return _polygon_arcs([a, a, a], [120.0, 120.0, 120.0], radius_m)
         case "diamond":
-            return _polygon([a, a, a, a], [60.0, 120.0, 60.0, 120.0], radius_m)
+            return _polygon_arcs([a, a, a, a], [60.0, 120.0, 60.0, 120.0], radius_m)
         case "trapezoid":
             half = a / 2.0
-            return _polygon([a, half, half, half], [120.0, 60.0, 60.0, 120.0], radius_m)
+            return _polygon_arcs([a, half, half, half], [120.0, 60.0, 60.0, 120.0], radius_m)
     raise ValueError(f"unknown shape {shape}")
 
 
@@ -115,13 +117,13 @@ def turn_radius(speed_mps: float, wind_mps: float, acceleration_mps2: float) -> 
     return (speed_mps + wind_mps) ** 2 / acceleration_mps2
 
 
-def plan(
+def plan_path(
     legs: Sequence[Leg],
     start: tuple[float, float, float],
     cruise_mps: float,
     wind_mps: float,
     acceleration_mps2: float,
-) -> Path:
+) -> MissionPath:
     """Lay the legs of a mission one after the other.
 
     Parameters
@@ -151,17 +153,17 @@ def plan(
                 f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; at least {math.ceil(least)}"
             )
         spacing = min(spacing, 0.1 * speed + 0.2)
-        for length, curvature in lap_of(leg.shape, leg.size_m, radius) * leg.laps:
+        for length, curvature in lap_arcs(leg.shape, leg.size_m, radius) * leg.laps:
             if length > 0.0:
                 arcs.append((length, curvature, leg.height_m, speed, number))
-    return _laid(arcs, start, spacing)
+    return _sample_arcs(arcs, start, spacing)
 
 
-def _laid(
+def _sample_arcs(
     arcs: Sequence[tuple[float, float, float, float, int]],
     start: tuple[float, float, float],
     spacing_m: float,
-) -> Path:
+) -> MissionPath:
     """Points of the arcs; positions are exact, as arcs are integrated in closed form."""
     ends = np.cumsum([0.0] + [arc[0] for arc in arcs])
     s = np.arange(0.0, ends[-1] + spacing_m, spacing_m)
@@ -171,12 +173,12 @@ def _laid(
     origins = []
     for length, bend, *_ in arcs:
         origins.append((north, east, course))
-        dn, de = _along(np.array(length), np.array(bend), np.array(course))
+        dn, de = _arc_displacement(np.array(length), np.array(bend), np.array(course))
         north, east, course = north + float(dn), east + float(de), course + bend * length
     begin = np.array(origins)[index]
     run = s - ends[index]
-    dn, de = _along(run, curvature[index], begin[:, 2])
-    return Path(
+    dn, de = _arc_displacement(run, curvature[index], begin[:, 2])
+    return MissionPath(
         begin[:, 0] + dn,
         begin[:, 1] + de,
         begin[:, 2] + curvature[index] * run,
@@ -188,7 +190,7 @@ def _laid(
     )
 
 
-def _along(run: Array, bend: Array, course: Array) -> tuple[Array, Array]:
+def _arc_displacement(run: Array, bend: Array, course: Array) -> tuple[Array, Array]:
     """North and east moved by `run` metres of constant curvature."""
     half = 0.5 * bend * run
     # numpy's sinc(x) is sin(pi x) / (pi x), so straights need no case of their own.

@@ -14,7 +14,7 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
-from simvehicle.guidance.route import Aim, HoldTrack, PathTrack, Track
+from simvehicle.guidance.route import GuidanceSetpoint, GuidanceTrack, HoldTrack, PathTrack
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
@@ -26,12 +26,14 @@ _INTEGRAL_GAIN = 0.8  # 1/s^2
 _HEIGHT_GAIN = 1.2  # 1/s
 _CLIMB_MPS, _SINK_MPS = 3.0, 2.0
 _LANDING_MPS = 0.7
-_TILT_MPS2 = 0.7 * STANDARD_GRAVITY_MPS2  # largest horizontal acceleration, 35 degrees of tilt
+_HORIZONTAL_ACCEL_MPS2 = (
+    0.7 * STANDARD_GRAVITY_MPS2
+)  # largest horizontal acceleration, 35 degrees of tilt
 _YAW_RATE_RPS = 1.0
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
-_CLEAR_M = 2.0  # of height to gather speed in
-_CLOSE_M = 1.0  # from the place to land on
+_CLIMB_FIRST_M = 2.0  # of height to gather speed in
+_LANDING_RADIUS_M = 1.0  # from the place to land on
 _TURN_LEAD_S = 0.15
 
 
@@ -47,7 +49,7 @@ def _unit(v: Triple) -> Triple:
 
 
 @compiled
-def _motors(
+def _motor_commands(
     q: Array,
     rates: Array,
     accel: Triple,
@@ -100,7 +102,7 @@ class MultirotorController:
     def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
         self.vehicle = vehicle
         self.home_alt_m = home_alt_m
-        self.track: Track | None = None
+        self.track: GuidanceTrack | None = None
         self.landing = False
         self.yaw_rad = math.nan
         self._heading: float | None = None
@@ -118,7 +120,9 @@ class MultirotorController:
         )
         self._allocation = np.ascontiguousarray(np.linalg.pinv(effect))
 
-    def circle(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> Track:
+    def circle(
+        self, north_m: float, east_m: float, height_m: float, speed_mps: float
+    ) -> GuidanceTrack:
         """A track that waits at a point."""
         return HoldTrack(north_m, east_m, height_m, speed_mps)
 
@@ -137,14 +141,14 @@ class MultirotorController:
         vn, ve, vd = truth.v_ned_mps.tolist()
         aim = self.track.look(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
         # Near the ground it climbs before it goes anywhere, unless that is as high as it shall go.
-        room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLEAR_M))
+        room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLIMB_FIRST_M))
         room = max(room, 1.0 if aim.height_m - height < 0.5 or self.landing else 0.0)
         accel = self._acceleration(aim, height, (vn, ve, vd), room)
         yaw = self._yaw(aim, truth)
         motor = self.vehicle.parameters.motor
         thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
         values = np.empty(self.vehicle.controls_count)
-        _motors(
+        _motor_commands(
             truth.q_nb,
             truth.omega_b_rps,
             accel,
@@ -157,7 +161,11 @@ class MultirotorController:
         return Controls(values)
 
     def _acceleration(
-        self, aim: Aim, height: float, velocity: tuple[float, float, float], room: float
+        self,
+        aim: GuidanceSetpoint,
+        height: float,
+        velocity: tuple[float, float, float],
+        room: float,
     ) -> Triple:
         """Wanted acceleration without gravity, NED [m/s^2]; `room` scales the speed ahead."""
         c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
@@ -165,7 +173,7 @@ class MultirotorController:
             -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
         )
         climb = _HEIGHT_GAIN * (aim.height_m - height)
-        if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _CLOSE_M:
+        if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _LANDING_RADIUS_M:
             climb = -_LANDING_MPS if height < 5.0 else -_SINK_MPS
         climb = max(-_SINK_MPS, min(_CLIMB_MPS, climb))
         ahead = aim.speed_mps * room
@@ -185,10 +193,10 @@ class MultirotorController:
                 self._integral[axis] = max(-5.0, min(5.0, integral))
             out.append(_SPEED_GAIN * error + self._integral[axis] + forward[axis])
         size = math.hypot(out[0], out[1])
-        scale = min(1.0, _TILT_MPS2 / max(size, 1e-9))
+        scale = min(1.0, _HORIZONTAL_ACCEL_MPS2 / max(size, 1e-9))
         return out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))
 
-    def _yaw(self, aim: Aim, truth: Truth) -> float:
+    def _yaw(self, aim: GuidanceSetpoint, truth: Truth) -> float:
         """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
         if self._heading is None:
             self._heading = euler_angles(truth.q_nb.tolist())[2]

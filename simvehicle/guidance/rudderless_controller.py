@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from simvehicle.guidance.fixedwing_controller import FixedWingController, Now
+from simvehicle.guidance.fixedwing_controller import FixedWingController, WingMotion
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.trim import LATERAL, Trim, linearise
+from simvehicle.vehicles.fixedwing.trim import LATERAL, TrimPoint, linearise_trim
 
 _AILERON = 1  # column of the input matrix
 _ROLL = 1  # place of the roll angle among the lateral states v, roll, p, r
 # Deviations that cost the same: sideslip [m/s], roll [rad], p, r [rad/s] against aileron [rad].
-_EQUAL = (5.0, 0.2, 3.0, 1.0)
-_EQUAL_AILERON = 0.1
+_EQUAL_COST = (5.0, 0.2, 3.0, 1.0)
+_EQUAL_COST_AILERON = 0.1
 
 
 class _Regulator(NamedTuple):
@@ -45,7 +45,7 @@ class RudderlessController(FixedWingController):
         super().__init__(vehicle, density, home_alt_m)
         self._regulators: dict[float, _Regulator] = {}
 
-    def _aileron(self, point: Trim, now: Now, bank: float) -> float:
+    def _aileron(self, point: TrimPoint, now: WingMotion, bank: float) -> float:
         """Deflection [rad] that brings the lateral states to those of the turn."""
         speed = point.airspeed_mps
         if speed not in self._regulators:
@@ -55,15 +55,17 @@ class RudderlessController(FixedWingController):
         weaker = (speed / now.airspeed) ** 2  # than at the trim
         return weaker * float(aileron * bank - gains @ (lateral - turn * bank))
 
-    def _regulator(self, point: Trim) -> _Regulator:
+    def _regulator(self, point: TrimPoint) -> _Regulator:
         from scipy.linalg import solve_continuous_are
 
         vehicle = self.vehicle
-        a, b = linearise(point, vehicle.body, vehicle.aero, self._density, STANDARD_GRAVITY_MPS2)
+        a, b = linearise_trim(
+            point, vehicle.body, vehicle.aero, self._density, STANDARD_GRAVITY_MPS2
+        )
         a, b = a[np.ix_(LATERAL, LATERAL)], b[LATERAL, _AILERON : _AILERON + 1]
-        weights = np.diag(1.0 / np.square(_EQUAL))
-        cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_AILERON**2]])
-        gains = (b.T @ cost)[0] * _EQUAL_AILERON**2
+        weights = np.diag(1.0 / np.square(_EQUAL_COST))
+        cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_COST_AILERON**2]])
+        gains = (b.T @ cost)[0] * _EQUAL_COST_AILERON**2
         # Nothing changes in a steady turn: v, p, r and the aileron follow from the roll angle.
         fixed = np.column_stack([np.delete(a, _ROLL, axis=1), b])
         *rest, aileron = np.linalg.solve(fixed, -a[:, _ROLL])

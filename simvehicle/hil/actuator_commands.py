@@ -7,11 +7,11 @@ channels (see `simvehicle.vehicles.actuators`), and come back as controls.
 import struct
 from collections.abc import Sequence
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, framed
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, frame_payload
 from simvehicle.vehicles.actuators import (
-    ARMED,
-    CHANNELS,
+    ARMED_FLAG,
+    CHANNEL_COUNT,
     ELEVATOR,
     LEFT_AILERON,
     RIGHT_AILERON,
@@ -22,10 +22,10 @@ from simvehicle.vehicles.actuators import (
 )
 from simvehicle.vehicles.body import Controls, Vector
 
-HIL_ACTUATOR_CONTROLS = known("HIL_ACTUATOR_CONTROLS")
+HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 SYSTEM, COMPONENT = 1, 1  # the autopilot's
 # Of a surface or throttle: the channels that drive it, with their signs; motors go by their numbers
-CHANNELS_OF: dict[str, tuple[tuple[int, float], ...]] = {
+ACTUATOR_CHANNELS: dict[str, tuple[tuple[int, float], ...]] = {
     "elevator": ((ELEVATOR, -1.0),),
     "aileron": ((RIGHT_AILERON, 1.0), (LEFT_AILERON, -1.0)),
     "rudder": ((RUDDER, -1.0),),
@@ -42,17 +42,17 @@ class ActuatorCommands:
         self._mix = mix
         self._seq = 0
         self._channels = [
-            CHANNELS_OF.get(name, ((number, 1.0),)) for number, name in enumerate(actuators)
+            ACTUATOR_CHANNELS.get(name, ((number, 1.0),)) for number, name in enumerate(actuators)
         ]
 
     def frame(self, t_us: int, values: Vector) -> bytes:
         """The message that commands the actuators to `values` (n,) at `t_us`."""
-        channels = [0.0] * CHANNELS
+        channels = [0.0] * CHANNEL_COUNT
         for value, driven in zip(values.tolist(), self._channels, strict=True):
             for channel, sign in driven:
                 channels[channel] = sign * value
-        payload = _PAYLOAD.pack(t_us, 0, *channels, ARMED)
-        raw = framed(
+        payload = _PAYLOAD.pack(t_us, 0, *channels, ARMED_FLAG)
+        raw = frame_payload(
             HIL_ACTUATOR_CONTROLS, payload, seq=self._seq, system=SYSTEM, component=COMPONENT
         )
         self._seq = (self._seq + 1) % 256

@@ -15,11 +15,11 @@ from collections.abc import Iterable, Mapping
 
 from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import tunnel_frames
-from mavproxy_fault.wire.dialect import Layout, known
-from mavproxy_fault.wire.frame import build, framed
+from mavproxy_fault.wire.dialect import Layout, message_layout
+from mavproxy_fault.wire.frame import build_frame, frame_payload
 from simvehicle.hil import hil_messages
 from simvehicle.hil.outgoing_message import Message
-from simvehicle.hil.state_kernel import TruthPayload, fill
+from simvehicle.hil.state_kernel import TruthPayload, fill_truth_payload
 from simvehicle.sensors.readings import (
     AirspeedReading,
     BatteryReading,
@@ -32,9 +32,9 @@ from simvehicle.sensors.readings import (
 )
 from simvehicle.vehicles.body import Truth
 
-HIL_SENSOR = known("HIL_SENSOR")
-HIL_STATE_QUATERNION = known("HIL_STATE_QUATERNION")
-HEARTBEAT = known("HEARTBEAT")
+HIL_SENSOR = message_layout("HIL_SENSOR")
+HIL_STATE_QUATERNION = message_layout("HIL_STATE_QUATERNION")
+HEARTBEAT = message_layout("HEARTBEAT")
 
 # HIL_SENSOR_UPDATED_*: the bits of one group belong together
 ACCEL, GYRO, MAG, BARO, DIFF_PRESSURE = 0x7, 0x38, 0x1C0, 0x1A00, 0x400
@@ -53,7 +53,7 @@ _ACC, _GYRO, _MAG = slice(0, 3), slice(3, 6), slice(6, 9)
 _PRESSURE, _DIFF_PRESSURE, _PRESSURE_ALT, _TEMPERATURE, _FLOATS = range(9, 14)
 
 
-class Hil:
+class HilPacker:
     """The simulator's end of a HIL link: packs frames and counts them.
 
     Parameters
@@ -118,7 +118,7 @@ class Hil:
         out = [self._sensor(stamp, bits, number) for number, bits in enumerate(updated) if bits]
         for reading in others:
             if isinstance(reading, (PseudorangeReading, EphemerisReading)):
-                for message in rtcm(reading):
+                for message in rtcm_messages(reading):
                     out += self._tunnel(message)
             else:
                 out.append(self._build(*self._message(reading)))
@@ -133,7 +133,7 @@ class Hil:
         """HIL_STATE_QUATERNION: attitude, position and velocity as they really are."""
         payload = self._truth
         payload.stamp[0] = stamp_us
-        fill(
+        fill_truth_payload(
             truth.q_nb,
             truth.omega_b_rps,
             truth.v_ned_mps,
@@ -172,8 +172,8 @@ class Hil:
         """What carries a reading that has a message of its own."""
         stamp = reading.t_us + self.start_us
         if isinstance(reading, BatteryReading):
-            return hil_messages.battery(reading, self._consume(reading))
-        return hil_messages.MESSAGES[type(reading)](reading, stamp)
+            return hil_messages.battery_status(reading, self._consume(reading))
+        return hil_messages.READING_MESSAGES[type(reading)](reading, stamp)
 
     def _tunnel(self, message: bytes) -> list[bytes]:
         """TUNNEL frames around one RTCM message."""
@@ -205,12 +205,14 @@ class Hil:
         )
 
     def _frame(self, layout: Layout, payload: bytes) -> bytes:
-        return framed(
+        return frame_payload(
             layout, payload, seq=self._next(), system=self.system, component=self.component
         )
 
     def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
-        return build(layout, values, seq=self._next(), system=self.system, component=self.component)
+        return build_frame(
+            layout, values, seq=self._next(), system=self.system, component=self.component
+        )
 
     def _next(self) -> int:
         seq = self.seq
@@ -218,7 +220,7 @@ class Hil:
         return seq
 
 
-def rtcm(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
+def rtcm_messages(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
     """MSM7 messages of one epoch, or the message of one ephemeris."""
     if isinstance(reading, EphemerisReading):
         return [reading.rtcm]

@@ -1,7 +1,8 @@
 """Readings in SI units -> the fields of the HIL messages that are not sent at full rate.
 
-Each function returns the values for `mavproxy_fault.wire.frame.build`. Scalings are those of the
-MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres of position error.
+Each function returns the values for `mavproxy_fault.wire.frame.build_frame`. Scalings are those of
+the MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres of position
+error.
 """
 
 import math
@@ -9,8 +10,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from mavproxy_fault.numerics.rotations.one_rotation import euler_angles, into_body
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles, rotate_to_body
+from mavproxy_fault.wire.dialect import message_layout
 from simvehicle.hil.outgoing_message import Message
 from simvehicle.sensors.readings import (
     BatteryReading,
@@ -27,23 +28,23 @@ LASER = 0  # MAV_DISTANCE_SENSOR_LASER
 LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 VISION = 2  # MAV_ESTIMATOR_TYPE_VISION
-CELLS_UNUSED = (0xFFFF,) * 9  # BATTERY_STATUS.voltages beyond the first: the pack as one cell
+UNUSED_CELLS = (0xFFFF,) * 9  # BATTERY_STATUS.voltages beyond the first: the pack as one cell
 TEMPERATURE_UNKNOWN = 0x7FFF
 
-HIL_GPS = known("HIL_GPS")
-DISTANCE_SENSOR = known("DISTANCE_SENSOR")
-HIL_OPTICAL_FLOW = known("HIL_OPTICAL_FLOW")
-ODOMETRY = known("ODOMETRY")
-VISION_POSITION_ESTIMATE = known("VISION_POSITION_ESTIMATE")
-BATTERY_STATUS = known("BATTERY_STATUS")
+HIL_GPS = message_layout("HIL_GPS")
+DISTANCE_SENSOR = message_layout("DISTANCE_SENSOR")
+HIL_OPTICAL_FLOW = message_layout("HIL_OPTICAL_FLOW")
+ODOMETRY = message_layout("ODOMETRY")
+VISION_POSITION_ESTIMATE = message_layout("VISION_POSITION_ESTIMATE")
+BATTERY_STATUS = message_layout("BATTERY_STATUS")
 
 
-def limited(value: float, low: int, high: int) -> int:
+def round_within(value: float, low: int, high: int) -> int:
     """The integer nearest to `value` within the limits of its field."""
     return round(min(max(value, low), high))
 
 
-def gps(reading: GpsReading, t_us: int) -> Message:
+def hil_gps(reading: GpsReading, t_us: int) -> Message:
     """HIL_GPS: a receiver's solution."""
     north, east, down = reading.v_ned_mps
     speed = math.hypot(north, east)
@@ -55,25 +56,25 @@ def gps(reading: GpsReading, t_us: int) -> Message:
         "lat": round(reading.lat_deg * 1e7),
         "lon": round(reading.lon_deg * 1e7),
         "alt": round(reading.alt_m * 1e3),
-        "eph": limited(reading.eph_m * 100, 0, 0xFFFF),
-        "epv": limited(reading.epv_m * 100, 0, 0xFFFF),
-        "vel": limited(speed * 100, 0, 0xFFFF),
-        "vn": limited(north * 100, -0x8000, 0x7FFF),
-        "ve": limited(east * 100, -0x8000, 0x7FFF),
-        "vd": limited(down * 100, -0x8000, 0x7FFF),
+        "eph": round_within(reading.eph_m * 100, 0, 0xFFFF),
+        "epv": round_within(reading.epv_m * 100, 0, 0xFFFF),
+        "vel": round_within(speed * 100, 0, 0xFFFF),
+        "vn": round_within(north * 100, -0x8000, 0x7FFF),
+        "ve": round_within(east * 100, -0x8000, 0x7FFF),
+        "vd": round_within(down * 100, -0x8000, 0x7FFF),
         "cog": round(course * 100) % 36000 if moving else COURSE_UNKNOWN,
         "satellites_visible": reading.satellites,
         "id": reading.id,
     }
 
 
-def distance(reading: RangeReading, t_us: int) -> Message:
+def distance_sensor(reading: RangeReading, t_us: int) -> Message:
     """DISTANCE_SENSOR: a laser that looks down."""
     return DISTANCE_SENSOR, {
         "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
-        "min_distance": limited(reading.min_m * 100, 0, 0xFFFF),
-        "max_distance": limited(reading.max_m * 100, 0, 0xFFFF),
-        "current_distance": limited(reading.distance_m * 100, 0, 0xFFFF),
+        "min_distance": round_within(reading.min_m * 100, 0, 0xFFFF),
+        "max_distance": round_within(reading.max_m * 100, 0, 0xFFFF),
+        "current_distance": round_within(reading.distance_m * 100, 0, 0xFFFF),
         "type": LASER,
         "id": reading.id,
         "orientation": PITCH_270,
@@ -81,7 +82,7 @@ def distance(reading: RangeReading, t_us: int) -> Message:
     }
 
 
-def flow(reading: FlowReading, t_us: int) -> Message:
+def hil_optical_flow(reading: FlowReading, t_us: int) -> Message:
     """HIL_OPTICAL_FLOW: what a downward camera integrated since its last message."""
     flow_x, flow_y = reading.flow_xy_rad
     gyro_x, gyro_y, gyro_z = reading.gyro_xyz_rad
@@ -99,18 +100,22 @@ def flow(reading: FlowReading, t_us: int) -> Message:
     }
 
 
-def vision(reading: VisionReading, t_us: int) -> Message:
+def vision_message(reading: VisionReading, t_us: int) -> Message:
     """ODOMETRY or VISION_POSITION_ESTIMATE, as the sensor is configured."""
-    return odometry(reading, t_us) if reading.odometry else vision_position(reading, t_us)
+    return (
+        odometry_message(reading, t_us)
+        if reading.odometry
+        else vision_position_estimate(reading, t_us)
+    )
 
 
-def odometry(reading: VisionReading, t_us: int) -> Message:
+def odometry_message(reading: VisionReading, t_us: int) -> Message:
     """ODOMETRY from vision: pose in local NED, velocity in body axes.
 
     The covariances are upper triangles of 6x6 matrices, row by row; attitude's is unknown (NaN).
     """
     x, y, z = reading.r_ned_m
-    vx, vy, vz = into_body(reading.q_nb, reading.v_ned_mps)
+    vx, vy, vz = rotate_to_body(reading.q_nb, reading.v_ned_mps)
     return ODOMETRY, {
         "time_usec": t_us,
         "frame_id": LOCAL_NED,
@@ -125,14 +130,14 @@ def odometry(reading: VisionReading, t_us: int) -> Message:
         "rollspeed": math.nan,
         "pitchspeed": math.nan,
         "yawspeed": math.nan,
-        "pose_covariance": _triangle(reading.sigma_r_m**2, math.nan),
-        "velocity_covariance": _triangle(reading.sigma_v_mps**2, math.nan),
+        "pose_covariance": _covariance_triangle(reading.sigma_r_m**2, math.nan),
+        "velocity_covariance": _covariance_triangle(reading.sigma_v_mps**2, math.nan),
         "estimator_type": VISION,
         "quality": 100,
     }
 
 
-def vision_position(reading: VisionReading, t_us: int) -> Message:
+def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
     """VISION_POSITION_ESTIMATE: the pose alone, with Euler angles."""
     x, y, z = reading.r_ned_m
     roll, pitch, yaw = euler_angles(reading.q_nb)
@@ -144,25 +149,25 @@ def vision_position(reading: VisionReading, t_us: int) -> Message:
         "roll": roll,
         "pitch": pitch,
         "yaw": yaw,
-        "covariance": _triangle(reading.sigma_r_m**2, math.nan),
+        "covariance": _covariance_triangle(reading.sigma_r_m**2, math.nan),
     }
 
 
-def battery(reading: BatteryReading, consumed_mah: float) -> Message:
+def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
     """BATTERY_STATUS: the pack as one cell."""
     return BATTERY_STATUS, {
         "current_consumed": round(consumed_mah),
         "energy_consumed": -1,  # not measured
         "temperature": TEMPERATURE_UNKNOWN,
         # One below the field's largest value, which says that there is no such cell.
-        "voltages": (limited(reading.voltage_v * 1e3, 0, 0xFFFE), *CELLS_UNUSED),
-        "current_battery": limited(reading.current_a * 100, -0x8000, 0x7FFF),
-        "battery_remaining": limited(reading.remaining * 100, 0, 100),
+        "voltages": (round_within(reading.voltage_v * 1e3, 0, 0xFFFE), *UNUSED_CELLS),
+        "current_battery": round_within(reading.current_a * 100, -0x8000, 0x7FFF),
+        "battery_remaining": round_within(reading.remaining * 100, 0, 100),
     }
 
 
 @lru_cache(maxsize=8)
-def _triangle(first: float, second: float) -> tuple[float, ...]:
+def _covariance_triangle(first: float, second: float) -> tuple[float, ...]:
     """Upper triangle of diag(first, first, first, second, second, second)."""
     return tuple(
         (first if row < 3 else second) if row == column else 0.0
@@ -172,9 +177,9 @@ def _triangle(first: float, second: float) -> tuple[float, ...]:
 
 
 # Readings that have a message of their own
-MESSAGES: dict[type, Callable[[Any, int], Message]] = {
-    GpsReading: gps,
-    RangeReading: distance,
-    FlowReading: flow,
-    VisionReading: vision,
+READING_MESSAGES: dict[type, Callable[[Any, int], Message]] = {
+    GpsReading: hil_gps,
+    RangeReading: distance_sensor,
+    FlowReading: hil_optical_flow,
+    VisionReading: vision_message,
 }

@@ -9,8 +9,8 @@ purpose). After a time-out it goes on at real time again until answers keep up.
 """
 
 ANSWER_TIMEOUT_S = 2.0  # wall time; PX4 needs a millisecond, a debugger much longer
-RETRY_S = 5.0  # after a time-out, before answers to earlier steps are reason enough to wait again
-SILENCE_S = 30.0  # without any answer, after which the autopilot counts as gone
+RELOCK_S = 5.0  # after a time-out, before answers to earlier steps are reason enough to wait again
+SILENCE_TIMEOUT_S = 30.0  # without any answer, after which the autopilot counts as gone
 
 
 class Lockstep:
@@ -24,7 +24,9 @@ class Lockstep:
         The autopilot has answered at least once.
     """
 
-    def __init__(self, timeout_s: float = ANSWER_TIMEOUT_S, silence_s: float = SILENCE_S) -> None:
+    def __init__(
+        self, timeout_s: float = ANSWER_TIMEOUT_S, silence_s: float = SILENCE_TIMEOUT_S
+    ) -> None:
         self.locked = False
         self.answered = False
         self._timeout_s = timeout_s
@@ -46,7 +48,7 @@ class Lockstep:
         current = stamp_us == self._stamp_us
         if current:
             self._stamp_us = None
-        if current or self._unlocked_s is None or now_s - self._unlocked_s > RETRY_S:
+        if current or self._unlocked_s is None or now_s - self._unlocked_s > RELOCK_S:
             self.locked = True
 
     def wait_s(self, now_s: float) -> float:

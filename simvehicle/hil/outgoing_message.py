@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from mavproxy_fault.wire.dialect import Field, Layout, known
+from mavproxy_fault.wire.dialect import Field, Layout, message_layout
 
 Message = tuple[Layout, Mapping[str, object]]
 
@@ -27,11 +27,13 @@ PROTOCOL_VERSION = Layout(
 )
 
 
-def message(name: str, **values: object) -> Message:
+def make_message(name: str, **values: object) -> Message:
     """The message `name`; fields not given are zero."""
-    return known(name), values
+    return message_layout(name), values
 
 
 def statustext(text: str, severity: int = 6) -> Message:
     """STATUSTEXT; severity 6 is MAV_SEVERITY_INFO."""
-    return message("STATUSTEXT", severity=severity, text=text.encode()[:50])  # the field's size
+    return make_message(
+        "STATUSTEXT", severity=severity, text=text.encode()[:50]
+    )  # the field's size

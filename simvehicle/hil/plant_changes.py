@@ -11,7 +11,7 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 
-class Plant(Protocol):
+class ChangeablePlant(Protocol):
     """What can be changed."""
 
     def plant(self, name: str, value: float | None) -> None:
@@ -21,7 +21,7 @@ class Plant(Protocol):
 class PlantChanges:
     """The control path's end at one simulation."""
 
-    def __init__(self, plant: Plant, say: Callable[[str], None]) -> None:
+    def __init__(self, plant: ChangeablePlant, say: Callable[[str], None]) -> None:
         self._plant = plant
         self._say = say
         self._refused: set[str] = set()

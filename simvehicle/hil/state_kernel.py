@@ -14,7 +14,7 @@ MPS2_TO_MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
 RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
 CM = 100.0
 # Where a payload's floats, places and shorts begin, in bytes, and its size.
-FLOATS, PLACES, SHORTS, SIZE = 8, 36, 48, 64
+FLOATS, POSITIONS, SHORTS, PAYLOAD_SIZE = 8, 36, 48, 64
 RATES = 4  # among the floats, behind the quaternion
 INDICATED, TRUE_AIRSPEED, FORCE = 3, 4, 5  # among the shorts, behind the velocity
 
@@ -28,24 +28,24 @@ class TruthPayload:
     """
 
     def __init__(self) -> None:
-        self.bytes = np.zeros(SIZE, dtype=np.uint8)
+        self.bytes = np.zeros(PAYLOAD_SIZE, dtype=np.uint8)
         self.stamp = self.bytes[:FLOATS].view(np.uint64)
 
 
 @inlined
-def _short(value: float) -> int:
+def _to_short(value: float) -> int:
     return int(min(max(np.rint(value), -32768.0), 32767.0))
 
 
 @inlined
-def _speed(value: float) -> int:
+def _to_unsigned_short(value: float) -> int:
     """An unsigned short as the signed one of the same bits."""
     whole = int(min(max(np.rint(value), 0.0), 65535.0))
     return whole if whole < 32768 else whole - 65536
 
 
 @compiled
-def fill(
+def fill_truth_payload(
     q_nb: Array,
     omega_b_rps: Array,
     v_ned_mps: Array,
@@ -60,21 +60,21 @@ def fill(
     [kg/m^3]. Accelerations are the specific force in mG, as other simulators do (-1000 at rest);
     what lies beyond the wire's range saturates.
     """
-    floats = payload[FLOATS:PLACES].view(np.float32)
-    places = payload[PLACES:SHORTS].view(np.int32)
-    shorts = payload[SHORTS:SIZE].view(np.int16)
+    floats = payload[FLOATS:POSITIONS].view(np.float32)
+    places = payload[POSITIONS:SHORTS].view(np.int32)
+    shorts = payload[SHORTS:PAYLOAD_SIZE].view(np.int16)
     for i in range(4):
         floats[i] = q_nb[i]
     square = 0.0
     for i in range(3):
         floats[RATES + i] = omega_b_rps[i]
-        shorts[i] = _short(v_ned_mps[i] * CM)
-        shorts[FORCE + i] = _short(force_b_mps2[i] * MPS2_TO_MILLI_G)
+        shorts[i] = _to_short(v_ned_mps[i] * CM)
+        shorts[FORCE + i] = _to_short(force_b_mps2[i] * MPS2_TO_MILLI_G)
         square += v_air_b_mps[i] * v_air_b_mps[i]
     lat, lon, alt, density = place
     places[0] = int(np.rint(lat * RAD_TO_DEGE7))
     places[1] = int(np.rint(lon * RAD_TO_DEGE7))
     places[2] = int(np.rint(alt * 1e3))
     airspeed = math.sqrt(square) * CM
-    shorts[INDICATED] = _speed(airspeed * math.sqrt(density / SEA_LEVEL_DENSITY_KGPM3))
-    shorts[TRUE_AIRSPEED] = _speed(airspeed)
+    shorts[INDICATED] = _to_unsigned_short(airspeed * math.sqrt(density / SEA_LEVEL_DENSITY_KGPM3))
+    shorts[TRUE_AIRSPEED] = _to_unsigned_short(airspeed)

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.environment.geolocation import PLACE
-from simvehicle.hil.state_kernel import SIZE
-from simvehicle.vehicles.vehicle import LOAD
+from simvehicle.environment.geolocation import LOCATION_SIZE
+from simvehicle.hil.state_kernel import PAYLOAD_SIZE
+from simvehicle.vehicles.vehicle import LOAD_SIZE
 
 Doubles = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -66,15 +66,15 @@ def new_arrays(
         "x": np.zeros(states),
         "after": np.zeros(states),
         "controls": np.zeros(controls),
-        "load": np.zeros(LOAD),
+        "load": np.zeros(LOAD_SIZE),
         "wind": np.zeros((2, 3)),
         "around": np.zeros(9),
-        "here": np.zeros(PLACE),
+        "here": np.zeros(LOCATION_SIZE),
         "sensors": np.zeros((sensors, SENSOR), dtype=np.int64),
         "gains": np.zeros((sensors, GAIN)),
         "noise": np.zeros((noises, block, 3)),
         "fields": np.zeros((IDS, SENSOR_FLOATS)),
         "payload": np.zeros(SENSOR_SIZE, dtype=np.uint8),
-        "truth": np.zeros(SIZE, dtype=np.uint8),
+        "truth": np.zeros(PAYLOAD_SIZE, dtype=np.uint8),
         "out": np.zeros(ROOM, dtype=np.uint8),
     }

@@ -8,30 +8,35 @@ from typing import Any, cast
 import numpy as np
 
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
-from simvehicle.environment.terrain import Level
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.environment.terrain import LevelGround
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_arrays import Plain, new_arrays
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.error_model import NoiseState
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
-from simvehicle.simulation.onboard import Fitted
-from simvehicle.simulation.simulation import LONGEST_STEP_S, Moment, Simulation
-from simvehicle.simulation.weather import BLOCK
+from simvehicle.simulation.onboard_sensors import OnboardSensor
+from simvehicle.simulation.simulation import LONGEST_STEP_S, Simulation, StepState
+from simvehicle.simulation.weather import DRAW_BLOCK
 from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.vehicle import Vehicle
 
-KINDS: dict[type, int] = {Imu: k.IMU, Magnetometer: k.MAG, Barometer: k.BARO, Airspeed: k.PITOT}
+KINDS: dict[type, int] = {
+    ImuSensor: k.IMU,
+    Magnetometer: k.MAG,
+    Barometer: k.BARO,
+    Airspeed: k.PITOT,
+}
 FLYING = (Multirotor, FixedWing)
 
 
 def can_be_plain(simulation: Simulation) -> bool:
     """Whether a flight has plain steps at all."""
-    return isinstance(simulation.vehicle, FLYING) and isinstance(simulation.terrain, Level)
+    return isinstance(simulation.vehicle, FLYING) and isinstance(simulation.terrain, LevelGround)
 
 
 class PlainSteps:
@@ -43,7 +48,7 @@ class PlainSteps:
         What `step_kernel` works on.
     """
 
-    def __init__(self, simulation: Simulation, hil: Hil) -> None:
+    def __init__(self, simulation: Simulation, hil: HilPacker) -> None:
         assert can_be_plain(simulation)
         self._simulation, self._hil = simulation, hil
         fitted = simulation.fitted
@@ -52,7 +57,9 @@ class PlainSteps:
         self._taken: list[NoiseState] = []  # whose blocks the arrays hold
         noises = sum(len(_noises(one)) for one in self._plain)
         states = len(simulation.moment().x)
-        own = new_arrays(states, simulation.vehicle.controls_count, len(self._plain), noises, BLOCK)
+        own = new_arrays(
+            states, simulation.vehicle.controls_count, len(self._plain), noises, DRAW_BLOCK
+        )
         weather = simulation.weather
         self._vehicle: Vehicle = simulation.vehicle
         self.arrays = Plain(
@@ -74,7 +81,7 @@ class PlainSteps:
         words[k.START_US] = hil.start_us
         numbers[k.LONGEST_S] = LONGEST_STEP_S
         numbers[k.RATE_HZ] = simulation.fitted[0].sensor.rate_hz
-        numbers[k.GROUND_M] = cast(Level, simulation.terrain).alt_m
+        numbers[k.GROUND_M] = cast(LevelGround, simulation.terrain).alt_m
         numbers[k.GEOID_M] = simulation.home.geoid_m
         noise = 0
         for at, fitted in enumerate(self._plain):
@@ -82,7 +89,7 @@ class PlainSteps:
             row, gains = self.arrays.sensors[at], self.arrays.gains[at]
             row[k.KIND], row[k.ID], row[k.NOISE] = KINDS[type(sensor)], sensor.id, noise
             gains[k.SENSOR_HZ] = sensor.rate_hz
-            if isinstance(sensor, Imu):
+            if isinstance(sensor, ImuSensor):
                 gains[k.SCALE], gains[k.LIMIT] = sensor.gyro.scale, sensor.gyro_range_rps
                 gains[k.SCALE_2], gains[k.LIMIT_2] = sensor.accel.scale, sensor.accel_range_mps2
             else:
@@ -107,7 +114,7 @@ class PlainSteps:
         arrays.x[:], arrays.wind[1], arrays.around[:] = moment.x, moment.wind, moment.around
         arrays.fields[:] = hil.sensor_fields
         self._refit()
-        left = min([BLOCK - 1 - simulation.weather.row, *self._take_sensors()])
+        left = min([DRAW_BLOCK - 1 - simulation.weather.row, *self._take_sensors()])
         ends: list[float] = [hil.heartbeat_us, *(one.due_us for one in self._others)]
         if simulation.late:
             ends.append(simulation.late[0][0])
@@ -134,7 +141,7 @@ class PlainSteps:
         self._taken = noises
         for at, fitted in enumerate(self._plain):
             row = arrays.sensors[at]
-            row[k.SAMPLES], row[k.AT] = fitted.count, BLOCK - left[row[k.NOISE]]
+            row[k.SAMPLES], row[k.AT] = fitted.count, DRAW_BLOCK - left[row[k.NOISE]]
             arrays.gains[at, k.DUE_US] = fitted.due_us
         return left
 
@@ -162,13 +169,13 @@ class PlainSteps:
         ahead = (next_us, steps, float(arrays.numbers[k.DT]))
         wind, around, controls = arrays.wind[1], arrays.around, arrays.controls.copy()
         simulation.go_on_from(
-            Moment(t_us, arrays.x, count, *ahead, wind.copy(), around.copy()), controls
+            StepState(t_us, arrays.x, count, *ahead, wind.copy(), around.copy()), controls
         )
         for at, fitted in enumerate(self._plain):
             self._give_back_sensor(at, fitted)
         return Controls(controls, armed=bool(arrays.words[k.ARMED]))
 
-    def _give_back_sensor(self, at: int, fitted: Fitted) -> None:
+    def _give_back_sensor(self, at: int, fitted: OnboardSensor) -> None:
         count = int(self.arrays.sensors[at, k.SAMPLES])
         for noise in _noises(fitted):
             for _ in islice(noise.rows, count - fitted.count):
@@ -176,7 +183,7 @@ class PlainSteps:
         fitted.count, fitted.due_us = count, float(self.arrays.gains[at, k.DUE_US])
 
 
-def _noises(fitted: Fitted) -> list[NoiseState]:
+def _noises(fitted: OnboardSensor) -> list[NoiseState]:
     """The noise of a plain sensor, one or two."""
     state = fitted.state
     return [state] if isinstance(state, NoiseState) else list(state)

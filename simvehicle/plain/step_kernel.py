@@ -7,22 +7,22 @@ same source. `tests/simvehicle/plain` holds the two ways together, byte by byte.
 import numpy as np
 
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.rotations.one_rotation import into_body
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.framing import crc
-from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude, wind_step
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.framing import range_crc
+from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude, step_wind
 from simvehicle.environment.geolocation import (
     AIR,
     AIR_VELOCITY,
     ATTITUDE,
-    PULL,
+    LOCAL_GRAVITY,
     VELOCITY,
-    locate,
+    locate_state,
 )
 from simvehicle.hil.hil_frames import ACCEL, DIFF_PRESSURE, GYRO, PA_PER_HPA
 from simvehicle.hil.hil_frames import BARO as BARO_BITS
 from simvehicle.hil.hil_frames import MAG as MAG_BITS
-from simvehicle.hil.state_kernel import fill
+from simvehicle.hil.state_kernel import fill_truth_payload
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_arrays import Octets, Plain
 from simvehicle.sensors import barometer, imu
@@ -35,18 +35,21 @@ from simvehicle.vehicles.actuators import (
 )
 from simvehicle.vehicles.fixedwing import fixedwing_flight
 from simvehicle.vehicles.multirotor import multirotor_flight
-from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P
-from simvehicle.vehicles.vehicle import DENSITY, FORCE, GRAVITY, GROUND, SAG, VOLTS, WIND
+from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID_SIZE, P
+from simvehicle.vehicles.vehicle import BATTERY_SAG, DENSITY, FORCE, GRAVITY, GROUND, VOLTS, WIND
 
-HIL_SENSOR, HIL_STATE_QUATERNION = known("HIL_SENSOR"), known("HIL_STATE_QUATERNION")
+HIL_SENSOR, HIL_STATE_QUATERNION = (
+    message_layout("HIL_SENSOR"),
+    message_layout("HIL_STATE_QUATERNION"),
+)
 _SENSOR_ID, _SENSOR_EXTRA = HIL_SENSOR.id, HIL_SENSOR.crc_extra
 _TRUTH_ID, _TRUTH_EXTRA = HIL_STATE_QUATERNION.id, HIL_STATE_QUATERNION.crc_extra
-_ICE_K = barometer.ICE_K
+_ICE_K = barometer.CELSIUS_ZERO_K
 # Places among HIL_SENSOR's floats
 _ACCEL, _GYRO, _MAG, _PRESSURE, _DIFFERENCE, _ALTITUDE, _CELSIUS = 0, 3, 6, 9, 10, 11, 12
 
-_measured = inlined(imu.measured)
-_into_body = inlined(into_body)
+_measured = inlined(imu.apply_triad_errors)
+_into_body = inlined(rotate_to_body)
 _pressure_altitude = inlined(pressure_altitude)
 
 
@@ -87,12 +90,12 @@ def look_ahead(p: Plain) -> None:
     words[k.NEXT_US] = np.int64(np.rint(words[k.COUNT] * 1e6 / numbers[k.RATE_HZ]))
     dt = (words[k.NEXT_US] - words[k.T_US]) * 1e-6
     words[k.ROW] += 1
-    air, wind = here[AIR_VELOCITY:PULL], p.wind[1]
-    wind_step(p.filters, p.draws[words[k.ROW]], p.law, p.x, air, numbers[k.AGL_M], dt, wind)
+    air, wind = here[AIR_VELOCITY:LOCAL_GRAVITY], p.wind[1]
+    step_wind(p.filters, p.draws[words[k.ROW]], p.law, p.x, air, numbers[k.AGL_M], dt, wind)
     for i in range(3):
         around[WIND + i] = wind[i]
-        around[GRAVITY + i] = here[PULL + i]
-    around[DENSITY], around[SAG] = here[AIR + 2], 1.0
+        around[GRAVITY + i] = here[LOCAL_GRAVITY + i]
+    around[DENSITY], around[BATTERY_SAG] = here[AIR + 2], 1.0
     around[GROUND] = p.x[DOWN] + numbers[k.AGL_M]
     words[k.SUBSTEPS] = max(1, int(np.ceil(dt / numbers[k.LONGEST_S] - 1e-9)))
     numbers[k.DT] = dt / words[k.SUBSTEPS]
@@ -160,7 +163,7 @@ def _frame(p: Plain, payload: Octets, number: int, extra: int) -> None:
     for n in range(size):
         out[at + 10 + n] = payload[n]
     base, tail = out.ctypes.data, at + 10 + size
-    found = crc(base + at + 1, base + tail, np.uint64(extra), p.crc)
+    found = range_crc(base + at + 1, base + tail, np.uint64(extra), p.crc)
     out[tail], out[tail + 1] = found & np.uint64(0xFF), found >> np.uint64(8)
     words[k.LENGTH] = tail + 2
     words[k.SEQ] = (words[k.SEQ] + 1) & 0xFF
@@ -205,25 +208,25 @@ def step(p: Plain) -> bool:
     words, numbers, here = p.words, p.numbers, p.here
     fly = (p.x, p.controls, p.around, words[k.SUBSTEPS], numbers[k.DT], p.packed, p.after, p.load)
     if words[k.FIXED_WING]:
-        fixedwing_flight.fly(*fly)
+        fixedwing_flight.integrate_flight(*fly)
     else:
-        multirotor_flight.fly(*fly)
+        multirotor_flight.integrate_flight(*fly)
     p.x[:] = p.after
     p.wind[0] = p.wind[1]
     words[k.T_US], words[k.LENGTH] = words[k.NEXT_US], 0
-    locate(p.x, p.wind[0], p.home, here)
+    locate_state(p.x, p.wind[0], p.home, here)
     if not np.isfinite(here[2]):
         return False
     alt_m = here[2] - numbers[k.GEOID_M]
     numbers[k.AGL_M] = alt_m - numbers[k.GROUND_M]
     _sense(p)
     p.truth[k.STAMP : k.FLOATS].view(np.int64)[0] = words[k.T_US] + words[k.START_US]
-    fill(
+    fill_truth_payload(
         here[ATTITUDE:AIR_VELOCITY],
-        p.x[P:RIGID],
+        p.x[P:RIGID_SIZE],
         here[VELOCITY:ATTITUDE],
         p.load[FORCE:VOLTS],
-        here[AIR_VELOCITY:PULL],
+        here[AIR_VELOCITY:LOCAL_GRAVITY],
         (here[0], here[1], alt_m, here[AIR + 2]),
         p.truth,
     )

@@ -8,11 +8,11 @@ import msgspec
 
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import Document, scalar
+from mavproxy_fault.documents.yaml_document import Document, parse_scalar
 from simvehicle.scenario.scenario_file import Scenario
 
 
-def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+def change_scenario(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """The scenario with the values of some paths replaced.
 
     Raises
@@ -42,19 +42,19 @@ def with_value(document: dict[str, Any], path: str, value: Any) -> dict[str, Any
     steps = re.findall(r"[^.\[\]]+", path)
     if not steps:
         raise ConfigError(f"{path!r} names nothing; a path such as environment.wind_ned_mps[0]")
-    found: dict[str, Any] = _with(document, steps, value, path)
+    found: dict[str, Any] = _replace_at(document, steps, value, path)
     return found
 
 
-def _with(node: Any, steps: list[str], value: Any, path: str) -> Any:
+def _replace_at(node: Any, steps: list[str], value: Any, path: str) -> Any:
     key, *rest = steps
     if isinstance(node, (list, tuple)) and key.isdigit() and int(key) < len(node):
         items = list(node)
-        items[int(key)] = _with(items[int(key)], rest, value, path) if rest else value
+        items[int(key)] = _replace_at(items[int(key)], rest, value, path) if rest else value
         return items
     if isinstance(node, dict) and key in node:
         # Copies along the path only: the document itself serves the next change.
-        return {**node, key: _with(node[key], rest, value, path) if rest else value}
+        return {**node, key: _replace_at(node[key], rest, value, path) if rest else value}
     if isinstance(node, dict):
         raise ConfigError(f"{path}: {key} is unknown; known: {', '.join(node)}")
     if isinstance(node, (list, tuple)):
@@ -73,4 +73,4 @@ def parse_change(text: str) -> tuple[str, Any]:
     path, equals, value = text.partition("=")
     if not equals:
         raise ConfigError(f"--set {text}: has no =; PATH=VALUE")
-    return path.strip(), scalar(value.strip())
+    return path.strip(), parse_scalar(value.strip())

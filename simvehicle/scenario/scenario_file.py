@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
-from mavproxy_fault.documents.document_kind import refuse_others
+from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
@@ -22,7 +22,7 @@ from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.battery import BatteryMonitor
 from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
@@ -47,7 +47,7 @@ class StartState(_Section, frozen=True):
     r_dps: float = 0.0
 
 
-class Start(_Section, frozen=True):
+class StartConfig(_Section, frozen=True):
     """Home and the beginning of the flight.
 
     `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's above the
@@ -117,7 +117,7 @@ class WeaveChoice(_Section, frozen=True):
             raise ValueError(f"period_s = {self.period_s} is not positive; seconds above 0")
 
 
-class OpenLoop(_Section, frozen=True):
+class OpenLoopControls(_Section, frozen=True):
     """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback, and is
     all that a quadrotor has."""
 
@@ -165,10 +165,12 @@ class Environment(_Section, frozen=True):
     terrain: str | None = None
 
 
-class Sensors(_Section, frozen=True):
+class SensorSuite(_Section, frozen=True):
     """The sensors on board; a list stands for several of a kind, with ids 0, 1, ..."""
 
-    imu: Imu | list[Imu] = Imu()  # always on board: its rate is that of the simulation's steps
+    imu: ImuSensor | list[ImuSensor] = (
+        ImuSensor()
+    )  # always on board: its rate is that of the simulation's steps
     mag: Magnetometer | list[Magnetometer] | None = None
     baro: Barometer | list[Barometer] | None = None
     airspeed: Airspeed | None = None
@@ -185,12 +187,12 @@ class Scenario(_Section, frozen=True):
     name: str = "scenario"
     seed: int = 1
     duration_s: float = 120.0
-    start: Start = Start()
+    start: StartConfig = StartConfig()
     vehicle: VehicleChoice = VehicleChoice()
     mission: list[Leg] = []  # msgspec makes a new list for each scenario
-    controls: OpenLoop | None = None
+    controls: OpenLoopControls | None = None
     environment: Environment = Environment()
-    sensors: Sensors = Sensors()
+    sensors: SensorSuite = SensorSuite()
     gnss: GnssConfig | None = None
     schedule: Any = None
     monitor: Any = None
@@ -204,12 +206,12 @@ class Scenario(_Section, frozen=True):
         if self.controls is not None:
             self._check_controls(self.controls)
 
-    def _check_controls(self, controls: OpenLoop) -> None:
+    def _check_controls(self, controls: OpenLoopControls) -> None:
         kind, weave = self.vehicle.kind, controls.weave
         if self.mission or kind not in ("fixedwing", "multirotor"):
             raise ValueError("controls fly a vehicle without a mission; leave one out")
         # Deflections are a fixed wing's; a quadrotor without feedback falls over.
-        if kind == "multirotor" and (weave is None or controls != OpenLoop(weave=weave)):
+        if kind == "multirotor" and (weave is None or controls != OpenLoopControls(weave=weave)):
             raise ValueError("controls of a multirotor are weave alone; leave the others out")
         if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
             raise ValueError("controls.weave.airspeed_mps is for a fixed wing, which needs it")
@@ -229,7 +231,7 @@ def open_scenario(path: str | Path | None) -> Document:
     document = read_document(path)
     if not isinstance(document.data, dict):
         raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
-    refuse_others(document.data, Scenario.__struct_fields__, document.where, "a scenario")
+    refuse_other_kinds(document.data, Scenario.__struct_fields__, document.where, "a scenario")
     sensors = document.data.get("sensors")
     # A name of a file instead of a section.
     if isinstance(sensors, str):
@@ -261,10 +263,10 @@ def decode_scenario(document: Document) -> Scenario:
         With every key and value that is wrong.
     """
     # Relative to the scenario, wherever the command was started.
-    return _beside(decode(document, Scenario), Path(document.where).parent)
+    return _resolve_files(decode(document, Scenario), Path(document.where).parent)
 
 
-def _beside(scenario: Scenario, folder: Path) -> Scenario:
+def _resolve_files(scenario: Scenario, folder: Path) -> Scenario:
     """Names of files in a scenario count from the scenario's own folder."""
     vehicle, gnss, weather = scenario.vehicle, scenario.gnss, scenario.environment
     if vehicle.parameters.endswith((".yaml", ".yml")):
@@ -284,7 +286,7 @@ def _sensor_file(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}:1: holds no sensors; a mapping like imu: {{...}} is expected")
     sensors = _with_presets(document, ())
     # Checked here, so that errors name this file and its lines.
-    decode(document._replace(data=sensors), Sensors)
+    decode(document._replace(data=sensors), SensorSuite)
     return sensors
 
 
@@ -302,7 +304,7 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
         known = presets.get(kind, {})
         if isinstance(value, list):
             filled = [
-                _filled(entry, known, check, (*at, kind, index))
+                _apply_preset(entry, known, check, (*at, kind, index))
                 for index, entry in enumerate(value)
             ]
             out[kind] = [
@@ -311,12 +313,14 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
                 for index, entry in enumerate(filled)
             ]
         else:
-            out[kind] = _filled(value, known, check, (*at, kind))
+            out[kind] = _apply_preset(value, known, check, (*at, kind))
     check.finish()
     return out
 
 
-def _filled(entry: Any, known: dict[str, Any], check: DocumentCheck, path: DocumentPath) -> Any:
+def _apply_preset(
+    entry: Any, known: dict[str, Any], check: DocumentCheck, path: DocumentPath
+) -> Any:
     """A sensor with the values of its preset under its own."""
     if not isinstance(entry, dict) or "preset" not in entry:
         return entry

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import AirspeedReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -16,7 +16,7 @@ class Airspeed(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
-    noise: Noise = Noise()
+    noise: NoiseModel = NoiseModel()
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
         """Draw the constant error."""

@@ -5,12 +5,12 @@ from typing import ClassVar
 import numpy as np
 
 from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude
-from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import PressureReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
 
-ICE_K = 273.15
+CELSIUS_ZERO_K = 273.15
 
 
 class Barometer(SensorParameters, frozen=True, kw_only=True):
@@ -22,7 +22,7 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 50.0
-    noise: Noise = Noise()
+    noise: NoiseModel = NoiseModel()
     drift_pa_per_k: float = 0.0
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
@@ -38,5 +38,5 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
         pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0] + drift
         # A huge bias may push it below zero, where the altitude has no logarithm.
         altitude = pressure_altitude(max(pressure, 1.0))
-        celsius = truth.temperature_k - ICE_K
+        celsius = truth.temperature_k - CELSIUS_ZERO_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

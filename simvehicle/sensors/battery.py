@@ -4,7 +4,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import BatteryReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -23,8 +23,8 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"voltage": 1, "current": 1}
 
     rate_hz: float = 2.0
-    voltage: Noise = Noise()
-    current: Noise = Noise()
+    voltage: NoiseModel = NoiseModel()
+    current: NoiseModel = NoiseModel()
 
     def new_state(self, rng: np.random.Generator) -> BatteryState:
         """Draw the constant errors."""

@@ -46,7 +46,7 @@ class NoiseState(NamedTuple):
     walk: Array
 
 
-class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Errors of one channel or of several alike ones, in the unit of the sensor.
 
     Parameters

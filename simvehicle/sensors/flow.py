@@ -9,9 +9,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mavproxy_fault.numerics.rotations.one_rotation import into_body
-from simvehicle.sensors.error_model import Noise, NoiseState
-from simvehicle.sensors.rangefinder import check_span, slant_range
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.rangefinder import check_range_limits, slant_range
 from simvehicle.sensors.readings import FlowReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -30,14 +30,14 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"flow": 2, "gyro": 3}
 
     rate_hz: float = 20.0
-    flow: Noise = Noise()
-    gyro: Noise = Noise()
+    flow: NoiseModel = NoiseModel()
+    gyro: NoiseModel = NoiseModel()
     min_m: float = 0.1
     max_m: float = 40.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_span(self.min_m, self.max_m)
+        check_range_limits(self.min_m, self.max_m)
 
     def new_state(self, rng: np.random.Generator) -> FlowState:
         """Draw the constant errors."""
@@ -59,7 +59,7 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         # MAVLink: a negative distance is unknown, quality 0 is bad and 255 the best.
         flow, shown, quality = (0.0, 0.0), -1.0, 0
         if self.min_m <= distance <= self.max_m:
-            vx, vy, _ = into_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
+            vx, vy, _ = rotate_to_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
             gain = 1.0 + self.flow.scale
             # Flying forward (vx) moves the image as pitching up (q) would, flying right (vy) as
             # rolling left.

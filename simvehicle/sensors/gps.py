@@ -9,8 +9,8 @@ from typing import ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from mavproxy_fault.numerics.earth import radii
-from simvehicle.sensors.error_model import Noise, NoiseState
+from mavproxy_fault.numerics.earth import curvature_radii
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import GpsReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -30,13 +30,13 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     kick_m: float
     k_per_s: float = 1.0 / 1100.0  # of the book: the error wanders over some 18 minutes
 
-    def noise(self, rate_hz: float) -> Noise:
+    def noise(self, rate_hz: float) -> NoiseModel:
         """The same process in the terms of the shared error model."""
         # Beard and McLain give the kick per sample; the stationary sigma of the same process
         # follows.
         phi = math.exp(-self.k_per_s / rate_hz)
         sigma = self.kick_m / math.sqrt(1.0 - phi * phi)
-        return Noise(drift_sigma=sigma, drift_time_s=1.0 / self.k_per_s)
+        return NoiseModel(drift_sigma=sigma, drift_time_s=1.0 / self.k_per_s)
 
 
 class Gps(SensorParameters, frozen=True, kw_only=True):
@@ -47,7 +47,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
     rate_hz: float = 5.0
     horizontal: GpsError = GpsError(kick_m=0.0)
     vertical: GpsError = GpsError(kick_m=0.0)
-    velocity: Noise = Noise()
+    velocity: NoiseModel = NoiseModel()
     satellites: int = 10
     eph_m: float = 1.0
     epv_m: float = 1.5
@@ -70,7 +70,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
         height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
         # Metres of error become radians on the ellipsoid, at the height flown.
-        meridian, prime = radii(truth.lat_rad)
+        meridian, prime = curvature_radii(truth.lat_rad)
         north, east = plane
         vn, ve, vd = truth.v_ned_mps.tolist()
         gain = 1.0 + self.velocity.scale

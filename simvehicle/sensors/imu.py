@@ -5,7 +5,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import ImuReading, Triple
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -18,14 +18,14 @@ class ImuState(NamedTuple):
     accel: NoiseState
 
 
-class Imu(SensorParameters, frozen=True, kw_only=True):
+class ImuSensor(SensorParameters, frozen=True, kw_only=True):
     """Measures body rates [rad/s] and specific force [m/s^2], cut off at the ranges."""
 
     channels: ClassVar = {"gyro": 3, "accel": 3}
 
     rate_hz: float = 250.0
-    gyro: Noise = Noise()
-    accel: Noise = Noise()
+    gyro: NoiseModel = NoiseModel()
+    accel: NoiseModel = NoiseModel()
     gyro_range_rps: float = 35.0  # 2000 deg/s, and 16 g: what MEMS units of autopilots are set to
     accel_range_mps2: float = 160.0
 
@@ -43,8 +43,10 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         accel_error, accel_state = self.accel.next(state.accel, rng, self.rate_hz)
         reading = ImuReading(
             truth.t_us,
-            measured(truth.omega_b_rps.tolist(), self.gyro.scale, gyro_error, self.gyro_range_rps),
-            measured(
+            apply_triad_errors(
+                truth.omega_b_rps.tolist(), self.gyro.scale, gyro_error, self.gyro_range_rps
+            ),
+            apply_triad_errors(
                 truth.specific_force_b_mps2.tolist(),
                 self.accel.scale,
                 accel_error,
@@ -58,7 +60,9 @@ class Imu(SensorParameters, frozen=True, kw_only=True):
         return reading, state
 
 
-def measured(true: Sequence[float], scale: float, error: Sequence[float], limit: float) -> Triple:
+def apply_triad_errors(
+    true: Sequence[float], scale: float, error: Sequence[float], limit: float
+) -> Triple:
     """A triad's values with scale and error, cut off at its range; plain steps compile it."""
     # Single floats: numpy on three numbers takes ten times as long.
     x, y, z = true

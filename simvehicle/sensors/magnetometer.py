@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mavproxy_fault.numerics.rotations.one_rotation import into_body
-from simvehicle.sensors.error_model import Noise, NoiseState
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import MagReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -21,7 +21,7 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 3}
 
     rate_hz: float = 50.0
-    noise: Noise = Noise()
+    noise: NoiseModel = NoiseModel()
     field_ned_gauss: tuple[float, float, float] | None = None
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
@@ -35,7 +35,7 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         # The simulation has filled it in, when it looked up the home.
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
-        x, y, z = into_body(truth.q_nb.tolist(), self.field_ned_gauss)
+        x, y, z = rotate_to_body(truth.q_nb.tolist(), self.field_ned_gauss)
         a, b, c = error
         gain = 1.0 + self.noise.scale
         field = gain * x + a, gain * y + b, gain * z + c

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from simvehicle.sensors.error_model import Noise, NoiseState
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import RangeReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -18,7 +18,7 @@ def slant_range(truth: Truth) -> float:
     return max(truth.height_agl_m, 0.0) / down if down > 0.01 else float("inf")
 
 
-def check_span(min_m: float, max_m: float) -> None:
+def check_range_limits(min_m: float, max_m: float) -> None:
     """Refuse limits that leave nothing between them."""
     if not 0.0 <= min_m < max_m:
         raise ValueError(f"min_m = {min_m} and max_m = {max_m} are no span; 0 <= min_m < max_m")
@@ -30,13 +30,13 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 1}
 
     rate_hz: float = 20.0
-    noise: Noise = Noise()
+    noise: NoiseModel = NoiseModel()
     min_m: float = 0.1
     max_m: float = 40.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_span(self.min_m, self.max_m)
+        check_range_limits(self.min_m, self.max_m)
 
     def new_state(self, rng: np.random.Generator) -> NoiseState:
         """Draw the constant error."""

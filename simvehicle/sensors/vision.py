@@ -5,8 +5,8 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.rotations.one_rotation import turned
-from simvehicle.sensors.error_model import Noise, NoiseState
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import Triple, VisionReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -30,9 +30,9 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
     channels: ClassVar = {"position": 3, "velocity": 3, "attitude": 3}
 
     rate_hz: float = 30.0
-    position: Noise = Noise()
-    velocity: Noise = Noise()
-    attitude: Noise = Noise()
+    position: NoiseModel = NoiseModel()
+    velocity: NoiseModel = NoiseModel()
+    attitude: NoiseModel = NoiseModel()
     message: Literal["ODOMETRY", "VISION_POSITION_ESTIMATE"] = "ODOMETRY"
 
     def new_state(self, rng: np.random.Generator) -> VisionState:
@@ -55,9 +55,9 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
         tilt, attitude = self.attitude.next(state.attitude, rng, rate)
         reading = VisionReading(
             truth.t_us,
-            _measured(truth.r_ned_m, self.position.scale, place),
-            _measured(truth.v_ned_mps, self.velocity.scale, speed),
-            turned(truth.q_nb.tolist(), tilt),
+            _apply_errors(truth.r_ned_m, self.position.scale, place),
+            _apply_errors(truth.v_ned_mps, self.velocity.scale, speed),
+            rotate_quaternion(truth.q_nb.tolist(), tilt),
             # A claimed sigma is never 0: no estimator can use a measurement without variance.
             max(self.position.sigma, 0.01),
             max(self.velocity.sigma, 0.01),
@@ -66,7 +66,7 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
         return reading, VisionState(position, velocity, attitude)
 
 
-def _measured(true: NDArray[np.float64], scale: float, error: list[float]) -> Triple:
+def _apply_errors(true: NDArray[np.float64], scale: float, error: list[float]) -> Triple:
     x, y, z = true.tolist()
     gain = 1.0 + scale
     return gain * x + error[0], gain * y + error[1], gain * z + error[2]

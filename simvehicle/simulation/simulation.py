@@ -20,35 +20,35 @@ from simvehicle.environment.geolocation import (
     AIR,
     AIR_VELOCITY,
     ATTITUDE,
-    PLACE,
-    PULL,
+    LOCAL_GRAVITY,
+    LOCATION_SIZE,
     VELOCITY,
-    Home,
-    locate,
+    HomeFrame,
+    locate_state,
 )
-from simvehicle.environment.terrain import Grid, Level, read_grid
-from simvehicle.guidance.mission import plan
-from simvehicle.guidance.open_loop import OpenLoopController
+from simvehicle.environment.terrain import LevelGround, TerrainGrid, read_terrain_grid
+from simvehicle.guidance.mission import plan_path
+from simvehicle.guidance.open_loop_controller import OpenLoopController
 from simvehicle.guidance.route import PathTrack
-from simvehicle.guidance.sway import SwayController
+from simvehicle.guidance.sway_controller import SwayController
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.readings import Reading
-from simvehicle.simulation.kinds import Controller, kind_of
-from simvehicle.simulation.onboard import Fitted, fit
+from simvehicle.simulation.onboard_sensors import OnboardSensor, create_onboard_sensors
+from simvehicle.simulation.vehicle_kinds import Controller, find_vehicle_kind
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
-from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID, P, U
-from simvehicle.vehicles.vehicle import VOLTS, surroundings
+from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID_SIZE, P, U
+from simvehicle.vehicles.vehicle import VOLTS, pack_surroundings
 
 Array = NDArray[np.float64]
 LONGEST_STEP_S = 0.005  # a ground contact is stiff
-_WINDS = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+_WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
-class Moment(NamedTuple):
+class StepState(NamedTuple):
     """Where a flight stands, and what is known ahead of its next step; see `Simulation.step`."""
 
     t_us: int
@@ -76,22 +76,22 @@ class Simulation:
     truth : Truth
         The last one.
     weather, fitted, late, place
-        The wind, the sensors on board, readings to come by their times, and home as `locate` takes
-        it.
+        The wind, the sensors on board, readings to come by their times, and home as `locate_state`
+        takes it.
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
-        self.terrain = _terrain(scenario)
-        scenario = _grounded(scenario, self.terrain)
+        self.terrain = _load_terrain(scenario)
+        scenario = _with_home_on_terrain(scenario, self.terrain)
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
-        self.home = Home.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
-        self.kind = kind_of(scenario.vehicle.kind)
+        self.home = HomeFrame.at(start.lat_deg, start.lon_deg, start.alt_m, start.geoid_m)
+        self.kind = find_vehicle_kind(scenario.vehicle.kind)
         self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self.weather = Weather(scenario.environment, self.seed)
-        self.fitted = fit(scenario, self.seed)
+        self.fitted = create_onboard_sensors(scenario, self.seed)
         self._rate_hz = self.fitted[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
@@ -152,11 +152,11 @@ class Simulation:
         is then settled, and a change of it comes a step later."""
         self._ahead = self._ahead or self._outside()
 
-    def moment(self) -> Moment:
+    def moment(self) -> StepState:
         """Where it stands now."""
         self.prepare()
         assert self._ahead is not None
-        return Moment(self._t_us, self._x, self._count, *self._ahead)
+        return StepState(self._t_us, self._x, self._count, *self._ahead)
 
     def observe(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
         """Take over a state that was reached elsewhere, under a load (6,) and in a wind (3,).
@@ -170,13 +170,13 @@ class Simulation:
         self.truth = self._observe(load, wind)
         return self.truth
 
-    def go_on_from(self, moment: Moment, controls: Array) -> None:
+    def go_on_from(self, moment: StepState, controls: Array) -> None:
         """Go on where steps that were flown elsewhere ended, after `observe`."""
         self._count, self._ahead, self._controls = moment.number, moment[3:], controls
 
     def _outside(self) -> tuple[int, int, float, Array, Array]:
         """When the next step ends, into how many of how many seconds it is cut, the wind meanwhile,
-        and `surroundings`."""
+        and `pack_surroundings`."""
         self._count += 1
         # From the count: 3 ms and a third, summed up, would drift.
         t_us = round(self._count * 1e6 / self._rate_hz)
@@ -185,7 +185,7 @@ class Simulation:
         # Held over the whole step: gusts are slow against it.
         wind = self.weather.wind(self._x, truth, dt)
         ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
-        around = surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
+        around = pack_surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
         # Slow sensors must not make the integration coarse.
         steps = max(1, math.ceil(dt / LONGEST_STEP_S - 1e-9))
         return t_us, steps, dt / steps, wind, around
@@ -211,8 +211,8 @@ class Simulation:
         ConfigError
             If the name is unknown or the value makes no vehicle.
         """
-        if name in _WINDS:
-            axis = _WINDS.index(name)
+        if name in _WIND_PLANT_NAMES:
+            axis = _WIND_PLANT_NAMES.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self.weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
@@ -236,7 +236,7 @@ class Simulation:
         ConfigError
             With what it can have.
         """
-        if name not in (*_WINDS, *self.vehicle.plant_names):
+        if name not in (*_WIND_PLANT_NAMES, *self.vehicle.plant_names):
             self._with_satellite_plant(name, None)
 
     def pitot_offset_pa(self) -> float | None:
@@ -251,13 +251,13 @@ class Simulation:
         fitted, state = self._with_satellite_plant(name, value)
         fitted.state = state
 
-    def _with_satellite_plant(self, name: str, value: float | None) -> tuple[Fitted, Any]:
+    def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:
         """The sensor that receives satellites, and its state with one of its parameters set."""
         for fitted in self.fitted:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
                 return fitted, sensor.with_plant(fitted.state, name, value)
-        known = ", ".join((*self.vehicle.plant_names, *_WINDS))
+        known = ", ".join((*self.vehicle.plant_names, *_WIND_PLANT_NAMES))
         raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
     def _begin(self) -> Array:
@@ -278,9 +278,9 @@ class Simulation:
             s = start.state
             q_nb = quat_from_euler(math.radians(s.roll_deg), math.radians(s.pitch_deg), heading)
             x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
-            x[P:RIGID] = np.radians([s.p_dps, s.q_dps, s.r_dps])
+            x[P:RIGID_SIZE] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             if isinstance(vehicle, Multirotor):
-                x[RIGID:-2] = vehicle.hover_rps(*self._around(x))
+                x[RIGID_SIZE:-2] = vehicle.hover_rps(*self._around(x))
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         density, pull = self._around(level)
@@ -298,9 +298,9 @@ class Simulation:
 
     def _around(self, x: Array) -> tuple[float, float]:
         """Density of the air [kg/m^3] and gravity [m/s^2] where a state is."""
-        place = np.empty(PLACE)
-        locate(x, np.zeros(3), self.place, place)
-        self._gravity = place[PULL:]
+        place = np.empty(LOCATION_SIZE)
+        locate_state(x, np.zeros(3), self.place, place)
+        self._gravity = place[LOCAL_GRAVITY:]
         return float(place[AIR + 2]), float(np.linalg.norm(self._gravity))
 
     def _controller(self) -> Controller:
@@ -321,7 +321,7 @@ class Simulation:
     def _mission(self) -> PathTrack:
         scenario, controller = self.scenario, self.controller
         north_mps, east_mps, _ = self.weather.steady_mps.tolist()
-        path = plan(
+        path = plan_path(
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
@@ -333,8 +333,8 @@ class Simulation:
 
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
-        x, place = self._x, np.empty(PLACE)
-        locate(x, wind, self.place, place)
+        x, place = self._x, np.empty(LOCATION_SIZE)
+        locate_state(x, wind, self.place, place)
         lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
         # The height depends on all the rest, so that it shows any divergence.
         if not math.isfinite(height):
@@ -342,7 +342,7 @@ class Simulation:
                 f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
                 "parameters, controls or faults let it diverge"
             )
-        self._gravity = place[PULL:]
+        self._gravity = place[LOCAL_GRAVITY:]
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
         volts, amperes, charge = load[VOLTS:].tolist()
@@ -356,9 +356,9 @@ class Simulation:
             x[:U],
             place[VELOCITY:ATTITUDE],
             place[ATTITUDE:AIR_VELOCITY],
-            x[P:RIGID],
+            x[P:RIGID_SIZE],
             load[:VOLTS],
-            place[AIR_VELOCITY:PULL],
+            place[AIR_VELOCITY:LOCAL_GRAVITY],
             wind,
             pressure,
             temperature,
@@ -388,7 +388,7 @@ class Simulation:
         return out
 
 
-def simulate(
+def simulate_flight(
     scenario: Scenario, seed: int | None = None
 ) -> Iterator[tuple[int, Truth, list[Reading]]]:
     """Fly a scenario from start to end with the built-in controller.
@@ -407,12 +407,12 @@ def simulate(
         yield found
 
 
-def _terrain(scenario: Scenario) -> Grid | Level:
+def _load_terrain(scenario: Scenario) -> TerrainGrid | LevelGround:
     path = scenario.environment.terrain
-    return read_grid(path) if path is not None else Level(scenario.start.alt_m)
+    return read_terrain_grid(path) if path is not None else LevelGround(scenario.start.alt_m)
 
 
-def _grounded(scenario: Scenario, terrain: Grid | Level) -> Scenario:
+def _with_home_on_terrain(scenario: Scenario, terrain: TerrainGrid | LevelGround) -> Scenario:
     """The scenario with home on the terrain."""
     start = scenario.start
     alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))

@@ -5,13 +5,13 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.environment.air import GUSTS, STEADY, Gusts, wind_step
+from simvehicle.environment.air import GUST_LEVELS, STEADY_WIND, Gusts, step_wind
 from simvehicle.scenario.scenario_file import Environment, GustChoice
 from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
 # Drawn many at once: a call to numpy costs more than the five numbers of a step.
-BLOCK = 512
+DRAW_BLOCK = 512
 _NO_SHEAR = (1.0, 0.0)
 
 
@@ -23,29 +23,29 @@ class Weather:
     steady_mps : array, shape (3,)
         Wind at the shear's reference height, NED; plant faults write to it.
     filters, law, draws, row
-        What `wind_step` takes, and the row of `draws` that the last step took.
+        What `step_wind` takes, and the row of `draws` that the last step took.
     """
 
     def __init__(self, environment: Environment, seed: int) -> None:
         self._rng = np.random.default_rng([seed, crc32(b"gusts")])
         # The first filter is of first order and begins stationary; the others begin calm.
         self.filters = np.concatenate([self._rng.standard_normal(1), np.zeros(4)])
-        self.draws = self._rng.standard_normal((BLOCK, 5))
+        self.draws = self._rng.standard_normal((DRAW_BLOCK, 5))
         self.row = 0
         gusts, shear = _gusts(environment), environment.shear
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
         steady = environment.wind_ned_mps
         self.law = np.array([*gusts.sigma_mps, *gusts.length_m, *law, *steady])
         # A view, no copy: what a plant fault writes here is in force at the next step.
-        self.steady_mps: Array = self.law[STEADY:]
+        self.steady_mps: Array = self.law[STEADY_WIND:]
 
     def wind(self, x: Array, truth: Truth, dt: float) -> Array:
         """Wind (3,) of the next `dt` seconds, NED [m/s], at the vehicle's state `x`."""
         self.row += 1
-        if self.row == BLOCK:
-            self.draws, self.row = self._rng.standard_normal((BLOCK, 5)), 0
+        if self.row == DRAW_BLOCK:
+            self.draws, self.row = self._rng.standard_normal((DRAW_BLOCK, 5)), 0
         out = np.empty(3)
-        wind_step(
+        step_wind(
             self.filters,
             self.draws[self.row],
             self.law,
@@ -62,4 +62,4 @@ def _gusts(environment: Environment) -> Gusts:
     choice = environment.gusts
     if isinstance(choice, GustChoice):
         return Gusts(choice.sigma_mps, choice.length_m)
-    return GUSTS[choice]
+    return GUST_LEVELS[choice]

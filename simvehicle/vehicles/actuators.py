@@ -19,8 +19,8 @@ import numpy as np
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.vehicles.body import Controls, Vector
 
-ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
-CHANNELS = 16
+ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
+CHANNEL_COUNT = 16
 # PX4's channels, counted from 0.
 RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
 
@@ -28,7 +28,7 @@ Mix = Callable[[Sequence[float]], Vector]
 _PAYLOAD = struct.Struct("<QQ16fB")
 
 
-def motors(count: int) -> Mix:
+def motor_mix(count: int) -> Mix:
     """The first `count` channels are the motors, in PX4's order."""
 
     def mix(channels: Sequence[float]) -> Vector:
@@ -37,7 +37,7 @@ def motors(count: int) -> Mix:
     return mix
 
 
-def plane(channels: Sequence[float]) -> Vector:
+def plane_mix(channels: Sequence[float]) -> Vector:
     """Elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
     # PX4's surfaces have the opposite sign of Beard and McLain's, see the docstring.
     return np.array(
@@ -63,7 +63,7 @@ def read_controls(frame: Frame, mix: Mix) -> tuple[int, Controls]:
     # One test for all, as hardly any is not finite.
     if not math.isfinite(sum(channels)):
         channels = [value if math.isfinite(value) else 0.0 for value in channels]
-    return stamp_us, Controls(mix(channels), armed=bool(mode & ARMED))
+    return stamp_us, Controls(mix(channels), armed=bool(mode & ARMED_FLAG))
 
 
 def _limited(value: float, low: float) -> float:

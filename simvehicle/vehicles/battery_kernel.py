@@ -5,7 +5,7 @@ from typing import NamedTuple
 from mavproxy_fault.numerics.compile import inlined
 
 
-class Supply(NamedTuple):
+class BatterySupply(NamedTuple):
     """A lithium-polymer pack with its faults; resistance and voltage are scaled by them.
 
     `full_throttle_a` is the current at full throttle of a vehicle whose motor has no model of it.
@@ -20,7 +20,7 @@ class Supply(NamedTuple):
 
 
 @inlined
-def supplied(supply: Supply, drawn_as: float, current_a: float) -> tuple[float, float]:
+def battery_output(supply: BatterySupply, drawn_as: float, current_a: float) -> tuple[float, float]:
     """Terminal voltage [V] and the charge remaining (0 to 1) after `drawn_as` ampere seconds.
 
     The open-circuit voltage falls from 4.2 to 3.7 V per cell over most of the charge and to 3.0 V

@@ -29,7 +29,7 @@ class Gear(NamedTuple):
     across: float
 
 
-def gear(points_m: NDArray[np.float64], mass_kg: float, along: float, across: float) -> Gear:
+def make_gear(points_m: NDArray[np.float64], mass_kg: float, along: float, across: float) -> Gear:
     """Gear that carries a mass at 40 rad/s and 0.7 of critical damping (6 mm of static sag).
 
     `points_m` (n, 3) are the points of contact in body axes.
@@ -40,7 +40,7 @@ def gear(points_m: NDArray[np.float64], mass_kg: float, along: float, across: fl
 
 
 @inlined
-def contact(
+def contact_loads(
     state: State13, ground_down_m: float, wheels: Gear
 ) -> tuple[float, float, float, float, float, float]:
     """Force [N] and moment [N m] of the ground on the body, body axes.

@@ -10,13 +10,13 @@ import msgspec
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
-from simvehicle.vehicles.battery_kernel import Supply
-from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia
+from simvehicle.vehicles.battery_kernel import BatterySupply
+from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia_coefficients
 
 T = TypeVar("T")
 
 
-class Moments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class InertiaMoments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Moments of inertia about the centre of mass [kg m^2]."""
 
     jx: float
@@ -25,7 +25,7 @@ class Moments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     jxz: float = 0.0
 
 
-class Weighed(Protocol):
+class HasMass(Protocol):
     """Parameters of something with a mass."""
 
     @property
@@ -33,19 +33,19 @@ class Weighed(Protocol):
         """Of the whole vehicle."""
 
     @property
-    def inertia_kgm2(self) -> Moments:
+    def inertia_kgm2(self) -> InertiaMoments:
         """About its centre of mass."""
 
 
-def body_of(parameters: Weighed, plant: Mapping[str, float]) -> Inertia:
+def body_inertia(parameters: HasMass, plant: Mapping[str, float]) -> Inertia:
     """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
     # Scaled together, so that the principal axes stay.
     j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
     mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-    return inertia(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
+    return inertia_coefficients(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
-class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A lithium-polymer pack, as `battery_kernel` reckons with it.
 
     `full_throttle_a` is the current at full throttle of a vehicle without a motor model.
@@ -58,9 +58,9 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def supply(
         self, full_throttle_a: float, voltage_scale: float, resistance_scale: float
-    ) -> Supply:
+    ) -> BatterySupply:
         """The pack as the kernels take it, with faults."""
-        return Supply(
+        return BatterySupply(
             self.cells, self.capacity_ah, self.resistance_ohm, full_throttle_a,
             voltage_scale, resistance_scale,
         )  # fmt: skip

@@ -19,7 +19,7 @@ State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
 (NORTH, EAST, DOWN, U, V, W, E0, E1, E2, E3, P, Q, R) = range(13)  # columns of a state array
-RIGID = 13  # how many there are
+RIGID_SIZE = 13  # how many there are
 Loads = tuple[float, float, float, float, float, float]
 """Force [N] and moment about the centre of mass [N m], without gravity, body axes."""
 
@@ -39,7 +39,7 @@ class Inertia(NamedTuple):
     inverse_jy: float
 
 
-def inertia(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Inertia:
+def inertia_coefficients(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Inertia:
     """Coefficients from mass [kg] and moments of inertia [kg m^2] about the centre of mass.
 
     Raises
@@ -70,7 +70,7 @@ def inertia(mass_kg: float, jx: float, jy: float, jz: float, jxz: float) -> Iner
 
 
 @inlined
-def rigid_body(
+def rigid_body_derivative(
     state: State13,
     force: tuple[float, float, float],
     moment: tuple[float, float, float],
@@ -117,7 +117,7 @@ def rigid_body(
 
 
 @inlined
-def moved(state: State13, rate: State13, dt: float) -> State13:
+def euler_step(state: State13, rate: State13, dt: float) -> State13:
     """State + dt * rate (the quaternion is left as it comes)."""
     # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
     north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
@@ -140,7 +140,7 @@ def moved(state: State13, rate: State13, dt: float) -> State13:
 
 
 @inlined
-def normalised(state: State13) -> State13:
+def normalise_quaternion(state: State13) -> State13:
     """The state with its quaternion back at length one."""
     north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
@@ -148,18 +148,18 @@ def normalised(state: State13) -> State13:
 
 
 @inlined
-def runge_kutta(
+def combine_stages(
     state: State13, k1: State13, k2: State13, k3: State13, k4: State13, dt: float
 ) -> State13:
     """Weighted end of a classical Runge-Kutta step."""
-    s = moved(state, k1, dt / 6.0)
-    s = moved(s, k2, dt / 3.0)
-    s = moved(s, k3, dt / 3.0)
-    return normalised(moved(s, k4, dt / 6.0))
+    s = euler_step(state, k1, dt / 6.0)
+    s = euler_step(s, k2, dt / 3.0)
+    s = euler_step(s, k3, dt / 3.0)
+    return normalise_quaternion(euler_step(s, k4, dt / 6.0))
 
 
 @inlined
-def integrated(
+def runge_kutta_step(
     state: State13,
     loads: Callable[..., Loads],
     given: Any,
@@ -170,7 +170,7 @@ def integrated(
     """One classical Runge-Kutta step of a single vehicle.
 
     The stages are a loop, as four copies of a vehicle's loads take four times as long to compile;
-    a loop over many vehicles needs the copies to become SIMD code, and `runge_kutta`.
+    a loop over many vehicles needs the copies to become SIMD code, and `combine_stages`.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def integrated(
     total = at = state
     for stage in range(4):
         fx, fy, fz, mx, my, mz = loads(at, stage, given)
-        rate = rigid_body(at, (fx, fy, fz), (mx, my, mz), gravity, body)
-        total = moved(total, rate, dt / (6.0 if stage == 0 or stage == 3 else 3.0))
-        at = moved(state, rate, dt if stage == 2 else 0.5 * dt)
-    return normalised(total)
+        rate = rigid_body_derivative(at, (fx, fy, fz), (mx, my, mz), gravity, body)
+        total = euler_step(total, rate, dt / (6.0 if stage == 0 or stage == 3 else 3.0))
+        at = euler_step(state, rate, dt if stage == 2 else 0.5 * dt)
+    return normalise_quaternion(total)

@@ -8,11 +8,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WIND, GRAVITY, DENSITY, GROUND, SAG = 0, 3, 6, 7, 8  # where they begin in `surroundings`
-FORCE, VOLTS, CURRENT, CHARGE, LOAD = 0, 3, 4, 5, 6  # and in what `advance` gives beside the state
+WIND, GRAVITY, DENSITY, GROUND, BATTERY_SAG = (
+    0,
+    3,
+    6,
+    7,
+    8,
+)  # where they begin in `pack_surroundings`
+FORCE, VOLTS, CURRENT, CHARGE, LOAD_SIZE = (
+    0,
+    3,
+    4,
+    5,
+    6,
+)  # and in what `advance` gives beside the state
 
 
-def surroundings(
+def pack_surroundings(
     wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float
 ) -> Array:
     """What acts on a vehicle from outside during a step (9,), as the kernels take it.
@@ -23,7 +35,7 @@ def surroundings(
     out = np.empty(9)
     out[WIND : WIND + 3] = wind_ned_mps
     out[GRAVITY : GRAVITY + 3] = gravity_ned_mps2
-    out[DENSITY], out[GROUND], out[SAG] = density, ground_down_m, 1.0
+    out[DENSITY], out[GROUND], out[BATTERY_SAG] = density, ground_down_m, 1.0
     return out
 
 
@@ -61,6 +73,7 @@ class Vehicle(Protocol):
     def advance(
         self, x: Array, controls: Array, around: Array, steps: int, dt: float
     ) -> tuple[Array, Array]:
-        """State (m,) after so many steps of `dt` seconds in `surroundings`, and what it is under
-        then (6,): specific force [m/s^2], battery voltage [V], current [A], charge left (0 to 1).
+        """State (m,) after so many steps of `dt` seconds in `pack_surroundings`, and what it is
+        under then (6,): specific force [m/s^2], battery voltage [V], current [A], charge left (0 to
+        1).
         """

@@ -11,7 +11,7 @@ from analysis.detection.filter.inertial import gravity_ecef
 from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, ImuSample, Sample, TruthSample
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from simvehicle.gnss.gnss_config import GnssConfig
@@ -88,7 +88,7 @@ def make_flight(
     for k in range(count):
         samples.append(ImuSample(k * STEP_US, gyro[k], accel[k]))
         if k % epoch_steps == 0:
-            lat, lon, height = geodetic(r[k])
+            lat, lon, height = geodetic_position(r[k])
             here = ned_axes(lat, lon)
             truth = _truth(k * STEP_US, lat, lon, height, here @ v[k], here @ rot[k])
             readings, state = gnss.sample(_led(truth, *away(float(t[k]))), state, rng)
@@ -103,7 +103,7 @@ def _led(truth: Truth, north_m: float, north_mps: float) -> Truth:
     """The truth as a receiver has it that a spoofer leads away."""
     if not north_m and not north_mps:
         return truth
-    lat, lon, height = geodetic(
+    lat, lon, height = geodetic_position(
         ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
         + north_m * ned_axes(truth.lat_rad, truth.lon_rad)[0]
     )

@@ -10,7 +10,7 @@ import statistics
 import threading
 import time
 
-from mavproxy_fault.links.bus import Bus, open_bus, with_port
+from mavproxy_fault.links.bus import Bus, choose_free_port, open_bus
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from tests.hardening.proxy_process import Driven, driven
@@ -76,7 +76,7 @@ def computed_ms(at_s: float) -> float:
 def main() -> None:
     """Measure and print."""
     print(f"computed in the loop: {computed_ms(1e6):.1f} ms (times ahead), {computed_ms(0.0):.1f}")
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     with driven("--zenoh", url, "--run", "loads") as proxy, open_bus(url, run="loads") as bus:
         slowest_s(proxy, 2000)
         print("times ahead: ", measure(proxy, bus, 1e6), flush=True)

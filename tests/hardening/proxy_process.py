@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 PATIENCE_S = 60.0  # on a busy machine
 
@@ -24,7 +24,7 @@ CLOCK_LIBRARY = os.environ.get("FAKETIME_LIBRARY") or str(
 def numbered(number: int) -> bytes:
     """A frame that tells its number, with a stamp that starts the schedule."""
     values = {"time_boot_ms": number, "yaw": float(number)}
-    return build(known("ATTITUDE"), values, seq=number & 255)
+    return build_frame(message_layout("ATTITUDE"), values, seq=number & 255)
 
 
 def number_of(frame: bytes) -> int:

@@ -37,8 +37,8 @@ from mavproxy_fault.compiled import object_file
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.links.link import enlarge_buffers
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from tests.hardening.datagrams import Inbox, send_all
 from tests.hardening.page_watcher import FRAME_COLUMNS, PageWatcher, watched_page
 from tests.hardening.proxy_process import CLOCK_LIBRARY
@@ -79,7 +79,9 @@ class Traffic:
         self.over = threading.Event()
         rest = {"zacc": -9.81, "abs_pressure": 1013.0, "fields_updated": 0x1FFF}
         self._sensor = bytearray(
-            build(known("HIL_SENSOR"), {"time_usec": 1 << 40, **rest}, system=1, component=51)
+            build_frame(
+                message_layout("HIL_SENSOR"), {"time_usec": 1 << 40, **rest}, system=1, component=51
+            )
         )
 
     @property
@@ -109,18 +111,21 @@ class Traffic:
         if number % MARK_EVERY == 0:
             self.due_s[number] = time.time()
             values = {"type": 2, "custom_mode": number}
-            return build(known("HEARTBEAT"), values, seq=number // MARK_EVERY & 255, system=MARKED,
+            return build_frame(message_layout("HEARTBEAT"), values, seq=number // MARK_EVERY & 255,
+            system=MARKED,
                          component=1)  # fmt: skip
         t_us = 1_000_000 + number * 1_000_000 // self.rate_hz
         if number % 40 == 1:
             values = {"time_boot_ms": t_us // 1000, "roll": 0.3 * np.sin(t_us / 1e6), "yaw": 1.0}
-            return build(known("ATTITUDE"), values, seq=number // 40 & 255, system=1, component=1)
+            return build_frame(
+                message_layout("ATTITUDE"), values, seq=number // 40 & 255, system=1, component=1
+            )
         # 20,000 times a second only what changes is written.
         raw = self._sensor
         self._sensors += 1
         raw[4] = self._sensors & 255
         raw[10:18] = t_us.to_bytes(8, "little")
-        extra = bytes((known("HIL_SENSOR").crc_extra,))
+        extra = bytes((message_layout("HIL_SENSOR").crc_extra,))
         raw[-2:] = mcrf4xx(bytes(raw[1:-2]) + extra).to_bytes(2, "little")
         return bytes(raw)
 

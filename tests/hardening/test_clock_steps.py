@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.links.bus import choose_free_port, open_bus
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_records
 from tests.hardening.proxy_process import CLOCK_LIBRARY, driven
@@ -54,7 +54,7 @@ def test_a_clock_that_is_set_moves_no_frame_no_label_and_no_record(
     kind: str, tmp_path: Path
 ) -> None:
     (tmp_path / "one.yaml").write_text(SCHEDULE)
-    url, logs = with_port("tcp/127.0.0.1:0"), tmp_path / "logs"
+    url, logs = choose_free_port("tcp/127.0.0.1:0"), tmp_path / "logs"
     options = ("--schedule", str(tmp_path / "one.yaml"), "--logdir", str(logs), "--zenoh", url)
     states = []
     with (

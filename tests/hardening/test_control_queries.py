@@ -17,8 +17,8 @@ import zenoh
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.links.bus import Bus, open_bus
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 QUERIES = int(os.environ.get("QUERIES", "300"))
 IDS = ["a", "b", "c", "all", "", "é", "x" * 300, "a b", "..", "-1"]
@@ -122,7 +122,7 @@ def ask_all(
             answered += text[:1] in ("{", "[")
             if number % 20 == 0:  # faults that lose frames may be armed: they end first
                 bus.ask("@ctl/schedule/stop", timeout_s=60)
-                mark = build(known("HEARTBEAT"), {"custom_mode": number}, system=42)
+                mark = build_frame(message_layout("HEARTBEAT"), {"custom_mode": number}, system=42)
                 vehicle.send(mark)
                 while mark not in station.recv(65_535):
                     pass

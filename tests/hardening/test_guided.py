@@ -25,15 +25,15 @@ import pytest
 from mavproxy_fault.compiled.object_file import Forward, load, make
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.datagram_batch import BATCHES
+from mavproxy_fault.links.datagram_batch import HAS_RECVMMSG
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole, Send
 from mavproxy_fault.proxy.senders import new_senders
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from tests.hardening.test_mutated_traffic import LONGEST, NAMES, mark, mutated, sixteen
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -58,8 +58,10 @@ def pieces(data: bytes) -> list[bytes]:
         kind, length, rest = data[0], data[1], data[2:]
         part, data = rest[:length], rest[length:]
         if kind % 2:
-            described = known(NAMES[kind // 2 % len(NAMES)])
-            shell = build(described, {}, seq=len(found) & 255, system=1 + kind // 128, component=1)
+            described = message_layout(NAMES[kind // 2 % len(NAMES)])
+            shell = build_frame(
+                described, {}, seq=len(found) & 255, system=1 + kind // 128, component=1
+            )
             payload = part[: described.length] or b"\0"
             part = Frame(shell, described).with_payload(payload).raw
         found.append(part)
@@ -88,9 +90,9 @@ def senders() -> memoryview:
     return memoryview(mmap.mmap(nobody().fileno(), 0, flags=mmap.MAP_PRIVATE)).cast("q")
 
 
-def core(data: bytes) -> tuple[Core, Tape]:
+def core(data: bytes) -> tuple[Core, CaptureBuffer]:
     """A core as an input's first byte wants it."""
-    engine, tape = Engine(faults()) if data[0] & FAULTS else None, Tape()
+    engine, tape = Engine(faults()) if data[0] & FAULTS else None, CaptureBuffer()
     links = [
         LinkRole("vehicle", "from-vehicle", not data[0] & STREAM),
         LinkRole("station", "to-vehicle", datagrams=True),
@@ -106,9 +108,9 @@ def made() -> Forward | None:
     return load()
 
 
-def machine(one: Core, tape: Tape) -> Passage | None:
+def machine(one: Core, tape: CaptureBuffer) -> Passage | None:
     """The core's machine code; None on a system where there is none."""
-    if not BATCHES:
+    if not HAS_RECVMMSG:
         return None
     with patch("mavproxy_fault.compiled.tables.load", made):
         return Passage(one, tape)

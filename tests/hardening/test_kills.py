@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from analysis.results import read_results
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_records
 
@@ -33,7 +33,7 @@ faults:
 def numbered(number: int) -> bytes:
     """A frame that tells its number, with a stamp that starts the schedule."""
     values = {"time_boot_ms": number, "yaw": float(number)}
-    return build(known("ATTITUDE"), values, seq=number & 255)
+    return build_frame(message_layout("ATTITUDE"), values, seq=number & 255)
 
 
 def number_of(frame: bytes) -> int:

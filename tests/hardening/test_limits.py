@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.app.playback import split
+from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.links.link import enlarge_buffers
 from tests.hardening.proxy_process import driven, numbered
 
@@ -156,7 +156,7 @@ def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_pat
             told += _read(proxy.process.stderr.fileno())
         came = proxy.end()[0].split("\n")[1].split()[2]
     lost = json.loads((tmp_path / "session.json").read_text())["lost_records"]
-    recorded = len(list(split((tmp_path / "received.tlog").read_bytes())))
+    recorded = len(list(split_records((tmp_path / "received.tlog").read_bytes())))
     assert lost > 0
     assert recorded + lost == int(came)
 
@@ -203,5 +203,5 @@ def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_fram
         printed, told = proxy.end()
     assert "no descriptor for a further peer; allow more (ulimit -n)" in told
     assert printed.split("\n")[1].split()[2] == str(proxy.sent)
-    recorded = list(split((tmp_path / "received.tlog").read_bytes()))
+    recorded = list(split_records((tmp_path / "received.tlog").read_bytes()))
     assert len(recorded) == proxy.sent

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.faults.registry import known_faults
@@ -28,9 +28,9 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known, message_names
-from mavproxy_fault.wire.frame import HEADER_V2, SIGNATURE_LENGTH, Frame, build
-from mavproxy_fault.wire.signing import key_of, signed
+from mavproxy_fault.wire.dialect import message_layout, message_names
+from mavproxy_fault.wire.frame import HEADER_V2, SIGNATURE_LENGTH, Frame, build_frame
+from mavproxy_fault.wire.signing import derive_key, sign_frame
 
 BYTES = int(os.environ.get("HARDENING_BYTES", "150000"))
 BETWEEN = 10 if BYTES < 1_000_000 else 100  # datagrams: on a stream marks may wait 0.2 s each
@@ -46,7 +46,7 @@ Write = Callable[[bytes], object]
 def frame(rng: random.Random, seq: int) -> bytes:
     """A frame with a wild stamp or none, of version 1 or 2, signed or not."""
     name = rng.choice(NAMES) if rng.random() < 0.8 else rng.choice(message_names())
-    described = known(name)
+    described = message_layout(name)
     payload = bytearray(rng.randbytes(described.length))
     stamp = described.fields.get("time_usec") or described.fields.get("time_boot_ms")
     if stamp is not None:
@@ -56,10 +56,10 @@ def frame(rng: random.Random, seq: int) -> bytes:
             stamp.size, "little"
         )
     system = rng.choice([1, 1, 1, 2, rng.randrange(43, 256)])
-    shell = Frame(build(described, {}, seq=seq & 255, system=system, component=1), described)
+    shell = Frame(build_frame(described, {}, seq=seq & 255, system=system, component=1), described)
     made = shell.with_payload(bytes(payload).rstrip(b"\0") or b"\0")
     if rng.random() < 0.1:
-        return signed(made, key_of("phrase"), 1, 10**12 + seq).raw
+        return sign_frame(made, derive_key("phrase"), 1, 10**12 + seq).raw
     return made.raw
 
 
@@ -78,7 +78,9 @@ def mutated(rng: random.Random, seq: int) -> bytes:
 
 def mark(number: int) -> bytes:
     values = {"type": number & 255, "custom_mode": number}
-    return build(known("HEARTBEAT"), values, seq=number & 255, system=MARKED, component=7)
+    return build_frame(
+        message_layout("HEARTBEAT"), values, seq=number & 255, system=MARKED, component=7
+    )
 
 
 def sixteen() -> str:
@@ -134,7 +136,7 @@ def proxy(link: Link, schedule: str, *, compiled: bool) -> Iterator[socket.socke
         enlarge_buffers(station)
         links = [link, open_link(f"udpout:127.0.0.1:{station.getsockname()[1]}")]
         engine = Engine(parse_schedule(schedule)) if schedule else None
-        server = Server(links, Core(roles(links), engine))
+        server = Server(links, Core(link_roles(links), engine))
         if compiled:
             server.use_compiled()
         failures: list[BaseException] = []

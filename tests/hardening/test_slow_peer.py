@@ -16,8 +16,8 @@ from mavproxy_fault.links.link import QUEUE_LIMIT
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from tests.mavproxy_fault.serving import PATIENCE_S, serving
 
@@ -42,7 +42,7 @@ def frame(kind: str, number: int, now_s: float) -> bytes:
         values = {"type": 2, "custom_mode": number}
     elif kind == "FILE_TRANSFER_PROTOCOL":
         values = {"payload": LARGE}
-    return build(known(kind), values, seq=number & 255)
+    return build_frame(message_layout(kind), values, seq=number & 255)
 
 
 def send(vehicle: socket.socket, sent_s: dict[str, list[float]]) -> None:

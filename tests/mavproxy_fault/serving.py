@@ -4,13 +4,13 @@ import contextlib
 import threading
 from collections.abc import Iterator, Sequence
 
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.links.link import Link
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape
 
 PATIENCE_S = 30.0  # on a busy machine
 
@@ -19,10 +19,10 @@ PATIENCE_S = 30.0  # on a busy machine
 def serving(
     links: Sequence[Link],
     engine: Engine | None = None,
-    tape: Tape | None = None,
+    tape: CaptureBuffer | None = None,
     recorder: Recorder | None = None,
 ) -> Iterator[Server]:
-    core = Core(roles(links), engine, tape=tape)
+    core = Core(link_roles(links), engine, tape=tape)
     running = Server(links, core, tape=tape, recorder=recorder)
     loop = threading.Thread(target=running.run)
     loop.start()

@@ -4,9 +4,9 @@ from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 AIRFRAMES = {"multirotor": "none_iris", "fixedwing": "gazebo-classic_plane"}
-FIRST_MOTOR = 101  # PWM_MAIN_FUNC of the first motor
-NO_RADIO = 4  # COM_RC_IN_MODE
-PLANE = {  # faster than PX4's own
+MOTOR_FUNCTION = 101  # PWM_MAIN_FUNC of the first motor
+RC_DISABLED = 4  # COM_RC_IN_MODE
+PLANE_PARAMETERS = {  # faster than PX4's own
     "FW_AIRSPD_MIN": 18,
     "FW_AIRSPD_TRIM": 25,
     "FW_AIRSPD_MAX": 35,
@@ -18,30 +18,30 @@ PLANE = {  # faster than PX4's own
     "NAV_LOITER_RAD": 150,
     "FW_LND_USETER": 0,  # the ground is where the mission says, with or without a range finder
 }
-LEAST_OFFSET_PA = 1e-3
-CORNER_M = 2.0  # as ArduCopter's WPNAV_RADIUS
+MIN_OFFSET_PA = 1e-3
+ACCEPTANCE_RADIUS_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 
 
-def parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
+def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
     """Every parameter that a run sets; a take-off ends at `height_m`."""
     found: dict[str, float] = {
         "MAV_SYS_ID": 1,
-        "COM_RC_IN_MODE": NO_RADIO,
+        "COM_RC_IN_MODE": RC_DISABLED,
         "MIS_TAKEOFF_ALT": height_m,
     }
     offset_pa = simulation.pitot_offset_pa()
     if offset_pa is not None:
         # As an operator calibrates it: a plane that seems to move takes off from a loiter. For PX4
         # zero is not calibrated.
-        found["SENS_DPRES_OFF"] = offset_pa or LEAST_OFFSET_PA
+        found["SENS_DPRES_OFF"] = offset_pa or MIN_OFFSET_PA
     vehicle = simulation.vehicle
     if not isinstance(vehicle, Multirotor):
-        return found | PLANE
+        return found | PLANE_PARAMETERS
     # By default a waypoint 10 m away counts as reached: small shapes lose their corners.
-    return found | {"NAV_ACC_RAD": CORNER_M} | rotors(vehicle)
+    return found | {"NAV_ACC_RAD": ACCEPTANCE_RADIUS_M} | rotor_parameters(vehicle)
 
 
-def rotors(vehicle: Multirotor) -> dict[str, float]:
+def rotor_parameters(vehicle: Multirotor) -> dict[str, float]:
     """Places and turning directions of the rotors, in the simulator's order."""
     motor = vehicle.parameters.motor
     found: dict[str, float] = {"CA_ROTOR_COUNT": len(vehicle.parameters.rotors)}
@@ -50,5 +50,5 @@ def rotors(vehicle: Multirotor) -> dict[str, float]:
         found[f"CA_ROTOR{number}_PY"] = rotor.y_m
         along = motor.torque_per_thrust_m if rotor.turns == "ccw" else -motor.torque_per_thrust_m
         found[f"CA_ROTOR{number}_KM"] = along
-        found[f"PWM_MAIN_FUNC{number + 1}"] = FIRST_MOTOR + number
+        found[f"PWM_MAIN_FUNC{number + 1}"] = MOTOR_FUNCTION + number
     return found

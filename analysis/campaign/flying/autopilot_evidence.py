@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import ATTITUDE, PATH, Curve, Evidence, Mark
+from analysis.campaign.cell import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
 from analysis.report.recordings.mode_names import mode_name
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
-from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.wire.tlog import Columns, read_columns
 
 WARNING = 4  # MAV_SEVERITY
@@ -24,10 +24,10 @@ TRACK_HZ = 10.0
 AIRBORNE_M, GROUND_M = 1.0, 0.3
 CRASH_MPS = 3.0  # a descent this fast at the ground is a crash
 LOST_TILT_DEG = 75.0
-Rows = NDArray[Any]
+LogRows = NDArray[Any]
 
 
-def evidence_of(folder: Path) -> tuple[Evidence, float]:
+def collect_evidence(folder: Path) -> tuple[Evidence, float]:
     """Curves and marks of a flight that left the ground, and how long it was in the air [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
@@ -36,7 +36,7 @@ def evidence_of(folder: Path) -> tuple[Evidence, float]:
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
     off_ground_s = summary["moments_s"]["take-off"]
 
-    def since(stamps_us: Rows) -> NDArray[np.float64]:
+    def since(stamps_us: LogRows) -> NDArray[np.float64]:
         return (stamps_us - shift_us) * 1e-6 - float(off_ground_s)
 
     curves = {**attitude_curve(folder, float(off_ground_s)), **path_curves(truth, since)}
@@ -44,13 +44,15 @@ def evidence_of(folder: Path) -> tuple[Evidence, float]:
     marks += ground_marks(truth, since, bool(summary["landed"]))
     if summary["ended_early"]:
         end_s = float(since(truth["t_us"][-1:])[0])
-        marks.append(Mark(end_s, "lost", summary["ended_early"]))
+        marks.append(FlightMark(end_s, "lost", summary["ended_early"]))
     landing_s = summary["moments_s"].get("landing", math.inf) - float(off_ground_s)
-    marks = sorted((mark for mark in marks if counts(mark, landing_s)), key=lambda mark: mark.t_s)
+    marks = sorted(
+        (mark for mark in marks if belongs_to_flight(mark, landing_s)), key=lambda mark: mark.t_s
+    )
     return Evidence(curves, marks), float(since(truth["t_us"][-1:])[0])
 
 
-def counts(mark: Mark, landing_s: float) -> bool:
+def belongs_to_flight(mark: FlightMark, landing_s: float) -> bool:
     """Whether a mark is of the flight: from leaving the ground until it was told to land.
 
     Its modes and flags on the way down come when it touches the ground, which two flights never do
@@ -59,7 +61,7 @@ def counts(mark: Mark, landing_s: float) -> bool:
     return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", "crashed"))
 
 
-def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:
+def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve]:
     """The autopilot's attitude against the truth, as the monitor scored it."""
     errors = [
         result
@@ -68,10 +70,14 @@ def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, Curve]:
     ]
     pairs = [(e.t_us * 1e-6 - off_ground_s, e.angle) for e in errors]
     pairs = [(round(t_s, 3), round(angle, 4)) for t_s, angle in pairs if t_s >= 0.0]
-    return {ATTITUDE: Curve([t for t, _ in pairs], [angle for _, angle in pairs])} if pairs else {}
+    return (
+        {ATTITUDE: EvidenceCurve([t for t, _ in pairs], [angle for _, angle in pairs])}
+        if pairs
+        else {}
+    )
 
 
-def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
+def path_curves(truth: LogRows, since: Any) -> dict[str, EvidenceCurve]:
     """The true path in metres north, east and up of the first place; `truth` are the rows (n,) of
     HIL_STATE_QUATERNION."""
     # About 10 Hz: thousands of flights are kept.
@@ -79,7 +85,7 @@ def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
     t_s = since(truth["t_us"])[::every]
     flown = t_s >= 0.0
     lat, lon = (np.radians(truth[name][::every] * 1e-7) for name in ("lat", "lon"))
-    meridian_m, normal_m = radii(float(lat[0]))
+    meridian_m, normal_m = curvature_radii(float(lat[0]))
     places = (
         (lat - lat[0]) * meridian_m,
         (lon - lon[0]) * normal_m * np.cos(lat[0]),
@@ -87,17 +93,17 @@ def path_curves(truth: Rows, since: Any) -> dict[str, Curve]:
     )
     times = t_s[flown].round(3).tolist()
     return {
-        name: Curve(times, place[flown].round(3).tolist())
+        name: EvidenceCurve(times, place[flown].round(3).tolist())
         for name, place in zip(PATH, places, strict=True)
     }
 
 
-def _rate_hz(rows: Rows) -> float:
+def _rate_hz(rows: LogRows) -> float:
     stamps = rows["t_us"]
     return 1e6 * (len(stamps) - 1) / max(1.0, float(stamps[-1] - stamps[0]))
 
 
-def mode_marks(columns: Columns, since: Any) -> list[Mark]:
+def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
     """A mark for each change of the flight mode."""
     rows = columns["HEARTBEAT"]
     rows = rows[rows["autopilot"] != NO_AUTOPILOT]
@@ -105,12 +111,12 @@ def mode_marks(columns: Columns, since: Any) -> list[Mark]:
     for t_s, row in zip(since(rows["t_us"]).tolist(), rows, strict=True):
         name = mode_name(int(row["autopilot"]), int(row["type"]), int(row["custom_mode"]))
         if before is not None and name != before:
-            marks.append(Mark(round(t_s, 3), "failsafe", name))
+            marks.append(FlightMark(round(t_s, 3), "failsafe", name))
         before = name
     return marks
 
 
-def text_marks(columns: Columns, since: Any) -> list[Mark]:
+def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
     """A mark for each warning of the autopilot, and for a change of the estimator's flags."""
     marks = []
     if "STATUSTEXT" in columns:
@@ -118,7 +124,7 @@ def text_marks(columns: Columns, since: Any) -> list[Mark]:
         rows = rows[(rows["severity"] <= WARNING) & (rows["component"] == 1)]
         for t_s, text in zip(since(rows["t_us"]).tolist(), rows["text"], strict=True):
             words = bytes(text).split(b"\0")[0].decode("utf-8", "replace")
-            marks.append(Mark(round(t_s, 3), "detected", words))
+            marks.append(FlightMark(round(t_s, 3), "detected", words))
     for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
         if name in columns:
             # Flags are compared with the ones before; their first value is no change.
@@ -127,11 +133,11 @@ def text_marks(columns: Columns, since: Any) -> list[Mark]:
             for t_s, flags in zip(
                 since(rows["t_us"])[changed].tolist(), rows["flags"][changed], strict=True
             ):
-                marks.append(Mark(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}"))
+                marks.append(FlightMark(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}"))
     return marks
 
 
-def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
+def ground_marks(truth: LogRows, since: Any, landed: bool) -> list[FlightMark]:
     """Landed, crashed, or out of control, by the truth, rows (n,) of HIL_STATE_QUATERNION."""
     t_s = since(truth["t_us"])
     # Above the first place; whatever the ground does there.
@@ -144,7 +150,7 @@ def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
     lost = up[tilt_deg[up] > LOST_TILT_DEG]
     if len(lost):
         marks.append(
-            Mark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
+            FlightMark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
         )
     # Down again only after having been up.
     down = np.flatnonzero((np.arange(len(t_s)) > (up[0] if len(up) else 0)) & (height_m < GROUND_M))
@@ -155,5 +161,5 @@ def ground_marks(truth: Rows, since: Any, landed: bool) -> list[Mark]:
         speed_mps = float(truth["vz"][window].max()) * 1e-2
         kind = "crashed" if speed_mps > CRASH_MPS else "landed"
         text = f"at {speed_mps:.1f} m/s" if kind == "crashed" or not landed else "on the ground"
-        marks.append(Mark(float(t_s[at]), kind, text))
+        marks.append(FlightMark(float(t_s[at]), kind, text))
     return marks

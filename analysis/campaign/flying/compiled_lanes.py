@@ -19,10 +19,10 @@ from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 
 NEVER_S = 1e9  # an onset after the end of every flight
-ANGLE = 3  # place of the whole angle among the errors
+ANGLE_COLUMN = 3  # place of the whole angle among the errors
 
 
-def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]:
+def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]:
     """The outcomes of cells that share subject, scenario, fault and seed.
 
     Raises
@@ -31,7 +31,7 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
         If the kernels do not have the fault or the subject.
     """
     started_s = time.monotonic()
-    batch = Batch(lane_test(campaign, cells[0]))
+    batch = Batch(lane_test_file(campaign, cells[0]))
     # The twin first: its fault never begins.
     at_s = [NEVER_S, *(float(cell.onset) for cell in cells)]
     count = len(at_s)
@@ -42,7 +42,7 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
         values["faults[0].value"] = np.array([0.0, *(cell.magnitude for cell in cells)], float)
     # With the same noise in every lane: what differs from the twin is then the fault's doing.
     outcome = batch.of_values(values, cells[0].seed, 0, 1, alike=True)
-    largest_deg = outcome.largest_deg[:, ANGLE]
+    largest_deg = outcome.largest_deg[:, ANGLE_COLUMN]
     excursion_deg = largest_deg[1:] - largest_deg[0]
     # The batch took its time as one; every cell gets its share.
     wall_s = (time.monotonic() - started_s) / len(cells)
@@ -62,7 +62,7 @@ def fly_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     return found
 
 
-def lane_test(campaign: CampaignFile, cell: Cell) -> TestFile:
+def lane_test_file(campaign: CampaignFile, cell: Cell) -> TestFile:
     """The search's test that flies a cell's kind."""
     scenario = next(
         s for s in campaign.scenarios if isinstance(s, CompiledScenario) and s.name == cell.scenario

@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
-from analysis.campaign.cell import HEALTHY, MONITOR, Cell, CellResult, Evidence, Flown
-from analysis.campaign.flying.internal_flight import fly
-from analysis.campaign.outcomes import ABORTED, judged, rank
-from analysis.run.setup import Setup, read_setup
+from analysis.campaign.cell import HEALTHY, MONITOR, CampaignFlight, Cell, CellResult, Evidence
+from analysis.campaign.flying.internal_flight import run_simulated_flight
+from analysis.campaign.outcomes import ABORTED, classify_flight, outcome_rank
+from analysis.run.run_setup import RunSetup, read_setup
 from mavproxy_fault.schedule.entries import parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change
 
@@ -26,7 +26,7 @@ class FlightJob:
 
     campaign: CampaignFile
     cells: tuple[Cell, ...]
-    twin: Flown | None = None
+    twin: CampaignFlight | None = None
     keep: str | None = None
 
 
@@ -39,17 +39,17 @@ class LaneJob:
 
 
 @dataclass(frozen=True)
-class Answer:
+class JobAnswer:
     """What became of a job: results of its cells, and what the flight showed."""
 
     results: list[CellResult]
-    flown: Flown | None = None
+    flown: CampaignFlight | None = None
 
 
 Job = FlightJob | LaneJob
 
 
-def answer(job: Job) -> Answer:
+def run_job(job: Job) -> JobAnswer:
     """Fly a job, in whatever process.
 
     Raises
@@ -59,19 +59,19 @@ def answer(job: Job) -> Answer:
     """
     if isinstance(job, LaneJob):
         # Imported here: whoever flies in the simulator needs none of the search's kernels.
-        from analysis.campaign.flying.compiled_lanes import fly_lanes
+        from analysis.campaign.flying.compiled_lanes import run_lanes
 
-        return Answer(fly_lanes(job.campaign, job.cells))
+        return JobAnswer(run_lanes(job.campaign, job.cells))
     first = job.cells[0]
-    onset_s = onset_of(first, job.twin)
+    onset_s = onset_time_s(first, job.twin)
     if onset_s is None:
-        return failed(job, f"the flight has no {first.onset}")
-    flown = flight_of(job, onset_s)
+        return aborted_answer(job, f"the flight has no {first.onset}")
+    flown = run_cell_flight(job, onset_s)
     if job.twin is None:
-        return Answer([], flown)
+        return JobAnswer([], flown)
     results = [
         msgspec.structs.replace(
-            judged(
+            classify_flight(
                 cell,
                 onset_s,
                 flown.evidence[cell.subject],
@@ -88,20 +88,20 @@ def answer(job: Job) -> Answer:
     # Written and then removed: what a flight was worth is known only in the end.
     if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
         shutil.rmtree(job.keep)
-    return Answer(results, flown)
+    return JobAnswer(results, flown)
 
 
 def _interesting(results: list[CellResult]) -> bool:
     """Whether a fault did something to a subject."""
-    return any(rank(result.outcome) > rank("detected") for result in results)
+    return any(outcome_rank(result.outcome) > outcome_rank("detected") for result in results)
 
 
-def failed(job: Job, reason: str) -> Answer:
+def aborted_answer(job: Job, reason: str) -> JobAnswer:
     """The answer of a job that could not be flown."""
-    return Answer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
+    return JobAnswer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
 
 
-def onset_of(cell: Cell, twin: Flown | None) -> float | None:
+def onset_time_s(cell: Cell, twin: CampaignFlight | None) -> float | None:
     """When the fault sets in; None if the flight never comes to that phase."""
     if not isinstance(cell.onset, str):
         return float(cell.onset)
@@ -109,7 +109,7 @@ def onset_of(cell: Cell, twin: Flown | None) -> float | None:
     return None if twin is None else twin.phases.get(cell.onset)
 
 
-def flight_of(job: FlightJob, onset_s: float) -> Flown:
+def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
     """Fly the cells' scenario, with their fault unless this is the twin."""
     cell, campaign = job.cells[0], job.campaign
     entries = []
@@ -119,27 +119,27 @@ def flight_of(job: FlightJob, onset_s: float) -> Flown:
     schedule = {"seed": cell.seed, "faults": entries}
     autopilot = campaign.autopilot(cell.subject)
     if autopilot is not None:
-        from analysis.campaign.flying.autopilot_cell import fly_autopilot
+        from analysis.campaign.flying.autopilot_cell import run_autopilot_cell
 
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
             run = [*campaign.scenario_words(cell.scenario), *autopilot.options(campaign.folder)]
-            return fly_autopilot(autopilot.name, run, schedule, folder, kept=kept)
+            return run_autopilot_cell(autopilot.name, run, schedule, folder, kept=kept)
     subjects = [cell.subject for cell in job.cells]
-    setup = setup_of(campaign, cell, subjects)
+    setup = cell_setup(campaign, cell, subjects)
     faults = parse_schedule(schedule, campaign.name)
     keep = None if job.keep is None else Path(job.keep)
-    return fly(setup.scenario, faults, setup.monitor, subjects, keep)
+    return run_simulated_flight(setup.scenario, faults, setup.monitor, subjects, keep)
 
 
-def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> Setup:
+def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> RunSetup:
     """A scenario by its name in results; errors as `read_setup` has them."""
     file, *changes = campaign.scenario_words(scenario)
     # Every other word is the option's name.
     return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])))
 
 
-def setup_of(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> Setup:
+def cell_setup(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> RunSetup:
     """The scenario with the cell's seed and the estimators under test."""
     setup = setup_by_name(campaign, cell.scenario, cell.seed)
     # The monitor runs in any case; it is no estimator of attitude.

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from analysis.scoring.attitude_scores import PHASES, phases_of
+from analysis.scoring.attitude_scores import PHASES, flight_phases
 from simvehicle.vehicles.body import Truth
 
-SETTLED_S = 5.0  # no phase counts before: estimators need some seconds
-LASTS_S = 1.0  # a phase begins once it has lasted so long
+FIRST_PHASE_S = 5.0  # no phase counts before: estimators need some seconds
+MIN_PHASE_S = 1.0  # a phase begins once it has lasted so long
 AIRBORNE_M = 1.0
 LANDING_M = 10.0  # a descent below this height is a landing
 
 
-class PhaseTrack:
+class PhaseTracker:
     """The first time of each phase: hover, turn, climb, descent, level, landing."""
 
     def __init__(self) -> None:
@@ -23,13 +23,13 @@ class PhaseTrack:
         phase = phase_of(truth)
         if phase != self._phase:
             self._phase, self._since_s = phase, t_s
-        if t_s >= SETTLED_S and t_s - self._since_s >= LASTS_S and phase != "ground":
+        if t_s >= FIRST_PHASE_S and t_s - self._since_s >= MIN_PHASE_S and phase != "ground":
             self.begun.setdefault(phase, round(t_s, 3))
 
 
 def phase_of(truth: Truth) -> str:
     """The phase at one instant."""
-    number = phases_of(np.array([truth.q_nb]), np.array([truth.v_ned_mps]))[0]
+    number = flight_phases(np.array([truth.q_nb]), np.array([truth.v_ned_mps]))[0]
     phase = PHASES[int(number)]
     airborne = truth.height_agl_m > AIRBORNE_M
     if phase == "ground" and airborne:

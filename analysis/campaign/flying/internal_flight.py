@@ -15,17 +15,17 @@ from analysis.campaign.cell import (
     ATTITUDE,
     MONITOR,
     POSITION,
-    Curve,
+    CampaignFlight,
     Evidence,
-    Flown,
-    Mark,
-    verdict_of,
+    EvidenceCurve,
+    FlightMark,
+    monitor_verdict,
 )
-from analysis.campaign.flying.flight_phases import PhaseTrack
+from analysis.campaign.flying.flight_phases import PhaseTracker
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import AttitudeError, Decision, Result, SensorDecision
-from analysis.run.proxied_flight import Flight
+from analysis.run.proxied_flight import ProxiedFlight
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -39,17 +39,17 @@ WIDEST_DEG = 180.0
 Vector = NDArray[np.float64]
 
 
-def fly(
+def run_simulated_flight(
     scenario: Scenario,
     schedule: Schedule,
     config: MonitorConfig,
     subjects: Sequence[str],
     keep: Path | None = None,
-) -> Flown:
+) -> CampaignFlight:
     """Fly to the scenario's end; evidence by subject. `keep` is the folder for the logs."""
     started_s = time.monotonic()
-    flight, monitor = Flight(scenario, schedule), Monitor(config)
-    phases, results = PhaseTrack(), list[Result]()
+    flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
+    phases, results = PhaseTracker(), list[Result]()
     track: list[tuple[float, ...]] = []
     next_us, batch = 0, bytearray()
     while not flight.over:
@@ -67,9 +67,9 @@ def fly(
     results += monitor.push_bytes([bytes(batch)], datagrams=False)
     t0_us = flight.core.clock.t0_us or 0
     found = {
-        name: of_monitor(results, np.array(track), t0_us)
+        name: monitor_evidence(results, np.array(track), t0_us)
         if name == MONITOR
-        else of_estimator(results, name, t0_us)
+        else estimator_evidence(results, name, t0_us)
         for name in subjects
     }
     labels = flight.drain_labels()
@@ -77,11 +77,11 @@ def fly(
         write_logs(flight, labels, keep)
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     wall_s = time.monotonic() - started_s
-    verdict = verdict_of(summary["faults"])
-    return Flown(found, phases.begun, scenario.duration_s, wall_s, verdict=verdict)
+    verdict = monitor_verdict(summary["faults"])
+    return CampaignFlight(found, phases.begun, scenario.duration_s, wall_s, verdict=verdict)
 
 
-def write_logs(flight: Flight, labels: Sequence[Label], folder: Path) -> None:
+def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:
     """The flight's tlogs and labels, as `run` leaves them."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
@@ -93,10 +93,10 @@ def _seconds(result: Result, t0_us: int) -> float:
     return round((result.t_us - t0_us) * 1e-6, 3)
 
 
-def of_estimator(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
+def estimator_evidence(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
     """An estimator's attitude error by seconds from `t0_us`; it flags nothing."""
     errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
-    curve = Curve(
+    curve = EvidenceCurve(
         [_seconds(e, t0_us) for e in errors],
         # An estimate that is no number any more counts as wrong as can be.
         [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
@@ -104,7 +104,7 @@ def of_estimator(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
     return Evidence({ATTITUDE: curve})
 
 
-def of_monitor(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence:
+def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence:
     """The monitor's position error by the true track (n, 4) [us, m ECEF], and its alarms."""
     decisions = [r for r in results if isinstance(r, Decision)]
     fixes = [d for d in decisions if d.position_ecef_m is not None]
@@ -113,10 +113,14 @@ def of_monitor(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence
         t_us = np.array([d.t_us for d in fixes])
         true = np.stack([np.interp(t_us, track[:, 0], track[:, i]) for i in (1, 2, 3)], axis=1)
         error = np.linalg.norm(np.array([d.position_ecef_m for d in fixes]) - true, axis=1)
-        curves[POSITION] = Curve([_seconds(d, t0_us) for d in fixes], error.round(3).tolist())
-    alarms = [Mark(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm]
+        curves[POSITION] = EvidenceCurve(
+            [_seconds(d, t0_us) for d in fixes], error.round(3).tolist()
+        )
+    alarms = [
+        FlightMark(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm
+    ]
     alarms += [
-        Mark(_seconds(r, t0_us), "detected", r.sensor)
+        FlightMark(_seconds(r, t0_us), "detected", r.sensor)
         for r in results
         if isinstance(r, SensorDecision) and r.alarm
     ]

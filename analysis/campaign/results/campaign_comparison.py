@@ -20,19 +20,19 @@ from rich.text import Text
 from scipy.stats import binomtest
 
 from analysis.campaign.cell import CellResult
-from analysis.campaign.ledger import read_folder
-from analysis.campaign.outcomes import ABORTED, rank
+from analysis.campaign.outcomes import ABORTED, outcome_rank
+from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.documents.errors import ConfigError
 
 # Beside the single faults: many small changes of one sign show only in the sum.
-ALL = "all faults"
+ALL_FAULTS = "all faults"
 # The usual level of a significance test, after the correction for many faults.
-SIGNIFICANT = 0.05
+SIGNIFICANCE_LEVEL = 0.05
 SAME_SHARE = 0.2  # excursions this near, or nearer than SAME, are alike
-SAME = 0.5  # degrees or metres
+SAME_EXCURSION = 0.5  # degrees or metres
 
 
-class Change(NamedTuple):
+class FaultChange(NamedTuple):
     """A subject and fault in both campaigns.
 
     `worse` and `better` count pairs that differ; `examples` are the worst of the worse ones;
@@ -50,7 +50,7 @@ class Change(NamedTuple):
     @property
     def regressed(self) -> bool:
         """Whether it got worse by more than chance."""
-        return self.p_value < SIGNIFICANT and self.worse > self.better
+        return self.p_value < SIGNIFICANCE_LEVEL and self.worse > self.better
 
 
 def compare_folders(before: Path, after: Path) -> int:
@@ -62,10 +62,11 @@ def compare_folders(before: Path, after: Path) -> int:
         If the campaigns have no cell in common.
     """
     old, new = (
-        {result.cell.key: result for result in read_folder(folder)[1]} for folder in (before, after)
+        {result.cell.key: result for result in read_campaign_folder(folder)[1]}
+        for folder in (before, after)
     )
     # No common cell is a mistake of the user's, not "nothing changed".
-    found = changes(old, new)
+    found = compare_results(old, new)
     if not found:
         raise ConfigError(f"{before} and {after}: have no cell in common; fly the same file twice")
     console = Console(markup=False)
@@ -81,7 +82,9 @@ def compare_folders(before: Path, after: Path) -> int:
     return int(bool(regressed))
 
 
-def changes(old: Mapping[str, CellResult], new: Mapping[str, CellResult]) -> list[Change]:
+def compare_results(
+    old: Mapping[str, CellResult], new: Mapping[str, CellResult]
+) -> list[FaultChange]:
     """Every subject and fault that both have, those that got worse first."""
     groups: dict[tuple[str, str], list[tuple[CellResult, CellResult]]] = defaultdict(list)
     for key, was in old.items():
@@ -89,34 +92,36 @@ def changes(old: Mapping[str, CellResult], new: Mapping[str, CellResult]) -> lis
         # An aborted cell says nothing of the subject: neither side can be worse by it.
         if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
             groups[was.cell.subject, was.cell.fault].append((was, is_now))
-            groups[was.cell.subject, ALL].append((was, is_now))
-    faults = [subject for subject, fault in groups if fault != ALL]
+            groups[was.cell.subject, ALL_FAULTS].append((was, is_now))
+    faults = [subject for subject, fault in groups if fault != ALL_FAULTS]
     for subject in set(faults):
         # Of a single fault the sum says the same again, and would count as a second test.
         if faults.count(subject) == 1:
-            del groups[subject, ALL]
+            del groups[subject, ALL_FAULTS]
     found = [_change(names, pairs) for names, pairs in groups.items()]
     # All probabilities at once: the correction depends on how many there are.
-    corrected = holm([change.p_value for change in found])
+    corrected = holm_correction([change.p_value for change in found])
     found = [c._replace(p_value=p) for c, p in zip(found, corrected, strict=True)]
     return sorted(found, key=lambda change: (change.p_value, -change.worse))
 
 
-def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult]]) -> Change:
-    signs = [(sign(was, is_now), was, is_now) for was, is_now in pairs]
+def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult]]) -> FaultChange:
+    signs = [(compare_pair(was, is_now), was, is_now) for was, is_now in pairs]
     worse = [(was, is_now) for s, was, is_now in signs if s > 0]
     better = sum(s < 0 for s, _, _ in signs)
     differ = len(worse) + better
     # One-sided: better is no reason to fail. Without a difference there is nothing to test.
     p = binomtest(len(worse), differ, 0.5, alternative="greater").pvalue if differ else 1.0
     # The largest fall first, of which the table shows three.
-    worse.sort(key=lambda pair: rank(pair[1].outcome) - rank(pair[0].outcome), reverse=True)
-    return Change(*names, len(pairs), len(worse), better, float(p), tuple(worse[:3]))
+    worse.sort(
+        key=lambda pair: outcome_rank(pair[1].outcome) - outcome_rank(pair[0].outcome), reverse=True
+    )
+    return FaultChange(*names, len(pairs), len(worse), better, float(p), tuple(worse[:3]))
 
 
-def sign(was: CellResult, is_now: CellResult) -> int:
+def compare_pair(was: CellResult, is_now: CellResult) -> int:
     """1 if worse, -1 if better: by the outcome, within the same one by the excursion."""
-    step = rank(is_now.outcome) - rank(was.outcome)
+    step = outcome_rank(is_now.outcome) - outcome_rank(was.outcome)
     if step:
         return 1 if step > 0 else -1
     # Angles first: where they agree within the tolerance, the positions decide.
@@ -126,13 +131,13 @@ def sign(was: CellResult, is_now: CellResult) -> int:
     ):
         if before is not None and after is not None:
             # Small excursions vary by noise, large ones by their size: the wider of both bounds.
-            size = max(SAME, SAME_SHARE * abs(before))
+            size = max(SAME_EXCURSION, SAME_SHARE * abs(before))
             if abs(after - before) > size:
                 return 1 if after > before else -1
     return 0
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
+def holm_correction(p_values: Sequence[float]) -> list[float]:
     """Probabilities corrected for their number, in the same order."""
     order = sorted(range(len(p_values)), key=lambda i: p_values[i])
     corrected, largest = [0.0] * len(p_values), 0.0
@@ -143,7 +148,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _table(found: Sequence[Change]) -> Table:
+def _table(found: Sequence[FaultChange]) -> Table:
     table = Table(box=None, pad_edge=False)
     for name in ("subject", "fault", "pairs", "worse", "better", "p", ""):
         table.add_column(name)

@@ -14,22 +14,28 @@ from statistics import median
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
-from analysis.campaign.cell import CellResult, Curve, Evidence
-from analysis.campaign.ledger import CurvesOf
-from analysis.campaign.outcomes import RANKS, Limits, rank
-from analysis.campaign.plan import Plan
-from analysis.campaign.results.grid import GridCell, GridRow, badness, failsafe_share, grid_of
+from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.cell import CellResult, Evidence, EvidenceCurve
+from analysis.campaign.outcomes import RANKS, OutcomeLimits, outcome_rank
+from analysis.campaign.results.outcome_grid import (
+    GridCell,
+    GridRow,
+    failsafe_share,
+    outcome_grid,
+    severity_key,
+)
+from analysis.campaign.results_store import CellEvidence
 
-MOST_LISTED = 5000  # results whose numbers stand in the page: the worst
-MOST_POINTS = 200  # of one curve
-WORST = 12  # rows of the table of the worst
-MOST_PARETO = 20
+MAX_LISTED = 5000  # results whose numbers stand in the page: the worst
+MAX_CURVE_POINTS = 200  # of one curve
+WORST_ROWS = 12  # rows of the table of the worst
+MAX_PARETO_ROWS = 20
 
 
-def page(
-    plan: Plan,
+def render_campaign_page(
+    plan: CampaignPlan,
     results: Sequence[CellResult],
-    curves: Sequence[CurvesOf],
+    curves: Sequence[CellEvidence],
     twins: dict[str, Evidence],
     reload_s: float | None = None,
 ) -> str:
@@ -38,15 +44,15 @@ def page(
     With `reload_s` the campaign still flies: the page tells how far it is, and loads itself again.
     """
     # The worst are listed: a campaign of the kernels has more results than a browser can hold.
-    listed = sorted(results, key=badness, reverse=True)[:MOST_LISTED]
+    listed = sorted(results, key=severity_key, reverse=True)[:MAX_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
-    grid = grid_of(results, plan.campaign)
+    grid = outcome_grid(results, plan.campaign)
     model = {
         "reload_s": reload_s,
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
         "rows": [_row(row, numbers) for row in grid],
-        "results": [_numbers(result, plan.campaign) for result in listed],
+        "results": [_result_model(result, plan.campaign) for result in listed],
         # Curves only of results that are listed.
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
@@ -67,14 +73,14 @@ def page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{name}</title><style>{style}</style></head>",
             f"<body><header><h1>{name}</h1></header><main>",
-            "" if reload_s is None else _progress(len(results), plan.most_cells),
-            _facts(results),
+            "" if reload_s is None else _progress_html(len(results), plan.most_cells),
+            _facts_html(results),
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
-            _reactions(grid),
-            _pareto(grid, plan.campaign.limits),
-            _worst(listed[:WORST]),
+            _reactions_html(grid),
+            _pareto_html(grid, plan.campaign.limits),
+            _worst_html(listed[:WORST_ROWS]),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
             f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
@@ -98,16 +104,16 @@ def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
     }
 
 
-def _numbers(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
+def _result_model(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
     """What the page tells of one result."""
     fields = msgspec.structs.asdict(result)
     cell = msgspec.structs.asdict(fields.pop("cell"))
     # Four digits: the page is for reading, `cells.csv` holds the numbers.
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
-    return {**cell, **rounded, "again": again(result, campaign)}
+    return {**cell, **rounded, "again": rerun_command(result, campaign)}
 
 
-def again(result: CellResult, campaign: CampaignFile) -> str:
+def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     """The command that flies a cell again, to watch; empty for a compiled one."""
     # A compiled cell has no scenario file that `run` could fly.
     if campaign.compiled:
@@ -130,10 +136,10 @@ def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
     return {name: [*_thinned(curve)] for name, curve in evidence.curves.items()}
 
 
-def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
+def _thinned(curve: EvidenceCurve) -> tuple[list[float], list[float]]:
     """Times and, of each stretch, the largest value: the page shows errors."""
     # Rounded up, so that no curve exceeds its points.
-    step = max(1, -(-len(curve.t_s) // MOST_POINTS))
+    step = max(1, -(-len(curve.t_s) // MAX_CURVE_POINTS))
     starts = range(0, len(curve.t_s), step)
     return (
         [round(curve.t_s[i], 2) for i in starts],
@@ -142,7 +148,7 @@ def _thinned(curve: Curve) -> tuple[list[float], list[float]]:
     )
 
 
-def _progress(flown: int, cells: int) -> str:
+def _progress_html(flown: int, cells: int) -> str:
     """How far a campaign is that still flies."""
     return (
         f'<p role="status"><progress max="{cells}" value="{flown}" aria-label="Cells flown">'
@@ -150,7 +156,7 @@ def _progress(flown: int, cells: int) -> str:
     )
 
 
-def _facts(results: Sequence[CellResult]) -> str:
+def _facts_html(results: Sequence[CellResult]) -> str:
     counts = Counter(result.outcome for result in results)
     facts = [(str(len(results)), "cells")]
     # In the order of their rank; an aborted flight has none.
@@ -162,7 +168,7 @@ def _facts(results: Sequence[CellResult]) -> str:
     return f'<div class="facts">{shown}</div>'
 
 
-def _reactions(grid: Sequence[GridRow]) -> str:
+def _reactions_html(grid: Sequence[GridRow]) -> str:
     """How soon each subject notices each fault, and how long it takes to recover."""
     rows = []
     for row in grid:
@@ -170,7 +176,7 @@ def _reactions(grid: Sequence[GridRow]) -> str:
         delays = [r.detected_s for r in found if r.detected_s is not None]
         recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
         # Recovery is a question only where something had got worse.
-        degraded = sum(rank(r.outcome) >= rank("degraded") for r in found)
+        degraded = sum(outcome_rank(r.outcome) >= outcome_rank("degraded") for r in found)
         rows.append(
             (
                 row.subject,
@@ -185,7 +191,7 @@ def _reactions(grid: Sequence[GridRow]) -> str:
     return "<h2>Reaction times</h2>" + _table("Reaction times", head, rows)
 
 
-def _pareto(grid: Sequence[GridRow], limits: Limits) -> str:
+def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
     """Which faults do most of the harm: bad cells, most first, and their share so far."""
     bad = {
         (row.subject, row.fault): sum(
@@ -203,11 +209,11 @@ def _pareto(grid: Sequence[GridRow], limits: Limits) -> str:
         rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
     head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "with those above")
     return "<h2>Where the harm comes from (Pareto)</h2>" + _table(
-        "Pareto", head, rows[:MOST_PARETO]
+        "Pareto", head, rows[:MAX_PARETO_ROWS]
     )
 
 
-def _worst(results: Sequence[CellResult]) -> str:
+def _worst_html(results: Sequence[CellResult]) -> str:
     rows = []
     for result in results:
         cell = result.cell

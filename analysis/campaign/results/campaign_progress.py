@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from analysis.campaign.cell import CellResult
-from analysis.campaign.outcomes import rank
+from analysis.campaign.outcomes import outcome_rank
 
 
 class CampaignProgress:
@@ -43,7 +43,9 @@ class CampaignProgress:
     def show(self, results: list[CellResult]) -> None:
         """Count some cells."""
         for result in results:
-            if self._worst is None or rank(result.outcome) > rank(self._worst.outcome):
+            if self._worst is None or outcome_rank(result.outcome) > outcome_rank(
+                self._worst.outcome
+            ):
                 self._worst = result
         worst = self._worst
         text = "" if worst is None else f"worst: {worst.outcome} ({worst.cell.fault})"

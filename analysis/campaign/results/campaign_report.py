@@ -9,25 +9,32 @@ from xml.etree import ElementTree
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult
-from analysis.campaign.ledger import CURVES, TWINS, CurvesOf, TwinOf, read_folder, read_lines
-from analysis.campaign.outcomes import ABORTED, Limits
-from analysis.campaign.plan import Plan
-from analysis.campaign.results.campaign_page import page
-from analysis.campaign.results.grid import badness
-from analysis.campaign.results.outcome_markdown import markdown
-from mavproxy_fault.documents.whole_file import write_whole
+from analysis.campaign.outcomes import ABORTED, OutcomeLimits
+from analysis.campaign.results.campaign_page import render_campaign_page
+from analysis.campaign.results.outcome_grid import severity_key
+from analysis.campaign.results.outcome_markdown import render_markdown
+from analysis.campaign.results_store import (
+    CURVES,
+    REFERENCE_FLIGHTS,
+    CellEvidence,
+    ReferenceFlightRecord,
+    read_campaign_folder,
+    read_lines,
+)
+from mavproxy_fault.documents.atomic_file import write_atomic
 
-MOST_CURVES = 300  # flights whose curves stand in the page: the worst
+MAX_CURVES = 300  # flights whose curves stand in the page: the worst
 
 
-def write_report(folder: Path, plan: Plan) -> None:
+def write_report(folder: Path, plan: CampaignPlan) -> None:
     """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
     campaign, results = write_page(folder, plan)
     (folder / "campaign-summary.json").write_text(
-        json.dumps(summary_of(plan, results), indent=1) + "\n"
+        json.dumps(campaign_summary(plan, results), indent=1) + "\n"
     )
-    (folder / "summary.md").write_text(markdown(campaign, results), encoding="utf-8")
+    (folder / "summary.md").write_text(render_markdown(campaign, results), encoding="utf-8")
     write_csv(folder / "cells.csv", results)
     # A campaign of the kernels has more cells than any reader of JUnit wants.
     if not campaign.compiled:
@@ -35,26 +42,29 @@ def write_report(folder: Path, plan: Plan) -> None:
 
 
 def write_page(
-    folder: Path, plan: Plan, reload_s: float | None = None
+    folder: Path, plan: CampaignPlan, reload_s: float | None = None
 ) -> tuple[CampaignFile, list[CellResult]]:
     """Write `campaign.html`, which loads itself again every `reload_s`; campaign and results."""
-    campaign, results = read_folder(folder)
+    campaign, results = read_campaign_folder(folder)
     # Curves are long: only those of the worst flights stand in the page.
-    shown = {r.cell.key for r in sorted(results, key=badness, reverse=True)[:MOST_CURVES]}
-    curves = [item for item in read_lines(folder / CURVES, CurvesOf) if item.key in shown]
+    shown = {r.cell.key for r in sorted(results, key=severity_key, reverse=True)[:MAX_CURVES]}
+    curves = [item for item in read_lines(folder / CURVES, CellEvidence) if item.key in shown]
     twins = {
         # The page looks twins up by subject, scenario and seed; the ledger keys them by flight.
         f"{subject}|{key.partition('|')[2]}": evidence
-        for key, flown in ((twin.key, twin.flown) for twin in read_lines(folder / TWINS, TwinOf))
+        for key, flown in (
+            (twin.key, twin.flown)
+            for twin in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
+        )
         for subject, evidence in flown.evidence.items()
     }
-    text = page(plan, results, curves, twins, reload_s)
+    text = render_campaign_page(plan, results, curves, twins, reload_s)
     # A browser may load it at any moment.
-    write_whole(folder / "campaign.html", text)
+    write_atomic(folder / "campaign.html", text)
     return campaign, results
 
 
-def summary_of(plan: Plan, results: list[CellResult]) -> dict[str, object]:
+def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
     """Counts for scripts, by subject and fault; critical magnitudes where they were sought."""
     found: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
     counts: dict[str, dict[str, Counter[str]]] = {}
@@ -78,7 +88,7 @@ def summary_of(plan: Plan, results: list[CellResult]) -> dict[str, object]:
 
 def write_csv(path: Path, results: list[CellResult]) -> None:
     """A row for each cell."""
-    rows = [flat(result) for result in results]
+    rows = [flatten_result(result) for result in results]
     with path.open("w", newline="") as file:
         # The columns of the first row are those of all: every cell has the same fields.
         writer = csv.DictWriter(file, list(rows[0]))
@@ -86,14 +96,14 @@ def write_csv(path: Path, results: list[CellResult]) -> None:
         writer.writerows(rows)
 
 
-def flat(result: CellResult) -> dict[str, object]:
+def flatten_result(result: CellResult) -> dict[str, object]:
     """A result without the struct within."""
     fields = msgspec.structs.asdict(result)
     cell = fields.pop("cell")
     return {**msgspec.structs.asdict(cell), **fields}
 
 
-def write_junit(path: Path, name: str, results: list[CellResult], limits: Limits) -> None:
+def write_junit(path: Path, name: str, results: list[CellResult], limits: OutcomeLimits) -> None:
     """One test case for each cell; it fails where the outcome is worse than it may be."""
     suite = ElementTree.Element("testsuite", name=name, tests=str(len(results)))
     failures = errors = 0
@@ -112,14 +122,14 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Limits
             ElementTree.SubElement(case, "error", message=result.note)
         elif limits.worse(result.outcome):
             failures += 1
-            text = f"{result.outcome}; {excursions(result)}"
+            text = f"{result.outcome}; {describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)
     suite.set("failures", str(failures))
     suite.set("errors", str(errors))
     ElementTree.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def excursions(result: CellResult) -> str:
+def describe_excursions(result: CellResult) -> str:
     """How far the errors went beyond the twin's."""
     angle = None if result.excursion_deg is None else f"{result.excursion_deg:.3g} degrees"
     place = None if result.excursion_m is None else f"{result.excursion_m:.3g} m"

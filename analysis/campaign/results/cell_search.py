@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from analysis.campaign.campaign_file import MAGNITUDE, CampaignFile, CompiledScenario
-from analysis.campaign.cell import CellResult, key_of
-from analysis.campaign.ledger import read_folder
-from analysis.campaign.results.grid import badness
+from analysis.campaign.cell import CellResult, file_key
+from analysis.campaign.results.outcome_grid import severity_key
+from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 
-FACTOR = 3.0  # magnitudes from a third of the cell's to three times as much
+MAGNITUDE_FACTOR = 3.0  # magnitudes from a third of the cell's to three times as much
 
 
 def write_search(folder: Path, key: str | None) -> Path:
@@ -22,18 +22,18 @@ def write_search(folder: Path, key: str | None) -> Path:
     ConfigError
         If there is no such cell, or a search cannot vary its fault.
     """
-    campaign, results = read_folder(folder)
+    campaign, results = read_campaign_folder(folder)
     cells = {result.cell.key: result for result in results}
     if key is not None and key not in cells:
         known = next(iter(cells), "none at all")
         raise ConfigError(f"{key}: no cell of {folder}; one of its JUnit names, such as {known}")
-    result = max(results, key=badness) if key is None else cells[key]
-    path = folder / f"search-{key_of(*result.cell.key.split('|'))}.yaml"
-    path.write_text(write_yaml(test_of(campaign, result, folder)))
+    result = max(results, key=severity_key) if key is None else cells[key]
+    path = folder / f"search-{file_key(*result.cell.key.split('|'))}.yaml"
+    path.write_text(write_yaml(search_test_file(campaign, result, folder)))
     return path
 
 
-def test_of(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[str, Any]:
+def search_test_file(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[str, Any]:
     """The test file around a cell: magnitude, onset and duration become ranges."""
     cell = result.cell
     fault = campaign.fault(cell.fault)
@@ -42,7 +42,7 @@ def test_of(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[st
     entry: dict[str, Any] = {"fault": fault.fault, "target": fault.target}
     if cell.magnitude is not None:
         # Sorted, since a negative magnitude turns the interval around.
-        ends = (cell.magnitude / FACTOR, cell.magnitude * FACTOR)
+        ends = (cell.magnitude / MAGNITUDE_FACTOR, cell.magnitude * MAGNITUDE_FACTOR)
         entry["value"] = sorted(float(f"{end:.4g}") for end in ends)
     onset_s, lasts_s = result.onset_s, cell.duration_s
     entry["at_s"] = [max(0.0, onset_s - lasts_s), onset_s + lasts_s]

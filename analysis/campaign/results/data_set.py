@@ -16,10 +16,10 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from analysis.autopilots.flight_process import RUN
-from analysis.campaign.cell import key_of
-from analysis.campaign.ledger import read_folder
-from analysis.campaign.results.campaign_report import flat
+from analysis.autopilots.flight_process import RUN_FOLDER
+from analysis.campaign.cell import file_key
+from analysis.campaign.results.campaign_report import flatten_result
+from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault import __version__
 from mavproxy_fault.app.recorder import LABELS, RECEIVED, SENT
 from mavproxy_fault.documents.errors import ConfigError
@@ -29,7 +29,7 @@ from mavproxy_fault.wire.tlog import read_columns
 FLIGHTS = "flights"
 
 
-def export(folder: Path, out: Path) -> None:
+def export_data_set(folder: Path, out: Path) -> None:
     """Write the data set of a campaign whose flights were kept.
 
     Raises
@@ -37,14 +37,17 @@ def export(folder: Path, out: Path) -> None:
     ConfigError
         If they were not.
     """
-    campaign, results = read_folder(folder)
+    campaign, results = read_campaign_folder(folder)
     kept = _kept_flights(folder / FLIGHTS)
     if not kept:
         raise ConfigError(f"{folder}: no flight was kept; fly with --dataset, or with keep: all")
     (out / FLIGHTS).mkdir(parents=True, exist_ok=True)
     for name, path in kept.items():
         write_flight(path, out / FLIGHTS / name)
-    rows = [{**flat(r), "onset": str(r.cell.onset), "flight": _flight(r, kept)} for r in results]
+    rows = [
+        {**flatten_result(r), "onset": str(r.cell.onset), "flight": _flight(r, kept)}
+        for r in results
+    ]
     pq.write_table(pa.Table.from_pylist(rows), out / "cells.parquet")
     card = files("analysis.campaign.results") / "assets" / "data_card.md"
     (out / "README.md").write_text(
@@ -62,7 +65,7 @@ def export(folder: Path, out: Path) -> None:
 def _kept_flights(flights: Path) -> dict[str, Path]:
     """Where the logs of each kept flight lie, by the flight's name."""
     # An autopilot's flight is a run with a folder of its own, beside the schedule it was given.
-    runs = {log.parent.parent.name: log.parent for log in flights.glob(f"*/{RUN}/{SENT}")}
+    runs = {log.parent.parent.name: log.parent for log in flights.glob(f"*/{RUN_FOLDER}/{SENT}")}
     return runs | {log.parent.name: log.parent for log in flights.glob(f"*/{SENT}")}
 
 
@@ -70,8 +73,8 @@ def _flight(result: Any, kept: dict[str, Path]) -> str:
     """The folder of a cell's flight: its own, or that of the subject which shares it."""
     _, _, rest = result.cell.key.partition("|")
     # Subjects that share a flight differ in the first part of the key alone.
-    suffix = "-" + key_of(*rest.split("|"))
-    own = key_of(*result.cell.key.split("|"))
+    suffix = "-" + file_key(*rest.split("|"))
+    own = file_key(*result.cell.key.split("|"))
     return own if own in kept else next((name for name in kept if name.endswith(suffix)), "")
 
 

@@ -4,12 +4,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult
-from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_report import write_page
 
-EVERY_S = 5.0  # between two looks of the open page
-SHARE = 0.05  # of the time that writing may take
+RELOAD_S = 5.0  # between two looks of the open page
+WRITE_TIME_SHARE = 0.05  # of the time that writing may take
 
 
 class LiveHeatMap:
@@ -18,7 +18,9 @@ class LiveHeatMap:
     `clock` gives seconds that only grow.
     """
 
-    def __init__(self, folder: Path, plan: Plan, clock: Callable[[], float] = time.monotonic):
+    def __init__(
+        self, folder: Path, plan: CampaignPlan, clock: Callable[[], float] = time.monotonic
+    ):
         self._folder, self._plan, self._clock = folder, plan, clock
         self._next_s = clock()
 
@@ -27,7 +29,7 @@ class LiveHeatMap:
         begin_s = self._clock()
         if begin_s < self._next_s or not results:
             return
-        write_page(self._folder, self._plan, reload_s=EVERY_S)
+        write_page(self._folder, self._plan, reload_s=RELOAD_S)
         took_s = self._clock() - begin_s
         # A page of many flights takes its time, which the flights are to have.
-        self._next_s = self._clock() + max(EVERY_S, took_s / SHARE)
+        self._next_s = self._clock() + max(RELOAD_S, took_s / WRITE_TIME_SHARE)

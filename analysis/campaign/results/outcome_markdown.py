@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult
-from analysis.campaign.results.grid import GridCell, grid_of
+from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
 
 
-def markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
+def render_markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
     """One row for each subject and fault, one cell for each magnitude."""
-    rows = grid_of(results, campaign)
+    rows = outcome_grid(results, campaign)
     # Rows of different length: Markdown wants them filled up.
     width = max((len(row.cells) for row in rows), default=0)
     lines = [

@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from analysis.campaign.ledger import read_folder
-from analysis.campaign.plan import Plan
-from analysis.campaign.results.grid import GridCell, grid_of
+from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
+from analysis.campaign.results_store import read_campaign_folder
 
 COLOURS = {
     "unaffected": "green", "detected": "cyan", "degraded": "yellow", "failsafe": "magenta",
@@ -17,14 +17,14 @@ COLOURS = {
 }  # fmt: skip
 
 
-def print_outcomes(folder: Path, plan: Plan) -> None:
+def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     """One row for each subject and fault."""
-    _, results = read_folder(folder)
+    _, results = read_campaign_folder(folder)
     console = Console(markup=False)
     table = Table(box=None, pad_edge=False)
     for name in ("subject", "fault", "worst outcome from each magnitude on"):
         table.add_column(name)
-    for row in grid_of(results, plan.campaign):
+    for row in outcome_grid(results, plan.campaign):
         # Only where the outcome changes, from the smallest magnitude on.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
         table.add_row(row.subject, row.fault, Text("  ").join(map(_text, steps)))
@@ -48,7 +48,7 @@ def _text(cell: GridCell) -> Text:
     return Text.assemble(name, (f"{outcome}{share}", COLOURS[outcome]))
 
 
-def _criticals(plan: Plan, known: dict[str, object]) -> Table:
+def _criticals(plan: CampaignPlan, known: dict[str, object]) -> Table:
     table = Table(box=None, pad_edge=False, title="smallest magnitude that is worse")
     for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
         table.add_column(name)

@@ -16,14 +16,14 @@ from analysis.samples.sample import Vector
 
 COMMANDS = 12  # outputs of an autopilot in a sample, and the most actuators of a vehicle
 AXES, ANGULAR = 6, 3
-FORWARD, IN_AIR, DOWN = range(ANGULAR, AXES)
+FORWARD, FORWARD_BY_AIRSPEED, DOWN = range(ANGULAR, AXES)
 # Where the terms begin in a row of coefficients; behind the last there are `TERMS`.
 CONSTANT, OUTPUT, RATE = 0, 1, 1 + COMMANDS
 FORCE = RATE + 3
 AIRSPEED = FORCE + 2
 TERMS = AIRSPEED + 1
 CONSTANT_SIGMA = 30.0  # of an axis before the flight: the weight, and any trim
-SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
+EFFECT_SIGMA_SHARE = 0.15  # one sigma of a coefficient, and of what is not linear in it
 # One sigma of coefficients that are small or missing: a share of the greatest of their kind, and
 # for rates 1/s, for forces rad/s^2 per m/s^2
 SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
@@ -66,7 +66,7 @@ class Effects(NamedTuple):
             sigma[:ANGULAR, OUTPUT:RATE] = UNKNOWN_SIGMA
             sigma[DOWN, OUTPUT:RATE] = UNKNOWN_LIFT_MPS2 / 2.0
             return np.array([np.diag(row**2) for row in sigma])
-        sigma = SHARE * np.abs(self.coefficients)
+        sigma = EFFECT_SIGMA_SHARE * np.abs(self.coefficients)
         kinds = ((OUTPUT, RATE, SMALL_COMMAND), (RATE, FORCE, SMALL_RATE))
         for begin, end, least in (*kinds, (FORCE, AIRSPEED, SMALL_FORCE)):
             greatest = np.abs(self.coefficients[:, begin:end]).max(axis=1, keepdims=True)

@@ -26,11 +26,11 @@ from analysis.detection.actuators.effects import (
     AXES,
     CONSTANT,
     DOWN,
+    EFFECT_SIGMA_SHARE,
     FORCE,
+    FORWARD_BY_AIRSPEED,
     GUST_MPS,
-    IN_AIR,
     OUTPUT,
-    SHARE,
     TERMS,
     Effects,
 )
@@ -38,25 +38,27 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
-CELL_S = 0.1
+BIN_S = 0.1
 SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0  # memories of m, of C, and of the constant term
-EARLY = 3.0  # memories are at most this part of the flight so far, or its end would never count
-LATER = 8  # cells until one is learnt from
-SPREAD_FROM = 10  # cells after which C is learnt: before, theta is off by its beginning
+EARLY_SHARE = (
+    3.0  # memories are at most this part of the flight so far, or its end would never count
+)
+DELAY_BINS = 8  # cells until one is learnt from
+SPREAD_FROM_BIN = 10  # cells after which C is learnt: before, theta is off by its beginning
 NOISE_PER_SPREAD = 3.0  # of e over that of m; 10 would be white noise
 FIRST_SPREAD = 0.03  # variance of m before anything is known
-NOTHING = 1e6  # variance of what is not told
-GREATEST = 3.0  # sigmas of e that are learnt from
-FASTEST = 2.0  # airspeeds of the cruise that terms are scaled by
-LOUD = 10.0  # m' inv(V) m beyond which m counts less for C
+UNOBSERVED_VARIANCE = 1e6  # variance of what is not told
+MOST_SIGMAS = 3.0  # sigmas of e that are learnt from
+MOST_SPEED_RATIO = 2.0  # airspeeds of the cruise that terms are scaled by
+MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m beyond which m counts less for C
 
 
 # Of `counts`: cells since the start, cells that wait, whether nothing was known beforehand
-CELLS, WAITING, UNKNOWN = range(3)
+BINS, WAITING, UNKNOWN = range(3)
 
 
-class Learnt(NamedTuple):
-    """What is known of the motion; `compare` and `learn` change it in place.
+class MotionModel(NamedTuple):
+    """What is known of the motion; `compare_motion` and `learn_motion` change it in place.
 
     `powers` (TERMS,) and `cruise_mps` as in `Effects`; `theta` (AXES, TERMS), its covariances `p`
     (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread` (AXES, AXES) is C, and `bent` (AXES,) what m
@@ -80,9 +82,9 @@ class Learnt(NamedTuple):
     counts: NDArray[np.int64]
 
 
-def nothing_learnt(effects: Effects) -> Learnt:
+def initial_motion_model(effects: Effects) -> MotionModel:
     """What is known before the flight."""
-    return Learnt(
+    return MotionModel(
         effects.powers,
         effects.cruise_mps,
         effects.coefficients.copy(),
@@ -93,32 +95,32 @@ def nothing_learnt(effects: Effects) -> Learnt:
         np.zeros(TERMS),
         np.zeros(AXES),
         np.zeros(AXES),
-        np.zeros((LATER + 1, TERMS + 2 * AXES + 1)),
+        np.zeros((DELAY_BINS + 1, TERMS + 2 * AXES + 1)),
         np.array([0, 0, effects.unknown]),
     )
 
 
 @compiled
-def _share(memory_s: float, cells: int) -> float:
+def _memory_share(memory_s: float, cells: int) -> float:
     """How much a cell counts in a memory that is short at the beginning."""
-    share: float = max(CELL_S / memory_s, EARLY / (cells + EARLY))
+    share: float = max(BIN_S / memory_s, EARLY_SHARE / (cells + EARLY_SHARE))
     return share
 
 
 @compiled
-def knows_the_air(terms: Vector, learnt: Learnt) -> bool:
+def has_airspeed_model(terms: Vector, learnt: MotionModel) -> bool:
     """Whether the axis that is told the airspeed says anything of a cell."""
-    known: bool = terms[AIRSPEED] > 0.0 and learnt.theta[IN_AIR, AIRSPEED] != 0.0
+    known: bool = terms[AIRSPEED] > 0.0 and learnt.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0
     return known
 
 
 @compiled
-def in_air(terms: Vector, learnt: Learnt) -> Vector:
+def scale_by_airspeed(terms: Vector, learnt: MotionModel) -> Vector:
     """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
     seen = np.empty((AXES, TERMS))
     seen[:] = terms
     if terms[AIRSPEED] > 0.0:
-        ratio = min(FASTEST, terms[AIRSPEED] / learnt.cruise_mps)
+        ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / learnt.cruise_mps)
         for i in range(TERMS):
             if learnt.powers[i] != 0.0:
                 seen[:ANGULAR, i] *= ratio ** learnt.powers[i]
@@ -126,7 +128,7 @@ def in_air(terms: Vector, learnt: Learnt) -> Vector:
 
 
 @compiled
-def _predict(seen: Vector, motion: Vector, learnt: Learnt) -> None:
+def _predict(seen: Vector, motion: Vector, learnt: MotionModel) -> None:
     """Fill in error and doubt of the motion in a cell with these terms (AXES, TERMS)."""
     for axis in range(AXES):
         count = FORCE if axis == DOWN else TERMS
@@ -139,22 +141,25 @@ def _predict(seen: Vector, motion: Vector, learnt: Learnt) -> None:
             for j in range(count):
                 variance += terms[i] * learnt.p[axis, i, j] * terms[j]
         learnt.error[axis], learnt.doubt[axis] = motion[axis] - predicted, variance
-    if not knows_the_air(seen[IN_AIR], learnt):
-        learnt.error[IN_AIR], learnt.doubt[IN_AIR] = 0.0, NOTHING
+    if not has_airspeed_model(seen[FORWARD_BY_AIRSPEED], learnt):
+        learnt.error[FORWARD_BY_AIRSPEED], learnt.doubt[FORWARD_BY_AIRSPEED] = (
+            0.0,
+            UNOBSERVED_VARIANCE,
+        )
 
 
 @compiled
-def compare(terms: Vector, motion: Vector, learnt: Learnt) -> None:
+def compare_motion(terms: Vector, motion: Vector, learnt: MotionModel) -> None:
     """Predict the motion of a cell, and average what remains."""
-    _predict(in_air(terms, learnt), motion, learnt)
-    _bend(terms, learnt)
-    learnt.counts[CELLS] += 1
+    _predict(scale_by_airspeed(terms, learnt), motion, learnt)
+    _average_nonlinearity(terms, learnt)
+    learnt.counts[BINS] += 1
     for axis in range(AXES):
-        learnt.mean[axis] += CELL_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
+        learnt.mean[axis] += BIN_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
 
 
 @compiled
-def _bend(terms: Vector, learnt: Learnt) -> None:
+def _average_nonlinearity(terms: Vector, learnt: MotionModel) -> None:
     """Average what of a cell's motion is not linear."""
     square = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
     for axis in range(DOWN):
@@ -164,16 +169,20 @@ def _bend(terms: Vector, learnt: Learnt) -> None:
             # air.
             bent = (learnt.theta[axis, FORCE + 1] * square) ** 2
             for i in range(OUTPUT, TERMS):
-                bent += (SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])) ** 2
+                bent += (
+                    EFFECT_SIGMA_SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])
+                ) ** 2
         elif terms[AIRSPEED] == 0.0:
             for i in range(TERMS):  # what an airspeed that is not known would scale
                 bent += learnt.powers[i] * learnt.theta[axis, i] * terms[i]
             bent = (bent * GUST_MPS / learnt.cruise_mps) ** 2
-        learnt.bent[axis] += CELL_S / SHORT_S * (np.sqrt(bent) - learnt.bent[axis])
+        learnt.bent[axis] += BIN_S / SHORT_S * (np.sqrt(bent) - learnt.bent[axis])
 
 
 @compiled
-def learn(terms: Vector, motion: Vector, learnt: Learnt, statistic: float, suspected: bool) -> None:
+def learn_motion(
+    terms: Vector, motion: Vector, learnt: MotionModel, statistic: float, suspected: bool
+) -> None:
     """Let a cell wait, and learn from the one that has waited; `suspected` forgets all that wait.
 
     `statistic` is m' inv(V) m of the cell.
@@ -186,33 +195,33 @@ def learn(terms: Vector, motion: Vector, learnt: Learnt, statistic: float, suspe
     row[:TERMS], row[TERMS : TERMS + AXES] = terms, motion
     row[TERMS + AXES : TERMS + 2 * AXES] = learnt.mean
     row[-1] = statistic
-    if last < LATER:
+    if last < DELAY_BINS:
         learnt.counts[WAITING] = last + 1
         return
     first = learnt.waiting[0].copy()
     learnt.waiting[:-1] = learnt.waiting[1:].copy()
     _update(first[:TERMS], first[TERMS : TERMS + AXES], learnt)
-    if learnt.counts[CELLS] > SPREAD_FROM:
+    if learnt.counts[BINS] > SPREAD_FROM_BIN:
         mean = first[TERMS + AXES : TERMS + 2 * AXES]
-        weight = min(1.0, LOUD / max(first[-1], 1e-9))
-        share = _share(LONG_S, learnt.counts[CELLS])
+        weight = min(1.0, MEAN_OUTLIER_STATISTIC / max(first[-1], 1e-9))
+        share = _memory_share(LONG_S, learnt.counts[BINS])
         for i in range(AXES):
             for j in range(AXES):
                 learnt.spread[i, j] += share * (weight * mean[i] * mean[j] - learnt.spread[i, j])
 
 
 @compiled
-def _update(terms: Vector, motion: Vector, learnt: Learnt) -> None:
+def _update(terms: Vector, motion: Vector, learnt: MotionModel) -> None:
     """One Kalman update an axis."""
-    seen = in_air(terms, learnt)
+    seen = scale_by_airspeed(terms, learnt)
     _predict(seen, motion, learnt)
-    walk = _share(CONSTANT_S, learnt.counts[CELLS])
+    walk = _memory_share(CONSTANT_S, learnt.counts[BINS])
     learnt.usual[:] += walk * (terms - learnt.usual)
     for axis in range(AXES):
         count = FORCE if axis == DOWN else TERMS
         noise = NOISE_PER_SPREAD * learnt.spread[axis, axis]
         variance = learnt.doubt[axis] + noise
-        most = GREATEST * np.sqrt(variance)
+        most = MOST_SIGMAS * np.sqrt(variance)
         error = min(most, max(-most, learnt.error[axis]))
         p, gain = learnt.p[axis], np.zeros(TERMS)
         for j in range(count):

@@ -15,17 +15,17 @@ from analysis.detection.actuators.effects import COMMANDS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-RISES = 0.1  # thousands above the ground's value: it drives a motor
-OFF_SHARE, WORKS_SHARE = 0.03, 0.5  # of what it is above the ground's value on average
+MOTOR_RISE = 0.1  # thousands above the ground's value: it drives a motor
+OFF_SHARE, WORKING_SHARE = 0.03, 0.5  # of what it is above the ground's value on average
 OFF_US = 500_000
-MEMORY = 0.02  # of a new output in the average
+AVERAGE_SHARE = 0.02  # of a new output in the average
 LEAST_WORKING = 2  # others that go on
-TOGETHER = 3  # that are off are parked
+PARKED_COUNT = 3  # that are off are parked
 UNKNOWN_US = -1
 
 
-class Outputs(NamedTuple):
-    """What is known of each output; `command` changes it in place.
+class OutputStates(NamedTuple):
+    """What is known of each output; `track_outputs` changes it in place.
 
     `ground` and `usual` (COMMANDS,): the least before the flight, the average in it; `off_us`
     (COMMANDS,): since when it is off, later when that was told last; `gone` (COMMANDS,): whether
@@ -39,9 +39,9 @@ class Outputs(NamedTuple):
     parked: NDArray[np.bool_]
 
 
-def no_outputs() -> Outputs:
+def new_output_states() -> OutputStates:
     """Nothing came yet."""
-    return Outputs(
+    return OutputStates(
         np.full(COMMANDS, np.inf),
         np.full(COMMANDS, np.inf),
         np.full(COMMANDS, UNKNOWN_US),
@@ -51,7 +51,7 @@ def no_outputs() -> Outputs:
 
 
 @compiled
-def command(outputs: Vector, t_us: int, flies: bool, kept: Outputs) -> int:
+def track_outputs(outputs: Vector, t_us: int, flies: bool, kept: OutputStates) -> int:
     """Follow outputs (COMMANDS,) in thousands; which one is found to be switched off, or -1."""
     found, working, off = -1, 0, 0
     for i in range(COMMANDS):
@@ -60,17 +60,17 @@ def command(outputs: Vector, t_us: int, flies: bool, kept: Outputs) -> int:
             kept.usual[i], kept.gone[i] = outputs[i], False
         rises = kept.usual[i] - kept.ground[i]
         above = outputs[i] - kept.ground[i]
-        if flies and rises > RISES and above <= OFF_SHARE * rises:
+        if flies and rises > MOTOR_RISE and above <= OFF_SHARE * rises:
             off += 1
             if kept.off_us[i] == UNKNOWN_US:
                 kept.off_us[i] = t_us
             if found < 0 and t_us - kept.off_us[i] >= OFF_US and not kept.parked[i]:
                 found = i
         else:
-            working += rises > RISES and above >= WORKS_SHARE * rises
+            working += rises > MOTOR_RISE and above >= WORKING_SHARE * rises
             kept.off_us[i], kept.parked[i] = UNKNOWN_US, False
-            kept.usual[i] += MEMORY * (outputs[i] - kept.usual[i])
-    if off >= TOGETHER:
+            kept.usual[i] += AVERAGE_SHARE * (outputs[i] - kept.usual[i])
+    if off >= PARKED_COUNT:
         kept.parked[:] |= kept.off_us != UNKNOWN_US
         return -1
     if found < 0 or working < LEAST_WORKING:

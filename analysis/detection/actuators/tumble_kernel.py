@@ -16,42 +16,51 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 # The least range of a gyro in use is 250 degrees/s; calibrated, it may end a little earlier.
-RANGE_RPS = 4.0
-STANDS, STANDING = 0.005, 5  # share by which a rate may differ from the one before; how often
-TURNED = 0.87758  # cosine of 0.5 rad, by which the field turned in the body since a mark
+GYRO_RANGE_RPS = 4.0
+SATURATED_SHARE, SATURATED_SAMPLES = (
+    0.005,
+    5,
+)  # share by which a rate may differ from the one before; how often
+TURNED_COSINE = 0.87758  # cosine of 0.5 rad, by which the field turned in the body since a mark
 MARK_US = 500_000  # between marks
 LOST_US = 20_000_000  # as long as a sensor is held out, and the attitude found anew
-BLOW_MPS2 = 100.0  # specific force of no manoeuvre
+IMPACT_MPS2 = 100.0  # specific force of no manoeuvre
 NEVER_US = -(1 << 62)
-FOR_GOOD_US = 1 << 62
+FOREVER_US = 1 << 62
 
 COUNT, MARKED_US, UNTIL_US = range(3)  # of `numbers`
 
 
-class Tumble(NamedTuple):
+class TumbleState(NamedTuple):
     """`rates` (3,) the newest; `marks` (2, 3) of the field in the body, half a second to a second
     old and younger; `numbers` (3,): samples at the end of the range, the younger mark's stamp, and
-    until when the attitude is lost. `follow` changes them."""
+    until when the attitude is lost. `track_tumble` changes them."""
 
     rates: Vector
     marks: Vector
     numbers: NDArray[np.int64]
 
 
-def no_tumble() -> Tumble:
+def new_tumble() -> TumbleState:
     """Nothing came yet."""
-    return Tumble(np.zeros(3), np.zeros((2, 3)), np.array([0, NEVER_US, NEVER_US]))
+    return TumbleState(np.zeros(3), np.zeros((2, 3)), np.array([0, NEVER_US, NEVER_US]))
 
 
 @compiled
-def follow(kind: Indices, t_us: Stamps, values: Vector, kept: Tumble) -> NDArray[np.bool_]:
+def track_tumble(
+    kind: Indices, t_us: Stamps, values: Vector, kept: TumbleState
+) -> NDArray[np.bool_]:
     """Whether the attitude is lost at each row (n,)."""
     lost = np.zeros(len(kind), np.bool_)
     numbers = kept.numbers
     for i in range(len(kind)):
         if kind[i] == IMU and values[i, IMU_ID] < 0.5:
-            _turn(t_us[i], values[i], kept)
-        elif kind[i] == MAG and numbers[COUNT] >= STANDING and _turned(values[i], kept.marks[0]):
+            _add_gyro(t_us[i], values[i], kept)
+        elif (
+            kind[i] == MAG
+            and numbers[COUNT] >= SATURATED_SAMPLES
+            and _field_turned(values[i], kept.marks[0])
+        ):
             numbers[UNTIL_US] = max(numbers[UNTIL_US], t_us[i] + LOST_US)
         if kind[i] == MAG and not 0 <= t_us[i] - numbers[MARKED_US] < MARK_US:
             kept.marks[0] = kept.marks[1]
@@ -62,26 +71,28 @@ def follow(kind: Indices, t_us: Stamps, values: Vector, kept: Tumble) -> NDArray
 
 
 @compiled
-def _turn(t_us: int, sample: Vector, kept: Tumble) -> None:
+def _add_gyro(t_us: int, sample: Vector, kept: TumbleState) -> None:
     """Take a sample of the IMU."""
     stands = False
     square = 0.0
     for i in range(3):
         rate = sample[i]
-        stands |= abs(rate) > RANGE_RPS and abs(rate - kept.rates[i]) <= STANDS * abs(rate)
+        stands |= abs(rate) > GYRO_RANGE_RPS and abs(rate - kept.rates[i]) <= SATURATED_SHARE * abs(
+            rate
+        )
         kept.rates[i] = rate
         square += sample[3 + i] ** 2
     kept.numbers[COUNT] = kept.numbers[COUNT] + 1 if stands else 0
-    if square > BLOW_MPS2**2 and t_us < kept.numbers[UNTIL_US]:
-        kept.numbers[UNTIL_US] = FOR_GOOD_US
+    if square > IMPACT_MPS2**2 and t_us < kept.numbers[UNTIL_US]:
+        kept.numbers[UNTIL_US] = FOREVER_US
 
 
 @compiled
-def _turned(field: Vector, before: Vector) -> bool:
+def _field_turned(field: Vector, before: Vector) -> bool:
     """Whether the field points elsewhere in the body than before."""
     dot = size = size_before = 0.0
     for i in range(3):
         dot += field[i] * before[i]
         size += field[i] ** 2
         size_before += before[i] ** 2
-    return size_before > 0.0 and dot < TURNED * sqrt(size * size_before)
+    return size_before > 0.0 and dot < TURNED_COSINE * sqrt(size * size_before)

@@ -14,40 +14,40 @@ References
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core
-from analysis.detection.filter.filter_state import Alignment, Motion
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.filter_state import Alignment, MotionEstimate
 from analysis.detection.filter.inertial import (
     BA,
     BG,
-    ERRORS,
+    ERROR_SIZE,
     GYRO,
     PSI,
     gravity_ecef,
-    unseen_step,
+    unsampled_variance,
 )
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
-from analysis.detection.filter.propagation import Segment
+from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
 # An older alignment begins anew: the gyro's bias grows in it with time.
-LONGEST_S = 20.0
-SLOWEST_S = 0.07  # between samples of an IMU that may carry the filter
+LONGEST_ALIGNMENT_S = 20.0
+SLOWEST_SAMPLING_S = 0.07  # between samples of an IMU that may carry the filter
 # A shorter one would rest on the noise of a few velocities.
-SHORTEST_S = 2.0
+SHORTEST_ALIGNMENT_S = 2.0
 HEADING_BY_MOTION_RAD = 0.12
 HEADING_BY_MAG_RAD = 0.35  # declination unknown: 20 degrees
 # Motion has this long to give the better heading alone.
 MAG_AFTER_S = 4.0
 # The filter's own variance leaves out errors common to the epochs of an alignment.
 VELOCITY_FLOOR_MPS = 0.2
-FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
+ALIGNMENT_FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
 # Of the tilt: the filter is linear in its error, and sines of more are none
-LOST_RAD = 0.35
+LOST_TILT_RAD = 0.35
 
 
 @compiled
@@ -59,18 +59,18 @@ def _integrate(
         dt = samples[k, 0]
         rx, ry, rz = samples[k, GYRO] * dt, samples[k, GYRO + 1] * dt, samples[k, GYRO + 2] * dt
         # The attitude at mid-step: the first order of the turn within the step cancels.
-        mid = matrix(turned(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
+        mid = rotation_matrix(rotate_attitude(q, 0.5 * rx, 0.5 * ry, 0.5 * rz))
         for i in range(3):
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
-        q = turned(q, rx, ry, rz)
-        more_speed, more_turn = unseen_step(samples, k)
+        q = rotate_attitude(q, rx, ry, rz)
+        more_speed, more_turn = unsampled_variance(samples, k)
         speed += more_speed
         turn += more_turn
     return q, alpha, (speed, turn)
 
 
-def new_alignment(motion: Motion) -> Alignment:
+def new_alignment(motion: MotionEstimate) -> Alignment:
     """The state at the start."""
     unit = np.array([1.0, 0.0, 0.0, 0.0])
     nothing = np.zeros((3, 3))
@@ -78,7 +78,9 @@ def new_alignment(motion: Motion) -> Alignment:
     return Alignment(motion.t_us, unit, still, still, motion.x[3:6].copy(), nothing, nothing)
 
 
-def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -> Alignment:
+def extend_alignment(
+    alignment: Alignment, motion: MotionEstimate, samples: Vector, dt_s: float
+) -> Alignment:
     """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
     q, alpha, more = _integrate(alignment.q_0b, alignment.alpha, samples)
     speed, turn = (before + news for before, news in zip(alignment.unseen, more, strict=True))
@@ -99,13 +101,15 @@ def extend(alignment: Alignment, motion: Motion, samples: Vector, dt_s: float) -
     return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information, unseen)
 
 
-def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motion | None:
+def finish_alignment(
+    alignment: Alignment, motion: MotionEstimate, mag_b: Vector | None
+) -> MotionEstimate | None:
     """The filter with its attitude found, moved by the IMU from here; None while it is not.
 
     `mag_b` (3,) is the field in body axes, in any unit: its direction alone is used.
     """
     span_s = (motion.t_us - alignment.start_us) * 1e-6
-    if span_s < SHORTEST_S:
+    if span_s < SHORTEST_ALIGNMENT_S:
         return None
     cross, information = alignment.cross, alignment.information
     limit = HEADING_BY_MOTION_RAD
@@ -123,45 +127,51 @@ def aligned(alignment: Alignment, motion: Motion, mag_b: Vector | None) -> Motio
     # The determinant keeps a rotation: without it noise can make a reflection the best fit.
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     x, p = motion.x.copy(), motion.p.copy()
-    x[6:10] = quat_from_matrix(rotation @ matrix(alignment.q_0b))
+    x[6:10] = quat_from_matrix(rotation @ rotation_matrix(alignment.q_0b))
     # Biases cannot be told from the attitude in so short a time: they begin at zero.
     x[10:16] = 0.0
     for at in (PSI, BG, BA):
         # Correlations of the old attitude with anything else are void.
         p[at : at + 3, :] = 0.0
         p[:, at : at + 3] = 0.0
-    p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + (FLOOR_RAD**2 + turn) * np.eye(3)
+    p[PSI : PSI + 3, PSI : PSI + 3] = np.linalg.inv(information) + (
+        ALIGNMENT_FLOOR_RAD**2 + turn
+    ) * np.eye(3)
     for at, sigma in ((BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
-    assert p.shape == (ERRORS, ERRORS)
-    return Motion(motion.t_us, x, p, True)
+    assert p.shape == (ERROR_SIZE, ERROR_SIZE)
+    return MotionEstimate(motion.t_us, x, p, True)
 
 
-def _lost(motion: Motion) -> bool:
+def _lost(motion: MotionEstimate) -> bool:
     """Whether the filter no longer knows the tilt, about the axis of which it is least sure."""
     p = motion.p[PSI : PSI + 3, PSI : PSI + 3]
     # No axis is less sure than all three together, which nearly every epoch ends with.
-    if p[0, 0] + p[1, 1] + p[2, 2] < LOST_RAD**2:
+    if p[0, 0] + p[1, 1] + p[2, 2] < LOST_TILT_RAD**2:
         return False
-    lat, lon, _ = geodetic(motion.x[0:3])
+    lat, lon, _ = geodetic_position(motion.x[0:3])
     level = ned_axes(lat, lon)[:2]
-    return bool(np.linalg.eigvalsh(level @ p @ level.T)[1] >= LOST_RAD**2)
+    return bool(np.linalg.eigvalsh(level @ p @ level.T)[1] >= LOST_TILT_RAD**2)
 
 
-def _mag_pair(alignment: Alignment, motion: Motion, mag_b: Vector) -> tuple[Vector, Vector]:
+def _mag_pair(alignment: Alignment, motion: MotionEstimate, mag_b: Vector) -> tuple[Vector, Vector]:
     """The field's horizontal direction in the start's axes, and north in ECEF."""
     # The integrated specific force points up while the vehicle hardly accelerates.
     up = alignment.alpha / np.linalg.norm(alignment.alpha)
-    field = matrix(alignment.q_0b) @ mag_b
+    field = rotation_matrix(alignment.q_0b) @ mag_b
     level = field - (field @ up) * up
-    lat, lon, _ = geodetic(motion.x[0:3])
+    lat, lon, _ = geodetic_position(motion.x[0:3])
     # A field straight along the vertical has no horizontal direction: no division by zero.
     return level / max(float(np.linalg.norm(level)), 1e-9), ned_axes(lat, lon)[0]
 
 
-def find_attitude(
-    core: Core, motion: Motion, part: Segment, dt_s: float, config: DetectorConfig
-) -> Motion:
+def align_attitude(
+    core: DetectorCore,
+    motion: MotionEstimate,
+    part: ImuSegment,
+    dt_s: float,
+    config: DetectorConfig,
+) -> MotionEstimate:
     """After an epoch without inertial attitude: gather, and switch to the IMU once it is found; one
     that has been lost is found anew."""
     if motion.inertial:
@@ -169,14 +179,14 @@ def find_attitude(
     if not len(part.samples) or part.gap_s > config.gap_s:
         return motion
     # Between samples so far apart a vehicle turns in ways that nobody measured.
-    if dt_s > SLOWEST_S * (len(part.samples) - 1):
+    if dt_s > SLOWEST_SAMPLING_S * (len(part.samples) - 1):
         return motion._replace(alignment=None)
     # An IMU that was blamed must stay sound for a while before it may give an attitude.
     if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
         return motion
     alignment = motion.alignment
-    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_S:
+    if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_ALIGNMENT_S:
         return motion._replace(alignment=new_alignment(motion))
-    alignment = extend(alignment, motion, part.samples, dt_s)
-    found = aligned(alignment, motion, core.mag_b)
+    alignment = extend_alignment(alignment, motion, part.samples, dt_s)
+    found = finish_alignment(alignment, motion, core.mag_b)
     return found if found is not None else motion._replace(alignment=alignment)

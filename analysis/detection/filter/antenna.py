@@ -11,13 +11,13 @@ antenna in body axes, w the rate of the body against the earth and C from body t
 
 import numpy as np
 
-from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q, R, V
+from analysis.detection.filter.inertial import BG, ERROR_SIZE, PSI, X_BG, X_Q, R, V
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 
-def moved_along(
+def shift_by_lever_arm(
     x: Vector, p: Vector, gyro_b_rps: Vector, arm_b_m: Vector, sign: float
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance at the antenna (sign 1) of those at the IMU, or back (-1).
@@ -31,11 +31,11 @@ def moved_along(
     -------
     x, p and the matrix (20, 20) that turns the errors of the one into those of the other.
     """
-    c = matrix(x[X_Q : X_Q + 4])
+    c = rotation_matrix(x[X_Q : X_Q + 4])
     # The Earth's rotation seen in body axes is the last row of C times its rate.
     turning = gyro_b_rps - x[X_BG : X_BG + 3] - GNSS_EARTH_RATE_RPS * c[2]
     arm, speed = c @ arm_b_m, c @ np.cross(turning, arm_b_m)
-    jacobian = np.eye(ERRORS)
+    jacobian = np.eye(ERROR_SIZE)
     jacobian[R : R + 3, PSI : PSI + 3] = -sign * _cross(arm)
     jacobian[V : V + 3, PSI : PSI + 3] = -sign * _cross(speed)
     jacobian[V : V + 3, BG : BG + 3] = sign * c @ _cross(arm_b_m)

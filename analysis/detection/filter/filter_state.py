@@ -8,14 +8,14 @@ from analysis.samples.block import ImuRun
 from analysis.samples.sample import StateVector, Vector
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-Stored = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
+StoredOrbit = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 
 
-class Pending(NamedTuple):
+class PendingImu(NamedTuple):
     """IMU samples not yet used, the newest run first; `depth` of them, as memory is bounded."""
 
     run: ImuRun
-    older: "Pending | None"
+    older: "PendingImu | None"
     depth: int
 
 
@@ -50,7 +50,7 @@ class Exclusion:
     whole: bool = False
 
 
-class Motion(Value, frozen=True):
+class MotionEstimate(Value, frozen=True):
     """The filter: time, state x (21,) and covariance p (20, 20) of `inertial`.
 
     `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.

@@ -31,18 +31,18 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
     WGS84_SEMI_MAJOR_M,
 )
-from mavproxy_fault.numerics.linear import multiply, transposed
+from mavproxy_fault.numerics.linear import multiply_matrices, transpose_matrix
 
 Three = tuple[float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 X_SIZE = 21
-ERRORS = 20
+ERROR_SIZE = 20
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
-DT, GYRO, ACCEL, SAMPLE = 0, 1, 4, 7  # columns of a sample, and how many
-DIAGONAL = ERRORS + 1  # from one diagonal element of a covariance (400,) to the next
-TOGETHER_S = 0.25  # so much at most of the covariance's way at once
-SELDOM_S = 0.03  # of longer steps nobody knows what force and rates were meanwhile
+DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how many
+DIAGONAL = ERROR_SIZE + 1  # from one diagonal element of a covariance (400,) to the next
+COVARIANCE_STEP_S = 0.25  # so much at most of the covariance's way at once
+SPARSE_SAMPLE_S = 0.03  # of longer steps nobody knows what force and rates were meanwhile
 
 
 @compiled
@@ -162,23 +162,23 @@ def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
     c5, c6, c7, c8 = c5 * dt, c6 * dt, c7 * dt, c8 * dt
     # In place by columns: every element of a column is read before one is written.
     for j in range(V, CLOCK):
-        r, v, t = R * ERRORS + j, V * ERRORS + j, PSI * ERRORS + j
-        g, a = BG * ERRORS + j, BA * ERRORS + j
-        vx, vy, vz = phi[v], phi[v + ERRORS], phi[v + 2 * ERRORS]
-        tx, ty, tz = phi[t], phi[t + ERRORS], phi[t + 2 * ERRORS]
-        gx, gy, gz = phi[g], phi[g + ERRORS], phi[g + 2 * ERRORS]
-        ax, ay, az = phi[a], phi[a + ERRORS], phi[a + 2 * ERRORS]
+        r, v, t = R * ERROR_SIZE + j, V * ERROR_SIZE + j, PSI * ERROR_SIZE + j
+        g, a = BG * ERROR_SIZE + j, BA * ERROR_SIZE + j
+        vx, vy, vz = phi[v], phi[v + ERROR_SIZE], phi[v + 2 * ERROR_SIZE]
+        tx, ty, tz = phi[t], phi[t + ERROR_SIZE], phi[t + 2 * ERROR_SIZE]
+        gx, gy, gz = phi[g], phi[g + ERROR_SIZE], phi[g + 2 * ERROR_SIZE]
+        ax, ay, az = phi[a], phi[a + ERROR_SIZE], phi[a + 2 * ERROR_SIZE]
         phi[r] += dt * vx
-        phi[r + ERRORS] += dt * vy
-        phi[r + 2 * ERRORS] += dt * vz
+        phi[r + ERROR_SIZE] += dt * vy
+        phi[r + 2 * ERROR_SIZE] += dt * vz
         push_x, push_y = c0 * ax + c1 * ay + c2 * az, c3 * ax + c4 * ay + c5 * az
         phi[v] = vx + fz * ty - fy * tz - push_x + 2.0 * earth * vy
-        phi[v + ERRORS] = vy + fx * tz - fz * tx - push_y - 2.0 * earth * vx
-        phi[v + 2 * ERRORS] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
+        phi[v + ERROR_SIZE] = vy + fx * tz - fz * tx - push_y - 2.0 * earth * vx
+        phi[v + 2 * ERROR_SIZE] = vz + fy * tx - fx * ty - (c6 * ax + c7 * ay + c8 * az)
         phi[t] = tx + earth * ty - (c0 * gx + c1 * gy + c2 * gz)
-        phi[t + ERRORS] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
-        phi[t + 2 * ERRORS] = tz - (c6 * gx + c7 * gy + c8 * gz)
-    phi[CLOCK * ERRORS + DRIFT] += dt
+        phi[t + ERROR_SIZE] = ty - earth * tx - (c3 * gx + c4 * gy + c5 * gz)
+        phi[t + 2 * ERROR_SIZE] = tz - (c6 * gx + c7 * gy + c8 * gz)
+    phi[CLOCK * ERROR_SIZE + DRIFT] += dt
 
 
 @compiled
@@ -203,10 +203,10 @@ def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
     """The same of the clock and the offsets of systems."""
     # White noise of the drift's rate, integrated twice, once and not at all.
     p[DIAGONAL * CLOCK] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
-    p[ERRORS * CLOCK + DRIFT] += noise.drift_mps * dt * dt / 2.0
-    p[ERRORS * DRIFT + CLOCK] += noise.drift_mps * dt * dt / 2.0
+    p[ERROR_SIZE * CLOCK + DRIFT] += noise.drift_mps * dt * dt / 2.0
+    p[ERROR_SIZE * DRIFT + CLOCK] += noise.drift_mps * dt * dt / 2.0
     p[DIAGONAL * DRIFT] += noise.drift_mps * dt
-    for i in range(ISB, ERRORS):
+    for i in range(ISB, ERROR_SIZE):
         p[DIAGONAL * i] += noise.isb_m * dt
 
 
@@ -216,14 +216,14 @@ def _carried(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
     comes before it and half after, which is exact but for the third power of the time."""
     # The clock's own transition is the elapsed time, so `dt` need not be handed in.
     dt, p = phi[CLOCK, DRIFT], p.copy()
-    _add_noise(p.reshape(ERRORS * ERRORS), noise, 0.5 * dt)
-    p = multiply(phi, transposed(multiply(phi, p)))
+    _add_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, 0.5 * dt)
+    p = multiply_matrices(phi, transpose_matrix(multiply_matrices(phi, p)))
     # Rounding makes the product asymmetric, and Cholesky would amplify that.
-    for i in range(ERRORS):
+    for i in range(ERROR_SIZE):
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    _add_noise(p.reshape(ERRORS * ERRORS), noise, 0.5 * dt)
-    _add_clock_noise(p.reshape(ERRORS * ERRORS), noise, dt)
+    _add_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, 0.5 * dt)
+    _add_clock_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
     return p
 
 
@@ -234,7 +234,7 @@ def propagate_inertial(
     """State and covariance over a run of IMU samples.
 
     State and transition go by single samples, the covariance by transitions over at most
-    `TOGETHER_S`.
+    `COVARIANCE_STEP_S`.
 
     Parameters
     ----------
@@ -246,26 +246,26 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, whole = x.copy(), np.eye(ERRORS)
+    x, whole = x.copy(), np.eye(ERROR_SIZE)
     row = 0
     while row < samples.shape[0]:
-        phi = np.eye(ERRORS)
+        phi = np.eye(ERROR_SIZE)
         first = row
-        row, speed, turn = _advance(x, phi.reshape(ERRORS * ERRORS), samples, row)
+        row, speed, turn = _advance(x, phi.reshape(ERROR_SIZE * ERROR_SIZE), samples, row)
         p = _carried(p, phi, noise)
         for i in range(3):
             p[V + i, V + i] += speed
             p[PSI + i, PSI + i] += turn
-        whole = phi if first == 0 else multiply(phi, whole)
+        whole = phi if first == 0 else multiply_matrices(phi, whole)
     return x, p, whole
 
 
 @compiled
 def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, float, float]:
     """Advance x and the transition phi (400,) in place by the samples from a row on, over
-    `TOGETHER_S` at most; the row after, and the variances of the velocity and of the attitude by
-    what no sample has seen."""
-    until_s, speed, turn = TOGETHER_S, 0.0, 0.0
+    `COVARIANCE_STEP_S` at most; the row after, and the variances of the velocity and of the
+    attitude by what no sample has seen."""
+    until_s, speed, turn = COVARIANCE_STEP_S, 0.0, 0.0
     while row < samples.shape[0] and until_s > 0.0:
         # Two samples with one stamp are one sample.
         dt = samples[row, DT]
@@ -273,7 +273,7 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, fl
             c, f = _mechanise(x, samples, row)
             _add_step(phi, c, f, dt)
             until_s -= dt
-            more_speed, more_turn = unseen_step(samples, row)
+            more_speed, more_turn = unsampled_variance(samples, row)
             speed += more_speed
             turn += more_turn
         row += 1
@@ -281,9 +281,9 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, fl
 
 
 @compiled
-def unseen_step(samples: Vector, row: int) -> tuple[float, float]:
+def unsampled_variance(samples: Vector, row: int) -> tuple[float, float]:
     """Variances of velocity and attitude by what no sample has seen since the row before."""
-    if row == 0 or samples[row, DT] <= SELDOM_S:
+    if row == 0 or samples[row, DT] <= SPARSE_SAMPLE_S:
         return 0.0, 0.0
     return _unseen(samples, row, ACCEL), _unseen(samples, row, GYRO)
 
@@ -308,16 +308,16 @@ def propagate_freely(
     """The same over `dt` seconds without an IMU: steady velocity with random acceleration; x (21,),
     p and the transition (20, 20)."""
     x = x.copy()
-    phi = np.eye(ERRORS)
+    phi = np.eye(ERROR_SIZE)
     for i in range(3):
         phi[R + i, V + i] = dt
         x[R + i] += x[V + i] * dt
     phi[CLOCK, DRIFT] = dt
     x[X_CLOCK] += x[X_DRIFT] * dt
-    p = multiply(multiply(phi, p), transposed(phi))
-    _add_walks(p.reshape(ERRORS * ERRORS), noise, dt)
+    p = multiply_matrices(multiply_matrices(phi, p), transpose_matrix(phi))
+    _add_walks(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
     # Biases keep walking while the IMU is silent.
-    _add_clock_noise(p.reshape(ERRORS * ERRORS), noise, dt)
+    _add_clock_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
     q = noise.motion_mps2
     for i in range(3):
         # Random acceleration, integrated to position and velocity.

@@ -29,13 +29,20 @@ from numpy.typing import NDArray
 from analysis.detection.filter.inertial import PSI, X_Q
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.linear import apply, lower, lower_inverse, multiply, square, transposed
-from mavproxy_fault.numerics.rotations.rotation_kernel import turned_in_reference
+from mavproxy_fault.numerics.linear import (
+    cholesky_factor,
+    gram_matrix,
+    invert_lower,
+    multiply_matrices,
+    multiply_vector,
+    transpose_matrix,
+)
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference
 
 Indices = NDArray[np.int64]
 
 
-class Normal(NamedTuple):
+class NormalEquations(NamedTuple):
     """n measurements as normal equations over the c states that they see.
 
     `states` (c,) are those states, `a` (n, c) the geometry over them, `variance` and `v` (n,) noise
@@ -52,7 +59,7 @@ class Normal(NamedTuple):
 
 
 @compiled
-def states_of(h: Vector) -> Indices:
+def visible_states(h: Vector) -> Indices:
     """The states (c,) that a geometry h (n, 20) depends on."""
     seen = np.empty(h.shape[1], dtype=np.int64)
     count = 0
@@ -66,7 +73,7 @@ def states_of(h: Vector) -> Indices:
 
 
 @compiled
-def columns(h: Vector, states: Indices) -> Vector:
+def select_columns(h: Vector, states: Indices) -> Vector:
     """The columns (n, c) of a matrix."""
     out = np.empty((h.shape[0], states.shape[0]))
     for i in range(h.shape[0]):
@@ -76,7 +83,7 @@ def columns(h: Vector, states: Indices) -> Vector:
 
 
 @compiled
-def block(p: Vector, states: Indices) -> Vector:
+def covariance_block(p: Vector, states: Indices) -> Vector:
     """The covariance (c, c) of some states."""
     out = np.empty((states.shape[0], states.shape[0]))
     for i in range(states.shape[0]):
@@ -86,15 +93,17 @@ def block(p: Vector, states: Indices) -> Vector:
 
 
 @compiled
-def normal_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
+def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
     """What innovations v (n,) with variance (n,) and geometry h (n, 20) tell of the states they
     depend on."""
-    states = states_of(h)
-    return normal_of(states, columns(h, states), variance, v)
+    states = visible_states(h)
+    return normal_equations_over(states, select_columns(h, states), variance, v)
 
 
 @compiled
-def normal_of(states: Indices, a: Vector, variance: Vector, v: Vector) -> Normal:
+def normal_equations_over(
+    states: Indices, a: Vector, variance: Vector, v: Vector
+) -> NormalEquations:
     """The same for a geometry a (n, c) over `states` (c,)."""
     count = a.shape[1]
     information, b, total = np.zeros((count, count)), np.zeros(count), 0.0
@@ -105,30 +114,30 @@ def normal_of(states: Indices, a: Vector, variance: Vector, v: Vector) -> Normal
             b[j] += share * v[i]
             for k in range(count):
                 information[j, k] += share * a[i, k]
-    return Normal(states, a, variance, v, information, b, total)
+    return NormalEquations(states, a, variance, v, information, b, total)
 
 
 @compiled
-def posterior(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
+def posterior_block(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
     """P+_c and Y (c, c) of P_c and N."""
-    low = lower(prior)
-    total = multiply(transposed(low), multiply(information, low))
+    low = cholesky_factor(prior)
+    total = multiply_matrices(transpose_matrix(low), multiply_matrices(information, low))
     # T is never less than I: it can be inverted whatever the measurements.
     for i in range(total.shape[0]):
         total[i, i] += 1.0
-    root = lower_inverse(lower(total))
-    after = square(multiply(root, transposed(low)))
-    y = square(root)
+    root = invert_lower(cholesky_factor(total))
+    after = gram_matrix(multiply_matrices(root, transpose_matrix(low)))
+    y = gram_matrix(root)
     for i in range(y.shape[0]):
         for j in range(y.shape[0]):
             y[i, j] = -y[i, j]
         y[i, i] += 1.0
-    back = lower_inverse(low)
-    return after, multiply(transposed(back), multiply(y, back))
+    back = invert_lower(low)
+    return after, multiply_matrices(transpose_matrix(back), multiply_matrices(y, back))
 
 
 @compiled
-def quadratic(v: Vector, m: Vector) -> float:
+def quadratic_form(v: Vector, m: Vector) -> float:
     """v' m v of v (n,) and m (n, n)."""
     total = 0.0
     for i in range(v.shape[0]):
@@ -138,7 +147,7 @@ def quadratic(v: Vector, m: Vector) -> float:
 
 
 @inlined
-def quadratic_of(a: Vector, row: int, m: Vector) -> float:
+def row_quadratic_form(a: Vector, row: int, m: Vector) -> float:
     """The same of a row of a (n, c)."""
     total = 0.0
     for i in range(a.shape[1]):
@@ -148,25 +157,25 @@ def quadratic_of(a: Vector, row: int, m: Vector) -> float:
 
 
 @compiled
-def statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> float:
+def innovation_statistic(p: Vector, h: Vector, variance: Vector, v: Vector) -> float:
     """q of innovations v (n,) with variance (n,) and geometry h (n, 20) before the covariance p."""
     normal = normal_equations(h, variance, v)
-    return statistic_of(p, normal)
+    return normal_statistic(p, normal)
 
 
 @compiled
-def statistic_of(p: Vector, normal: Normal) -> float:
+def normal_statistic(p: Vector, normal: NormalEquations) -> float:
     """q of measurements before the covariance p (20, 20)."""
-    after = posterior(block(p, normal.states), normal.information)[0]
-    return normal.total - quadratic(normal.b, after)
+    after = posterior_block(covariance_block(p, normal.states), normal.information)[0]
+    return normal.total - quadratic_form(normal.b, after)
 
 
 @compiled
-def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
+def inverse_covariance(p: Vector, h: Vector, variance: Vector) -> Vector:
     """The inverse innovation covariance M (n, n)."""
     normal = normal_equations(h, variance, np.zeros(variance.shape[0]))
-    after = posterior(block(p, normal.states), normal.information)[0]
-    out = multiply(normal.a, multiply(after, transposed(normal.a)))
+    after = posterior_block(covariance_block(p, normal.states), normal.information)[0]
+    out = multiply_matrices(normal.a, multiply_matrices(after, transpose_matrix(normal.a)))
     for i in range(variance.shape[0]):
         for j in range(variance.shape[0]):
             out[i, j] *= -1.0 / (variance[i] * variance[j])
@@ -175,15 +184,17 @@ def weights(p: Vector, h: Vector, variance: Vector) -> Vector:
 
 
 @compiled
-def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vector]:
-    """Update x (21,) and p (20, 20), in place, with Y (c, c) of `posterior`; returns P+_:c (20, c)
-    and dx (20,)."""
+def update_in_place(
+    x: Vector, p: Vector, normal: NormalEquations, y: Vector
+) -> tuple[Vector, Vector]:
+    """Update x (21,) and p (20, 20), in place, with Y (c, c) of `posterior_block`; returns P+_:c
+    (20, c) and dx (20,)."""
     states = normal.states
     rows = np.empty((states.shape[0], p.shape[0]))
     for k in range(states.shape[0]):
         for j in range(p.shape[0]):
             rows[k, j] = p[states[k], j]
-    weighted = multiply(y, rows)
+    weighted = multiply_matrices(y, rows)
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
             factor = rows[k, i]
@@ -192,16 +203,16 @@ def update(x: Vector, p: Vector, normal: Normal, y: Vector) -> tuple[Vector, Vec
                 p[i, j] -= factor * weighted[k, j]
         for j in range(i):
             p[j, i] = p[i, j]
-    after = columns(p, states)
-    moved = apply(after, normal.b)
-    move(x, moved)
+    after = select_columns(p, states)
+    moved = multiply_vector(after, normal.b)
+    add_error(x, moved)
     return after, moved
 
 
 @compiled
-def move(x: Vector, d: Vector) -> None:
+def add_error(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
-    q = turned_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
+    q = rotate_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
     for i in range(PSI):
         # The attitude's error turns the quaternion; everything else adds.
         x[i] += d[i]
@@ -213,11 +224,13 @@ def move(x: Vector, d: Vector) -> None:
 
 
 @compiled
-def measured_update(
+def measurement_update(
     x: Vector, p: Vector, h: Vector, variance: Vector, v: Vector
 ) -> tuple[Vector, Vector]:
     """State x (21,) and covariance p (20, 20) after measurements with innovations v (n,), their
     variance (n,) and geometry h (n, 20), as new arrays."""
     x, p, normal = x.copy(), p.copy(), normal_equations(h, variance, v)
-    update(x, p, normal, posterior(block(p, normal.states), normal.information)[1])
+    update_in_place(
+        x, p, normal, posterior_block(covariance_block(p, normal.states), normal.information)[1]
+    )
     return x, p

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
     BA,
     BG,
     CLOCK,
     DRIFT,
-    ERRORS,
+    ERROR_SIZE,
     ISB,
     PSI,
     X_CLOCK,
@@ -22,23 +22,23 @@ from analysis.detection.filter.inertial import (
     V,
     propagate_freely,
 )
-from analysis.detection.filter.lasting_errors import Misfit
-from analysis.detection.filter.measurement import Modelled, Observed, model
+from analysis.detection.filter.lasting_errors import VarianceFactor
+from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
 from analysis.detection.isolation.bank import projected_weights
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.isolation.constellations import (
-    CONTRADICTION,
-    TELLING,
+    SEPARABLE_COST,
+    SYSTEMS_CONTRADICT,
     explain_by_systems,
-    groups_of,
+    group_by_system,
 )
 from analysis.detection.isolation.hypotheses import explain_by_satellites
-from analysis.detection.protection import Bounds, bounds
+from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
 # More would mean that it wanders.
-ITERATIONS = 12
+MOST_ITERATIONS = 12
 CONVERGED_M = 1e-3
 # A position inside this is no place to compute elevations from.
 FAR_FROM_EARTH_M = 1.0e6
@@ -49,23 +49,25 @@ GYRO_BIAS_SIGMA_RPS = 0.02
 ACCEL_BIAS_SIGMA_MPS2 = 0.3
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
 UNKNOWN_DRIFT_SIGMA_MPS = 300.0
-TRUSTED_DOF = 3  # a start with fewer cannot tell a faulty satellite and test the rest
+TRUSTED_START_DOF = 3  # a start with fewer cannot tell a faulty satellite and test the rest
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class InitialFix:
     """A first state, what it was made from, and which satellites it found faulty (or why not)."""
 
-    motion: Motion | None
+    motion: MotionEstimate | None
     reason: str = ""
     faulty: tuple[str, ...] = ()
     statistic: float = 0.0
     dof: int = 0
     threshold: float = 0.0
-    bounds: Bounds | None = None
+    bounds: PositionBounds | None = None
 
 
-def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vector) -> Start:
+def solve_initial_fix(
+    t_us: int, observed: EpochObservation, config: DetectorConfig, ionosphere: Vector
+) -> InitialFix:
     """Least squares over all satellites above the mask, tested, and repaired if it fails.
 
     `ionosphere` (8,) are Klobuchar's coefficients.
@@ -73,108 +75,114 @@ def start(t_us: int, observed: Observed, config: DetectorConfig, ionosphere: Vec
     # First all, since the mask needs a position to tell elevations.
     x = _solve(observed, np.zeros(X_SIZE), config, ionosphere)
     if x is None:
-        return Start(None, _too_few(observed))
-    above = model(observed, x, config.sigma, ionosphere).elevation_rad
+        return InitialFix(None, _too_few(observed))
+    above = predict_innovations(observed, x, config.sigma, ionosphere).elevation_rad
     observed = observed.select(above >= np.radians(config.mask_deg))
     x = _solve(observed, x, config, ionosphere)
     if x is None:
-        return Start(None, _too_few(observed))
-    modelled = model(observed, x, config.sigma, ionosphere)
+        return InitialFix(None, _too_few(observed))
+    modelled = predict_innovations(observed, x, config.sigma, ionosphere)
     design = design_matrix(-modelled.h[:, 0:3], observed.system)
     dof = len(design) - design.shape[1]
     # Without redundancy a faulty start could not be told from a sound one.
     if dof < 1:
-        return Start(None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test")
+        return InitialFix(
+            None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test"
+        )
     m = projected_weights(design, 1.0 / modelled.variance)
     u = m @ modelled.v_m
     q = float(modelled.v_m @ u)
-    threshold = chi_square(dof, config.p_false_alarm)
+    threshold = chi_square_threshold(dof, config.p_false_alarm)
     if q <= threshold:
         motion = _motion(t_us, x, observed, modelled, design, config)
-        return Start(motion, "", (), q, dof, threshold, _bounds(modelled, x, config))
+        return InitialFix(motion, "", (), q, dof, threshold, _bounds(modelled, x, config))
     return _repaired(t_us, x, observed, m, q, config, ionosphere)
 
 
-def against_prior(begun: Start, before: Motion, config: DetectorConfig) -> Start:
+def check_against_prior(
+    begun: InitialFix, before: MotionEstimate, config: DetectorConfig
+) -> InitialFix:
     """The start, or none where it contradicts the filter before a gap and few satellites vouch.
 
     The filter's position grows unsure as a vehicle without an IMU may move, so a place of long ago
     contradicts nothing.
     """
     motion = begun.motion
-    if motion is None or begun.dof >= TRUSTED_DOF:
+    if motion is None or begun.dof >= TRUSTED_START_DOF:
         return begun
     gap_s = (motion.t_us - before.t_us) * 1e-6
     x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise.densities)
     shift_m = motion.x[:3] - x[:3]
     q = float(shift_m @ np.linalg.solve(p[:3, :3] + motion.p[:3, :3], shift_m))
-    if q <= chi_square(3, config.p_false_alarm):
+    if q <= chi_square_threshold(3, config.p_false_alarm):
         return begun
-    return Start(
+    return InitialFix(
         None,
         f"a start {np.linalg.norm(shift_m):.0f} m from where the filter was {gap_s:.0f} s ago, with"
-        f" {begun.dof} degrees of freedom; {TRUSTED_DOF} are needed to believe it",
+        f" {begun.dof} degrees of freedom; {TRUSTED_START_DOF} are needed to believe it",
     )
 
 
 def _repaired(
     t_us: int,
     x: Vector,
-    observed: Observed,
+    observed: EpochObservation,
     m: Vector,
     q: float,
     config: DetectorConfig,
     ionosphere: Vector,
-) -> Start:
+) -> InitialFix:
     """The start without the satellites that make it fail."""
-    modelled = model(observed, x, config.sigma, ionosphere)
+    modelled = predict_innovations(observed, x, config.sigma, ionosphere)
     u = m @ modelled.v_m
     unknowns = 3 + len(systems_of(observed.system))
     # Two satellites of redundancy for each that is left out, or the set is not the only one.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
-    systems = groups_of(modelled.h[:, 0:3], modelled.h[:, ISB:ERRORS])
+    systems = group_by_system(modelled.h[:, 0:3], modelled.h[:, ISB:ERROR_SIZE])
     wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
-        return Start(None, "the first solutions fail their test", (), q, len(u) - unknowns)
+        return InitialFix(None, "the first solutions fail their test", (), q, len(u) - unknowns)
     # A snapshot cannot tell which of two systems moved: it must not begin in between.
     several = len(found.subset) > 1
-    if several and any(whole.cost - found.cost < TELLING for whole in wholes):
-        return Start(None, CONTRADICTION, (), q, len(u) - unknowns)
+    if several and any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
+        return InitialFix(None, SYSTEMS_CONTRADICT, (), q, len(u) - unknowns)
     # Three wrong of eight look like two others: those left must vouch for each other.
     vouching = len(u) - len(found.subset) - unknowns
-    if several and vouching < TRUSTED_DOF:
+    if several and vouching < TRUSTED_START_DOF:
         reason = (
             f"{len(found.subset)} of {len(u)} satellites contradict the others, which are too few"
         )
-        return Start(None, reason, (), q, len(u) - unknowns)
+        return InitialFix(None, reason, (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
     faulty = tuple(observed.satellites[i] for i in found.subset)
     observed = observed.select(keep)
     solved = _solve(observed, x, config, ionosphere)
     if solved is None:
-        return Start(None, _too_few(observed))
-    modelled = model(observed, solved, config.sigma, ionosphere)
+        return InitialFix(None, _too_few(observed))
+    modelled = predict_innovations(observed, solved, config.sigma, ionosphere)
     design = design_matrix(-modelled.h[:, 0:3], observed.system)
     motion = _motion(t_us, solved, observed, modelled, design, config)
     dof = len(u) - unknowns
-    threshold = chi_square(dof, config.p_false_alarm)
-    return Start(motion, "", faulty, q, dof, threshold, _bounds(modelled, solved, config))
+    threshold = chi_square_threshold(dof, config.p_false_alarm)
+    return InitialFix(motion, "", faulty, q, dof, threshold, _bounds(modelled, solved, config))
 
 
-def _bounds(modelled: Modelled, x: Vector, config: DetectorConfig) -> Bounds:
+def _bounds(modelled: Innovations, x: Vector, config: DetectorConfig) -> PositionBounds:
     """The bounds of a snapshot x (21,) of its own satellites."""
     nothing_m = np.zeros(len(modelled.v_m))
-    return bounds(modelled, np.zeros(3), nothing_m, x[:3], Misfit(), config.sigma.slow**2)
+    return bound_position(
+        modelled, np.zeros(3), nothing_m, x[:3], VarianceFactor(), config.sigma.slow**2
+    )
 
 
-def _too_few(observed: Observed) -> str:
+def _too_few(observed: EpochObservation) -> str:
     return f"{len(observed.satellites)} satellites with an ephemeris give no position"
 
 
 def _solve(
-    observed: Observed, x: Vector, config: DetectorConfig, ionosphere: Vector
+    observed: EpochObservation, x: Vector, config: DetectorConfig, ionosphere: Vector
 ) -> Vector | None:
     """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
     x = x.copy()
@@ -183,11 +191,11 @@ def _solve(
     x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
     if len(observed.satellites) < 4 + len(offset):
         return None
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_ITERATIONS):
         # From the middle of the Earth the weights, which depend on elevation, mean nothing.
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
         # At the exact centre the sight vectors have no direction.
-        modelled = model(observed, x if near else x + 1e-3, config.sigma, ionosphere)
+        modelled = predict_innovations(observed, x if near else x + 1e-3, config.sigma, ionosphere)
         weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
         design = design_matrix(-modelled.h[:, 0:3], observed.system) * weight[:, None]
         step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
@@ -203,17 +211,17 @@ def _solve(
 def _motion(
     t_us: int,
     x: Vector,
-    observed: Observed,
-    modelled: Modelled,
+    observed: EpochObservation,
+    modelled: Innovations,
     design: Vector,
     config: DetectorConfig,
-) -> Motion:
+) -> MotionEstimate:
     """The filter at the solution x, with velocity from Doppler where there is enough of it."""
-    p = np.zeros((ERRORS, ERRORS))
+    p = np.zeros((ERROR_SIZE, ERROR_SIZE))
     weighted = design / np.sqrt(modelled.variance)[:, None]
     # The cofactor of the solution is the covariance, since the rows are weighted by their sigmas.
     cofactor = np.linalg.inv(weighted.T @ weighted)
-    p[range(ISB, ERRORS), range(ISB, ERRORS)] = ISB_SIGMA_M**2
+    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = ISB_SIGMA_M**2
     spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observed.system)[1:])]
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
@@ -236,4 +244,4 @@ def _motion(
         p[DRIFT, DRIFT] = UNKNOWN_DRIFT_SIGMA_MPS**2
     for at, sigma in ((PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
-    return Motion(t_us, x, p)
+    return MotionEstimate(t_us, x, p)

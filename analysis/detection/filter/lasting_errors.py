@@ -23,32 +23,32 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.filter.inertial import ISB
-from analysis.detection.filter.measurement import Modelled
+from analysis.detection.filter.measurement import Innovations
 from analysis.orbits.broadcast import CLOCKS, troposphere_m
 from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import inverse
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
-SIGNAL_M = 0.5  # orbit and clock: what GPS and Galileo reach in the root mean square
+LASTING_SIGNAL_M = 0.5  # orbit and clock: what GPS and Galileo reach in the root mean square
 IONOSPHERE_SHARE, TROPOSPHERE_M = 0.2, 0.12  # of Klobuchar's delay; of the zenith delay [2]_
-MEMORY_S = 60.0  # of the variance factor
-NEWS_S = 1.0  # epochs closer than this share their errors
+FACTOR_MEMORY_S = 60.0  # of the variance factor
+INDEPENDENT_AFTER_S = 1.0  # epochs closer than this share their errors
 ASSUMED_DOF = 10.0  # degrees of freedom in favour of the model as it is
 LEAST_FACTOR = 0.25
 AXES = 3
-VAGUE = 1e-4  # information in 1/m^2 of where an antenna is that too few satellites see
+VAGUE_INFORMATION = 1e-4  # information in 1/m^2 of where an antenna is that too few satellites see
 
 
-class Misfit(NamedTuple):
+class VarianceFactor(NamedTuple):
     """Parity statistics of the last minute and their degrees of freedom, the older the less."""
 
     total: float = ASSUMED_DOF
     dof: float = ASSUMED_DOF
 
-    def with_epoch(self, parity: float, dof: int, dt_s: float) -> "Misfit":
+    def with_epoch(self, parity: float, dof: int, dt_s: float) -> "VarianceFactor":
         """After an epoch `dt_s` after the last."""
-        return Misfit(*misfit_after(self.total, self.dof, parity, dof, dt_s))
+        return VarianceFactor(*update_variance_factor(self.total, self.dof, parity, dof, dt_s))
 
     @property
     def factor(self) -> float:
@@ -57,16 +57,16 @@ class Misfit(NamedTuple):
 
 
 @compiled
-def misfit_after(
+def update_variance_factor(
     total: float, known: float, parity: float, dof: int, dt_s: float
 ) -> tuple[float, float]:
-    """The fields of a `Misfit` after an epoch."""
-    stays, news = math.exp(-dt_s / MEMORY_S), min(dt_s / NEWS_S, 1.0)
+    """The fields of a `VarianceFactor` after an epoch."""
+    stays, news = math.exp(-dt_s / FACTOR_MEMORY_S), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
     fresh = (1.0 - stays) * ASSUMED_DOF
     return stays * total + fresh + news * parity, stays * known + fresh + news * dof
 
 
-class Lines(NamedTuple):
+class RangeGeometry(NamedTuple):
     """The geometry of a snapshot by n ranges: unit vectors by some axes (n, 3), and where among the
     `unknowns` the clock of each one's system is (n,), behind the position."""
 
@@ -76,7 +76,7 @@ class Lines(NamedTuple):
 
 
 @compiled
-def lines_of(used: Modelled, axes: Vector) -> Lines:
+def range_geometry(used: Innovations, axes: Vector) -> RangeGeometry:
     """The geometry by the rows of `axes` (3, 3), with a clock for each system that is in use."""
     count, h = used.h.shape[0], used.h
     sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
@@ -94,11 +94,11 @@ def lines_of(used: Modelled, axes: Vector) -> Lines:
         for k in range(AXES):
             for j in range(AXES):
                 sight[i, k] += axes[k, j] * h[i, j]
-    return Lines(sight, clock, unknowns)
+    return RangeGeometry(sight, clock, unknowns)
 
 
 @compiled
-def normal_matrix(lines: Lines, weight: Vector) -> Vector:
+def normal_matrix(lines: RangeGeometry, weight: Vector) -> Vector:
     """A'WA (c, c) for weights (n,)."""
     sight, clock, unknowns = lines
     out = np.zeros((unknowns, unknowns))
@@ -116,24 +116,26 @@ def normal_matrix(lines: Lines, weight: Vector) -> Vector:
 
 
 @compiled
-def lasting_variance(used: Modelled, factor: float) -> Vector:
+def lasting_variance(used: Innovations, factor: float) -> Vector:
     """What lasts of each range (n,) in m^2."""
     out = np.empty(used.variance.shape[0])
     for i in range(out.shape[0]):
         wet_m = troposphere_m(TROPOSPHERE_M, used.elevation_rad[i])
-        out[i] = SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m[i]) ** 2 + wet_m**2
+        out[i] = LASTING_SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m[i]) ** 2 + wet_m**2
         out[i] += max(factor - 1.0, 0.0) * used.variance[i]
     return out
 
 
 @compiled
-def lasting_position_variance(used: Modelled, lines: Lines, axes: Vector, factor: float) -> Vector:
+def lasting_position_variance(
+    used: Innovations, lines: RangeGeometry, axes: Vector, factor: float
+) -> Vector:
     """The diagonal (3,) of S L S' in ECEF, m^2, of a geometry by the rows of `axes` (3, 3)."""
     lasts, weight = lasting_variance(used, factor), 1.0 / used.variance
     normal = normal_matrix(lines, weight)
     for k in range(lines.unknowns):
-        normal[k, k] += VAGUE  # directions that nobody sees must not make it singular
-    cofactor, out, response = inverse(normal), np.zeros(AXES), np.empty(AXES)
+        normal[k, k] += VAGUE_INFORMATION  # directions that nobody sees must not make it singular
+    cofactor, out, response = invert_positive_definite(normal), np.zeros(AXES), np.empty(AXES)
     for i in range(weight.shape[0]):
         for k in range(AXES):
             response[k] = cofactor[k, lines.clock[i]]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.detection_config import SigmaModel, SigmaNumbers, range_variance
-from analysis.detection.filter.filter_state import Stored
+from analysis.detection.filter.filter_state import StoredOrbit
 from analysis.detection.filter.inertial import (
     CLOCK,
     DRIFT,
-    ERRORS,
+    ERROR_SIZE,
     ISB,
     X_CLOCK,
     X_DRIFT,
@@ -25,13 +25,13 @@ from analysis.orbits.broadcast import (
     CLOCK_OF,
     DELAY,
     ELEVATION,
+    LINE_OF_SIGHT,
     PACKED,
     RANGE,
     RATE,
-    SIGHT,
     SYSTEMS,
     WEEK_S,
-    packed_for,
+    packed_for_carrier,
     predict_ranges,
     satellite_states,
 )
@@ -41,16 +41,18 @@ from mavproxy_fault.numerics.constants import L1_HZ
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-COEFFICIENTS = 8  # Klobuchar's; behind them, how much more than broadcast ones they are off
-CHOSEN_S = 300.0  # at the latest the choice is looked at again
+KLOBUCHAR_COEFFICIENTS = (
+    8  # Klobuchar's; behind them, how much more than broadcast ones they are off
+)
+RESELECT_S = 300.0  # at the latest the choice is looked at again
 # Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's
 # factor), BeiDou's B3I wanders as much more on a recorded walk.
-SPREAD = (1.0, 1.0, 1.5**2, 1.5**2)
+SYSTEM_VARIANCE_FACTOR = (1.0, 1.0, 1.5**2, 1.5**2)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
 
 
-class Measured(NamedTuple):
-    """n satellites as kernels read them: the fields of `Observed` without the names."""
+class EpochMeasurements(NamedTuple):
+    """n satellites as kernels read them: the fields of `EpochObservation` without the names."""
 
     packed: Vector
     pseudorange_m: Vector
@@ -61,7 +63,7 @@ class Measured(NamedTuple):
     tow_s: float
 
 
-class Observed(Value, frozen=True):
+class EpochObservation(Value, frozen=True):
     """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
 
     `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the
@@ -78,9 +80,9 @@ class Observed(Value, frozen=True):
     tow_s: float
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> EpochMeasurements:
         """What was measured, without the names."""
-        return Measured(
+        return EpochMeasurements(
             self.packed,
             self.pseudorange_m,
             self.doppler_mps,
@@ -93,21 +95,21 @@ class Observed(Value, frozen=True):
     @property
     def states(self) -> Vector:
         """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
-        return states_at(self.measured)
+        return transmitting_states(self.measured)
 
-    def without_rates(self, names: Collection[str]) -> "Observed":
+    def without_rates(self, names: Collection[str]) -> "EpochObservation":
         """The same without the Doppler rates of some satellites."""
         if not names:
             return self
         wrong = [name in names for name in self.satellites]
         return self._replace(doppler_mps=np.where(wrong, np.nan, self.doppler_mps))
 
-    def select(self, keep: Mask) -> "Observed":
+    def select(self, keep: Mask) -> "EpochObservation":
         """Those that `keep` (n,), a mask, keeps."""
         names = tuple(
             name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
         )
-        return Observed(
+        return EpochObservation(
             names,
             self.pseudorange_m[keep],
             self.doppler_mps[keep],
@@ -119,7 +121,7 @@ class Observed(Value, frozen=True):
         )
 
 
-class Modelled(NamedTuple):
+class Innovations(NamedTuple):
     """Innovations at a state: ranges and rates with geometry.
 
     `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,), the
@@ -135,21 +137,21 @@ class Modelled(NamedTuple):
     ionosphere_m: Vector
     h: Vector
 
-    def between(self, begin: int, end: int) -> "Modelled":
+    def between(self, begin: int, end: int) -> "Innovations":
         """Those in a row; views."""
-        return Modelled(*(column[begin:end] for column in self))
+        return Innovations(*(column[begin:end] for column in self))
 
-    def select(self, keep: Mask) -> "Modelled":
+    def select(self, keep: Mask) -> "Innovations":
         """Those that `keep` (n,), a mask, keeps."""
-        return Modelled(*(column[keep] for column in self))
+        return Innovations(*(column[keep] for column in self))
 
 
 _NONE = np.empty(0)
-NO_ROWS = Modelled(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERRORS)))
+NO_INNOVATIONS = Innovations(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERROR_SIZE)))
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class EphemerisSelection:
     """The ephemerides of a set of satellites, which hold from `from_us` until `until_us`: indices
     of those that have one (None: all have), and their packed rows (n, 25)."""
 
@@ -168,16 +170,16 @@ class Chosen:
         return same and self.from_us <= epoch.t_us <= self.until_us
 
 
-def choose(
+def select_ephemerides(
     epoch: Epoch,
-    ephemerides: dict[str, tuple[Stored, ...]],
+    ephemerides: dict[str, tuple[StoredOrbit, ...]],
     systems: str = SYSTEMS,
-    before: Chosen | None = None,
-) -> Chosen:
+    before: EphemerisSelection | None = None,
+) -> EphemerisSelection:
     """The healthy ephemeris nearest in time for each satellite of an epoch that has one.
 
     `systems` are the first letters of those that are used, `before` is the last choice."""
-    keep, rows, holds_s = [], [], CHOSEN_S
+    keep, rows, holds_s = [], [], RESELECT_S
     carriers = [L1_HZ] * len(epoch.satellites)
     if epoch.carrier_hz is not None:
         carriers = epoch.carrier_hz.tolist()
@@ -186,11 +188,11 @@ def choose(
         holds_s = min(holds_s, same_s)
         if packed is not None and name[0] in systems:
             keep.append(i)
-            rows.append(packed if carriers[i] == L1_HZ else packed_for(packed, carriers[i]))
+            rows.append(packed if carriers[i] == L1_HZ else packed_for_carrier(packed, carriers[i]))
     names = tuple(epoch.satellites[i] for i in keep)
     # The same object where nothing changed: what follows compares it by identity first.
     names = before.names if before is not None and before.names == names else names
-    return Chosen(
+    return EphemerisSelection(
         epoch.satellites,
         epoch.week,
         epoch.t_us,
@@ -202,14 +204,14 @@ def choose(
     )
 
 
-def observe(epoch: Epoch, chosen: Chosen) -> Observed | None:
+def observe_epoch(epoch: Epoch, chosen: EphemerisSelection) -> EpochObservation | None:
     """The satellites that can be used; None where there are none."""
     if not chosen.names or not 0.0 <= epoch.tow_s <= WEEK_S:
         return None
     columns = epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz
     if chosen.keep is not None:
         columns = columns[0][chosen.keep], columns[1][chosen.keep], columns[2][chosen.keep]
-    observed = Observed(
+    observed = EpochObservation(
         chosen.names, *columns, chosen.packed, chosen.system, float(epoch.week), epoch.tow_s
     )
     if _all_plausible(columns[0]):
@@ -228,7 +230,7 @@ def _all_plausible(ranges: Vector) -> bool:
     return plausible
 
 
-def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> tuple[Vector | None, float]:
+def _nearest(stored: tuple[StoredOrbit, ...], epoch: Epoch) -> tuple[Vector | None, float]:
     """The packed ephemeris whose time is nearest, if one is healthy and still holds, and for how
     many seconds that stays so."""
     best, age, ahead_s, changes_s = None, float("inf"), 0.0, [float("inf")]
@@ -246,8 +248,8 @@ def _nearest(stored: tuple[Stored, ...], epoch: Epoch) -> tuple[Vector | None, f
     return best, min(change_s for change_s in changes_s if change_s >= 0.0)
 
 
-def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
-    """Why `observe` found nothing to use."""
+def unusable_reason(epoch: Epoch, ephemerides: dict[str, tuple[StoredOrbit, ...]]) -> str:
+    """Why `observe_epoch` found nothing to use."""
     if not epoch.satellites:
         return "no pseudoranges"
     if not 0.0 <= epoch.tow_s <= WEEK_S:
@@ -260,51 +262,55 @@ def why_none(epoch: Epoch, ephemerides: dict[str, tuple[Stored, ...]]) -> str:
     return "no satellite has a valid ephemeris and a plausible pseudorange"
 
 
-def model(observed: Observed, x: Vector, sigma: SigmaModel, ionosphere: Vector) -> Modelled:
+def predict_innovations(
+    observed: EpochObservation, x: Vector, sigma: SigmaModel, ionosphere: Vector
+) -> Innovations:
     """Innovations, their geometry and variance at the state x (21,).
 
     `ionosphere` (8,) or (9,) are Klobuchar's coefficients, and how much more than broadcast ones
     they are off.
     """
-    return modelled_at(observed.measured, observed.states, x, ionosphere, sigma.numbers)
+    return innovations_kernel(observed.measured, observed.states, x, ionosphere, sigma.numbers)
 
 
 @compiled
-def states_at(measured: Measured) -> Vector:
+def transmitting_states(measured: EpochMeasurements) -> Vector:
     """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
     return satellite_states(measured.packed, measured.week, measured.tow_s, measured.pseudorange_m)
 
 
 @compiled
-def modelled_at(
-    measured: Measured, states: Vector, x: Vector, ionosphere: Vector, sigma: SigmaNumbers
-) -> Modelled:
-    """The same for kernels, with the satellites (n, 9) of `states_at`."""
+def innovations_kernel(
+    measured: EpochMeasurements, states: Vector, x: Vector, ionosphere: Vector, sigma: SigmaNumbers
+) -> Innovations:
+    """The same for kernels, with the satellites (n, 9) of `transmitting_states`."""
     predicted = predict_ranges(states, x[0:3], x[3:6], measured.tow_s, ionosphere)
     count, elevation = states.shape[0], predicted[:, ELEVATION].copy()
     systems, range_m, rate_mps = measured.system, measured.pseudorange_m, measured.doppler_mps
     v, v_rate, rate_variance = np.empty(count), np.empty(count), np.empty(count)
-    variance, h = range_variance(elevation, measured.cn0_dbhz, sigma), np.zeros((count, ERRORS))
+    variance, h = range_variance(elevation, measured.cn0_dbhz, sigma), np.zeros((count, ERROR_SIZE))
     for i in range(count):
         system = systems[i]
         isb = x[X_ISB - 1 + system] if system > 0 else 0.0
         v[i] = range_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
         v_rate[i] = rate_mps[i] - predicted[i, RATE] - x[X_DRIFT]
-        variance[i] *= SPREAD[system]
+        variance[i] *= SYSTEM_VARIANCE_FACTOR[system]
         rate_variance[i] = sigma.rate_mps**2 / math.sin(max(elevation[i], 0.1))
         for k in range(3):
-            h[i, k] = -predicted[i, SIGHT + k]
+            h[i, k] = -predicted[i, LINE_OF_SIGHT + k]
         h[i, CLOCK] = 1.0
         if system > 0:
             h[i, ISB - 1 + system] = 1.0
     # Coefficients that nobody has sent are off by more: as if there were so much more to model.
-    doubt = ionosphere[COEFFICIENTS] if ionosphere.shape[0] > COEFFICIENTS else 1.0
+    doubt = (
+        ionosphere[KLOBUCHAR_COEFFICIENTS] if ionosphere.shape[0] > KLOBUCHAR_COEFFICIENTS else 1.0
+    )
     delay_m = doubt * predicted[:, DELAY]
-    return Modelled(v, v_rate, variance, rate_variance, elevation, delay_m, h)
+    return Innovations(v, v_rate, variance, rate_variance, elevation, delay_m, h)
 
 
 @compiled
-def rate_rows(h: Vector, known: Indices) -> Vector:
+def rate_geometry(h: Vector, known: Indices) -> Vector:
     """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of h."""
     out = np.zeros((known.shape[0], h.shape[1]))
     for i in range(known.shape[0]):

@@ -10,11 +10,13 @@ import math
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core, FrozenOffsets
+from analysis.detection.detector_state import DetectorCore, FrozenOffsets
 from analysis.samples.sample import Vector
 
 
-def frozen_m(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConfig) -> Vector:
+def frozen_offsets_m(
+    core: DetectorCore, names: tuple[str, ...], t_us: int, config: DetectorConfig
+) -> Vector:
     """The offsets (n,) in m that are subtracted from the ranges at `t_us`."""
     known = core.frozen.offsets_m
     if not known:
@@ -25,12 +27,12 @@ def frozen_m(core: Core, names: tuple[str, ...], t_us: int, config: DetectorConf
     return result
 
 
-def _fading(core: Core, t_us: int, config: DetectorConfig) -> float:
+def _fading(core: DetectorCore, t_us: int, config: DetectorConfig) -> float:
     """What is left at `t_us` of an offset that was frozen."""
     return math.exp(-(t_us - core.frozen.t_us) * 1e-6 / config.sigma.slow_s)
 
 
-def learnt(core: Core, names: tuple[str, ...]) -> Vector:
+def learned_offsets_m(core: DetectorCore, names: tuple[str, ...]) -> Vector:
     """What is known of the offsets (n,) in m beyond those that are subtracted."""
     ramps = core.ramps
     if ramps is None:
@@ -39,7 +41,7 @@ def learnt(core: Core, names: tuple[str, ...]) -> Vector:
     return np.array([known.get(name, 0.0) for name in names])
 
 
-def freeze(core: Core, t_us: int, config: DetectorConfig) -> Core:
+def freeze_offsets(core: DetectorCore, t_us: int, config: DetectorConfig) -> DetectorCore:
     """The core with what was learnt of the offsets subtracted from the ranges from now on."""
     ramps = core.ramps
     if ramps is None:

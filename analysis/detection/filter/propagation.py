@@ -6,22 +6,24 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.antenna import moved_along
-from analysis.detection.filter.filter_state import Motion, Pending
+from analysis.detection.filter.antenna import shift_by_lever_arm
+from analysis.detection.filter.filter_state import MotionEstimate, PendingImu
 from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.samples.block import ImuRun, Stamps
-from analysis.samples.sample import MOST_OF_IMU, ImuSample, Vector
+from analysis.samples.sample import IMU_VALUE_LIMIT, ImuSample, Vector
 from mavproxy_fault.numerics.compile import compiled
 
 PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 RATE_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
 SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
-INTERVALS = 5.0  # of the IMU that a gap must be long for the IMU to be blamed, as of any stream
-NEWS = 0.05  # share of an epoch in what is usual of the IMU's interval
+SILENT_INTERVALS = (
+    5.0  # of the IMU that a gap must be long for the IMU to be blamed, as of any stream
+)
+INTERVAL_GAIN = 0.05  # share of an epoch in what is usual of the IMU's interval
 
 
-class Segment(NamedTuple):
+class ImuSegment(NamedTuple):
     """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
     longest silence in it and `heard` whether there was any sample."""
 
@@ -30,7 +32,7 @@ class Segment(NamedTuple):
     heard: bool
 
 
-def run_of(samples: Iterable[ImuSample]) -> ImuRun:
+def imu_run_of(samples: Iterable[ImuSample]) -> ImuRun:
     """IMU samples in order as a run."""
     listed = list(samples)
     values = [(*sample.gyro_b_rps, *sample.accel_b_mps2) for sample in listed]
@@ -38,7 +40,7 @@ def run_of(samples: Iterable[ImuSample]) -> ImuRun:
     return ImuRun(stamps, np.array(values, dtype=float).reshape(-1, 6))
 
 
-def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
+def add_pending(run: ImuRun, pending: PendingImu | None) -> PendingImu | None:
     """A further run for the next epoch."""
     # An empty run would only lengthen the chain.
     if not len(run.t_us):
@@ -46,12 +48,12 @@ def keep_pending(run: ImuRun, pending: Pending | None) -> Pending | None:
     depth = len(run.t_us) + (pending.depth if pending is not None else 0)
     # Twice the limit before it is cut: joining all runs at each arrival would be quadratic.
     if depth <= 2 * PENDING_MAX:
-        return Pending(run, pending, depth)
-    whole = _whole(Pending(run, pending, depth))
-    return Pending(whole, None, len(whole.t_us))
+        return PendingImu(run, pending, depth)
+    whole = _whole(PendingImu(run, pending, depth))
+    return PendingImu(whole, None, len(whole.t_us))
 
 
-def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pending | None]:
+def split_pending(pending: PendingImu | None, until_us: int) -> tuple[ImuRun, PendingImu | None]:
     """Samples up to `until_us`, and those that stay pending."""
     if pending is None:
         return NO_RUN, None
@@ -61,16 +63,16 @@ def split_pending(pending: Pending | None, until_us: int) -> tuple[ImuRun, Pendi
     if at == len(run.t_us):
         return run, None
     rest = ImuRun(run.t_us[at:], run.values[at:])
-    return ImuRun(run.t_us[:at], run.values[:at]), Pending(rest, None, len(rest.t_us))
+    return ImuRun(run.t_us[:at], run.values[:at]), PendingImu(rest, None, len(rest.t_us))
 
 
-def _whole(pending: Pending) -> ImuRun:
+def _whole(pending: PendingImu) -> ImuRun:
     """Everything that is pending as one run, but no more than `PENDING_MAX` samples; those that are
     not later than all before them are left out."""
     run = pending.run
     if pending.older is not None:
         runs = [run]
-        at: Pending | None = pending.older
+        at: PendingImu | None = pending.older
         while at is not None:
             runs.append(at.run)
             at = at.older
@@ -96,28 +98,30 @@ def _rising(t_us: Stamps) -> bool:
     return rising
 
 
-def usual_interval_s(known_s: float, run: ImuRun) -> float:
+def update_interval_s(known_s: float, run: ImuRun) -> float:
     """The time between two samples of the IMU, of which `run` are the newest; 0 while unknown."""
     count = len(run.t_us)
     if count < 2:
         return known_s
     interval_s = int(run.t_us[-1] - run.t_us[0]) * 1e-6 / (count - 1)
-    return known_s + (NEWS if known_s > 0.0 else 1.0) * (interval_s - known_s)
+    return known_s + (INTERVAL_GAIN if known_s > 0.0 else 1.0) * (interval_s - known_s)
 
 
 def is_silent(gap_s: float, usual_s: float, config: DetectorConfig) -> bool:
     """Whether a gap is the IMU's fault: one too long for the filter, and for the IMU itself."""
-    return gap_s > max(config.gap_s, INTERVALS * usual_s)
+    return gap_s > max(config.gap_s, SILENT_INTERVALS * usual_s)
 
 
-def segment(run: ImuRun, motion: Motion, until_us: int) -> Segment:
+def imu_segment(run: ImuRun, motion: MotionEstimate, until_us: int) -> ImuSegment:
     """Steps from the filter's time to `until_us`; the last sample is held to the end."""
-    return Segment(*steps(run.t_us, run.values, motion.t_us, until_us))
+    return ImuSegment(*segment_steps(run.t_us, run.values, motion.t_us, until_us))
 
 
 @compiled
-def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Vector, float, bool]:
-    """The fields of a `Segment` from stamps (n,) and values (n, 6), rates in rad/s and specific
+def segment_steps(
+    t_us: Stamps, values: Vector, from_us: int, until_us: int
+) -> tuple[Vector, float, bool]:
+    """The fields of a `ImuSegment` from stamps (n,) and values (n, 6), rates in rad/s and specific
     force in m/s^2; without samples if one of them cannot be."""
     at = 0
     # Samples before the filter's time have been used already.
@@ -138,29 +142,29 @@ def steps(t_us: Stamps, values: Vector, from_us: int, until_us: int) -> tuple[Ve
         before_us = now_us
         for i in range(6):
             table[k, 1 + i] = values[row, i]
-            usable &= abs(values[row, i]) <= MOST_OF_IMU  # which NaN is not
+            usable &= abs(values[row, i]) <= IMU_VALUE_LIMIT  # which NaN is not
     if not usable:
         return np.empty((0, 7)), total_s, True
     return table, gap_s, True
 
 
-def advance(
-    motion: Motion, part: Segment, until_us: int, config: DetectorConfig
-) -> tuple[Motion, Vector]:
+def propagate_filter(
+    motion: MotionEstimate, part: ImuSegment, until_us: int, config: DetectorConfig
+) -> tuple[MotionEstimate, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise.densities
     whole = part.gap_s <= config.gap_s and len(part.samples) > 0
     if motion.inertial and whole and config.antenna is None:
         x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
-        return Motion(until_us, x, p, True), phi
+        return MotionEstimate(until_us, x, p, True), phi
     # The filter's place is the antenna's, the IMU measures at its own: there and back.
     if motion.inertial and whole and config.antenna is not None:
         first, last, arm = part.samples[0, 1:4], part.samples[-1, 1:4], config.antenna
-        x, p, back = moved_along(motion.x, motion.p, first, arm, -1.0)
+        x, p, back = shift_by_lever_arm(motion.x, motion.p, first, arm, -1.0)
         x, p, phi = propagate_inertial(x, p, part.samples, noise)
-        x, p, out = moved_along(x, p, last, arm, 1.0)
-        return Motion(until_us, x, p, True), out @ phi @ back
+        x, p, out = shift_by_lever_arm(x, p, last, arm, 1.0)
+        return MotionEstimate(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     # Over a short silence the attitude is still known, only less well.
     inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
@@ -168,4 +172,4 @@ def advance(
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * part.gap_s) ** 2
     # A gap breaks the integrals an alignment rests on.
     alignment = motion.alignment if whole and not motion.inertial else None
-    return Motion(until_us, x, p, inertial, alignment), phi
+    return MotionEstimate(until_us, x, p, inertial, alignment), phi

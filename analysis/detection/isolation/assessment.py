@@ -10,45 +10,45 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig, SigmaNumbers
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import DRIFT, V
 from analysis.detection.filter.information import (
-    Normal,
-    block,
+    NormalEquations,
+    covariance_block,
     normal_equations,
-    normal_of,
-    posterior,
-    quadratic,
-    quadratic_of,
-    statistic_of,
+    normal_equations_over,
+    normal_statistic,
+    posterior_block,
+    quadratic_form,
+    row_quadratic_form,
 )
 from analysis.detection.filter.measurement import (
-    NO_ROWS,
+    NO_INNOVATIONS,
+    EpochMeasurements,
+    EpochObservation,
     Indices,
+    Innovations,
     Mask,
-    Measured,
-    Modelled,
-    Observed,
-    modelled_at,
-    states_at,
+    innovations_kernel,
+    transmitting_states,
 )
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import apply, inverse
+from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
 
-CLOCK_LEAP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
+CLOCK_JUMP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
-MIN_RATES = 5  # four states and one to spare
+LEAST_RATES = 5  # four states and one to spare
 
 
-class Statistics(NamedTuple):
+class EpochStatistics(NamedTuple):
     """What the tests of an epoch say of the satellites (used,) that are trusted.
 
     `residual_m` and `normalised` (used,) are their innovations. `q` is the ranges' statistic,
     `q_rate` that of the `rates` Doppler rates that are known, `parity` that of the snapshot's
     residuals with its degrees of freedom (0 where there is none); `systems` is how many systems are
-    used. `far` says that most innovations are over `CLOCK_LEAP_M`.
+    used. `far` says that most innovations are over `CLOCK_JUMP_M`.
     """
 
     residual_m: Vector
@@ -73,13 +73,13 @@ class Assessment(NamedTuple):
     """
 
     order: Indices
-    every: Modelled
+    every: Innovations
     used: int
     above: int
-    statistics: Statistics
-    ranges: Normal
+    statistics: EpochStatistics
+    ranges: NormalEquations
     y: Vector
-    rates: Normal
+    rates: NormalEquations
 
 
 class Sight(Value, frozen=True):
@@ -87,17 +87,17 @@ class Sight(Value, frozen=True):
     innovations `used`, `excluded` are not, with `outside`."""
 
     names: tuple[str, ...]
-    used: Modelled
+    used: Innovations
     excluded: tuple[str, ...]
-    outside: Modelled
-    tests: Statistics
+    outside: Innovations
+    tests: EpochStatistics
 
 
 def see(
-    observed: Observed,
+    observed: EpochObservation,
     trusted: Mask,
     offset_m: Vector,
-    motion: Motion,
+    motion: MotionEstimate,
     ionosphere: Vector,
     config: DetectorConfig,
 ) -> Sight:
@@ -115,7 +115,7 @@ def see(
     names, every, tests = observed.satellites, assessed.every, assessed.statistics
     count, above = assessed.used, assessed.above
     if count == len(names):
-        return Sight(names, every, (), NO_ROWS, tests)
+        return Sight(names, every, (), NO_INNOVATIONS, tests)
     in_order = tuple(names[i] for i in assessed.order.tolist())
     used, outside = every.between(0, count), every.between(count, above)
     return Sight(in_order[:count], used, in_order[count:above], outside, tests)
@@ -123,7 +123,7 @@ def see(
 
 @compiled
 def assess(
-    measured: Measured,
+    measured: EpochMeasurements,
     trusted: Mask,
     offset_m: Vector,
     x: Vector,
@@ -133,7 +133,7 @@ def assess(
     mask_rad: float,
 ) -> Assessment:
     """Every test of an epoch at the prediction x (21,) with covariance p (20, 20)."""
-    observed = modelled_at(measured, states_at(measured), x, ionosphere, sigma)
+    observed = innovations_kernel(measured, transmitting_states(measured), x, ionosphere, sigma)
     # Excluded satellites are modelled too: they earn their readmission by these innovations.
     order, count, above = _sorted(observed.elevation_rad, trusted, mask_rad)
     every, far = observed, 0
@@ -143,15 +143,15 @@ def assess(
     # In place: `v` is the array of `every`, new in this call.
     for i in range(order.shape[0]):
         v[i] -= offset_m[order[i]]
-        far += i < above and abs(v[i]) > CLOCK_LEAP_M
+        far += i < above and abs(v[i]) > CLOCK_JUMP_M
     normal = normal_equations(h, every.variance[:count], v[:count])
-    after, y = posterior(block(p, normal.states), normal.information)
-    normalised = normalise(normal, after)
-    q = normal.total - quadratic(normal.b, after)
+    after, y = posterior_block(covariance_block(p, normal.states), normal.information)
+    normalised = normalise_innovations(normal, after)
+    q = normal.total - quadratic_form(normal.b, after)
     parity, dof, systems = parity_test(normal)
     rates = rate_equations(h, every.rate_variance[:count], every.v_mps[:count])
-    q_rate = statistic_of(p, rates)
-    statistics = Statistics(
+    q_rate = normal_statistic(p, rates)
+    statistics = EpochStatistics(
         v[:count],
         normalised,
         q,
@@ -167,14 +167,14 @@ def assess(
 
 
 @compiled
-def _in_order(every: Modelled, order: Indices) -> Modelled:
+def _in_order(every: Innovations, order: Indices) -> Innovations:
     """The same satellites (n,) in an order."""
     h_before = every.h
     h = np.empty_like(h_before)
     for i in range(order.shape[0]):
         for k in range(h.shape[1]):
             h[i, k] = h_before[order[i], k]
-    return Modelled(
+    return Innovations(
         _at(every.v_m, order),
         _at(every.v_mps, order),
         _at(every.variance, order),
@@ -194,14 +194,14 @@ def _at(values: Vector, order: Indices) -> Vector:
 
 
 @compiled
-def normalise(normal: Normal, after: Vector) -> Vector:
+def normalise_innovations(normal: NormalEquations, after: Vector) -> Vector:
     """u_i / sqrt(M_ii) (n,), standard normal without faults, whose squares are what q is less
     without i; NaN where a satellite is not checked by the others. `after` is P+_c."""
     a, v, variances, out = normal.a, normal.v, normal.variance, np.empty(normal.v.shape[0])
-    moved = apply(after, normal.b)
+    moved = multiply_vector(after, normal.b)
     for i in range(a.shape[0]):
         variance = variances[i]
-        remaining, own = v[i], 1.0 - quadratic_of(a, i, after) / variance
+        remaining, own = v[i], 1.0 - row_quadratic_form(a, i, after) / variance
         for j in range(a.shape[1]):
             remaining -= a[i, j] * moved[j]
         # A satellite that alone sees a state fits it exactly: its residual says nothing.
@@ -211,7 +211,7 @@ def normalise(normal: Normal, after: Vector) -> Vector:
 
 
 @compiled
-def parity_test(normal: Normal) -> tuple[float, int, int]:
+def parity_test(normal: NormalEquations) -> tuple[float, int, int]:
     """The statistic of the snapshot's residuals, its degrees of freedom, and how many systems.
 
     A snapshot solves for the states that are seen; where no satellite is GPS's, its first system's
@@ -232,7 +232,14 @@ def parity_test(normal: Normal) -> tuple[float, int, int]:
     if dof == 0:
         return 0.0, 0, systems
     b = _at(normal.b, unknowns)
-    return normal.total - quadratic(b, inverse(block(normal.information, unknowns))), dof, systems
+    return (
+        normal.total
+        - quadratic_form(
+            b, invert_positive_definite(covariance_block(normal.information, unknowns))
+        ),
+        dof,
+        systems,
+    )
 
 
 @compiled
@@ -253,7 +260,7 @@ def _sorted(elevation: Vector, trusted: Mask, mask_rad: float) -> tuple[Indices,
 
 
 @compiled
-def rate_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
+def rate_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
     """The normal equations of the Doppler rates v (n,) that are known; h (n, 20) is the geometry of
     the ranges."""
     count = 0
@@ -265,4 +272,6 @@ def rate_equations(h: Vector, variance: Vector, v: Vector) -> Normal:
             a[count, 3], known_variance[count], known[count] = 1.0, variance[i], v[i]
             count += 1
     # A copy: a global array is a constant of the compiled code and may not be changed.
-    return normal_of(RATE_STATES.copy(), a[:count], known_variance[:count], known[:count])
+    return normal_equations_over(
+        RATE_STATES.copy(), a[:count], known_variance[:count], known[:count]
+    )

@@ -20,13 +20,18 @@ from numpy.typing import NDArray
 
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import apply, inverse, multiply, transposed
+from mavproxy_fault.numerics.linear import (
+    invert_positive_definite,
+    multiply_matrices,
+    multiply_vector,
+    transpose_matrix,
+)
 
 Indices = NDArray[np.int64]
 
 
 @compiled
-def reduction(block: Vector, right: Vector) -> float:
+def cholesky_reduction(block: Vector, right: Vector) -> float:
     """right' inv(block) right of block (k, k) and right (k,) by Cholesky, in place; -1 where the
     block is singular."""
     k = right.shape[0]
@@ -77,7 +82,7 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             right[i] = u[pick[i]]
             for j in range(size):
                 block[i, j] = m[pick[i], pick[j]]
-        remaining = q - reduction(block, right)
+        remaining = q - cholesky_reduction(block, right)
         if remaining < best:
             best = remaining
             for i in range(size):
@@ -94,16 +99,18 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
 
 
 @compiled
-def freed(m: Vector, u: Vector, q: float, g: Vector) -> float:
+def freed_statistic(m: Vector, u: Vector, q: float, g: Vector) -> float:
     """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
-    turned = transposed(g)
-    lowered = reduction(multiply(turned, multiply(m, g)), apply(turned, u))
+    turned = transpose_matrix(g)
+    lowered = cholesky_reduction(
+        multiply_matrices(turned, multiply_matrices(m, g)), multiply_vector(turned, u)
+    )
     # Parameters that cannot be separated explain nothing: the statistic stays.
     return q - lowered if lowered >= 0.0 else q
 
 
 @compiled
-def normalised(m: Vector, u: Vector) -> Vector:
+def normalised_by_weights(m: Vector, u: Vector) -> Vector:
     """Per-measurement test statistics (n,), standard normal without faults: u_i / sqrt(M_ii).
 
     Their squares are q - q_i; NaN where a measurement is not checked by the others.
@@ -123,8 +130,8 @@ def projected_weights(design: Vector, weight: Vector) -> Vector:
     for i in range(count):
         for j in range(design.shape[1]):
             wa[i, j] = weight[i] * design[i, j]
-    cofactor = inverse(multiply(transposed(design), wa))
-    out = multiply(multiply(wa, cofactor), transposed(wa))
+    cofactor = invert_positive_definite(multiply_matrices(transpose_matrix(design), wa))
+    out = multiply_matrices(multiply_matrices(wa, cofactor), transpose_matrix(wa))
     for i in range(count):
         for j in range(count):
             out[i, j] = -out[i, j]

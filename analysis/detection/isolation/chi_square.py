@@ -12,12 +12,12 @@ from functools import lru_cache
 from math import comb, erfc, exp, inf, lgamma, log, nan, pi, sqrt
 from statistics import NormalDist
 
-BEYOND = 1400.0  # the probability of a larger statistic is below the smallest number
-ITERATIONS = 50
+LARGEST_STATISTIC = 1400.0  # the probability of a larger statistic is below the smallest number
+NEWTON_ITERATIONS = 50
 
 
 @lru_cache(maxsize=4096)
-def chi_square(dof: int, p_false_alarm: float) -> float:
+def chi_square_threshold(dof: int, p_false_alarm: float) -> float:
     """The value a chi-square variable of `dof` exceeds with probability `p_false_alarm`.
 
     Newton's method on the logarithm of the tail, from Wilson and Hilferty's cube; NaN without a
@@ -27,8 +27,8 @@ def chi_square(dof: int, p_false_alarm: float) -> float:
         return nan
     spread = 2.0 / (9.0 * dof)
     # Wilson and Hilferty's cube is near enough for Newton to converge in a few steps.
-    x = max(dof * (1.0 - spread + two_sided(2.0 * p_false_alarm) * sqrt(spread)) ** 3, 1e-3)
-    for _ in range(ITERATIONS):
+    x = max(dof * (1.0 - spread + two_sided_bound(2.0 * p_false_alarm) * sqrt(spread)) ** 3, 1e-3)
+    for _ in range(NEWTON_ITERATIONS):
         tail = p_value(x, dof)
         density = exp((0.5 * dof - 1.0) * log(0.5 * x) - 0.5 * x - lgamma(0.5 * dof)) / 2.0
         step = tail / density * log(tail / p_false_alarm)
@@ -47,11 +47,11 @@ def subset_threshold(count: int, left_out: int, p_false_alarm: float, unknowns: 
     one passes with the configured probability whichever it is.
     """
     # Shared evenly: Bonferroni's bound over all sets of that size.
-    return chi_square(count - unknowns - left_out, p_false_alarm / comb(count, left_out))
+    return chi_square_threshold(count - unknowns - left_out, p_false_alarm / comb(count, left_out))
 
 
 @lru_cache(maxsize=1024)
-def two_sided(p_false_alarm: float) -> float:
+def two_sided_bound(p_false_alarm: float) -> float:
     """The value a standard normal variable exceeds in size with probability `p_false_alarm`."""
     return -NormalDist().inv_cdf(0.5 * p_false_alarm)
 
@@ -61,7 +61,7 @@ def p_value(statistic: float, dof: int) -> float:
     # `statistic != statistic` is NaN.
     if not 0.0 < statistic < inf or dof < 1:
         return nan if dof < 1 or statistic != statistic else float(statistic <= 0.0)
-    if statistic > BEYOND:
+    if statistic > LARGEST_STATISTIC:
         return 0.0
     half = 0.5 * statistic
     odd = dof % 2 == 1

@@ -16,21 +16,21 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.information import Normal, block, quadratic
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.filter.information import NormalEquations, covariance_block, quadratic_form
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import apply, inverse
+from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
 
-DOF = 3
-ASKED_US = 3_000_000  # for how long the question stands
-SETTLED_US = 10_000_000  # behind what failed a test: what follows may come of it
+SHIFT_DOF = 3
+SUSPECTED_US = 3_000_000  # for how long the question stands
+SETTLING_US = 10_000_000  # behind what failed a test: what follows may come of it
 LEAST_LEVEL = 0.1
-MOST_SQUARE = 9.0  # one outlier says little of the level
+LARGEST_SQUARE = 9.0  # one outlier says little of the level
 FIRST_WEIGHT, MOST_WEIGHT = 10.0, 150.0  # epochs of the level: at first in favour of 1
 
 
-class Watched(NamedTuple):
+class CommonShift(NamedTuple):
     """The level of innovations, a mean square over `weight` epochs that passed their tests; until
     when it is asked whether all satellites lead away, and from when on it may be."""
 
@@ -41,36 +41,43 @@ class Watched(NamedTuple):
 
 
 @compiled
-def common_shift(p: Vector, rates: Normal) -> float:
+def shift_statistic(p: Vector, rates: NormalEquations) -> float:
     """The statistic of the velocity that all rates share, before the covariance p (20, 20)."""
-    cofactor = inverse(rates.information)
-    off = apply(cofactor, rates.b)
-    total = cofactor + block(p, rates.states)
-    return quadratic(off[:DOF].copy(), inverse(np.ascontiguousarray(total[:DOF, :DOF])))
+    cofactor = invert_positive_definite(rates.information)
+    off = multiply_vector(cofactor, rates.b)
+    total = cofactor + covariance_block(p, rates.states)
+    return quadratic_form(
+        off[:SHIFT_DOF].copy(),
+        invert_positive_definite(np.ascontiguousarray(total[:SHIFT_DOF, :SHIFT_DOF])),
+    )
 
 
-def stands_out(watched: Watched, shift: float, t_us: int, config: DetectorConfig) -> bool:
+def shift_stands_out(watched: CommonShift, shift: float, t_us: int, config: DetectorConfig) -> bool:
     """Whether the statistic `shift` of an epoch is more than this flight's noise."""
-    limit = max(watched.level, LEAST_LEVEL) * chi_square(DOF, config.p_other)
+    limit = max(watched.level, LEAST_LEVEL) * chi_square_threshold(SHIFT_DOF, config.p_other)
     return t_us >= watched.settled_us and shift > limit
 
 
-def asked(watched: Watched, shift: float, t_us: int, config: DetectorConfig) -> bool:
+def shift_is_suspected(
+    watched: CommonShift, shift: float, t_us: int, config: DetectorConfig
+) -> bool:
     """Whether it is to be asked who is wrong, by this epoch's shift or an earlier one."""
-    return t_us < watched.asked_until_us or stands_out(watched, shift, t_us, config)
+    return t_us < watched.asked_until_us or shift_stands_out(watched, shift, t_us, config)
 
 
-def after(watched: Watched, shift: float, t_us: int, config: DetectorConfig) -> Watched:
+def update_common_shift(
+    watched: CommonShift, shift: float, t_us: int, config: DetectorConfig
+) -> CommonShift:
     """Behind an epoch whose tests passed."""
-    if stands_out(watched, shift, t_us, config):
-        return watched._replace(asked_until_us=t_us + ASKED_US)
+    if shift_stands_out(watched, shift, t_us, config):
+        return watched._replace(asked_until_us=t_us + SUSPECTED_US)
     if t_us < watched.asked_until_us:
         return watched  # what is in question must not excuse itself
     weight = min(watched.weight + 1.0, MOST_WEIGHT)
-    news = min(shift / DOF, MOST_SQUARE)
+    news = min(shift / SHIFT_DOF, LARGEST_SQUARE)
     return watched._replace(level=watched.level + (news - watched.level) / weight, weight=weight)
 
 
-def unsettled(watched: Watched, t_us: int) -> Watched:
+def reset_common_shift(watched: CommonShift, t_us: int) -> CommonShift:
     """Behind an epoch that failed a test, or where the IMU does not move the filter."""
-    return watched._replace(asked_until_us=0, settled_us=t_us + SETTLED_US)
+    return watched._replace(asked_until_us=0, settled_us=t_us + SETTLING_US)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.isolation.bank import Indices, freed
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.bank import Indices, freed_statistic
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -21,13 +21,13 @@ PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
 LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system; with fewer anything can be explained
 SYSTEM_CLOCK = "system-clock"
-CONTRADICTION = "two systems contradict each other, and nothing tells which one is wrong"
-FREED = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
-NEWS = chi_square(3, 0.01)  # of three parameters more
-TELLING = 10.0  # how much more a rival system must cost, or which one moved cannot be told
+SYSTEMS_CONTRADICT = "two systems contradict each other, and nothing tells which one is wrong"
+FREED_PARAMETERS = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
+SHIFT_GAIN = chi_square_threshold(3, 0.01)  # of three parameters more
+SEPARABLE_COST = 10.0  # how much more a rival system must cost, or which one moved cannot be told
 
 
-class Groups(NamedTuple):
+class SystemGroups(NamedTuple):
     """The satellites by system: the places of those of each, and what a shift of position (3) and
     clock of a system does to the innovations (systems, n, 4)."""
 
@@ -35,7 +35,7 @@ class Groups(NamedTuple):
     columns: Vector
 
 
-NO_GROUPS = Groups((), np.empty((0, 0, 4)))
+NO_SYSTEM_GROUPS = SystemGroups((), np.empty((0, 0, 4)))
 
 
 class Explanation(Value, frozen=True):
@@ -53,18 +53,18 @@ class Explanation(Value, frozen=True):
         return self.statistic <= self.threshold
 
 
-def groups_of(sight: Vector, offsets: Vector) -> Groups:
+def group_by_system(sight: Vector, offsets: Vector) -> SystemGroups:
     """The systems among n satellites: `sight` (n, 3) is what a shift of position does to their
     innovations, `offsets` (n, k) what the systems' clock offsets do; none where there is only one.
     """
     # Contiguous, since a kernel is compiled anew for each memory layout.
     of, columns = _moved(np.ascontiguousarray(sight), np.ascontiguousarray(offsets))
     if len(columns) < 2:
-        return NO_GROUPS
+        return NO_SYSTEM_GROUPS
     rows: list[list[int]] = [[] for _ in columns]
     for place, kind in enumerate(of.tolist()):
         rows[kind].append(place)
-    return Groups(tuple(map(tuple, rows)), columns)
+    return SystemGroups(tuple(map(tuple, rows)), columns)
 
 
 @compiled
@@ -98,61 +98,61 @@ def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> Vector:
     is too."""
     out = np.empty((columns.shape[0], 2))
     for k in range(columns.shape[0]):
-        out[k, 0] = freed(m, u, q, np.ascontiguousarray(columns[k, :, 3:]))
-        out[k, 1] = freed(m, u, q, np.ascontiguousarray(columns[k]))
+        out[k, 0] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, 3:]))
+        out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k]))
         if out[k, 1] == q:  # a snapshot has solved for the clocks: the shift alone
-            out[k, 1] = freed(m, u, q, np.ascontiguousarray(columns[k, :, :3]))
+            out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, :3]))
     return out
 
 
 def explain_by_systems(
-    m: Vector, u: Vector, q: float, systems: Groups, p_false_alarm: float
+    m: Vector, u: Vector, q: float, systems: SystemGroups, p_false_alarm: float
 ) -> list[Explanation]:
     """Each system moved as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
     found = []
     remaining = _freed_by_system(m, u, q, systems.columns).tolist() if systems.rows else []
     for rows, lefts in zip(systems.rows, remaining, strict=True):
         clock_left = np.inf
-        for (size, least, hypothesis), left in zip(FREED, lefts, strict=True):
+        for (size, least, hypothesis), left in zip(FREED_PARAMETERS, lefts, strict=True):
             # A shift is believed where it explains what a clock that left cannot.
-            if len(rows) < least or clock_left - left < NEWS:
+            if len(rows) < least or clock_left - left < SHIFT_GAIN:
                 continue
             clock_left = left
-            threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
+            threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
             subset = rows if hypothesis == "satellites" else ()
             found.append(Explanation(hypothesis, subset, left, threshold, cost))
     return found
 
 
-def explain_by_few(
-    m: Vector, u: Vector, q: float, systems: Groups, p_false_alarm: float
+def explain_by_small_systems(
+    m: Vector, u: Vector, q: float, systems: SystemGroups, p_false_alarm: float
 ) -> list[Explanation]:
     """Each system of too few satellites to be blamed as a whole, left out: a rival all the same."""
     found, each = [], np.eye(len(u))
     for rows in systems.rows:
         size = len(rows)
         if size < LEAST_MOVED:
-            left = freed(m, u, q, np.ascontiguousarray(each[:, list(rows)]))
-            threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
+            left = freed_statistic(m, u, q, np.ascontiguousarray(each[:, list(rows)]))
+            threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
             found.append(Explanation("satellites", rows, left, threshold, cost))
     return found
 
 
-def claims_system(best: Explanation, systems: Groups) -> bool:
+def leaves_out_system(best: Explanation, systems: SystemGroups) -> bool:
     """Whether an explanation leaves out a system, or several of one that has one more at most:
     that one fits anything by the system's clock."""
     out = set(best.subset)
     return len(out) > 1 and any(len(set(rows) - out) <= 1 for rows in systems.rows)
 
 
-def ambiguous(best: Explanation, rivals: Sequence[Explanation]) -> bool:
+def is_ambiguous(best: Explanation, rivals: Sequence[Explanation]) -> bool:
     """Whether another system explains it about as well as the one that `best` leaves out."""
     # A clock that leaves harms nobody, whichever it is.
     return best.hypothesis != SYSTEM_CLOCK and any(
         rival.hypothesis == "satellites"
         and not set(rival.subset) & set(best.subset)
-        and rival.cost - best.cost < TELLING
+        and rival.cost - best.cost < SEPARABLE_COST
         for rival in rivals
     )

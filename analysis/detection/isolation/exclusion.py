@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Exclusion, Motion
+from analysis.detection.filter.filter_state import Exclusion, MotionEstimate
 from analysis.detection.filter.inertial import CLOCK
 from analysis.detection.filter.lasting_errors import lasting_variance
-from analysis.detection.filter.measurement import Modelled
-from analysis.detection.isolation.chi_square import two_sided
+from analysis.detection.filter.measurement import Innovations
+from analysis.detection.isolation.chi_square import two_sided_bound
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-RETURNED = 0.75  # share of a system's satellites that look healthy once it is
+RETURNED_SHARE = 0.75  # share of a system's satellites that look healthy once it is
 HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probability
 
 
-class Outside(Value, frozen=True):
+class ExcludedInnovations(Value, frozen=True):
     """Excluded satellites, with their innovations (n,) in m and over their own sigma, without and
     with what lasts in it."""
 
@@ -29,21 +29,21 @@ class Outside(Value, frozen=True):
     lasting: Vector
 
 
-NOBODY = Outside((), np.empty(0), np.empty(0), np.empty(0))
+NONE_EXCLUDED = ExcludedInnovations((), np.empty(0), np.empty(0), np.empty(0))
 
 
-def measure_outside(
-    names: tuple[str, ...], modelled: Modelled, before: Motion, after: Motion
-) -> Outside:
+def innovations_of_excluded(
+    names: tuple[str, ...], modelled: Innovations, before: MotionEstimate, after: MotionEstimate
+) -> ExcludedInnovations:
     """Those excluded against the filter after the epoch, which does not use them."""
     if not names:
-        return NOBODY
+        return NONE_EXCLUDED
     table = _outside(modelled, before.x, after.x, after.p)
-    return Outside(names, table[0], table[1], table[2])
+    return ExcludedInnovations(names, table[0], table[1], table[2])
 
 
 @compiled
-def _outside(modelled: Modelled, before: Vector, after: Vector, p: Vector) -> Vector:
+def _outside(modelled: Innovations, before: Vector, after: Vector, p: Vector) -> Vector:
     """Innovations (3, n), in m and over their sigma without and with what lasts, at the state
     `after` with covariance p.
 
@@ -69,7 +69,7 @@ def _outside(modelled: Modelled, before: Vector, after: Vector, p: Vector) -> Ve
     return out
 
 
-def exclude(
+def add_exclusions(
     excluded: dict[str, Exclusion],
     names: tuple[str, ...],
     onset_us: int,
@@ -85,8 +85,8 @@ def exclude(
     return {**excluded, **new} if new else excluded
 
 
-def readmit(
-    excluded: dict[str, Exclusion], outside: Outside, t_us: int, config: DetectorConfig
+def readmit_satellites(
+    excluded: dict[str, Exclusion], outside: ExcludedInnovations, t_us: int, config: DetectorConfig
 ) -> dict[str, Exclusion]:
     """Those still excluded after what was seen of them at `t_us`.
 
@@ -96,7 +96,7 @@ def readmit(
     if not excluded:
         return excluded
     out = dict(excluded)
-    bound = two_sided(HEALTHY_P)
+    bound = two_sided_bound(HEALTHY_P)
     # Over its own sigma: a satellite low over the horizon is noisier, not less healthy.
     healthy = (np.abs(outside.normalised) <= bound).tolist()
     returned = _returned_systems(excluded, outside, bound)
@@ -115,7 +115,9 @@ def readmit(
     return out
 
 
-def _returned_systems(excluded: dict[str, Exclusion], outside: Outside, bound: float) -> set[str]:
+def _returned_systems(
+    excluded: dict[str, Exclusion], outside: ExcludedInnovations, bound: float
+) -> set[str]:
     """The systems that were left out as a whole and nearly all of whose satellites look healthy.
 
     One that lies across a spoofer's shift looks so alone. Each may be off by what lasts: nothing
@@ -125,4 +127,4 @@ def _returned_systems(excluded: dict[str, Exclusion], outside: Outside, bound: f
     for name, normalised in zip(outside.names, outside.lasting.tolist(), strict=True):
         if excluded[name].whole:
             looks.setdefault(name[0], []).append(abs(normalised) <= bound)
-    return {system for system, fine in looks.items() if sum(fine) >= RETURNED * len(fine)}
+    return {system for system, fine in looks.items() if sum(fine) >= RETURNED_SHARE * len(fine)}

@@ -12,28 +12,28 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 
 import math
 
-from analysis.detection.isolation.bank import best_subset, freed
-from analysis.detection.isolation.chi_square import chi_square, subset_threshold
+from analysis.detection.isolation.bank import best_subset, freed_statistic
+from analysis.detection.isolation.chi_square import chi_square_threshold, subset_threshold
 from analysis.detection.isolation.constellations import (
-    NO_GROUPS,
+    NO_SYSTEM_GROUPS,
     PENALTY,
     Explanation,
-    Groups,
-    ambiguous,
-    claims_system,
-    explain_by_few,
+    SystemGroups,
+    explain_by_small_systems,
     explain_by_systems,
+    is_ambiguous,
+    leaves_out_system,
 )
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.linear import apply
+from mavproxy_fault.numerics.linear import multiply_vector
 
-RULES = ("explicit", "plain")
+ISOLATION_RULES = ("explicit", "plain")
 # With one, too many sets would pass for the right one to stand out.
-DOF_LEFT = 2  # degrees of freedom kept after leaving out
+LEAST_DOF_LEFT = 2  # degrees of freedom kept after leaving out
 
 
-class Verdict(Value, frozen=True):
+class IsolationVerdict(Value, frozen=True):
     """The explanation taken, and all that were weighed with their relative likelihoods; `whole`
     says that it is about a system as a whole."""
 
@@ -57,8 +57,8 @@ def explain_by_satellites(
     count = len(u)
     found: Explanation | None = None
     # Shared among the satellites that might be the one more.
-    telling = chi_square(1, p_false_alarm / count)
-    for size in range(1, min(largest, count - unknowns - DOF_LEFT) + 1):
+    telling = chi_square_threshold(1, p_false_alarm / count)
+    for size in range(1, min(largest, count - unknowns - LEAST_DOF_LEFT) + 1):
         statistic, pick = best_subset(m, u, q, size)
         threshold = subset_threshold(count, size, p_false_alarm, unknowns)
         # Size by size: once the next satellite is no news the smaller set is the verdict.
@@ -71,18 +71,18 @@ def explain_by_satellites(
     return found
 
 
-def explain_by(
+def explain_by_parameters(
     hypothesis: str, m: Vector, u: Vector, q: float, g: Vector, p_false_alarm: float
 ) -> Explanation:
     """The explanation that frees parameters along the columns of g (n, k)."""
     size = g.shape[1]
-    statistic = freed(m, u, q, g)
+    statistic = freed_statistic(m, u, q, g)
     # At least one degree: with none the threshold would be NaN and nothing would pass.
-    threshold = chi_square(max(len(u) - size, 1), p_false_alarm)
+    threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
     return Explanation(hypothesis, (), statistic, threshold, statistic + PENALTY * size)
 
 
-def judge(
+def select_hypothesis(
     m: Vector,
     v: Vector,
     position: Vector,
@@ -90,8 +90,8 @@ def judge(
     p_false_alarm: float,
     largest: int,
     rule: str = "explicit",
-    systems: Groups = NO_GROUPS,
-) -> Verdict:
+    systems: SystemGroups = NO_SYSTEM_GROUPS,
+) -> IsolationVerdict:
     """The verdict on innovations that failed the main test.
 
     Parameters
@@ -107,33 +107,33 @@ def judge(
     rule : {"explicit", "plain"}
     systems : the satellites of each system, where there are two at least
     """
-    u = apply(m, v)
+    u = multiply_vector(m, v)
     q = float(v @ u)
     satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
     # The older rule, for comparison: it never weighs the clock.
     if rule == "plain":
         if satellites is None:
-            return Verdict("imu", (), {"imu": 1.0})
-        return Verdict("satellites", satellites.subset, {"satellites": 1.0})
+            return IsolationVerdict("imu", (), {"imu": 1.0})
+        return IsolationVerdict("satellites", satellites.subset, {"satellites": 1.0})
     rivals = [
-        explain_by("imu", m, u, q, position, p_false_alarm),
-        explain_by("clock", m, u, q, clock, p_false_alarm),
+        explain_by_parameters("imu", m, u, q, position, p_false_alarm),
+        explain_by_parameters("clock", m, u, q, clock, p_false_alarm),
     ]
     moved = explain_by_systems(m, u, q, systems, p_false_alarm)
     rivals += moved
     if satellites is not None:
         rivals.append(satellites)
     passing = [rival for rival in rivals if rival.passes]
-    chances = _probabilities(rivals, q, chi_square(len(u), p_false_alarm))
+    chances = _probabilities(rivals, q, chi_square_threshold(len(u), p_false_alarm))
     if not passing:
-        return Verdict("multiple-unknown", (), chances)
+        return IsolationVerdict("multiple-unknown", (), chances)
     # Least J: what remains unexplained, and a price for what was freed.
     best = min(passing, key=lambda rival: rival.cost)
-    if claims_system(best, systems):
-        few = explain_by_few(m, u, q, systems, p_false_alarm)
-        if ambiguous(best, [*moved, *few]):
-            return Verdict("multiple-unknown", (), chances, True)
-    return Verdict(best.hypothesis, best.subset, chances, best in moved)
+    if leaves_out_system(best, systems):
+        few = explain_by_small_systems(m, u, q, systems, p_false_alarm)
+        if is_ambiguous(best, [*moved, *few]):
+            return IsolationVerdict("multiple-unknown", (), chances, True)
+    return IsolationVerdict(best.hypothesis, best.subset, chances, best in moved)
 
 
 def _probabilities(rivals: list[Explanation], q: float, threshold: float) -> dict[str, float]:

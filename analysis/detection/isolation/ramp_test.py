@@ -3,24 +3,24 @@
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.inertial import ERRORS
+from analysis.detection.filter.inertial import ERROR_SIZE
 from analysis.detection.filter.measurement import Indices
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.isolation.constellations import PENALTY
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
     WINDOW_COUNT,
-    Strongest,
-    Windows,
+    RampWindows,
+    StrongestRamp,
     ramp_statistics,
 )
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
 STRIDE_US = round(STRIDE_S * 1e6)
-NOWHERE = np.empty(0, dtype=np.int64)
+NO_PLACES = np.empty(0, dtype=np.int64)
 # 3 sigma of one parameter.
-LATE = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
+ONSET_RATIO = 9.0  # a ramp's likelihood ratio that dates the fault of a satellite found otherwise
 
 
 class RampBank(Value, frozen=True):
@@ -29,9 +29,9 @@ class RampBank(Value, frozen=True):
 
     due_us: int
     names: tuple[str, ...]
-    windows: Windows
+    windows: RampWindows
     among: tuple[str, ...] = ()
-    places: Indices = NOWHERE
+    places: Indices = NO_PLACES
 
     def renewed(self, t_us: int) -> "RampBank":
         """The oldest window begun anew where one is due."""
@@ -45,13 +45,13 @@ class RampBank(Value, frozen=True):
         the vehicle's own is one, to one that the IMU moves it is none."""
         d, sums = self.windows.d.copy(), self.windows.sums.copy()
         # The last three responses of each window are those of accelerations.
-        d.reshape(ERRORS, WINDOW_COUNT, -1)[:, :, -3:] = 0.0
+        d.reshape(ERROR_SIZE, WINDOW_COUNT, -1)[:, :, -3:] = 0.0
         # c (3,) and J (3, 3) of the accelerations.
         sums[:, -12:] = 0.0
         return self._replace(windows=self.windows._replace(d=d, sums=sums))
 
 
-class SlowVerdict(Value, frozen=True):
+class RampVerdict(Value, frozen=True):
     """The largest ramp statistic and its threshold; whose fault it is (none, satellites, imu)."""
 
     statistic: float
@@ -64,12 +64,12 @@ class SlowVerdict(Value, frozen=True):
 def new_ramps(t_us: int) -> RampBank:
     """Windows that begin one after the other, the first when the filter has settled."""
     none, table = np.empty(0), np.empty((WINDOW_COUNT, 0))
-    d, sums = np.zeros((ERRORS, 3 * WINDOW_COUNT)), np.zeros((WINDOW_COUNT, 12))
+    d, sums = np.zeros((ERROR_SIZE, 3 * WINDOW_COUNT)), np.zeros((WINDOW_COUNT, 12))
     starts_us = np.zeros(WINDOW_COUNT, dtype=np.int64)
-    return RampBank(t_us + STRIDE_US, (), Windows(starts_us, d, sums, none, none, table, table))
+    return RampBank(t_us + STRIDE_US, (), RampWindows(starts_us, d, sums, none, none, table, table))
 
 
-def ready(
+def prepare_ramps(
     ramps: RampBank,
     t_us: int,
     among: tuple[str, ...],
@@ -90,10 +90,13 @@ def ready(
     return ramps.renewed(t_us)
 
 
-def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> Windows:
+def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> RampWindows:
     """The windows over `names`; new satellites start from nothing, with the variances `most`."""
     before, old, new = ramps.windows, len(ramps.names), len(names)
-    d, d_before = np.zeros((ERRORS, WINDOW_COUNT, new + 3)), before.d.reshape(ERRORS, -1, old + 3)
+    d, d_before = (
+        np.zeros((ERROR_SIZE, WINDOW_COUNT, new + 3)),
+        before.d.reshape(ERROR_SIZE, -1, old + 3),
+    )
     sums = np.zeros((WINDOW_COUNT, 5 * new + 12))
     offset, spread = np.zeros(new), most.copy()
     offsets, spreads = np.zeros((WINDOW_COUNT, new)), np.tile(most, (WINDOW_COUNT, 1))
@@ -108,11 +111,11 @@ def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> Window
             sums[:, i : 5 * new : new] = before.sums[:, at : 5 * old : old]
             offset[i], spread[i] = before.offset[at], before.spread[at]
             offsets[:, i], spreads[:, i] = before.offsets[:, at], before.spreads[:, at]
-    flat = d.reshape(ERRORS, -1)
-    return Windows(before.starts_us, flat, sums, offset, spread, offsets, spreads)
+    flat = d.reshape(ERROR_SIZE, -1)
+    return RampWindows(before.starts_us, flat, sums, offset, spread, offsets, spreads)
 
 
-def _renewed(windows: Windows, t_us: int) -> Windows:
+def _renewed(windows: RampWindows, t_us: int) -> RampWindows:
     """The oldest window begun anew."""
     # A window that has not begun has stamp 0, so it is the oldest.
     oldest, each = int(windows.starts_us.argmin()), len(windows.offset) + 3
@@ -122,25 +125,25 @@ def _renewed(windows: Windows, t_us: int) -> Windows:
     d[:, oldest * each : (oldest + 1) * each] = 0.0
     sums[oldest] = 0.0
     offsets[oldest], spreads[oldest] = windows.offset, windows.spread
-    return Windows(starts_us, d, sums, windows.offset, windows.spread, offsets, spreads)
+    return RampWindows(starts_us, d, sums, windows.offset, windows.spread, offsets, spreads)
 
 
-def judge_slow(ramps: RampBank, found: Strongest, config: DetectorConfig) -> SlowVerdict:
+def evaluate_ramps(ramps: RampBank, found: StrongestRamp, config: DetectorConfig) -> RampVerdict:
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(ramps.names)
-    threshold = chi_square(1, config.p_slow / max(count, 1))
+    threshold = chi_square_threshold(1, config.p_slow / max(count, 1))
     # Each less a penalty for what it frees: three components of an acceleration, two for a ramp.
     statistic, imu_cost = found.ramp, found.rival - 3.0 * PENALTY
-    wrong = found.rival > chi_square(3, config.p_slow)
+    wrong = found.rival > chi_square_threshold(3, config.p_slow)
     if wrong and imu_cost > statistic - 2.0 * PENALTY:
-        return SlowVerdict(statistic, threshold, "imu")
+        return RampVerdict(statistic, threshold, "imu")
     if statistic <= threshold:
-        return SlowVerdict(statistic, threshold)
+        return RampVerdict(statistic, threshold)
     onset_us = int(ramps.windows.starts_us[found.window])
-    return SlowVerdict(statistic, threshold, "satellites", ramps.names[found.satellite], onset_us)
+    return RampVerdict(statistic, threshold, "satellites", ramps.names[found.satellite], onset_us)
 
 
-def onset_of(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfig) -> int:
+def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfig) -> int:
     """Since when a satellite found faulty at `t_us` has been so, by the windows."""
     if ramps is None or name not in ramps.names:
         return t_us
@@ -150,4 +153,4 @@ def onset_of(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfi
     window = int(ratios.argmax())
     start_us = int(windows.starts_us[window])
     # A window without a ramp dates nothing: then the finding itself does.
-    return start_us if start_us and ratios[window] >= LATE else t_us
+    return start_us if start_us and ratios[window] >= ONSET_RATIO else t_us

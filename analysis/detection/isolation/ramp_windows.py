@@ -38,11 +38,11 @@ import numpy as np
 
 from analysis.detection.detection_config import RampNumbers
 from analysis.detection.filter.inertial import V
-from analysis.detection.filter.information import Indices, Normal, quadratic_of
-from analysis.detection.isolation.bank import reduction
+from analysis.detection.filter.information import Indices, NormalEquations, row_quadratic_form
+from analysis.detection.isolation.bank import cholesky_reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.linear import add_product, apply, multiply
+from mavproxy_fault.numerics.linear import add_product, multiply_matrices, multiply_vector
 
 WINDOW_COUNT = 4
 STRIDE_S = 5.0
@@ -50,7 +50,7 @@ YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
 NEWS_S = 1.0  # epochs closer than this tell little new of an offset
 
 
-class Windows(NamedTuple):
+class RampWindows(NamedTuple):
     """w windows of the ramp tests over n satellites.
 
     `starts_us` (w,) is when each began (0: not yet); `d` (20, w s) are the responses of the state
@@ -69,7 +69,7 @@ class Windows(NamedTuple):
     spreads: Vector
 
 
-class Strongest(NamedTuple):
+class StrongestRamp(NamedTuple):
     """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
     window is old enough), and that of the rival, a wrong acceleration."""
 
@@ -79,7 +79,7 @@ class Strongest(NamedTuple):
     rival: float
 
 
-class Response(NamedTuple):
+class WindowResponse(NamedTuple):
     """Over the c states that are seen: D_c, gamma, and D_c + P+_c gamma (c, w s)."""
 
     seen: Vector
@@ -87,7 +87,7 @@ class Response(NamedTuple):
     whole: Vector
 
 
-class News(NamedTuple):
+class WindowInnovations(NamedTuple):
     """Innovations less a window's offsets: over their variance (n,), b (c,) and P+_c b (c,)."""
 
     weighted: Vector
@@ -96,8 +96,13 @@ class News(NamedTuple):
 
 
 @compiled
-def respond(
-    windows: Windows, ages: Vector, phi: Vector, after: Vector, ranges: Normal, dt_s: float
+def respond_to_ranges(
+    windows: RampWindows,
+    ages: Vector,
+    phi: Vector,
+    after: Vector,
+    ranges: NormalEquations,
+    dt_s: float,
 ) -> tuple[Vector, Vector]:
     """One epoch of ranges more in every window: d and sums after it, as new arrays.
 
@@ -107,7 +112,7 @@ def respond(
     """
     count = windows.offsets.shape[1]
     each = count + 3
-    d = multiply(phi, windows.d)
+    d = multiply_matrices(phi, windows.d)
     for w in range(ages.shape[0]):
         for axis in range(3):
             at = w * each + count + axis
@@ -119,12 +124,12 @@ def respond(
     a, variances, own = ranges.a, ranges.variance, np.empty(count)
     for i in range(count):
         variance = variances[i]
-        own[i] = (1.0 - quadratic_of(a, i, known) / variance) / variance
+        own[i] = (1.0 - row_quadratic_form(a, i, known) / variance) / variance
         for k in range(gamma.shape[0]):
             share = a[i, k] / variance
             for w in range(ages.shape[0]):
                 gamma[k, w * each + i] += share * ages[w]
-    response = Response(seen, gamma, _whole(seen, gamma, known))
+    response = WindowResponse(seen, gamma, _whole(seen, gamma, known))
     for w in range(ages.shape[0]):
         for i in range(count):
             # J_oo: an epoch tells every window the same, but each sums since its own start.
@@ -139,7 +144,7 @@ def respond(
 
 
 @inlined
-def _news(offsets: Vector, ranges: Normal, known: Vector) -> News:
+def _news(offsets: Vector, ranges: NormalEquations, known: Vector) -> WindowInnovations:
     """What the ranges tell beside the offsets (n,) of a window; `known` (c, c) is P+_c."""
     weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
     a, v, variance = ranges.a, ranges.v, ranges.variance
@@ -147,7 +152,7 @@ def _news(offsets: Vector, ranges: Normal, known: Vector) -> News:
         weighted[i] = (v[i] - offsets[i]) / variance[i]
         for k in range(b.shape[0]):
             b[k] += a[i, k] * weighted[i]
-    return News(weighted, b, apply(known, b))
+    return WindowInnovations(weighted, b, multiply_vector(known, b))
 
 
 @inlined
@@ -161,7 +166,7 @@ def _rows(m: Vector, which: Indices) -> Vector:
 
 
 @inlined
-def _seen(d: Vector, normal: Normal) -> tuple[Vector, Vector]:
+def _seen(d: Vector, normal: NormalEquations) -> tuple[Vector, Vector]:
     """D_c and -N D_c (c, w s)."""
     seen = _rows(d, normal.states)
     gamma = np.zeros_like(seen)
@@ -172,7 +177,7 @@ def _seen(d: Vector, normal: Normal) -> tuple[Vector, Vector]:
 @inlined
 def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
     """D_c + P+_c gamma (c, w s)."""
-    whole = multiply(known, gamma)
+    whole = multiply_matrices(known, gamma)
     for k in range(seen.shape[0]):
         for j in range(seen.shape[1]):
             whole[k, j] += seen[k, j]
@@ -181,7 +186,12 @@ def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
 
 @inlined
 def _add_ramps(
-    row: Vector, response: Response, first: int, ranges: Normal, age_s: float, news: News
+    row: Vector,
+    response: WindowResponse,
+    first: int,
+    ranges: NormalEquations,
+    age_s: float,
+    news: WindowInnovations,
 ) -> None:
     """Add an epoch to a window's sums of ramps and c_o, in place; its ramps are the columns from
     `first`."""
@@ -206,7 +216,7 @@ def _add_ramps(
 
 @inlined
 def _add_accelerations(
-    row: Vector, response: Response, first: int, b: Vector, moved: Vector
+    row: Vector, response: WindowResponse, first: int, b: Vector, moved: Vector
 ) -> None:
     """Add to c and J of the accelerations, the last 12 of `row`, in place; theirs are the columns
     from `first`, `moved` is P+_c b."""
@@ -220,13 +230,16 @@ def _add_accelerations(
 
 
 @compiled
-def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: Normal) -> None:
+def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: NormalEquations) -> None:
     """The same for Doppler rates, which no fault of a range touches: accelerations alone gain. d
     (20, w s) and sums (w, 5 n + 12) change in place; `after` (20, c) as for ranges."""
     count = (sums.shape[1] - 12) // 5
     known = _rows(after, rates.states)
     seen, gamma = _seen(d, rates)
-    response, moved = Response(seen, gamma, _whole(seen, gamma, known)), apply(known, rates.b)
+    response, moved = (
+        WindowResponse(seen, gamma, _whole(seen, gamma, known)),
+        multiply_vector(known, rates.b),
+    )
     for w in range(sums.shape[0]):
         _add_accelerations(sums[w], response, w * (count + 3) + count, rates.b, moved)
     add_product(d, 1.0, after, gamma)
@@ -234,7 +247,7 @@ def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: Normal) -> N
 
 @compiled
 def learn_offsets(
-    windows: Windows, prior: Vector, ranges: Normal, dt_s: float, numbers: RampNumbers
+    windows: RampWindows, prior: Vector, ranges: NormalEquations, dt_s: float, numbers: RampNumbers
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations of one epoch.
 
@@ -250,7 +263,7 @@ def learn_offsets(
         # What a first-order Gauss-Markov process of that variance gains in the time.
         fresh = (1.0 - stays * stays) * numbers.offset_share * variance[i]
         spread[i] = stays * stays * spread[i] + fresh
-        s = variance[i] + quadratic_of(a, i, prior)
+        s = variance[i] + row_quadratic_form(a, i, prior)
         gain = spread[i] / (spread[i] + s / news)
         mean[i] += gain * (v[i] - mean[i])
         spread[i] *= 1.0 - gain
@@ -258,7 +271,9 @@ def learn_offsets(
 
 
 @compiled
-def strongest(windows: Windows, ages: Vector, inertial: bool, numbers: RampNumbers) -> Strongest:
+def strongest_ramp(
+    windows: RampWindows, ages: Vector, inertial: bool, numbers: RampNumbers
+) -> StrongestRamp:
     """The largest ratio of a ramp, and the largest of the rival, an acceleration error, where an
     IMU is used; `ages` (w,) in s."""
     best, window, worst, rival = 0.0, -1, -1, 0.0
@@ -273,7 +288,7 @@ def strongest(windows: Windows, ages: Vector, inertial: bool, numbers: RampNumbe
                 # `worst < 0`: the first old enough window counts even with a ratio of zero.
                 if ramps[w, j] > best or worst < 0:
                     best, window, worst = ramps[w, j], w, j
-    return Strongest(best, window, worst, rival)
+    return StrongestRamp(best, window, worst, rival)
 
 
 @compiled
@@ -323,5 +338,5 @@ def acceleration_statistics(sums: Vector, prior: float) -> Vector:
             # Keeps the matrix invertible along an axis without information.
             covariance[a, a] += 1e-9
         if info[0, 0] + info[1, 1] + info[2, 2] > 1e-6:
-            out[w] = max(reduction(covariance, c), 0.0)
+            out[w] = max(cholesky_reduction(covariance, c), 0.0)
     return out

@@ -3,12 +3,12 @@
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import CLOCK, DRIFT, ERRORS, ISB, PSI
-from analysis.detection.filter.information import statistic, weights
-from analysis.detection.filter.measurement import NO_ROWS, Modelled
-from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
-from analysis.detection.isolation.hypotheses import Verdict, judge
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import CLOCK, DRIFT, ERROR_SIZE, ISB, PSI
+from analysis.detection.filter.information import innovation_statistic, inverse_covariance
+from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
+from analysis.detection.isolation.hypotheses import IsolationVerdict, select_hypothesis
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
@@ -18,10 +18,10 @@ FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
 FREE_CLOCK_M = 1000.0  # larger jumps are removed before
 FREE_DRIFT_MPS = 100.0
-ROUNDS = 3  # a clock jump and a wrong prediction may come together
+MOST_ROUNDS = 3  # a clock jump and a wrong prediction may come together
 
 
-class Tested(Value, frozen=True):
+class RangeVerdict(Value, frozen=True):
     """What the tests found, and what of the epoch the filter may use.
 
     `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
@@ -30,38 +30,40 @@ class Tested(Value, frozen=True):
     meant as a whole.
     """
 
-    motion: Motion
+    motion: MotionEstimate
     hypothesis: str
     alarm: bool
     faulty: tuple[int, ...]
     statistic: float
     threshold: float
     probabilities: dict[str, float]
-    part: Modelled
+    part: Innovations
     freed: bool
     whole: bool = False
 
 
-def largest_set(count: int, wanted: int) -> int:
+def largest_subset(count: int, wanted: int) -> int:
     """How many satellites may be left out: enough must stay for the set to be the only one."""
     # One satellite may be left out of four even so: the filter's prediction stands beside them.
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
-def passed(motion: Motion, modelled: Modelled, q: float, threshold: float) -> Tested:
+def pass_ranges(
+    motion: MotionEstimate, modelled: Innovations, q: float, threshold: float
+) -> RangeVerdict:
     """F00 passed: all ranges may be used."""
-    return Tested(motion, "none", False, (), q, threshold, {}, modelled, False)
+    return RangeVerdict(motion, "none", False, (), q, threshold, {}, modelled, False)
 
 
-def blamed(
-    motion: Motion,
-    modelled: Modelled,
+def isolate_ranges(
+    motion: MotionEstimate,
+    modelled: Innovations,
     q: float,
     threshold: float,
     standing_m: Vector,
     config: DetectorConfig,
     by_past: bool = False,
-) -> Tested:
+) -> RangeVerdict:
     """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
 
     `standing_m` (n,) is each satellite's learnt offset: where some are excluded it is subtracted
@@ -72,9 +74,9 @@ def blamed(
     part = modelled
     if verdict.hypothesis == "satellites":
         # What was learnt while a whole system moved is its shift, and no offset of the others.
-        part = without(modelled, verdict.subset, standing_m * (not verdict.whole))
+        part = without_satellites(modelled, verdict.subset, standing_m * (not verdict.whole))
     elif verdict.hypothesis != "none":
-        part = NO_ROWS
+        part = NO_INNOVATIONS
     shown = hypothesis
     # An IMU found wrong earlier outweighs what is found of the rest.
     if verdict.hypothesis != "none" and hypothesis in ("none", "clock", SYSTEM_CLOCK):
@@ -83,10 +85,14 @@ def blamed(
     alarm = shown not in ("none", "clock")
     shown = "clock" if shown == SYSTEM_CLOCK else shown
     subset, chances = verdict.subset, verdict.probabilities
-    return Tested(motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole)
+    return RangeVerdict(
+        motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole
+    )
 
 
-def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> Modelled:
+def without_satellites(
+    modelled: Innovations, subset: tuple[int, ...], standing_m: Vector
+) -> Innovations:
     """The innovations of the satellites that are not in `subset`, their offsets `standing_m` (n,)
     subtracted."""
     keep = np.ones(len(modelled.v_m), dtype=bool)
@@ -96,8 +102,12 @@ def without(modelled: Modelled, subset: tuple[int, ...], standing_m: Vector) -> 
 
 
 def _freed(
-    motion: Motion, modelled: Modelled, threshold: float, by_past: bool, config: DetectorConfig
-) -> tuple[str, Verdict, Motion]:
+    motion: MotionEstimate,
+    modelled: Innovations,
+    threshold: float,
+    by_past: bool,
+    config: DetectorConfig,
+) -> tuple[str, IsolationVerdict, MotionEstimate]:
     """Judge what failed; forget the clock or the position where they explain it, and judge again.
 
     The hypothesis so far, the last verdict ("none" once what is left passes), and the filter. A
@@ -105,20 +115,20 @@ def _freed(
     """
     hypothesis = "none"
     chances: dict[str, float] = {}
-    largest = largest_set(len(modelled.v_m), config.left_out)
+    largest = largest_subset(len(modelled.v_m), config.left_out)
     # Contiguous, since a kernel is compiled anew for each memory layout.
     position = np.ascontiguousarray(modelled.h[:, 0:3])
     clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
-    systems = groups_of(position, modelled.h[:, ISB:ERRORS])
+    systems = group_by_system(position, modelled.h[:, ISB:ERROR_SIZE])
     whole = False
-    for number in range(ROUNDS):
+    for number in range(MOST_ROUNDS):
         h, variance, v = modelled.h, modelled.variance, modelled.v_m
         asked = by_past and number == 0
-        if not asked and statistic(motion.p, h, variance, v) <= threshold:
-            return hypothesis, Verdict("none", (), chances, whole), motion
-        m = weights(motion.p, h, variance)
+        if not asked and innovation_statistic(motion.p, h, variance, v) <= threshold:
+            return hypothesis, IsolationVerdict("none", (), chances, whole), motion
+        m = inverse_covariance(motion.p, h, variance)
         p = config.p_false_alarm
-        verdict = judge(m, v, position, clock, p, largest, config.rule, systems)
+        verdict = select_hypothesis(m, v, position, clock, p, largest, config.rule, systems)
         whole = whole or verdict.whole
         # The chances of the first round: those before anything was forgotten.
         chances = chances or verdict.probabilities
@@ -134,10 +144,10 @@ def _freed(
         else:
             return hypothesis, verdict._replace(probabilities=chances, whole=whole), motion
     # Three rounds did not settle it.
-    return hypothesis, Verdict("multiple-unknown", (), chances, whole), motion
+    return hypothesis, IsolationVerdict("multiple-unknown", (), chances, whole), motion
 
 
-def free_clock(motion: Motion) -> Motion:
+def free_clock(motion: MotionEstimate) -> MotionEstimate:
     """The filter with its clock forgotten: jumps of the receiver's clock are states."""
     p = motion.p.copy()
     p[CLOCK, CLOCK] += FREE_CLOCK_M**2
@@ -145,15 +155,15 @@ def free_clock(motion: Motion) -> Motion:
     return motion._replace(p=p)
 
 
-def free_system_clocks(motion: Motion) -> Motion:
+def free_system_clocks(motion: MotionEstimate) -> MotionEstimate:
     """The filter with the systems' offsets forgotten; which clock left is not asked."""
     motion = free_clock(motion)
     p = motion.p.copy()
-    p[range(ISB, ERRORS), range(ISB, ERRORS)] += FREE_CLOCK_M**2
+    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += FREE_CLOCK_M**2
     return motion._replace(p=p)
 
 
-def free_position(motion: Motion) -> Motion:
+def free_position(motion: MotionEstimate) -> MotionEstimate:
     """The filter with its position and velocity forgotten, moved freely from here."""
     p = motion.p.copy()
     # Added, not set: what is unsure already does not become surer.

@@ -3,22 +3,22 @@
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.epoch_update import Rates
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import DRIFT, ERRORS, ISB
-from analysis.detection.filter.information import weights
-from analysis.detection.filter.measurement import NO_ROWS, Modelled, rate_rows
-from analysis.detection.isolation.assessment import MIN_RATES, Statistics
-from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
-from analysis.detection.isolation.hypotheses import judge
-from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_set
+from analysis.detection.filter.epoch_update import RateInnovations
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import DRIFT, ERROR_SIZE, ISB
+from analysis.detection.filter.information import inverse_covariance
+from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations, rate_geometry
+from analysis.detection.isolation.assessment import LEAST_RATES, EpochStatistics
+from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
+from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.detection.isolation.range_test import FREE_DRIFT_MPS, free_position, largest_subset
 from analysis.detection.values import Value
 
-NO_RATES = Rates(NO_ROWS.v_mps, NO_ROWS.rate_variance, NO_ROWS.h)
+NO_RATES = RateInnovations(NO_INNOVATIONS.v_mps, NO_INNOVATIONS.rate_variance, NO_INNOVATIONS.h)
 
 
-class RatesTested(Value, frozen=True):
+class RateVerdict(Value, frozen=True):
     """The rates' test of the prediction, those that fit, and the places among the satellites in use
     of those that were found wrong."""
 
@@ -26,30 +26,30 @@ class RatesTested(Value, frozen=True):
     threshold: float | None
     dof: int
     hypothesis: str
-    fit: Rates
+    fit: RateInnovations
     faulty: tuple[int, ...] = ()
 
 
-def check_rates(
-    motion: Motion, used: Modelled, tests: Statistics, config: DetectorConfig
-) -> RatesTested:
+def isolate_rates(
+    motion: MotionEstimate, used: Innovations, tests: EpochStatistics, config: DetectorConfig
+) -> RateVerdict:
     """Test the predicted velocity against the rates."""
     count = tests.rates
-    if not config.doppler or count < MIN_RATES:
-        return RatesTested(None, None, 0, "none", NO_RATES)
-    fit = Rates(used.v_mps, used.rate_variance, used.h)
-    threshold = chi_square(count, config.p_other)
+    if not config.doppler or count < LEAST_RATES:
+        return RateVerdict(None, None, 0, "none", NO_RATES)
+    fit = RateInnovations(used.v_mps, used.rate_variance, used.h)
+    threshold = chi_square_threshold(count, config.p_other)
     if tests.q_rate <= threshold:
-        return RatesTested(tests.q_rate, threshold, count, "none", fit)
+        return RateVerdict(tests.q_rate, threshold, count, "none", fit)
     known = np.flatnonzero(np.isfinite(fit.v))
-    h, v = rate_rows(fit.h, known), fit.v[known]
+    h, v = rate_geometry(fit.h, known), fit.v[known]
     # Only the rates that are known: a kernel knows no NaN.
-    m = weights(motion.p, h, fit.variance[known])
+    m = inverse_covariance(motion.p, h, fit.variance[known])
     velocity = np.ascontiguousarray(h[:, 3:6])
     drift = np.ascontiguousarray(h[:, DRIFT : DRIFT + 1])
-    largest, p = largest_set(count, config.left_out), config.p_other
-    systems = groups_of(used.h[known, :3], used.h[known, ISB:ERRORS])
-    verdict = judge(m, v, velocity, drift, p, largest, config.rule, systems)
+    largest, p = largest_subset(count, config.left_out), config.p_other
+    systems = group_by_system(used.h[known, :3], used.h[known, ISB:ERROR_SIZE])
+    verdict = select_hypothesis(m, v, velocity, drift, p, largest, config.rule, systems)
     faulty: tuple[int, ...] = ()
     if verdict.hypothesis == "satellites":
         faulty = tuple(known[list(verdict.subset)].tolist())
@@ -59,10 +59,10 @@ def check_rates(
     # No explanation: none of the rates is used, the ranges decide alone.
     elif verdict.hypothesis in ("multiple-unknown", SYSTEM_CLOCK):
         fit = NO_RATES
-    return RatesTested(tests.q_rate, threshold, count, verdict.hypothesis, fit, faulty)
+    return RateVerdict(tests.q_rate, threshold, count, verdict.hypothesis, fit, faulty)
 
 
-def freed_by(motion: Motion, hypothesis: str) -> Motion:
+def free_by_rates(motion: MotionEstimate, hypothesis: str) -> MotionEstimate:
     """The filter before the ranges are used, with what the rates contradict forgotten."""
     if hypothesis == "imu":
         return free_position(motion)

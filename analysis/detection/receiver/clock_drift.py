@@ -8,8 +8,8 @@ what changes it by more than 20 m/s is no crystal.
 import math
 from collections.abc import Sequence
 
-from analysis.detection.detector_state import Record
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.detector_state import EpochRecord
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import DRIFT, X_DRIFT
 from analysis.results import Result, pattern_alarm
 
@@ -18,7 +18,7 @@ OVER_US, LONGEST_US = 900_000, 2_000_000
 SIGMAS = 5.0
 
 
-def clock_results(motion: Motion, history: Sequence[Record]) -> list[Result]:
+def clock_results(motion: MotionEstimate, history: Sequence[EpochRecord]) -> list[Result]:
     """An alarm where the clock's drift changes faster than any crystal's."""
     t_us = motion.t_us
     # From the newest on: what is asked for is a few epochs back, however long the history.

@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.receiver.position_test import Check, Measured
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.receiver.position_test import FixMeasurement, FixTest
 from analysis.samples.sample import Vector
 
 USUAL_S, SIGMA_S = 0.15, 0.15
 LEAST_S, MOST_S = 0.0, 0.6
 LEAST_VARIANCE = 0.05**2  # for the test: what accelerates changes meanwhile
 # A mean over a flight is known better, and what is wrong for seconds may not move it.
-LEAST_LEARNT = 0.01**2
+LEAST_LEARNED_VARIANCE = 0.01**2
 EXACT_SOURCE = "HIL_GPS"
 
 
@@ -54,12 +54,12 @@ class Latency(NamedTuple):
         return slope
 
 
-def latency_of(source: str) -> Latency:
+def initial_latency(source: str) -> Latency:
     """What is known of a receiver by its message alone."""
     return Latency() if source == EXACT_SOURCE else Latency(USUAL_S, SIGMA_S**2)
 
 
-def accelerated(before: Motion, predicted: Motion, axes: Vector) -> Vector:
+def mean_acceleration(before: MotionEstimate, predicted: MotionEstimate, axes: Vector) -> Vector:
     """The mean acceleration (3,) in m/s^2 along `axes` since the last fix; zero without an IMU."""
     if not (before.inertial and predicted.inertial):
         return np.zeros(3)
@@ -68,7 +68,7 @@ def accelerated(before: Motion, predicted: Motion, axes: Vector) -> Vector:
     return acceleration
 
 
-def lasted(latency: Latency, dt_s: float, acceleration_mps2: Vector) -> Latency:
+def append_interval(latency: Latency, dt_s: float, acceleration_mps2: Vector) -> Latency:
     """The latency after an interval of `dt_s` with an acceleration (3,)."""
     if latency.variance == 0.0:
         return latency
@@ -81,7 +81,9 @@ def lasted(latency: Latency, dt_s: float, acceleration_mps2: Vector) -> Latency:
     return latency._replace(past=tuple(kept))
 
 
-def on_time(measured: Measured, predicted: Motion, latency: Latency) -> Measured:
+def compensate_latency(
+    measured: FixMeasurement, predicted: MotionEstimate, latency: Latency
+) -> FixMeasurement:
     """The fix where the vehicle is by now, as unsure as its latency is."""
     if latency.variance == 0.0 or not predicted.inertial:
         return measured
@@ -100,7 +102,7 @@ def on_time(measured: Measured, predicted: Motion, latency: Latency) -> Measured
     )
 
 
-def learnt(latency: Latency, velocity: Check, p: Vector) -> Latency:
+def update_latency(latency: Latency, velocity: FixTest, p: Vector) -> Latency:
     """The latency after a velocity that passed; p (n, n) is the filter's covariance before it."""
     if latency.variance == 0.0 or len(velocity.v) < 3:
         return latency
@@ -112,4 +114,4 @@ def learnt(latency: Latency, velocity: Check, p: Vector) -> Latency:
         seconds -= gain * v  # the innovation is how much too long it is, times the acceleration
         variance -= gain * a * variance
     seconds = float(np.clip(seconds, LEAST_S, MOST_S))
-    return latency._replace(seconds=seconds, variance=max(variance, LEAST_LEARNT))
+    return latency._replace(seconds=seconds, variance=max(variance, LEAST_LEARNED_VARIANCE))

@@ -12,13 +12,13 @@ from analysis.samples.block import FIX, Block
 from analysis.samples.sample import GpsFix
 
 FIX_3D, OWN_SOURCE = 3, "HIL_GPS"
-LEARNT = 100  # fixes after which it is known
+LEARNED_FIXES = 100  # fixes after which it is known
 # Repetitions beyond the most so far; one that ever held still so long (a simulator's) may
-FACTOR, MORE, STILL = 3, 10, 3
-LASTS_US, AGAIN_US = 500_000, 500_000
+RUN_FACTOR, RUN_MORE, STILL_FIXES = 3, 10, 3
+CONFIRM_US, REPEAT_US = 500_000, 500_000
 
 
-class Repeats(NamedTuple):
+class FixRepeats(NamedTuple):
     """The newest fix, since when it is repeated, how often, and how often at most before; and
     how many came."""
 
@@ -29,52 +29,54 @@ class Repeats(NamedTuple):
     longest: int = 0
     seen: int = 0
 
-    def after(self, t_us: int, fix: tuple[float, ...]) -> "Repeats":
+    def after(self, t_us: int, fix: tuple[float, ...]) -> "FixRepeats":
         """With one fix more."""
         if t_us <= self.t_us:  # the same message once more, or another clock
             return self._replace(t_us=t_us)
         new = self._replace(fix=fix, t_us=t_us, seen=self.seen + 1)
-        known = self.seen >= LEARNT
+        known = self.seen >= LEARNED_FIXES
         if fix == self.fix:
             longest = self.longest if known else max(self.longest, self.run + 1)
             return new._replace(run=self.run + 1, longest=longest)
         # What was a fault is no habit.
-        habit = self.run if self.run <= FACTOR * self.longest + MORE or not known else 0
+        habit = self.run if self.run <= RUN_FACTOR * self.longest + RUN_MORE or not known else 0
         return new._replace(run=0, since_us=t_us, longest=max(self.longest, habit))
 
     @property
     def frozen(self) -> bool:
         """Whether it repeats itself as it never did."""
-        most = FACTOR * self.longest + MORE
-        lasts = self.t_us - self.since_us >= LASTS_US
-        return self.seen >= LEARNT and self.longest <= STILL and self.run > most and lasts
+        most = RUN_FACTOR * self.longest + RUN_MORE
+        lasts = self.t_us - self.since_us >= CONFIRM_US
+        return (
+            self.seen >= LEARNED_FIXES and self.longest <= STILL_FIXES and self.run > most and lasts
+        )
 
 
-def numbers_of(fix: GpsFix) -> tuple[float, ...]:
+def fix_values(fix: GpsFix) -> tuple[float, ...]:
     """Place and level velocity of a fix."""
     level = (0.0, 0.0) if fix.v_ned_mps is None else tuple(fix.v_ned_mps[:2].tolist())
     return fix.lat_deg, fix.lon_deg, fix.alt_m, *level
 
 
-class Followed(NamedTuple):
+class FrozenFixState(NamedTuple):
     """The receiver that is followed, by the message it came in, and when it was told of last."""
 
-    repeats: Repeats = Repeats()
+    repeats: FixRepeats = FixRepeats()
     source: str | None = None
     told_us: int = 0
 
 
 @dataclass(frozen=True)
-class FrozenFix:
+class FrozenFixDetector:
     """A step of the pipeline."""
 
-    def new_state(self) -> Followed:
+    def new_state(self) -> FrozenFixState:
         """Nothing came yet."""
-        return Followed()
+        return FrozenFixState()
 
     def step(
-        self, block: Block, state: Followed
-    ) -> tuple[list[tuple[int, SensorDecision]], Followed]:
+        self, block: Block, state: FrozenFixState
+    ) -> tuple[list[tuple[int, SensorDecision]], FrozenFixState]:
         """Where the receiver repeats itself, by the row that shows it, and the next state."""
         found = []
         for row in block.rows(FIX).tolist():
@@ -85,10 +87,10 @@ class FrozenFix:
                 continue
             if fix.fix_type < FIX_3D:
                 continue
-            repeats = state.repeats if fix.source == state.source else Repeats()
-            repeats = repeats.after(fix.t_us, numbers_of(fix))
-            state = Followed(repeats, fix.source, state.told_us)
-            if repeats.frozen and fix.t_us - state.told_us >= AGAIN_US:
+            repeats = state.repeats if fix.source == state.source else FixRepeats()
+            repeats = repeats.after(fix.t_us, fix_values(fix))
+            state = FrozenFixState(repeats, fix.source, state.told_us)
+            if repeats.frozen and fix.t_us - state.told_us >= REPEAT_US:
                 state = state._replace(told_us=fix.t_us)
                 found.append((row, _result(fix.t_us, (fix.t_us - repeats.since_us) * 1e-6)))
         return found, state

@@ -14,17 +14,17 @@ References
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import BG, ERRORS, PSI, X_BG, X_Q
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import BG, ERROR_SIZE, PSI, X_BG, X_Q
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned_in_reference
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference, rotation_matrix
 
-ERROR_MPS2 = 0.2  # of the acceleration that a receiver's velocities make believe
+VELOCITY_ERROR_MPS2 = 0.2  # of the acceleration that a receiver's velocities make believe
 
 
-def with_honest_heading(
-    before: Motion, after: Motion, acceleration_mps2: Vector, axes: Vector
-) -> Motion:
+def limit_heading_update(
+    before: MotionEstimate, after: MotionEstimate, acceleration_mps2: Vector, axes: Vector
+) -> MotionEstimate:
     """`after` an update of `before` by a fix, as sure of its heading as the fix may make it.
 
     `acceleration_mps2` (3,) is the vehicle's since the last fix, along `axes` (3, 3) north, east
@@ -37,18 +37,18 @@ def with_honest_heading(
         float(down @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ down) for motion in (before, after)
     )
     level_mps2 = float(np.hypot(acceleration_mps2[0], acceleration_mps2[1]))
-    allowed = min(was, (ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
+    allowed = min(was, (VELOCITY_ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
     if learnt >= allowed:
         return after
     share = float(np.sqrt((allowed - learnt) / (was - learnt)))
     # The gyro's bias that turns the vehicle about the vertical goes with it.
-    down_b = matrix(after.x[X_Q:X_BG]).T @ down
-    back = np.zeros((ERRORS, ERRORS))
+    down_b = rotation_matrix(after.x[X_Q:X_BG]).T @ down
+    back = np.zeros((ERROR_SIZE, ERROR_SIZE))
     back[PSI : PSI + 3, PSI : PSI + 3] = share * (down[:, None] * down)
     back[BG : BG + 3, BG : BG + 3] = share * (down_b[:, None] * down_b)
     x = after.x.copy()
     turn = -share * _turn_about(down, before.x[X_Q:X_BG], after.x[X_Q:X_BG]) * down
-    x[X_Q:X_BG] = turned_in_reference(x[X_Q:X_BG], *turn)
+    x[X_Q:X_BG] = rotate_in_reference(x[X_Q:X_BG], *turn)
     change = after.x[X_BG : X_BG + 3] - before.x[X_BG : X_BG + 3]
     x[X_BG : X_BG + 3] -= share * (down_b @ change) * down_b
     p = after.p + back @ (before.p - after.p) @ back.T
@@ -57,7 +57,7 @@ def with_honest_heading(
 
 def _turn_about(axis: Vector, q: Vector, after: Vector) -> float:
     """The small turn from an attitude (4,) to another, about an axis (3,) of the reference."""
-    change = matrix(after) @ matrix(q).T
+    change = rotation_matrix(after) @ rotation_matrix(q).T
     turn = 0.5 * np.array(
         [change[2, 1] - change[1, 2], change[0, 2] - change[2, 0], change[1, 0] - change[0, 1]]
     )

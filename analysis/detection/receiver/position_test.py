@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERRORS, PSI, X_Q, X_SIZE, R
-from analysis.detection.filter.information import measured_update, statistic
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERROR_SIZE, PSI, X_Q, X_SIZE, R
+from analysis.detection.filter.information import innovation_statistic, measurement_update
 from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.samples.sample import GpsFix, Vector
 from mavproxy_fault.numerics.earth import ecef_of
 from mavproxy_fault.numerics.earth_kernel import ned_axes
@@ -22,7 +22,7 @@ VELOCITY_SIGMA_MPS = (0.3, 0.4)
 VELOCITY_VARIANCE = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS]) ** 2
 
 
-class Measured(NamedTuple):
+class FixMeasurement(NamedTuple):
     """A fix in ECEF: position and variance along north, east, down; velocity where known.
 
     `v_variance` (3,) is the velocity's, in m^2/s^2.
@@ -35,7 +35,7 @@ class Measured(NamedTuple):
     v_variance: Vector
 
 
-class Check(NamedTuple):
+class FixTest(NamedTuple):
     """One chi-square test; `v`, `h` and `variance` are what an update would use."""
 
     statistic: float
@@ -50,7 +50,7 @@ class Check(NamedTuple):
         return self.statistic <= self.threshold
 
 
-def measure(fix: GpsFix) -> tuple[Measured | None, str]:
+def fix_measurement(fix: GpsFix) -> tuple[FixMeasurement | None, str]:
     """The fix in ECEF, or why it cannot be used."""
     if fix.fix_type < FIX_3D:
         return None, f"fix type {fix.fix_type}; 3 or more is a position"
@@ -68,39 +68,41 @@ def measure(fix: GpsFix) -> tuple[Measured | None, str]:
     variance = np.array([sigma[0], sigma[0], sigma[1]]) ** 2
     r_ecef_m = np.array(ecef_of(lat, lon, np.asarray(fix.alt_m)))
     axes = ned_axes(float(lat), float(lon))
-    return Measured(r_ecef_m, axes, variance, fix.v_ned_mps, VELOCITY_VARIANCE), ""
+    return FixMeasurement(r_ecef_m, axes, variance, fix.v_ned_mps, VELOCITY_VARIANCE), ""
 
 
-def check(measured: Measured, motion: Motion, config: DetectorConfig) -> tuple[Check, Check | None]:
+def run_fix_tests(
+    measured: FixMeasurement, motion: MotionEstimate, config: DetectorConfig
+) -> tuple[FixTest, FixTest | None]:
     """Test position, and velocity where it is known, against the prediction."""
-    h = np.zeros((3, ERRORS))
+    h = np.zeros((3, ERROR_SIZE))
     h[:, 0:3] = measured.axes
     v = measured.axes @ (measured.r_ecef_m - motion.x[0:3])
-    position = _check(motion.p, v, h, measured.variance_m2, config.p_false_alarm)
+    position = _fix_test(motion.p, v, h, measured.variance_m2, config.p_false_alarm)
     if measured.v_ned_mps is None:
         return position, None
     known = np.isfinite(measured.v_ned_mps)
     if not known.any():
         return position, None
-    h = np.zeros((3, ERRORS))
+    h = np.zeros((3, ERROR_SIZE))
     h[:, 3:6] = measured.axes
     v = measured.v_ned_mps - measured.axes @ motion.x[3:6]
     variance = measured.v_variance
     # To pick all of them takes as long as the test.
     if not known.all():
         v, h, variance = v[known], h[known], variance[known]
-    return position, _check(motion.p, v, h, variance, config.p_other)
+    return position, _fix_test(motion.p, v, h, variance, config.p_other)
 
 
-def _check(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> Check:
-    q = statistic(p, np.ascontiguousarray(h), variance, v)
-    return Check(q, chi_square(len(v), p_false_alarm), v, h, variance)
+def _fix_test(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> FixTest:
+    q = innovation_statistic(p, np.ascontiguousarray(h), variance, v)
+    return FixTest(q, chi_square_threshold(len(v), p_false_alarm), v, h, variance)
 
 
-def updated(motion: Motion, part: Check) -> Motion:
+def update_with_fix(motion: MotionEstimate, part: FixTest) -> MotionEstimate:
     """The filter after a test's measurement."""
     h = np.ascontiguousarray(part.h)
-    x, p = measured_update(motion.x, motion.p, h, part.variance, part.v)
+    x, p = measurement_update(motion.x, motion.p, h, part.variance, part.v)
     return motion._replace(x=x, p=p)
 
 
@@ -109,9 +111,9 @@ def known_or_zero(v: Vector) -> Vector:
     return v if np.isfinite(v).all() else np.nan_to_num(v)
 
 
-def start_at(t_us: int, measured: Measured) -> Motion:
+def start_at_fix(t_us: int, measured: FixMeasurement) -> MotionEstimate:
     """The filter at a fix."""
-    x, p = np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS))
+    x, p = np.zeros(X_SIZE), np.zeros((ERROR_SIZE, ERROR_SIZE))
     x[R : R + 3], x[X_Q] = measured.r_ecef_m, 1.0
     p[0:3, 0:3] = measured.axes.T @ np.diag(measured.variance_m2) @ measured.axes
     known = measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all()
@@ -123,4 +125,4 @@ def start_at(t_us: int, measured: Measured) -> Motion:
         p[range(at, at + 3), range(at, at + 3)] = sigma**2
     # Without ranges nothing observes the clock: any variance above zero will do.
     p[CLOCK, CLOCK] = p[DRIFT, DRIFT] = 1.0
-    return Motion(t_us, x, p)
+    return MotionEstimate(t_us, x, p)

@@ -16,44 +16,48 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import LastFix
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.propagation import Segment
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.propagation import ImuSegment
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
-    Check,
-    Measured,
+    FixMeasurement,
+    FixTest,
     known_or_zero,
 )
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 UNDECIDED = "GPS-or-imu"
 EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
-ALIKE = 0.4  # share by which a change of the IMU's force may differ from a wrong acceleration
+ALIKE_SHARE = 0.4  # share by which a change of the IMU's force may differ from a wrong acceleration
 # In which a fault of the IMU may have begun before a fix shows it, or several together
-INTERVALS, SEVERAL = 3, 6
+INTERVALS, HISTORY_INTERVALS = 3, 6
 FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
 
 
-def last_fix(before: LastFix | None, measured: Measured, part: Segment, motion: Motion) -> LastFix:
+def new_last_fix(
+    before: LastFix | None, measured: FixMeasurement, part: ImuSegment, motion: MotionEstimate
+) -> LastFix:
     """The fix as the next one needs it; `motion` is the filter after it."""
     velocity = np.full(3, np.nan) if measured.v_ned_mps is None else measured.v_ned_mps
     off = known_or_zero(velocity - measured.axes @ motion.x[3:6])
     force = mean_force(part)
-    past = () if before is None else before.forces_b_mps2[: SEVERAL - 1]
+    past = () if before is None else before.forces_b_mps2[: HISTORY_INTERVALS - 1]
     forces = () if force is None else (force, *past)
     return LastFix(motion.t_us, measured.r_ecef_m, velocity, forces, off)
 
 
-def mean_force(part: Segment) -> Vector | None:
+def mean_force(part: ImuSegment) -> Vector | None:
     """Mean specific force (3,) of an interval in body axes; None without samples."""
     rows = part.samples
     total_s = rows[:, 0].sum() if len(rows) else 0.0
     return rows[:, 0] @ rows[:, FORCE] / total_s if total_s > 0.0 else None
 
 
-def unexplained(v_mps: Vector, sigma_mps: Vector, changed_mps: Vector, intervals: int) -> float:
+def unexplained_square(
+    v_mps: Vector, sigma_mps: Vector, changed_mps: Vector, intervals: int
+) -> float:
     """What a force that changed by what makes `changed_mps` (n,) of velocity an interval, within
     some intervals, leaves of a difference of velocities (n,): squared over its sigma (n,)."""
     size = float(changed_mps @ changed_mps)
@@ -63,12 +67,12 @@ def unexplained(v_mps: Vector, sigma_mps: Vector, changed_mps: Vector, intervals
     return float(remaining @ remaining)
 
 
-def culprit(
+def isolate_receiver_or_imu(
     last: LastFix | None,
-    measured: Measured,
-    predicted: Motion,
-    velocity: Check,
-    part: Segment,
+    measured: FixMeasurement,
+    predicted: MotionEstimate,
+    velocity: FixTest,
+    part: ImuSegment,
     config: DetectorConfig,
 ) -> str:
     """`imu`, `gps` or `GPS-or-imu`, for a receiver that agrees with itself but not with the IMU.
@@ -81,12 +85,12 @@ def culprit(
         return UNDECIDED
     known = np.isfinite(measured.v_ned_mps)
     dt_s = (predicted.t_us - last.t_us) * 1e-6
-    rot = measured.axes @ matrix(predicted.x[6:10])
+    rot = measured.axes @ rotation_matrix(predicted.x[6:10])
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
     for since, before in enumerate(last.forces_b_mps2[:INTERVALS], start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
-        remaining = unexplained(velocity.v, sigma_mps, changed_mps, since)
-        if remaining <= chi_square(len(sigma_mps), config.p_other):
+        remaining = unexplained_square(velocity.v, sigma_mps, changed_mps, since)
+        if remaining <= chi_square_threshold(len(sigma_mps), config.p_other):
             return "imu"
     grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
     most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
@@ -94,16 +98,20 @@ def culprit(
     return "gps" if grown_mps > excused_mps else UNDECIDED
 
 
-def accelerated_by(
-    last: LastFix | None, wrong_mps2: Vector, measured: Measured, predicted: Motion, part: Segment
+def isolate_acceleration_fault(
+    last: LastFix | None,
+    wrong_mps2: Vector,
+    measured: FixMeasurement,
+    predicted: MotionEstimate,
+    part: ImuSegment,
 ) -> str:
     """`imu` or `GPS-or-imu`, for a filter that is accelerated wrongly (3,), against a receiver that
     agrees with itself: the IMU, if its force changed by that within the last intervals."""
     force = mean_force(part)
     if last is None or force is None:
         return UNDECIDED
-    rot = measured.axes @ matrix(predicted.x[6:10])
-    most_mps2 = ALIKE * float(np.linalg.norm(wrong_mps2))
+    rot = measured.axes @ rotation_matrix(predicted.x[6:10])
+    most_mps2 = ALIKE_SHARE * float(np.linalg.norm(wrong_mps2))
     changes = [rot @ (force - before) for before in last.forces_b_mps2]
     alike = [float(np.linalg.norm(change - wrong_mps2)) <= most_mps2 for change in changes]
     return "imu" if any(alike) else UNDECIDED

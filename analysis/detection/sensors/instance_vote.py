@@ -32,16 +32,18 @@ from analysis.samples.block import (
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-MOST = 3  # of one kind
-LEARNT, MEMORY = 10, 60  # windows
-SIGMAS, LASTS = 8.0, 3  # windows in a row
-ERRORS = 4.0  # standard errors of the difference of two means: shaken sensors do not err alike
-PAIRS = tuple(combinations(range(MOST), 2))
+MOST_INSTANCES = 3  # of one kind
+LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # windows
+CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row
+STANDARD_ERRORS = (
+    4.0  # standard errors of the difference of two means: shaken sensors do not err alike
+)
+PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
 FIX_3D = 3
 METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
 
 
-class Voters(NamedTuple):
+class VoterKind(NamedTuple):
     """The sensors of one kind: `sensor` is their channel; a mean is that of a window of `window_us`
     with `fewest` samples, `least` (n,) is the least change of a difference that counts."""
 
@@ -55,15 +57,15 @@ class Voters(NamedTuple):
 
 VOTERS = (
     # rad/s and m/s^2; gauss; m; m north, east, up
-    Voters(IMU, "imu", "IMU", 500_000, 5, np.repeat([0.03, 0.5], 3)),
-    Voters(MAG, "mag", "magnetometer", 1_000_000, 3, np.full(3, 0.1)),
-    Voters(BARO, "baro", "barometer", 1_000_000, 3, np.array([3.0])),
-    Voters(FIX, "gps-position", "receiver", 2_000_000, 3, np.array([10.0, 10.0, 15.0])),
+    VoterKind(IMU, "imu", "IMU", 500_000, 5, np.repeat([0.03, 0.5], 3)),
+    VoterKind(MAG, "mag", "magnetometer", 1_000_000, 3, np.full(3, 0.1)),
+    VoterKind(BARO, "baro", "barometer", 1_000_000, 3, np.array([3.0])),
+    VoterKind(FIX, "gps-position", "receiver", 2_000_000, 3, np.array([10.0, 10.0, 15.0])),
 )
 
 
 @dataclass
-class Difference:
+class InstanceDifference:
     """Of two sensors: mean and mean square (n,) of the difference, windows, windows off in a
     row."""
 
@@ -79,14 +81,22 @@ class VoteState:
 
     def __init__(self, count: int) -> None:
         self.window: int | None = None
-        self.sums, self.changes = np.zeros((MOST, count)), np.zeros((MOST, count))
-        self.counts, self.newest = np.zeros(MOST), np.full((MOST, count), np.nan)
-        self.missing = np.zeros(MOST, int)  # windows in a row without a sample
-        self.differences = {pair: Difference(np.zeros(count), np.zeros(count)) for pair in PAIRS}
+        self.sums, self.changes = (
+            np.zeros((MOST_INSTANCES, count)),
+            np.zeros((MOST_INSTANCES, count)),
+        )
+        self.counts, self.newest = (
+            np.zeros(MOST_INSTANCES),
+            np.full((MOST_INSTANCES, count), np.nan),
+        )
+        self.missing = np.zeros(MOST_INSTANCES, int)  # windows in a row without a sample
+        self.differences = {
+            pair: InstanceDifference(np.zeros(count), np.zeros(count)) for pair in PAIRS
+        }
 
 
 @dataclass(frozen=True)
-class InstanceVote:
+class InstanceVoteDetector:
     """A step of the pipeline; with one sensor of each kind it does nothing."""
 
     def new_state(self) -> list[VoteState]:
@@ -103,26 +113,26 @@ class InstanceVote:
         found: list[tuple[int, SensorDecision]] = []
         spare = block.rows(SPARE)
         for voters, own in zip(VOTERS, state, strict=True):
-            found += _voted(block, spare, voters, own)
+            found += _vote(block, spare, voters, own)
         return found, state
 
 
-def _voted(
-    block: Block, spare: Indices, voters: Voters, state: VoteState
+def _vote(
+    block: Block, spare: Indices, voters: VoterKind, state: VoteState
 ) -> list[tuple[int, SensorDecision]]:
     rows, ids = _rows(block, spare, voters.kind)
     # Only the first has spoken so far: there is nobody to compare it with.
     if state.window is None and not ids.any():
         return []
-    numbers = _numbers(block, rows, voters.kind)
-    known = (ids >= 0) & (ids < MOST) & np.isfinite(numbers).all(axis=1)
+    numbers = _compared_values(block, rows, voters.kind)
+    known = (ids >= 0) & (ids < MOST_INSTANCES) & np.isfinite(numbers).all(axis=1)
     rows, ids, numbers = rows[known], ids[known], numbers[known]
     windows = block.t_us[rows] // voters.window_us
     found: list[tuple[int, SensorDecision]] = []
     for begin, end in _runs(windows):
         row, window = int(rows[begin]), int(windows[begin])
         if window != state.window:
-            found += [(row, result) for result in _judged(int(block.t_us[row]), voters, state)]
+            found += [(row, result) for result in _vote_window(int(block.t_us[row]), voters, state)]
             state.window = window
             state.sums[:], state.changes[:], state.counts[:] = 0.0, 0.0, 0.0
         for i in np.unique(ids[begin:end]):
@@ -152,7 +162,7 @@ def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
     return rows[order], ids[order]
 
 
-def _numbers(block: Block, rows: Indices, kind: int) -> Vector:
+def _compared_values(block: Block, rows: Indices, kind: int) -> Vector:
     """What the sensors of a kind are compared by (m, n); not finite where there is nothing."""
     first = block.kind[rows] == kind
     count = IMU_ID if kind == IMU else 3
@@ -175,13 +185,13 @@ def _runs(numbers: Indices) -> Iterator[tuple[int, int]]:
     return ((a, b) for a, b in pairwise(edges) if b > a)
 
 
-def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]:
+def _vote_window(t_us: int, voters: VoterKind, state: VoteState) -> list[SensorDecision]:
     """The vote on the window that is full."""
     if voters.kind in (MAG, BARO) and (silent := _silent(state)):
         names = " and ".join(f"{voters.name} {i + 1}" for i in silent)
         for_s = voters.window_us * 1e-6 * min(state.missing[i] for i in silent)
         return [pattern_alarm(t_us, voters.sensor, f"silent for {for_s:.0f} s: {names}")]
-    heard = [i for i in range(MOST) if state.counts[i] >= voters.fewest]
+    heard = [i for i in range(MOST_INSTANCES) if state.counts[i] >= voters.fewest]
     mean = {i: state.sums[i] / state.counts[i] for i in heard}
     # Of the mean, squared: the change of two samples has twice the variance of one, and what moves
     # all sensors slowly is not in it.
@@ -192,7 +202,7 @@ def _judged(t_us: int, voters: Voters, state: VoteState) -> list[SensorDecision]
         if _is_off(
             mean[i] - mean[j],
             state.differences[i, j],
-            np.maximum(voters.least, ERRORS * np.sqrt(error[i] + error[j])),
+            np.maximum(voters.least, STANDARD_ERRORS * np.sqrt(error[i] + error[j])),
         )
     }
     alone = [
@@ -211,8 +221,9 @@ def _silent(state: VoteState) -> list[int]:
     state.missing = np.where(state.counts > 0, 0, state.missing + 1)
     return [
         i
-        for i in range(1, MOST)
-        if state.missing[i] >= LASTS and state.differences[0, i].windows >= LEARNT
+        for i in range(1, MOST_INSTANCES)
+        if state.missing[i] >= CONFIRM_WINDOWS
+        and state.differences[0, i].windows >= LEARNED_WINDOWS
     ]
 
 
@@ -220,24 +231,24 @@ def _pair(i: int, j: int) -> tuple[int, int]:
     return (min(i, j), max(i, j))
 
 
-def _is_off(now: Vector, known: Difference, least: Vector) -> bool:
+def _is_off(now: Vector, known: InstanceDifference, least: Vector) -> bool:
     """Whether a difference (n,) has left what it was, which is learnt where it has not."""
     change = now - known.mean
-    most = np.maximum(least, SIGMAS * np.sqrt(known.square))
+    most = np.maximum(least, CHANGE_SIGMAS * np.sqrt(known.square))
     # Nothing is learnt meanwhile, or the fault would become what is usual.
-    if known.windows >= LEARNT and (np.abs(change) > most).any():
+    if known.windows >= LEARNED_WINDOWS and (np.abs(change) > most).any():
         known.off += 1
-        return known.off >= LASTS
+        return known.off >= CONFIRM_WINDOWS
     known.off = 0
     known.windows += 1
     # A plain mean at first, then one that remembers some 30 s.
-    share = 1.0 / min(known.windows, MEMORY)
+    share = 1.0 / min(known.windows, MEMORY_WINDOWS)
     known.mean = known.mean + share * change
     known.square = known.square + share * (change**2 * (1.0 - share) - known.square)
     return False
 
 
-def _result(t_us: int, voters: Voters, who: list[int], says: str) -> SensorDecision:
+def _result(t_us: int, voters: VoterKind, who: list[int], says: str) -> SensorDecision:
     names = [f"{voters.name} {i + 1}" for i in who]
     return pattern_alarm(
         t_us,

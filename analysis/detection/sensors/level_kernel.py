@@ -17,20 +17,20 @@ FIELD, HAS_FIX = LEVELS = range(2)
 # Of each level: the least change that counts, upwards and downwards
 UP = np.array([0.05, np.inf])  # a fix that comes back is no fault
 DOWN = np.array([0.05, 0.5])
-SIGMAS = 8.0  # of the short mean about the long one
-SHORT_S, LONG_S, LEARNT_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
-LASTS_US, AGAIN_US = 300_000, 500_000
+CHANGE_SIGMAS = 8.0  # of the short mean about the long one
+SHORT_S, LONG_S, LEARNED_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
+CONFIRM_US, REPEAT_US = 300_000, 500_000
 GAP_US = 1_000_000  # after which a stream begins anew
 
 # Of the means, the last is the level from before; of the stamps in us: begin, newest, since when it
 # is off, when that was told last
-SHORT, LONG, SQUARE, HOME = range(4)
-BEGAN, NEWEST, OFF, TOLD = range(4)
+SHORT, LONG, SQUARE, PREVIOUS = range(4)
+BEGAN, NEWEST, OFF_SINCE, REPORTED = range(4)
 NEVER_US = -(1 << 62)
 
 
-class Levels(NamedTuple):
-    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `follow` changes them.
+class LevelState(NamedTuple):
+    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `track_levels` changes them.
 
     `rate` (1,) is how fast the vehicle turned when it was measured last, in rad/s.
     """
@@ -40,15 +40,15 @@ class Levels(NamedTuple):
     rate: Vector
 
 
-def no_levels() -> Levels:
+def new_levels() -> LevelState:
     """Nothing came yet."""
     stamps = np.full((len(LEVELS), 4), NEVER_US)
-    return Levels(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
+    return LevelState(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
 
 
 @compiled
-def follow(
-    level: NDArray[np.int64], t_us: NDArray[np.int64], value: Vector, kept: Levels
+def track_levels(
+    level: NDArray[np.int64], t_us: NDArray[np.int64], value: Vector, kept: LevelState
 ) -> Vector:
     """How far (n,) each quantity is off where that is to be told, 0 elsewhere.
 
@@ -72,22 +72,22 @@ def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np
     means[SHORT] += min(1.0, elapsed_s / SHORT_S) * (value - means[SHORT])
     change = means[SHORT] - means[LONG]
     least = UP[level] if change > 0.0 else DOWN[level]
-    known = t_us - stamps[BEGAN] > LEARNT_S * 1e6
-    limit = max(least, SIGMAS * np.sqrt(means[SQUARE]))
-    if known and abs(change) > limit and abs(means[SHORT] - means[HOME]) < limit:
-        means[LONG], means[HOME], stamps[OFF] = means[HOME], np.nan, NEVER_US
+    known = t_us - stamps[BEGAN] > LEARNED_S * 1e6
+    limit = max(least, CHANGE_SIGMAS * np.sqrt(means[SQUARE]))
+    if known and abs(change) > limit and abs(means[SHORT] - means[PREVIOUS]) < limit:
+        means[LONG], means[PREVIOUS], stamps[OFF_SINCE] = means[PREVIOUS], np.nan, NEVER_US
         return 0.0
     if known and abs(change) > limit:
-        if stamps[OFF] == NEVER_US:
-            stamps[OFF] = t_us
-        since_us = t_us - stamps[OFF]
+        if stamps[OFF_SINCE] == NEVER_US:
+            stamps[OFF_SINCE] = t_us
+        since_us = t_us - stamps[OFF_SINCE]
         if since_us > USUAL_S * 1e6:  # what lasts is what it is like now
-            means[HOME], means[LONG], stamps[OFF] = means[LONG], means[SHORT], NEVER_US
-        elif since_us >= LASTS_US and t_us - stamps[TOLD] >= AGAIN_US:
-            stamps[TOLD] = t_us
+            means[PREVIOUS], means[LONG], stamps[OFF_SINCE] = means[LONG], means[SHORT], NEVER_US
+        elif since_us >= CONFIRM_US and t_us - stamps[REPORTED] >= REPEAT_US:
+            stamps[REPORTED] = t_us
             return float(change)
         return 0.0
-    stamps[OFF] = NEVER_US
+    stamps[OFF_SINCE] = NEVER_US
     age_s = (t_us - stamps[BEGAN]) * 1e-6
     # A young stream's long mean is that of its age: its first value alone means little.
     share = min(1.0, elapsed_s / min(LONG_S, max(age_s, SHORT_S)))

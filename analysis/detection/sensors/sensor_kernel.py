@@ -21,9 +21,9 @@ from analysis.detection.sensors.sensor_models import (
 from analysis.samples.block import FIX, FIX_TYPE, IMU, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.linear import inverse, multiply
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_matrices
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 FAILS_TO_ISOLATE = 3
 SIZE_SIGMAS = 4.0  # by which the field's size must be off before it is the magnetometer's fault
@@ -31,20 +31,20 @@ STALE_US = 500_000
 SLOW_US, FAILS, ISOLATED, HEALTHY_US = range(4)  # of what is counted for each sensor
 NEVER_US = -(1 << 62)
 SAME_US = 10_000  # a fix belongs to the epoch of this instant: a receiver sends it after the ranges
-ROW, T_US, HOW, BY_FIX = range(4)  # of a decision
-UNTESTED, SOUND, UNSOUND = range(3)  # how
+ROW, T_US, REFERENCE, BY_FIX = range(4)  # of a decision
+UNTESTED, SOUND, FAULTY = range(3)  # how
 # Columns of an outcome, and how many; the last is a fix's type.
 OF_ROW, SENSOR, CODE, STATISTIC, DOF, IS_OUT, DECIDED_US, FIX_OF, OUTCOME = range(9)
-QUIET_S = 30.0  # in which a sensor shows how quiet it is
-SIGMA, WALK, QUIET = range(3)  # rows of the noise
+NOISE_MEMORY_S = 30.0  # in which a sensor shows how quiet it is
+SIGMA, WALK, LEAST_SIGMA = range(3)  # rows of the noise
 # By kind of sample the sensor it belongs to (of a fix the first of two); -1: none
 SENSOR_OF = (-1, 0, 1, 2, 3, 4, -1, -1, models.GPS_POSITION, -1, -1, -1, -1, -1)
 
 Counts = NDArray[np.int64]
 
 
-class Kept(NamedTuple):
-    """What is kept of s sensors; `judge` changes it in place.
+class SensorStates(NamedTuple):
+    """What is kept of s sensors; `run_sensor_tests` changes it in place.
 
     `stamps` (s,) and `values` (s, WIDTH): the newest sample since the newest decision, NEVER_US
     where there is none; `counts` (s, 4) and `slow` (s, 12): what is counted, and the slow states, b
@@ -60,9 +60,9 @@ class Kept(NamedTuple):
     last: Counts
     turning: Vector
 
-    def copy(self) -> "Kept":
+    def copy(self) -> "SensorStates":
         """The same, to be changed."""
-        return Kept(
+        return SensorStates(
             self.stamps.copy(),
             self.values.copy(),
             self.counts.copy(),
@@ -73,7 +73,7 @@ class Kept(NamedTuple):
         )
 
 
-class Rows(NamedTuple):
+class BlockRows(NamedTuple):
     """A block as the kernel reads it: kind (n,), t_us (n,), values (n, WIDTH)."""
 
     kind: Indices
@@ -81,7 +81,7 @@ class Rows(NamedTuple):
     values: Vector
 
 
-class Decisions(NamedTuple):
+class EpochDecisions(NamedTuple):
     """The detector's decisions on a block, and its filter before the first and at each.
 
     `numbers` (m, 4): row, stamp, how the filter is (UNTESTED, SOUND, UNSOUND) and whether a fix was
@@ -94,7 +94,7 @@ class Decisions(NamedTuple):
     inertial: Indices
 
 
-class Limits(NamedTuple):
+class SensorLimits(NamedTuple):
     """`noise` (3, s): one sigma, the slow states' walk and one sigma of the quietest sensor, as
     `SensorNoise` gives them; `thresholds` (4,) by degrees of freedom; `readmit_us`."""
 
@@ -104,12 +104,12 @@ class Limits(NamedTuple):
 
 
 @compiled
-def view(x: Vector, p: Vector, inertial: bool) -> Vector:
+def filter_view(x: Vector, p: Vector, inertial: bool) -> Vector:
     """The filter, state x (19,) and covariance p (18, 18), as the sensors see it (VIEW,)."""
     at = np.zeros(models.VIEW)
-    lat, lon, height = geodetic(x[0:3])
+    lat, lon, height = geodetic_position(x[0:3])
     axes = ned_axes(lat, lon)
-    rot = multiply(axes, matrix(x[6:10]))
+    rot = multiply_matrices(axes, rotation_matrix(x[6:10]))
     at[models.HEIGHT], at[models.UPRIGHT] = height, 1.0 if inertial else 0.0
     begins = (models.P_POSITION, models.P_VELOCITY, models.P_ATTITUDE)
     for i in range(3):
@@ -127,23 +127,23 @@ def view(x: Vector, p: Vector, inertial: bool) -> Vector:
 
 
 @compiled
-def _seen(
+def _innovation(
     sensor: int, z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """What the sensor's own function finds."""
     if sensor == models.MAG:
-        return models.mag(z, at, b, known, sigma, out)
+        return models.mag_innovation(z, at, b, known, sigma, out)
     if sensor == models.BARO:
-        return models.baro(z, at, b, known, sigma, out)
+        return models.baro_innovation(z, at, b, known, sigma, out)
     if sensor == models.AIRSPEED:
-        return models.airspeed(z, at, b, known, sigma, out)
+        return models.airspeed_innovation(z, at, b, known, sigma, out)
     if sensor == models.RANGE:
-        return models.rangefinder(z, at, b, known, sigma, out)
+        return models.range_innovation(z, at, b, known, sigma, out)
     if sensor == models.VISION:
-        return models.vision(z, at, b, known, sigma, out)
+        return models.vision_innovation(z, at, b, known, sigma, out)
     if sensor == models.GPS_POSITION:
-        return models.gps_position(z, at, b, known, sigma, out)
-    return models.gps_velocity(z, at, b, known, sigma, out)
+        return models.gps_position_innovation(z, at, b, known, sigma, out)
+    return models.gps_velocity_innovation(z, at, b, known, sigma, out)
 
 
 @compiled
@@ -159,8 +159,8 @@ def _updated(out: Vector, slow: Vector, m: int, k: int) -> tuple[float, Vector]:
             s[i, j] = out[S + i, j]
             for n in range(k):
                 s[i, j] += out[H + i, n] * ph[n, j]
-    inv = inverse(s)
-    gain = multiply(ph, inv)
+    inv = invert_positive_definite(s)
+    gain = multiply_matrices(ph, inv)
     q = 0.0
     after = slow.copy()
     for j in range(m):
@@ -195,15 +195,15 @@ def _with_hysteresis(count: Counts, failed: bool, own: bool, t_us: int, readmit_
 
 
 @compiled
-def _sigma(sensor: int, kept: Kept, noise: Vector) -> float:
+def _sigma(sensor: int, kept: SensorStates, noise: Vector) -> float:
     """One sigma of a sensor: what is assumed of any, or what it shows where that is less."""
     shown = math.sqrt(kept.shown[sensor])
-    sigma: float = min(noise[SIGMA, sensor], max(noise[QUIET, sensor], shown))
+    sigma: float = min(noise[SIGMA, sensor], max(noise[LEAST_SIGMA, sensor], shown))
     return sigma
 
 
 @compiled
-def _own(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
+def _is_own_fault(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
     """Whether what failed is the sensor's: a field of the right size in the wrong direction may be
     the attitude's fault, which is the IMU's."""
     if sensor != models.MAG:
@@ -217,7 +217,9 @@ def _own(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
 
 
 @compiled
-def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, float, int]:
+def _test(
+    sensor: int, at: Vector, kept: SensorStates, limits: SensorLimits
+) -> tuple[int, float, int]:
     """One sensor's test: code, statistic and degrees of freedom."""
     out = np.zeros((7, 3))
     noise = limits.noise
@@ -230,7 +232,7 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
     known = count[SLOW_US] != NEVER_US
     at[LATE_S] = (t_us - kept.stamps[sensor]) * 1e-6
     z, sigma = kept.values[sensor], _sigma(sensor, kept, noise)
-    code, m = _seen(sensor, z, at, states[:3], known, sigma, out)
+    code, m = _innovation(sensor, z, at, states[:3], known, sigma, out)
     if code == STARTED:
         for i in range(k):
             states[i] = out[V, i]
@@ -247,12 +249,12 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
         moved[3 + 4 * i] += noise[WALK, sensor] * dt_s
     q, after = _updated(out, moved, m, k)
     failed = not q <= limits.thresholds[m]
-    own = _own(sensor, z, states[:3], sigma)
+    own = _is_own_fault(sensor, z, states[:3], sigma)
     _with_hysteresis(count, failed, own, t_us, limits.readmit_us)
     if not failed and not count[ISOLATED]:  # or else the slow states keep still
         for i in range(12):
             states[i] = after[i]
-        share = min(dt_s / QUIET_S, 1.0)
+        share = min(dt_s / NOISE_MEMORY_S, 1.0)
         for i in range(m):
             kept.shown[sensor] += share / m * (out[V, i] ** 2 - kept.shown[sensor])
     count[SLOW_US] = t_us
@@ -260,7 +262,7 @@ def _test(sensor: int, at: Vector, kept: Kept, limits: Limits) -> tuple[int, flo
 
 
 @compiled
-def _keep(sensor: int, t_us: int, numbers: Vector, kept: Kept) -> None:
+def _store_sample(sensor: int, t_us: int, numbers: Vector, kept: SensorStates) -> None:
     """Take a sample as the sensor's newest."""
     kept.stamps[sensor] = t_us
     for i in range(len(numbers)):
@@ -268,27 +270,33 @@ def _keep(sensor: int, t_us: int, numbers: Vector, kept: Kept) -> None:
 
 
 @compiled
-def _decided(
+def _calls_for_tests(
     row: int, kind: int, t_us: int, decisions: Counts, used: int, last: Counts
 ) -> tuple[bool, int]:
     """Whether a row calls for tests, of which `last` is the decision; how many are used then."""
     if used < len(decisions) and decisions[used, ROW] == row:
-        if decisions[used, HOW] == UNTESTED:
+        if decisions[used, REFERENCE] == UNTESTED:
             return False, used + 1
         for i in range(4):
             last[i] = decisions[used, i]
         return True, used + 1
-    fits = kind == FIX and last[HOW] != UNTESTED and abs(t_us - last[T_US]) <= SAME_US
+    fits = kind == FIX and last[REFERENCE] != UNTESTED and abs(t_us - last[T_US]) <= SAME_US
     return fits, used
 
 
 @compiled
 def _outcomes(
-    row: int, first: int, at: Vector, kept: Kept, limits: Limits, found: Vector, count: int
+    row: int,
+    first: int,
+    at: Vector,
+    kept: SensorStates,
+    limits: SensorLimits,
+    found: Vector,
+    count: int,
 ) -> int:
     """The tests of the `first` sensor and those behind it at a decision, added to `found` behind
     `count`; how many there are."""
-    sound = kept.last[HOW] == SOUND
+    sound = kept.last[REFERENCE] == SOUND
     for sensor in range(first, len(kept.stamps)):
         late_us = abs(kept.stamps[sensor] - kept.last[T_US])
         if kept.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
@@ -311,7 +319,7 @@ def _outcomes(
 
 
 @compiled
-def _turning(rates: Vector, kept: Kept) -> None:
+def _update_turn_rate(rates: Vector, kept: SensorStates) -> None:
     """Keep the greatest rate of turn."""
     rate = math.sqrt(rates[0] ** 2 + rates[1] ** 2 + rates[2] ** 2)
     if rate > kept.turning[0]:  # not where it is no number
@@ -319,7 +327,9 @@ def _turning(rates: Vector, kept: Kept) -> None:
 
 
 @compiled
-def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vector:
+def run_sensor_tests(
+    rows: BlockRows, decisions: EpochDecisions, kept: SensorStates, limits: SensorLimits
+) -> Vector:
     """Every sensor's test at each decision on an epoch; a receiver's at fixes that belong to one.
 
     `kept` is changed in place. The outcomes (k, OUTCOME) are: row, sensor, code, statistic, degrees
@@ -336,13 +346,13 @@ def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vecto
         kind, t_us = rows.kind[row], rows.t_us[row]
         sensor = SENSOR_OF[kind]
         if sensor >= 0:
-            _keep(sensor, t_us, rows.values[row], kept)
+            _store_sample(sensor, t_us, rows.values[row], kept)
         elif kind == IMU:
-            _turning(rows.values[row], kept)
+            _update_turn_rate(rows.values[row], kept)
         if kind == FIX:
-            _keep(sensor + 1, t_us, rows.values[row], kept)
+            _store_sample(sensor + 1, t_us, rows.values[row], kept)
         before = used
-        fits, used = _decided(row, kind, t_us, decisions.numbers, used, kept.last)
+        fits, used = _calls_for_tests(row, kind, t_us, decisions.numbers, used, kept.last)
         if not fits:
             continue
         # A fix may come long after its epoch, when the others' newest samples are of the next one.
@@ -352,8 +362,8 @@ def judge(rows: Rows, decisions: Decisions, kept: Kept, limits: Limits) -> Vecto
         if kept.stamps.max() == NEVER_US:
             continue
         at = np.zeros(models.VIEW)
-        if kept.last[HOW] == SOUND:
-            at = view(decisions.x[used], decisions.p[used], decisions.inertial[used] != 0)
+        if kept.last[REFERENCE] == SOUND:
+            at = filter_view(decisions.x[used], decisions.p[used], decisions.inertial[used] != 0)
             at[models.TURNING] = kept.turning[0]
         count = _outcomes(row, first, at, kept, limits, found, count)
         if first == 0:

@@ -116,7 +116,7 @@ def density_kgpm3(altitude_m: float) -> float:
 
 
 @compiled
-def _own(out: Vector, b: Vector, known: bool, count: int) -> tuple[int, int]:
+def _offset_innovation(out: Vector, b: Vector, known: bool, count: int) -> tuple[int, int]:
     """A sensor that sees its own slow states: less these, or these to begin with."""
     if not known:
         return STARTED, count
@@ -133,7 +133,7 @@ def _finite(z: Vector) -> bool:
 
 
 @compiled
-def mag(
+def mag_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The field in NED is steady."""
@@ -155,11 +155,11 @@ def mag(
                 out[S + i, j] += part
         # What it may have turned between the sample and the state, about any axis.
         out[S + i, i] += sigma**2 + turned_sq * (x * x + y * y + z_ * z_)
-    return _own(out, b, known, 3)
+    return _offset_innovation(out, b, known, 3)
 
 
 @compiled
-def baro(
+def baro_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Pressure altitude less height is steady."""
@@ -167,11 +167,11 @@ def baro(
         return NO_PRESSURE, 0
     out[V, 0] = pressure_altitude_m(z[0]) - at[HEIGHT]
     out[S, 0] = sigma**2 + at[P_POSITION + 8]
-    return _own(out, b, known, 1)
+    return _offset_innovation(out, b, known, 1)
 
 
 @compiled
-def airspeed(
+def airspeed_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Dynamic pressure is that of the velocity less a level wind."""
@@ -196,7 +196,7 @@ def airspeed(
 
 
 @compiled
-def rangefinder(
+def range_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """Height less the distance, upright, is that of the terrain."""
@@ -212,11 +212,11 @@ def rangefinder(
     # A tilt that is wrong moves the height of the foot by the beam's level part times the angle.
     slant = level**2 * tilt if known_upright else (UNKNOWN_SLANT * z[0]) ** 2
     out[S, 0] = sigma**2 + at[P_POSITION + 8] + slant
-    return _own(out, b, known, 1)
+    return _offset_innovation(out, b, known, 1)
 
 
 @compiled
-def vision(
+def vision_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The origin of a local position, in ECEF, is steady."""
@@ -239,7 +239,7 @@ def vision(
 
 
 @compiled
-def gps_position(
+def gps_position_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
@@ -253,11 +253,11 @@ def gps_position(
             out[V, i] += at[AXES + 3 * i + j] * off[j]
             out[S + i, j] = at[P_POSITION + 3 * i + j]
         out[S + i, i] += sigma**2
-    return _own(out, b, known, 3)
+    return _offset_innovation(out, b, known, 3)
 
 
 @compiled
-def gps_velocity(
+def gps_velocity_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
     """The receiver's velocity is the filter's; its last part may be missing."""

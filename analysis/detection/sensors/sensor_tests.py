@@ -12,8 +12,8 @@ with a false-alarm probability of its own (`p_other`). A sensor that fails sever
 isolated until it has been healthy for `readmit_s`; its slow states stand still meanwhile. How each
 is predicted is in `sensor_models`.
 
-`References` contains the detector: its results are the detector's and the sensors' together, so a
-pipeline holds either a `Detector` or a `References`.
+`NavigationDetector` contains the detector: its results are the detector's and the sensors'
+together, so a pipeline holds either a `Detector` or a `NavigationDetector`.
 """
 
 import math
@@ -26,14 +26,15 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
-from analysis.detection.detector_state import State
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import ERRORS, X_SIZE
-from analysis.detection.isolation.chi_square import chi_square
+from analysis.detection.detector_state import DetectorState
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE
+from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.sensors.sensor_kernel import (
     CODE,
     DECIDED_US,
     DOF,
+    FAULTY,
     FIX_OF,
     HEALTHY_US,
     IS_OUT,
@@ -45,34 +46,35 @@ from analysis.detection.sensors.sensor_kernel import (
     SOUND,
     STALE_US,
     STATISTIC,
-    UNSOUND,
     UNTESTED,
-    Decisions,
-    Kept,
-    Limits,
-    Rows,
-    judge,
+    BlockRows,
+    EpochDecisions,
+    SensorLimits,
+    SensorStates,
+    run_sensor_tests,
 )
 from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
 from analysis.results import Decision, Result, SensorDecision
-from analysis.samples.block import WIDTH, Block, Piece, block_of, pieces
+from analysis.samples.block import WIDTH, Block, BlockSlice, block_of, split_at_events
 from analysis.samples.sample import Sample, Vector
 
 STALE_S = STALE_US * 1e-6  # older samples are not tested
-FITTING = ("none", "satellites", "clock", "gps")  # hypotheses that leave the filter sound
-Decided = tuple[int, Decision, Motion | None]  # a block's row, the decision there, and the filter
+SOUND_FILTER = ("none", "satellites", "clock", "gps")  # hypotheses that leave the filter sound
+EpochReference = tuple[
+    int, Decision, MotionEstimate | None
+]  # a block's row, the decision there, and the filter
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceState:
+class NavigationState:
     """The detector's state and what is kept of the other sensors."""
 
-    detector: State
-    kept: Kept
+    detector: DetectorState
+    kept: SensorStates
 
 
 @dataclass(frozen=True)
-class References:
+class NavigationDetector:
     """The detector and the tests of the other sensors against it."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
@@ -85,19 +87,21 @@ class References:
 
     @cached_property
     def _thresholds(self) -> Vector:
-        return np.array([0.0, *(chi_square(dof, self.config.p_other) for dof in (1, 2, 3))])
+        return np.array(
+            [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
+        )
 
     @cached_property
-    def _limits(self) -> Limits:
+    def _limits(self) -> SensorLimits:
         noise = np.array([self.sensors.sigmas(), self.sensors.walks(), self.sensors.quiet()])
-        return Limits(noise, self._thresholds, self.config.readmit_s * 1e6)
+        return SensorLimits(noise, self._thresholds, self.config.readmit_s * 1e6)
 
-    def new_state(self) -> ReferenceState:
+    def new_state(self) -> NavigationState:
         """Nothing known."""
         count = len(SENSORS)
         counts = np.zeros((count, 4), np.int64)
         counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
-        kept = Kept(
+        kept = SensorStates(
             np.full(count, NEVER_US),
             np.zeros((count, WIDTH)),
             counts,
@@ -106,76 +110,88 @@ class References:
             np.full(4, UNTESTED),
             np.zeros(1),
         )
-        return ReferenceState(self.detector.new_state(), kept)
+        return NavigationState(self.detector.new_state(), kept)
 
     def step(
-        self, samples: Sample | Block, state: ReferenceState
-    ) -> tuple[list[Result], ReferenceState]:
+        self, samples: Sample | Block, state: NavigationState
+    ) -> tuple[list[Result], NavigationState]:
         """Decisions that a block of samples, or a single one, allows, and the next state."""
         block = samples if isinstance(samples, Block) else block_of(samples)
         found, state = self.step_rows(block, state)
         return [result for _, result in sorted(found, key=itemgetter(0))], state
 
     def step_rows(
-        self, block: Block, state: ReferenceState
-    ) -> tuple[list[tuple[int, Result]], ReferenceState]:
+        self, block: Block, state: NavigationState
+    ) -> tuple[list[tuple[int, Result]], NavigationState]:
         """The same, each with the row of the block that led to it: the detector's, then others."""
         found: list[tuple[int, Result]] = []
-        decided: list[Decided] = []
+        decided: list[EpochReference] = []
         before, detector = state.detector.core.motion, state.detector
 
         def wanted(t_us: int) -> bool:
             return self.detector.wants_fix(detector.core, t_us)
 
-        for piece in pieces(block, wanted):
+        for piece in split_at_events(block, wanted):
             results, detector = self.detector.step_piece(piece, detector)
             found += [(piece.last, result) for result in results]
-            decided += _decided(piece.last, results, detector)
+            decided += _epoch_reference(piece.last, results, detector)
         tested, kept = self._judged(block, decided, before, state.kept)
-        return found + tested, ReferenceState(detector, kept)
+        return found + tested, NavigationState(detector, kept)
 
     def step_piece(
-        self, piece: Piece, state: ReferenceState
-    ) -> tuple[list[Result], ReferenceState]:
+        self, piece: BlockSlice, state: NavigationState
+    ) -> tuple[list[Result], NavigationState]:
         """The same for samples up to an event, where something else moves the filter meanwhile."""
         results, detector = self.detector.step_piece(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
-        decided = _decided(piece.last - piece.first, results, detector)
+        decided = _epoch_reference(piece.last - piece.first, results, detector)
         tested, kept = self._judged(rows, decided, detector.core.motion, state.kept)
-        return [*results, *(result for _, result in tested)], ReferenceState(detector, kept)
+        return [*results, *(result for _, result in tested)], NavigationState(detector, kept)
 
     def _judged(
-        self, block: Block, decided: Sequence[Decided], before: Motion | None, kept: Kept
-    ) -> tuple[list[tuple[int, Result]], Kept]:
+        self,
+        block: Block,
+        decided: Sequence[EpochReference],
+        before: MotionEstimate | None,
+        kept: SensorStates,
+    ) -> tuple[list[tuple[int, Result]], SensorStates]:
         """The sensors' tests at some decisions; `before` is the filter until the first."""
         if not decided and not _OF_SENSORS[block.kind].any():
             return [], kept
         # The kernel changes it in place; the state that was handed in stays as it is.
         kept = kept.copy()
         motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
-        decisions = Decisions(
-            np.array([_numbers(*row) for row in decided], np.int64).reshape(-1, 4),
+        decisions = EpochDecisions(
+            np.array([_kernel_row(*row) for row in decided], np.int64).reshape(-1, 4),
             np.array([motion.x for motion in motions]),
             np.array([motion.p for motion in motions]),
             np.array([motion.inertial for motion in motions], np.int64),
         )
-        rows = Rows(block.kind, block.t_us, block.values)
-        return _results(judge(rows, decisions, kept, self._limits), self._thresholds), kept
+        rows = BlockRows(block.kind, block.t_us, block.values)
+        return _results(
+            run_sensor_tests(rows, decisions, kept, self._limits), self._thresholds
+        ), kept
 
 
 _OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
-_START = Motion(0, np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS)))
+_START = MotionEstimate(0, np.zeros(X_SIZE), np.zeros((ERROR_SIZE, ERROR_SIZE)))
 
 
-def _decided(row: int, results: Sequence[Result], detector: State) -> list[Decided]:
+def _epoch_reference(
+    row: int, results: Sequence[Result], detector: DetectorState
+) -> list[EpochReference]:
     """The decision among the results of a row, if any."""
     return [(row, r, detector.core.motion) for r in results if isinstance(r, Decision)][:1]
 
 
-def _numbers(row: int, decision: Decision, motion: Motion | None) -> tuple[int, int, int, bool]:
+def _kernel_row(
+    row: int, decision: Decision, motion: MotionEstimate | None
+) -> tuple[int, int, int, bool]:
     """A decision as the kernel takes it."""
     bounded = decision.position_sigma_m is not None
-    how = SOUND if motion is not None and decision.hypothesis in FITTING and bounded else UNSOUND
+    how = (
+        SOUND if motion is not None and decision.hypothesis in SOUND_FILTER and bounded else FAULTY
+    )
     # The epoch was untestable, so nothing is predicted to test against.
     if decision.mode == "":
         how = UNTESTED

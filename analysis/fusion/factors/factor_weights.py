@@ -6,11 +6,13 @@ from collections.abc import Iterable, Sequence
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Decision, Result, SensorDecision
 
-SOUND = ("none", "satellites", "clock", "gps", "imu")
-DOUBTED = 0.7  # of the root of a sensor's threshold: from here its weight falls to 0 at the alarm
+USABLE_HYPOTHESES = ("none", "satellites", "clock", "gps", "imu")
+DEWEIGHT_FROM = (
+    0.7  # of the root of a sensor's threshold: from here its weight falls to 0 at the alarm
+)
 
 
-def weight(normalised: float, suspicious: float, hopeless: float) -> float:
+def residual_weight(normalised: float, suspicious: float, hopeless: float) -> float:
     """s(r) of a normalised residual: 1 up to `suspicious`, 0 from `hopeless`.
 
     Between them 1 - 3 u^2 + 2 u^3 with u the share of the way, so that neither the weight nor its
@@ -29,7 +31,7 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     """
     if not config.decide:
         return dict.fromkeys((*decision.satellites, *decision.excluded), 1.0)
-    if decision.hypothesis not in SOUND:
+    if decision.hypothesis not in USABLE_HYPOTHESES:
         return dict.fromkeys(decision.satellites, 0.0)
     # Also without an alarm: the detector says that it could not tell.
     weights = dict.fromkeys(decision.satellites, 1.0)
@@ -38,12 +40,12 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
             # A residual that is unknown counts as hopeless.
             residual = float("inf") if value is None else value
             if not abs(residual) <= config.suspicious:
-                weights[name] = weight(residual, config.suspicious, config.hopeless)
+                weights[name] = residual_weight(residual, config.suspicious, config.hopeless)
     weights.update(dict.fromkeys(decision.excluded, 0.0))
     return weights
 
 
-def wrong_rates(results: Sequence[Result]) -> frozenset[str]:
+def faulty_rates(results: Sequence[Result]) -> frozenset[str]:
     """Satellites whose Doppler rate was found wrong at this epoch, and whose range was not."""
     return frozenset(
         result.suspect
@@ -61,10 +63,10 @@ def sensor_weights(
     weights = {}
     for result in results:
         if isinstance(result, SensorDecision) and result.statistic is not None and result.threshold:
-            weights[result.sensor] = weight(
+            weights[result.sensor] = residual_weight(
                 # The root, since statistics are squares of normalised residuals.
                 math.sqrt(result.statistic / result.threshold),
-                DOUBTED,
+                DEWEIGHT_FROM,
                 1.0,
             )
     # Isolated sensors last: what was isolated has no weight, whatever its statistic.

@@ -7,12 +7,12 @@ window.
 
 import gtsam
 
-from analysis.fusion.window import Window
+from analysis.fusion.window import FactorWindow
 
-INLIER = 0.5  # weights end near 0 or 1
+INLIER_WEIGHT = 0.5  # weights end near 0 or 1
 
 
-def outliers(window: Window, sources: frozenset[str]) -> list[tuple[str, int]]:
+def find_outliers(window: FactorWindow, sources: frozenset[str]) -> list[tuple[str, int]]:
     """Source and epoch of what does not fit the rest of the window, among some sources.
 
     Raises
@@ -37,4 +37,4 @@ def outliers(window: Window, sources: frozenset[str]) -> list[tuple[str, int]]:
     optimizer = gtsam.GncLMOptimizer(graph, window.smoother.calculateEstimate(), params)
     optimizer.optimize()
     weights = optimizer.getWeights()
-    return [names[slot] for i, slot in enumerate(slots) if weights[i] < INLIER]
+    return [names[slot] for i, slot in enumerate(slots) if weights[i] < INLIER_WEIGHT]

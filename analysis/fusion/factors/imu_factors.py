@@ -15,35 +15,35 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.detection_config import Noise
-from analysis.fusion.local_frame import Frame
+from analysis.detection.detection_config import ProcessNoise
+from analysis.fusion.local_frame import LocalFrame
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-INTEGRATION_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-STEP_S = 0.1  # faster samples are put together first; what is left out is of third order
-FICTION_STEP_S = 0.05
+INTEGRATION_SIGMA_M = 1e-3  # m/sqrt(s), position noise of the integration itself
+MAX_STEP_S = 0.1  # faster samples are put together first; what is left out is of third order
+MODEL_STEP_S = 0.05
 # Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
 # changes more evenly than white noise that allows for the change would.
-EVEN = 0.25
+MOTION_NOISE_SHARE = 0.25
 FREE_RATE_RPS = 30.0  # of a motion that says nothing of the attitude
 
 
-def imu_params(frame: Frame, r_m: Vector, noise: Noise) -> Any:
+def imu_params(frame: LocalFrame, r_m: Vector, noise: ProcessNoise) -> Any:
     """What preintegration takes for granted at a position (3,) in ECEF, in m."""
     return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
 
 
-def preintegrate(samples: Vector, bias: Any, params: Any) -> Any:
+def preintegrate_imu(samples: Vector, bias: Any, params: Any) -> Any:
     """The IMU's samples (k, 7) of `propagation.segment`: step in s, rates, specific force."""
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-    for row in condensed(samples, STEP_S):
+    for row in condense_samples(samples, MAX_STEP_S):
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
     return preintegrated
 
 
 @compiled
-def condensed(samples: Vector, step_s: float) -> Vector:
+def condense_samples(samples: Vector, step_s: float) -> Vector:
     """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
 
     A run's rate is its rotation vector over its time and its force that in the axes at its begin:
@@ -92,23 +92,29 @@ def _cross(a: Vector, b: Vector, out: Vector) -> None:
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-def imagine(dt_s: float, bias: Any, frame: Frame, noise: Noise, rate_sigma_rps: float) -> Any:
+def motion_model(
+    dt_s: float, bias: Any, frame: LocalFrame, noise: ProcessNoise, rate_sigma_rps: float
+) -> Any:
     """The motion model over `dt_s`, for a body whose rates have the sigma `rate_sigma_rps`."""
-    params = _params(np.zeros(3), frame, noise, rate_sigma_rps, EVEN * noise.motion_mps2)
+    params = _params(
+        np.zeros(3), frame, noise, rate_sigma_rps, MOTION_NOISE_SHARE * noise.motion_mps2
+    )
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-    steps = max(round(dt_s / FICTION_STEP_S), 2)
+    steps = max(round(dt_s / MODEL_STEP_S), 2)
     for _ in range(steps):
         # The biases as measured values: GTSAM takes them off, and no force or rotation remains.
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)
     return preintegrated
 
 
-def _params(gravity: Vector, frame: Frame, noise: Noise, gyro: float, accel: float) -> Any:
+def _params(
+    gravity: Vector, frame: LocalFrame, noise: ProcessNoise, gyro: float, accel: float
+) -> Any:
     params = gtsam.PreintegrationCombinedParams(gravity)
     unit = np.eye(3)
     params.setGyroscopeCovariance(unit * gyro**2)
     params.setAccelerometerCovariance(unit * accel**2)
-    params.setIntegrationCovariance(unit * INTEGRATION_M**2)
+    params.setIntegrationCovariance(unit * INTEGRATION_SIGMA_M**2)
     params.setBiasOmegaCovariance(unit * noise.gyro_walk**2)
     params.setBiasAccCovariance(unit * noise.accel_walk**2)
     params.setOmegaCoriolis(frame.earth_rate())

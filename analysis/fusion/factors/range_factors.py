@@ -11,13 +11,13 @@ import gtsam
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import Core
+from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.inertial import R
-from analysis.detection.filter.measurement import Observed
-from analysis.detection.filter.offsets import frozen_m
-from analysis.fusion.factors.factor_weights import weight
+from analysis.detection.filter.measurement import EpochObservation
+from analysis.detection.filter.offsets import frozen_offsets_m
+from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.factors.range_rows import (
-    ABOVE,
+    ABOVE_MASK,
     CORRECTED,
     NORMALISED,
     RATE,
@@ -26,24 +26,24 @@ from analysis.fusion.factors.range_rows import (
     NodeState,
     range_table,
     snapshot_covariance,
-    whitened,
+    whiten_rows,
 )
-from analysis.fusion.factors.unary_factors import unit
+from analysis.fusion.factors.unary_factors import unit_noise
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.fusion.graph_start import Clock, Node
-from analysis.fusion.learnt_noise import Learnt
-from analysis.fusion.local_frame import Frame
-from analysis.fusion.window import key
+from analysis.fusion.graph_start import ClockState, Node
+from analysis.fusion.learned_noise import LearnedNoise
+from analysis.fusion.local_frame import LocalFrame
+from analysis.fusion.window import variable_key
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.orbits.snapshot import systems_of
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
-NO_ARM = np.zeros(3)
-LEAST_WEIGHT = 0.02  # less is left out
+NO_LEVER_ARM = np.zeros(3)
+MIN_WEIGHT = 0.02  # less is left out
 
 
-class Ranges:
+class EpochRanges:
     """What one epoch measured, corrected by the models at the filter's state x (21,).
 
     Weights (n,) are those of the satellites in their order, 0 for what is left out. The offsets
@@ -52,9 +52,9 @@ class Ranges:
 
     def __init__(
         self,
-        observed: Observed,
+        observed: EpochObservation,
         x: Vector,
-        core: Core,
+        core: DetectorCore,
         config: FusionConfig,
         detector: DetectorConfig,
         t_us: int,
@@ -62,7 +62,7 @@ class Ranges:
         self.satellites = observed.satellites
         self._observed, self._config, self._doppler = observed, config, detector.doppler
         self._r_m = x[R : R + 3]
-        offset_m = frozen_m(core, observed.satellites, t_us, detector)
+        offset_m = frozen_offsets_m(core, observed.satellites, t_us, detector)
         measured = observed.measured
         self.table = range_table(
             measured._replace(pseudorange_m=measured.pseudorange_m - offset_m),
@@ -93,10 +93,10 @@ class Ranges:
     def weights(self, by_name: dict[str, float]) -> Vector:
         """Weights of those above the mask that have one worth it."""
         given = [by_name.get(name, 0.0) for name in self.satellites]
-        above = self.table[:, ABOVE].tolist()
+        above = self.table[:, ABOVE_MASK].tolist()
         # 0 where the satellite is below the mask.
         return np.array(
-            [a if a >= LEAST_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
+            [a if a >= MIN_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
         )
 
     def own_weights(self, excluded: frozenset[str]) -> Vector:
@@ -107,17 +107,25 @@ class Ranges:
         normalised = zip(self.satellites, self.table[:, NORMALISED].tolist(), strict=True)
         return self.weights(
             {
-                name: 0.0 if name in excluded else weight(value, config.suspicious, config.hopeless)
+                name: 0.0
+                if name in excluded
+                else residual_weight(value, config.suspicious, config.hopeless)
                 for name, value in normalised
             }
         )
 
-    def learn(self, learnt: Learnt) -> None:
+    def learn(self, learnt: LearnedNoise) -> None:
         """Take over what is known of the rates' sigmas."""
         learnt.scale(self.satellites, self.table[:, RATE_SIGMA])
 
     def factor(
-        self, node: Node, origin: Any, frame: Frame, clock: Clock, weights: Vector, rates_only: bool
+        self,
+        node: Node,
+        origin: Any,
+        frame: LocalFrame,
+        clock: ClockState,
+        weights: Vector,
+        rates_only: bool,
     ) -> Any | None:
         """All pseudoranges and rates of an epoch in one factor on pose, velocity and clock; None
         where there are none. `weights` (n,) are those of the satellites.
@@ -128,7 +136,7 @@ class Ranges:
         of the node.
         """
         pose = node.pose.matrix()
-        rows = whitened(
+        rows = whiten_rows(
             self.table,
             weights,
             frame.axes,
@@ -139,14 +147,14 @@ class Ranges:
         )
         if not len(rows):
             return None
-        x, v, c = (key(letter, node.epoch) for letter in "xvc")
+        x, v, c = (variable_key(letter, node.epoch) for letter in "xvc")
         row = gtsam.JacobianFactor(
-            x, rows[:, :6], v, rows[:, 6:9], c, rows[:, 9:11], rows[:, 11], unit(len(rows))
+            x, rows[:, :6], v, rows[:, 6:9], c, rows[:, 9:11], rows[:, 11], unit_noise(len(rows))
         )
         return gtsam.LinearContainerFactor(row, origin)
 
     def pseudorange(
-        self, i: int, pose: int, seconds: int, frame: Frame, clock: Clock, noise: Any
+        self, i: int, pose: int, seconds: int, frame: LocalFrame, clock: ClockState, noise: Any
     ) -> Any:
         """One satellite's factor on a pose and a clock in seconds, two keys."""
         state = self._observed.states[i]
@@ -156,7 +164,7 @@ class Ranges:
             # The graph's clock counts from here, which keeps its variable small.
             self.table[i, CORRECTED] - clock[0],
             state[:3],
-            NO_ARM,
+            NO_LEVER_ARM,
             frame.pose,
             state[SAT_CLOCK] / SPEED_OF_LIGHT_MPS,
             noise,

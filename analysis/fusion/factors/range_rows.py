@@ -7,26 +7,31 @@ import numpy as np
 
 from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
-from analysis.detection.filter.measurement import Indices, Measured, modelled_at, states_at
+from analysis.detection.filter.measurement import (
+    EpochMeasurements,
+    Indices,
+    innovations_kernel,
+    transmitting_states,
+)
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.orbits.broadcast import CLOCKS
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.numerics.linear import inverse
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
 # Columns of the table of a satellite: its range and rate as they would be without delays, satellite
 # clock and satellite's motion; the range less what it is from the filter's position; sigmas; line
 # of sight; innovations over the detector's sigmas; whether it is above the mask.
-CORRECTED, RATE, REMAINING, SIGMA, RATE_SIGMA, LOS, NORMALISED, ABOVE = 0, 1, 2, 3, 4, 5, 8, 10
+CORRECTED, RATE, RESIDUAL, SIGMA, RATE_SIGMA, LOS, NORMALISED, ABOVE_MASK = 0, 1, 2, 3, 4, 5, 8, 10
 COLUMNS = 11
 # Columns of a row: rotation and shift of the pose, velocity, clock, drift, and the right side.
-SHIFT, VELOCITY, CLOCK, DRIFT, GOAL, ROW = 3, 6, 9, 10, 11, 12
+SHIFT, VELOCITY, CLOCK, DRIFT, RIGHT_SIDE, ROW = 3, 6, 9, 10, 11, 12
 
 
 @compiled
 def range_table(
-    measured: Measured,
+    measured: EpochMeasurements,
     x: Vector,
     ionosphere: Vector,
     sigma: SigmaNumbers,
@@ -34,8 +39,8 @@ def range_table(
     mask_rad: float,
 ) -> Vector:
     """The table (n, COLUMNS) of an epoch's satellites at the filter's state x (21,)."""
-    states = states_at(measured)
-    modelled = modelled_at(measured, states, x, ionosphere, sigma)
+    states = transmitting_states(measured)
+    modelled = innovations_kernel(measured, states, x, ionosphere, sigma)
     out = np.empty((states.shape[0], COLUMNS))
     for i in range(out.shape[0]):
         square, along = 0.0, 0.0
@@ -47,14 +52,14 @@ def range_table(
             GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS
         )
         white = math.sqrt(modelled.variance[i])
-        out[i, REMAINING] = modelled.v_m[i] + x[X_CLOCK]
-        out[i, CORRECTED] = out[i, REMAINING] + math.sqrt(square) + sagnac - states[i, SAT_CLOCK]
+        out[i, RESIDUAL] = modelled.v_m[i] + x[X_CLOCK]
+        out[i, CORRECTED] = out[i, RESIDUAL] + math.sqrt(square) + sagnac - states[i, SAT_CLOCK]
         out[i, RATE] = modelled.v_mps[i] + x[X_DRIFT] - along
         out[i, SIGMA] = correlation * white
         out[i, RATE_SIGMA] = math.sqrt(modelled.rate_variance[i])
         out[i, NORMALISED] = modelled.v_m[i] / white
         out[i, NORMALISED + 1] = modelled.v_mps[i] / out[i, RATE_SIGMA]
-        out[i, ABOVE] = 1.0 if modelled.elevation_rad[i] >= mask_rad else 0.0
+        out[i, ABOVE_MASK] = 1.0 if modelled.elevation_rad[i] >= mask_rad else 0.0
     return out
 
 
@@ -68,7 +73,7 @@ class NodeState(NamedTuple):
 
 
 @compiled
-def whitened(
+def whiten_rows(
     table: Vector,
     weights: Vector,
     axes: Vector,
@@ -100,16 +105,16 @@ def whitened(
                 for j in range(3):
                     sight[k] += share * axes[k, j] * table[i, LOS + j]
             if kind == 0:
-                row[CLOCK], row[GOAL] = share, share * (table[i, REMAINING] - at.clock_m)
+                row[CLOCK], row[RIGHT_SIDE] = share, share * (table[i, RESIDUAL] - at.clock_m)
                 for k in range(3):
-                    row[GOAL] += sight[k] * ahead_m[k]
+                    row[RIGHT_SIDE] += sight[k] * ahead_m[k]
                     for j in range(3):
                         row[SHIFT + k] -= sight[j] * at.pose[j, k]
             else:
-                row[DRIFT], row[GOAL] = share, share * (table[i, RATE] - at.drift_mps)
+                row[DRIFT], row[RIGHT_SIDE] = share, share * (table[i, RATE] - at.drift_mps)
                 for k in range(3):
                     row[VELOCITY + k] = -sight[k]
-                    row[GOAL] += sight[k] * at.velocity[k]
+                    row[RIGHT_SIDE] += sight[k] * at.velocity[k]
     return out[:count]
 
 
@@ -137,7 +142,7 @@ def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: 
         for k in range(size):
             for j in range(size):
                 normal[k, j] += row[k] * row[j]
-    cofactor, out = inverse(normal), np.empty((3, 3))
+    cofactor, out = invert_positive_definite(normal), np.empty((3, 3))
     for k in range(3):
         for j in range(3):
             # With fewer satellites than unknowns rounding may still leave something to invert.

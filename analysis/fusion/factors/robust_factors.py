@@ -8,24 +8,29 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.fusion.factors.range_factors import Ranges
-from analysis.fusion.factors.unary_factors import NO_CLOCK, unit
-from analysis.fusion.graph_start import Clock
-from analysis.fusion.local_frame import Frame
-from analysis.fusion.window import key
+from analysis.fusion.factors.range_factors import EpochRanges
+from analysis.fusion.factors.unary_factors import NO_CLOCK, unit_noise
+from analysis.fusion.graph_start import ClockState
+from analysis.fusion.local_frame import LocalFrame
+from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
-HUBER = 1.345  # 95 % efficiency for normal noise (Huber 1964)
-GEMAN = 3.0
-TIED_M = 0.05  # far below a range's sigma
+HUBER_SIGMAS = 1.345  # 95 % efficiency for normal noise (Huber 1964)
+GEMAN_SIGMAS = 3.0
+CLOCK_TIE_M = 0.05  # far below a range's sigma
 
 
-def pseudoranges(
-    ranges: Ranges, weights: Vector, epoch: int, frame: Frame, clock: Clock, robust: str
+def pseudorange_factors(
+    ranges: EpochRanges,
+    weights: Vector,
+    epoch: int,
+    frame: LocalFrame,
+    clock: ClockState,
+    robust: str,
 ) -> dict[str, Any]:
     """Factors by satellite with a weight (n,), on the pose and the clock in seconds of an epoch."""
-    x, r = key("x", epoch), key("r", epoch)
+    x, r = variable_key("x", epoch), variable_key("r", epoch)
     return {
         ranges.satellites[i]: ranges.pseudorange(
             i, x, r, frame, clock, _loss(robust, ranges.sigma_m[i])
@@ -34,21 +39,21 @@ def pseudoranges(
     }
 
 
-def clock_in_seconds(epoch: int) -> tuple[Any, Any]:
+def clock_seconds_factor(epoch: int) -> tuple[Any, Any]:
     """The clock in seconds with a first guess, and the factor that ties it."""
     # A first guess of zero: the tie below sets it at once.
-    c, r = key("c", epoch), key("r", epoch)
+    c, r = variable_key("c", epoch), variable_key("r", epoch)
     guess = gtsam.Values()
     guess.insert(r, 0.0)
     origin = gtsam.Values(guess)
     origin.insert(c, NO_CLOCK)
     row = gtsam.JacobianFactor(
         c,
-        np.array([[1.0 / TIED_M, 0.0]]),
+        np.array([[1.0 / CLOCK_TIE_M, 0.0]]),
         r,
-        np.array([[-SPEED_OF_LIGHT_MPS / TIED_M]]),
+        np.array([[-SPEED_OF_LIGHT_MPS / CLOCK_TIE_M]]),
         np.zeros(1),
-        unit(1),
+        unit_noise(1),
     )
     return guess, gtsam.LinearContainerFactor(row, origin)
 
@@ -57,8 +62,8 @@ def _loss(robust: str, sigma_m: float) -> Any:
     noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma_m)
     estimator = gtsam.noiseModel.mEstimator
     if robust == "huber":
-        return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER), noise)
+        return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER_SIGMAS), noise)
     if robust == "geman-mcclure":
-        return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN), noise)
+        return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN_SIGMAS), noise)
     # Without a loss the noise is that of the ranges.
     return noise

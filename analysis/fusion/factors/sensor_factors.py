@@ -6,26 +6,26 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.receiver.position_test import measure
+from analysis.detection.receiver.position_test import fix_measurement
 from analysis.detection.sensors.sensor_models import (
     SLOW_AIR_MPS,
     density_kgpm3,
     pressure_altitude_m,
 )
 from analysis.detection.sensors.sensor_tests import STALE_S
-from analysis.fusion.factors.factor_weights import weight
-from analysis.fusion.factors.range_factors import LEAST_WEIGHT
+from analysis.fusion.factors.factor_weights import residual_weight
+from analysis.fusion.factors.range_factors import MIN_WEIGHT
 from analysis.fusion.factors.unary_factors import (
     OFFSET_UNIT_M,
     airspeed_factor,
-    alike,
     baro_factor,
+    isotropic_noise,
     mag_factor,
     walk_factor,
 )
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
-from analysis.fusion.window import key
+from analysis.fusion.window import variable_key
 from analysis.results import Decision
 from analysis.samples.sample import (
     AirspeedSample,
@@ -36,10 +36,10 @@ from analysis.samples.sample import (
     Vector,
     VisionSample,
 )
-from mavproxy_fault.numerics.earth_kernel import geodetic
+from mavproxy_fault.numerics.earth_kernel import geodetic_position
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 
-WAITING: dict[type, str] = {
+SOURCE_NAMES: dict[type, str] = {
     BaroSample: "baro",
     MagSample: "mag",
     AirspeedSample: "airspeed",
@@ -50,7 +50,7 @@ WIND_SIGMA_MPS = 6.0
 OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
 
 
-class Others:
+class SensorFactors:
     """Attaches samples to the epoch nearest to each, and keeps the slow states they need.
 
     A barometer's offset and the wind are one variable per span of the window, each walking from
@@ -69,7 +69,7 @@ class Others:
         alone.
         """
         # Too little to be worth a factor.
-        if share < LEAST_WEIGHT:
+        if share < MIN_WEIGHT:
             return 0.0
         # Rows are multiplied by the root, so that the information is by the weight.
         root = math.sqrt(share)
@@ -98,15 +98,15 @@ class Others:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         span = graph.span(epoch)
-        name, stamp_s, gone_s = key(letter, span), window.span_stamp(span), window.oldest_s
+        name, stamp_s, gone_s = variable_key(letter, span), window.span_stamp(span), window.oldest_s
         spans = [known for known in self._spans[letter] if window.span_stamp(known) >= gone_s]
         if span not in spans:
             before = max((known for known in spans if known < span), default=None)
             if before is None:
-                factor = gtsam.PriorFactorVector(name, first, alike(len(first), sigma))
+                factor = gtsam.PriorFactorVector(name, first, isotropic_noise(len(first), sigma))
                 since_s = stamp_s
             else:
-                old, since_s = key(letter, before), window.span_stamp(before)
+                old, since_s = variable_key(letter, before), window.span_stamp(before)
                 walked = walk * math.sqrt((span - before) * window.span_s)
                 factor = walk_factor(old, name, walked, len(first))
                 # Only what has been committed has an estimate to begin at.
@@ -123,7 +123,7 @@ class Others:
     def _up_m(self, epoch: int) -> tuple[float, float]:
         """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
         r_m = self._graph.node.pose.translation()
-        _, _, height = geodetic(self._graph.frame.ecef(r_m))
+        _, _, height = geodetic_position(self._graph.frame.ecef(r_m))
         return float(r_m[2]), height
 
     def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
@@ -172,7 +172,7 @@ class Others:
         """Vision as odometry: its own origin and north drop out between two epochs."""
         graph = self._graph
         at = graph.epochs[epoch]
-        seen = _seen(sample, at.t_us)
+        seen = _vision_pose(sample, at.t_us)
         if seen is None or at.seen is not None or not graph.aligned:
             return None
         at.seen = seen
@@ -183,9 +183,11 @@ class Others:
                 continue
             moved = graph.epochs[i].seen.between(graph.epochs[j].seen)
             given = min(share, self._plausible(i, j, moved))
-            if given >= LEAST_WEIGHT:
+            if given >= MIN_WEIGHT:
                 noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
-                factor = gtsam.BetweenFactorPose3(key("x", i), key("x", j), moved, noise)
+                factor = gtsam.BetweenFactorPose3(
+                    variable_key("x", i), variable_key("x", j), moved, noise
+                )
                 graph.attach("vision", j, factor, since=i)
         return given
 
@@ -197,31 +199,31 @@ class Others:
         if not config.decide or edge is None or not graph.sound(edge):  # nothing to go by
             return 1.0
         off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
-        return weight(
+        return residual_weight(
             float(np.abs(off / self._vision_sigmas).max()), config.suspicious, config.hopeless
         )
 
     def _fix(self, sample: GpsFix, epoch: int, share: float) -> bool:
         """A receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
-        measured, _ = measure(sample)
+        measured, _ = fix_measurement(sample)
         if measured is None or graph.window.holds("gps-position", epoch):
             return False
         to_local = graph.frame.axes @ measured.axes.T
         spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         r_m = graph.frame.local(measured.r_ecef_m)
-        position = gtsam.GPSFactor(key("x", epoch), r_m, gaussian(spread / share))
+        position = gtsam.GPSFactor(variable_key("x", epoch), r_m, gaussian(spread / share))
         graph.attach("gps-position", epoch, position)
         if measured.v_ned_mps is not None and np.isfinite(measured.v_ned_mps).all():
-            noise = alike(3, config.gps_mps)
+            noise = isotropic_noise(3, config.gps_mps)
             velocity = to_local @ measured.v_ned_mps
-            factor = gtsam.PriorFactorPoint3(key("v", epoch), velocity, noise)
+            factor = gtsam.PriorFactorPoint3(variable_key("v", epoch), velocity, noise)
             graph.attach("gps-velocity", epoch, factor)
         return True
 
 
-def _seen(sample: VisionSample, t_us: int) -> Any:
+def _vision_pose(sample: VisionSample, t_us: int) -> Any:
     """The pose by vision, moved to an epoch's time."""
     if not np.isfinite(sample.r_ned_m).all():
         return None

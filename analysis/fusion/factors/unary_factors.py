@@ -15,34 +15,34 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.detection_config import Noise
-from analysis.fusion.local_frame import Frame
-from analysis.fusion.window import key
+from analysis.detection.detection_config import ProcessNoise
+from analysis.fusion.local_frame import LocalFrame
+from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
 
-EPOCHS = 1024  # at most that many in a window
-NUMBER = gtsam.symbol("a", 0)  # in the place of a variable that is a vector in the graph
+MAX_EPOCHS = 1024  # at most that many in a window
+PLACEHOLDER = gtsam.symbol("a", 0)  # in the place of a variable that is a vector in the graph
 # GTSAM's Cholesky takes a last pivot 2^12 times smaller than the one before it for a zero. In
 # metres an offset would be that beside the gyro's biases.
 OFFSET_UNIT_M = 1000.0
-NO_CLOCK, NO_OFFSET, NO_MAGNET = np.zeros(2), np.zeros(1), np.zeros(3)
+NO_CLOCK, NO_OFFSET, NO_MAG_BIAS = np.zeros(2), np.zeros(1), np.zeros(3)
 STANDARD_AIR = gtsam.BarometricFactor()
 
 
-@lru_cache(maxsize=EPOCHS)
-def alike(size: int, sigma: float) -> Any:
+@lru_cache(maxsize=MAX_EPOCHS)
+def isotropic_noise(size: int, sigma: float) -> Any:
     """The noise of a vector whose parts have the same sigma."""
     return gtsam.noiseModel.Isotropic.Sigma(size, sigma)
 
 
-@lru_cache(maxsize=EPOCHS)
-def unit(rows: int) -> Any:
+@lru_cache(maxsize=MAX_EPOCHS)
+def unit_noise(rows: int) -> Any:
     """The noise of rows that are divided by their sigmas."""
     return gtsam.noiseModel.Unit.Create(rows)
 
 
-@lru_cache(maxsize=EPOCHS)
-def clock_factor(before: int, epoch: int, dt_s: float, jumped_m: float, noise: Noise) -> Any:
+@lru_cache(maxsize=MAX_EPOCHS)
+def clock_factor(before: int, epoch: int, dt_s: float, jumped_m: float, noise: ProcessNoise) -> Any:
     """The receiver's clock from one epoch to another; `jumped_m` is how far it may have leapt."""
     walk, drift = noise.clock_m**2, noise.drift_mps**2
     cross = drift * dt_s**2 / 2.0
@@ -50,8 +50,8 @@ def clock_factor(before: int, epoch: int, dt_s: float, jumped_m: float, noise: N
     spread = np.array([[own, cross], [cross, drift * dt_s]])
     whiten = np.linalg.inv(np.linalg.cholesky(spread))
     step = np.array([[1.0, dt_s], [0.0, 1.0]])
-    c0, c1 = key("c", before), key("c", epoch)
-    row = gtsam.JacobianFactor(c1, whiten, c0, -whiten @ step, NO_CLOCK, unit(2))
+    c0, c1 = variable_key("c", before), variable_key("c", epoch)
+    row = gtsam.JacobianFactor(c1, whiten, c0, -whiten @ step, NO_CLOCK, unit_noise(2))
     return _linear_at_zero(row, NO_CLOCK, c0, c1)
 
 
@@ -59,7 +59,7 @@ def walk_factor(before: int, after: int, sigma: float, size: int) -> Any:
     """A vector that walks from one key to another."""
     share = np.eye(size) / sigma
     zero = np.zeros(size)
-    row = gtsam.JacobianFactor(after, share, before, -share, zero, unit(size))
+    row = gtsam.JacobianFactor(after, share, before, -share, zero, unit_noise(size))
     return _linear_at_zero(row, zero, before, after)
 
 
@@ -71,10 +71,10 @@ def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
 
 
 @lru_cache(maxsize=1)
-def _no_number() -> Any:
-    """`NUMBER` at zero; not to be changed. The bindings take 70 us to insert a number."""
+def _placeholder_values() -> Any:
+    """`PLACEHOLDER` at zero; not to be changed. The bindings take 70 us to insert a number."""
     values = gtsam.Values()
-    values.insert(NUMBER, 0.0)
+    values.insert(PLACEHOLDER, 0.0)
     return values
 
 
@@ -82,24 +82,28 @@ def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: 
     """A pressure altitude with the offset of a key, linearised at a pose; GTSAM wants the pressure
     of its own standard atmosphere for it."""
     pressure = STANDARD_AIR.baroOut(altitude_m)
-    x = key("x", epoch)
-    factor = gtsam.BarometricFactor(x, NUMBER, pressure, alike(1, sigma_m))
-    origin = gtsam.Values(_no_number())
+    x = variable_key("x", epoch)
+    factor = gtsam.BarometricFactor(x, PLACEHOLDER, pressure, isotropic_noise(1, sigma_m))
+    origin = gtsam.Values(_placeholder_values())
     origin.insert(x, pose)
     origin.insert(offset, NO_OFFSET)
     jacobian, wanted = factor.linearize(origin).jacobian()  # by pose, then number
     by_offset = jacobian[:, 6:] * OFFSET_UNIT_M
-    row = gtsam.JacobianFactor(x, jacobian[:, :6], offset, by_offset, wanted, unit(1))
+    row = gtsam.JacobianFactor(x, jacobian[:, :6], offset, by_offset, wanted, unit_noise(1))
     return gtsam.LinearContainerFactor(row, origin)
 
 
-def mag_factor(epoch: int, field_b_gauss: Vector, frame: Frame, sigma_gauss: float) -> Any:
+def mag_factor(epoch: int, field_b_gauss: Vector, frame: LocalFrame, sigma_gauss: float) -> Any:
     """The field (3,) in body axes against the world's magnetic model."""
-    field, noise = frame.field_gauss, alike(3, sigma_gauss)
+    field, noise = frame.field_gauss, isotropic_noise(3, sigma_gauss)
     size = float(np.linalg.norm(field))  # GTSAM takes the direction alone of its third argument
-    return gtsam.MagPoseFactorPose3(key("x", epoch), field_b_gauss, size, field, NO_MAGNET, noise)
+    return gtsam.MagPoseFactorPose3(
+        variable_key("x", epoch), field_b_gauss, size, field, NO_MAG_BIAS, noise
+    )
 
 
 def airspeed_factor(epoch: int, wind: int, speed_mps: float, sigma_mps: float) -> Any:
     """The speed through the air: how far the velocity is from the wind of a key."""
-    return gtsam.RangeFactor3(key("v", epoch), wind, speed_mps, alike(1, sigma_mps))
+    return gtsam.RangeFactor3(
+        variable_key("v", epoch), wind, speed_mps, isotropic_noise(1, sigma_mps)
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.dataflash import DataflashFile, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.log_condition import (
-    DAMAGED,
+    CORRUPTED,
     LogCondition,
     dataflash_losses,
     ulog_losses,
@@ -39,8 +39,8 @@ from analysis.samples.block import (
     SPARE_NUMBERS,
     WIDTH,
     Block,
-    Part,
-    joined,
+    BlockPart,
+    join_parts,
 )
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
@@ -81,11 +81,11 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
         ulog = is_ulog(file.read(HEAD))
     log = read_ulog(path) if ulog else read_dataflash(path)
     if condition is not None:
-        _tell(condition, log)
+        _add_losses(condition, log)
     topics = log.topics if ulog else _with_accuracy(log.topics)
     stamp = "timestamp" if ulog else "TimeUS"
     found = list(_parts(topics, ULOG if ulog else DATAFLASH, stamp))
-    missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _holds(found, kind)]
+    missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _has_kind(found, kind)]
     if missing:
         raise ConfigError(
             f"{path}: holds no samples of {' and '.join(missing)}; the monitor needs a log in "
@@ -97,13 +97,15 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
     rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
     orders = np.split(rank, ends[:-1])
-    return joined([Part(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ())
+    return join_parts(
+        [BlockPart(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ()
+    )
 
 
-def _tell(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
+def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
     """Put into a condition what a log has lost."""
     # One that ends in the middle of a message is whole: whoever writes it seldom ends it.
-    condition.damage += [DAMAGED] if log.damaged else []
+    condition.damage += [CORRUPTED] if log.damaged else []
     if isinstance(log, ULogFile):
         condition.lost_us += ulog_losses(log.dropouts)
         return
@@ -125,7 +127,7 @@ def _with_accuracy(topics: Topics) -> Topics:
     return found
 
 
-def _holds(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
+def _has_kind(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
     return any(number == kind for number, _, _ in found)
 
 

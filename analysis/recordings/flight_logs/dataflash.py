@@ -19,14 +19,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.misdated import misdated
+from analysis.recordings.flight_logs.misdated_stamps import find_misdated
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"\xa3\x95"
 HEAD = 3  # bytes of a message before its fields
-MOST_BYTES = 500_000_000  # of a file that are read
+MAX_BYTES = 500_000_000  # of a file that are read
 FORMATS = 0x80  # the type of FMT messages
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # IMU2 of an old log: a second one
 RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
@@ -65,16 +65,16 @@ def is_dataflash(head: bytes) -> bool:
 
 
 def read_dataflash(path: str | Path) -> DataflashFile:
-    """Read a dataflash log; of one larger than `MOST_BYTES` the beginning.
+    """Read a dataflash log; of one larger than `MAX_BYTES` the beginning.
 
     Raises
     ------
     ConfigError
         If nothing can be read.
     """
-    with _beginning(Path(path)) as readable, tempfile.TemporaryFile() as complaints:
+    with _readable_part(Path(path)) as readable, tempfile.TemporaryFile() as complaints:
         try:
-            with _printing_to(complaints):
+            with _redirect_output(complaints):
                 raw, cut = _messages(readable)
             damaged = os.fstat(complaints.fileno()).st_size > 0
         except Exception as error:  # pymavlink raises whatever its struct and index code does
@@ -82,7 +82,7 @@ def read_dataflash(path: str | Path) -> DataflashFile:
     times = _clock(raw)
     if len(times[0]) == 0:
         raise ConfigError(f"{path}: the dataflash log holds no message with a time")
-    wrong = misdated(times[1])
+    wrong = find_misdated(times[1])
     places, damaged = times[0][wrong], damaged or bool(wrong.any())
     times = times[0][~wrong], times[1][~wrong]
     topics: dict[tuple[str, int], Topic] = {}
@@ -95,13 +95,13 @@ def read_dataflash(path: str | Path) -> DataflashFile:
         for key, rows in _instances(name, columns):
             topics[key] = {column: values[rows] for column, values in columns.items()}
     _rates_in_degrees(topics)
-    unread_bytes = max(written_bytes(Path(path)) - MOST_BYTES, 0)
+    unread_bytes = max(written_bytes(Path(path)) - MAX_BYTES, 0)
     stamps = times[1]
     return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
 
 
 @contextlib.contextmanager
-def _printing_to(file: IO[bytes]) -> Iterator[None]:
+def _redirect_output(file: IO[bytes]) -> Iterator[None]:
     """What is printed, by compiled code too, goes to a file: pymavlink prints what it skips."""
     sys.stdout.flush()
     sys.stderr.flush()
@@ -120,14 +120,14 @@ def _printing_to(file: IO[bytes]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _beginning(path: Path) -> Iterator[Path]:
+def _readable_part(path: Path) -> Iterator[Path]:
     """The file, or a copy of as much of it as is read: pymavlink takes whole files only."""
     written = written_bytes(path)
-    if written == path.stat().st_size <= MOST_BYTES:
+    if written == path.stat().st_size <= MAX_BYTES:
         yield path
         return
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        remaining = min(written, MOST_BYTES)
+        remaining = min(written, MAX_BYTES)
         while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
             copy.write(data)
             remaining -= len(data)

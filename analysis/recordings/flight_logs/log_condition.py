@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-DAMAGED = "parts of the file are damaged and were passed over"
-MOST_JUNK = 1e-3  # share of a tlog's bytes that are no frame, beyond which it counts as damaged
+CORRUPTED = "parts of the file are damaged and were passed over"
+MAX_JUNK_SHARE = (
+    1e-3  # share of a tlog's bytes that are no frame, beyond which it counts as damaged
+)
 
 Stretch = tuple[int, int]
 
@@ -30,7 +32,7 @@ class LogCondition:
 
     def has_junk(self, junk_bytes: int, size: int) -> None:
         """Of a tlog: bytes of it that are no frame. The last frame of any may be cut."""
-        if junk_bytes > MOST_JUNK * size:
+        if junk_bytes > MAX_JUNK_SHARE * size:
             share = 100.0 * junk_bytes / size
             self.damage.append(f"{junk_bytes} of {size} bytes ({share:.2g} %) are no frame")
 

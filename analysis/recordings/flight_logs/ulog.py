@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.misdated import misdated
-from analysis.recordings.flight_logs.ulog_words import printed, words
+from analysis.recordings.flight_logs.misdated_stamps import find_misdated
+from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_texts
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
 NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
-TELL_BYTES = 1 << 20  # between two words of how far the reader is
-MOST_READS = 100  # times the file's size that a reader may read of it
+PROGRESS_STEP_BYTES = 1 << 20  # between two words of how far the reader is
+MAX_READ_FACTOR = 100  # times the file's size that a reader may read of it
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
 
@@ -67,7 +67,7 @@ class ULogFile:
     cut: bool
 
 
-class _Patient(io.FileIO):
+class _BoundedFile(io.FileIO):
     """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can.
 
     It ends where nothing was written any more, and tells how far the reader is.
@@ -77,7 +77,7 @@ class _Patient(io.FileIO):
         super().__init__(path, "rb")
         self.cut = False  # whether it ended in the middle of what a reader asked for
         self._written = written_bytes(Path(path))
-        self._remaining_reads = MOST_READS * self._written + 10_000_000
+        self._remaining_reads = MAX_READ_FACTOR * self._written + 10_000_000
         self._told, self._tell_at = told, 0
 
     def read(self, size: int | None = -1, /) -> bytes:
@@ -90,7 +90,7 @@ class _Patient(io.FileIO):
         if self._remaining_reads < 0:
             raise RuntimeError("damaged beyond reading")
         if at >= self._tell_at:
-            self._tell_at = at + TELL_BYTES
+            self._tell_at = at + PROGRESS_STEP_BYTES
             self._told(at / self._written)
         return data
 
@@ -114,7 +114,7 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
 
     complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        file = _Patient(path, told)
+        file = _BoundedFile(path, told)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     try:
@@ -123,14 +123,14 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
     except Exception as error:  # pyulog raises whatever its struct and index code does
         raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
     topics = {
-        (data.name, data.multi_id): _renamed(data.data)
+        (data.name, data.multi_id): _with_newer_names(data.data)
         for data in log.data_list
         if len(data.data.get("timestamp", ()))  # some are announced and never logged
     }
-    wrong = without_misdated(topics)
+    wrong = remove_misdated(topics)
     return ULogFile(
         topics,
-        words(log),
+        logged_texts(log),
         {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
         [
             (t_us, name, float(v))
@@ -141,17 +141,17 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
         dict(log.msg_info_dict),
         int(log.start_timestamp),
         [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
-        printed(log),
+        printed_texts(log),
         bool(log.file_corruption or complaints.getvalue() or wrong),
         file.cut,
     )
 
 
-def without_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
+def remove_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
     """Take out rows whose stamp lies far from those around it; whether there were any."""
     found = False
     for topic in topics.values():
-        wrong = misdated(topic["timestamp"].astype(np.int64))
+        wrong = find_misdated(topic["timestamp"].astype(np.int64))
         if wrong.any():
             found = True
             topic.update({name: values[~wrong] for name, values in topic.items()})
@@ -167,7 +167,7 @@ def _defaults(log: Any) -> dict[str, float]:
     return {name: float(value) for name, value in every.items() if isinstance(value, NUMBER)}
 
 
-def _renamed(columns: Mapping[str, NDArray[Any]]) -> Topic:
+def _with_newer_names(columns: Mapping[str, NDArray[Any]]) -> Topic:
     """Older PX4 gave positions in 1e-7 degrees and millimetres."""
     found = dict(columns)
     for old, new in DEGREES.items():

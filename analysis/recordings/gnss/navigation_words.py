@@ -77,7 +77,7 @@ class Subframe:
     data: bytes
 
 
-def subframe(words: Sequence[int]) -> Subframe | None:
+def parse_subframe(words: Sequence[int]) -> Subframe | None:
     """A subframe of ten words of 30 bits; None where it does not begin with the preamble."""
     if len(words) < 10:
         return None
@@ -85,7 +85,7 @@ def subframe(words: Sequence[int]) -> Subframe | None:
     return Subframe(data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
 
 
-def klobuchar(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
+def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
     """Alpha and beta, where the subframe is the page that holds them."""
     if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
         return None
@@ -115,7 +115,7 @@ def gps_ephemeris(
     return ephemeris_of(satellite, week_near(values["toe_s"], near_s), values)
 
 
-def inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
+def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
     """Type and 128 bits of the I/NAV word in a page: even and odd part of four words of 32 bits.
 
     None where it is an alert page, or its checksum is wrong.

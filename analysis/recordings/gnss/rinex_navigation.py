@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
 
-from analysis.orbits.broadcast import BEIDOU_BEHIND_S, SYSTEMS, WEEK_S
+from analysis.orbits.broadcast import BEIDOU_TIME_OFFSET_S, SYSTEMS, WEEK_S
 from analysis.orbits.glonass import leap_seconds
 from analysis.recordings.gnss.rinex_observations import gps_time
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
@@ -28,7 +28,7 @@ from mavproxy_fault.rinex.navigation_record import (
     SOURCE,
     TOE,
     WEEK,
-    orbit,
+    orbit_elements,
 )
 from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, l1_health
@@ -144,8 +144,8 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     week, toe_s = int(v[WEEK]), v[TOE]
     # BeiDou's own weeks and seconds, 14 s behind GPS's.
     if name[0] == "C":
-        week, toe_s = _later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_BEHIND_S)
-        toc = _later(*toc, BEIDOU_BEHIND_S)
+        week, toe_s = _time_later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_TIME_OFFSET_S)
+        toc = _time_later(*toc, BEIDOU_TIME_OFFSET_S)
     fnav = galileo and bool(int(v[SOURCE]) & FNAV_ONLY)
     delay = (v[DELAY] if fnav else v[DELAY_B]) if galileo else v[DELAY]
     ephemeris = Ephemeris(
@@ -158,7 +158,7 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
         af2_per_s=af2,
         iode=int(v[IODE]),
         iodc=int(v[DELAY_B]) if lnav else int(v[IODE]),
-        **orbit(v),
+        **orbit_elements(v),
         group_delay_s=delay,
         group_delay_e5a_s=v[DELAY] if galileo else 0.0,
         accuracy=sum(v[ACCURACY] > limit for limit in ACCURACY_INDEX_M) if lnav else 0,
@@ -167,7 +167,7 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     return ephemeris, fnav
 
 
-def _later(week: int, tow_s: float, by_s: float) -> tuple[int, float]:
+def _time_later(week: int, tow_s: float, by_s: float) -> tuple[int, float]:
     """Week and seconds of week `by_s` later."""
     weeks, tow_s = divmod(tow_s + by_s, WEEK_S)
     return week + int(weeks), tow_s
@@ -177,7 +177,7 @@ def _state_vector(name: str, head: str, body: list[str]) -> StateVector:
     """A GLONASS record: its time is UTC, its lengths are km."""
     year, month, day, hour, minute, second = (int(part) for part in head[4:23].split())
     utc = gps_time(year, month, day, hour * 3600 + minute * 60 + second)
-    week, toe_s = _later(*utc, leap_seconds(date(year, month, day)))
+    week, toe_s = _time_later(*utc, leap_seconds(date(year, month, day)))
     rows = [[_float(line[4 + 19 * i : 23 + 19 * i]) for i in range(4)] for line in body]
     # A line an axis: position, velocity, acceleration; behind the first axis the health.
     r, v, a = (tuple(1000.0 * row[i] for row in rows) for i in range(3))

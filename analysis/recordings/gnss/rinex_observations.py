@@ -36,9 +36,9 @@ BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
-NOWHERE = 1 << 20  # behind the end of any line
+ABSENT_COLUMN = 1 << 20  # behind the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
-Measured = tuple[str, tuple[float, float, float], float, str]
+CodeObservation = tuple[str, tuple[float, float, float], float, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +53,12 @@ class _Columns:
     carrier_hz: float = L1_HZ
 
 
-def _placed(first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ) -> _Columns:
+def _column_starts(
+    first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ
+) -> _Columns:
     """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
     `first`."""
-    starts = [first + FIELD_WIDTH * place if place >= 0 else NOWHERE for place in places]
+    starts = [first + FIELD_WIDTH * place if place >= 0 else ABSENT_COLUMN for place in places]
     return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
 
 
@@ -89,7 +91,7 @@ def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
 def _signals(system: str, types: list[str]) -> list[_Columns]:
     """Where the signals of a system are that the file has, the preferred first."""
     return [
-        _placed(
+        _column_starts(
             3,
             [types.index(k + signal) if k + signal in types else -1 for k in "CDS"],
             signal,
@@ -126,7 +128,7 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
     names = types_2(header)
     code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
     places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _placed(0, [code, *places], "1C" if "C1" in names else "1P")
+    return len(names), _column_starts(0, [code, *places], "1C" if "C1" in names else "1P")
 
 
 def _number(text: str) -> float:
@@ -148,7 +150,7 @@ def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
 
 
 def epoch_of(
-    week: int, tow_s: float, rows: list[Measured], channels: dict[str, int]
+    week: int, tow_s: float, rows: list[CodeObservation], channels: dict[str, int]
 ) -> Epoch | None:
     """An epoch of what was measured; `channels` are those of GLONASS. None without a range."""
     if not rows:
@@ -201,7 +203,7 @@ def _epochs_3(
             yield epoch
 
 
-def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> Measured | None:
+def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> CodeObservation | None:
     """A satellite's first signal that has a value, on the carrier it has always had."""
     name = line[:3].replace(" ", "0")
     for columns in signals:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.gnss.navigation_words import WEEK_S
-from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
+from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
 from analysis.recordings.gnss.sbf_orbits import ORBITS, read_orbit, satellite_name
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
@@ -32,7 +32,7 @@ from mavproxy_fault.numerics.constants import L1_HZ
 
 SUFFIX = re.compile(r"\.(sbf|\d\d_)(\.gz)?$", re.IGNORECASE)  # Septentrio's own: SEPT078M.21_
 SYNC = b"$@"
-AROUND = 8  # bytes of a block before its payload
+OVERHEAD_BYTES = 8  # bytes of a block before its payload
 NUMBER = 0x1FFF  # of the block, below its revision
 MEAS_EPOCH = 4027
 # Time in ms and week; sub-blocks and the sizes of both kinds; flags.
@@ -109,7 +109,9 @@ def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
         )
         end, number = at + length, kind & NUMBER
         # A start that was none, or a damaged length, must not swallow the blocks behind it.
-        if (number == MEAS_EPOCH or number in ORBITS) and AROUND <= length <= len(data) - at:
+        if (number == MEAS_EPOCH or number in ORBITS) and OVERHEAD_BYTES <= length <= len(
+            data
+        ) - at:
             body = data[at + 4 : end]
             if crc_hqx(body, 0) == summed:
                 yield number, body[4:]
@@ -121,7 +123,7 @@ def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
     """The epochs, of which one may come in several blocks, one behind the other."""
     whole = (payload for payload in payloads if len(payload) >= HEAD.size)
     for (tow_ms, week), together in groupby(whole, lambda payload: HEAD.unpack_from(payload)[:2]):
-        rows: dict[str, Measured] = {}
+        rows: dict[str, CodeObservation] = {}
         channels: dict[str, int] = {}
         for tracked in (found for payload in together for found in _tracked(payload)):
             name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal)
@@ -136,7 +138,7 @@ def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
             yield epoch
 
 
-class Tracked(NamedTuple):
+class TrackedSignal(NamedTuple):
     """One signal of a satellite, NaN for what is not known."""
 
     satellite: int
@@ -163,7 +165,7 @@ class Tracked(NamedTuple):
         return LEAST_DB + STEP_DB * self.cn0 if self.cn0 != NO_CN0 else math.nan
 
 
-def _tracked(payload: bytes) -> Iterator[Tracked]:
+def _tracked(payload: bytes) -> Iterator[TrackedSignal]:
     """All signals in a block, as far as it goes."""
     _tow_ms, _week, count, first_size, further_size, flags = HEAD.unpack_from(payload)
     at = HEAD.size
@@ -176,7 +178,7 @@ def _tracked(payload: bytes) -> Iterator[Tracked]:
         at += max(first_size, FIRST.size)
         doppler_hz = STEP_HZ * doppler if doppler != NO_DOPPLER else math.nan
         range_m = STEP_M * ((high & 15) << 32 | low)
-        first = Tracked(satellite, kind, information, range_m, doppler_hz, cn0)
+        first = TrackedSignal(satellite, kind, information, range_m, doppler_hz, cn0)
         yield first
         for _ in range(others):
             if at + max(further_size, FURTHER.size) > len(payload):
@@ -186,13 +188,13 @@ def _tracked(payload: bytes) -> Iterator[Tracked]:
 
 
 def _further(
-    first: Tracked, kind: int, cn0: int, high: int, information: int, low: int, rate: int
-) -> Tracked:
+    first: TrackedSignal, kind: int, cn0: int, high: int, information: int, low: int, rate: int
+) -> TrackedSignal:
     """A further signal by its differences from the first; without either it has no range."""
     range_steps = ((high & 7 ^ 4) - 4) << 16 | low
     rate_steps = ((high >> 3 ^ 16) - 16) << 16 | rate
     range_m = first.range_m + STEP_M * range_steps
-    found = Tracked(first.satellite, kind, information, range_m, math.nan, cn0)
+    found = TrackedSignal(first.satellite, kind, information, range_m, math.nan, cn0)
     carriers_hz = CARRIERS_HZ.get(found.signal), CARRIERS_HZ.get(first.signal)
     if not first.range_m > 0.0 or range_steps == NO_RANGE_STEPS:
         return found._replace(range_m=math.nan)

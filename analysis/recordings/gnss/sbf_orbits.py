@@ -13,7 +13,7 @@ References
 
 import numpy as np
 
-from analysis.orbits.broadcast import BEIDOU_BEHIND_S
+from analysis.orbits.broadcast import BEIDOU_TIME_OFFSET_S
 from analysis.recordings.gnss.navigation_words import WEEK_S, week_near
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.rtcm.ephemeris_messages import SEMICIRCLE, ephemeris_of
@@ -64,7 +64,7 @@ ORBITS = {
 }
 NOT_KNOWN = -2e10  # in place of a real number
 INAV = 2
-E1_TOLD = 1
+E1_HEALTH_VALID = 1
 SEMICIRCLES = frozenset(
     ["m0_rad", "omega0_rad", "omega_rad", "i0_rad", "delta_n_rps", "omega_dot_rps", "idot_rps"]
 )
@@ -112,7 +112,7 @@ def read_orbit(
         return None
     if block == BDS_NAV:
         for key in ("toe_s", "toc_s"):
-            values[key] = (values[key] + BEIDOU_BEHIND_S) % WEEK_S
+            values[key] = (values[key] + BEIDOU_TIME_OFFSET_S) % WEEK_S
     week = week_near(values["toe_s"], near_s)
     if block == GLO_NAV:
         return EphemerisSample(0, _state_vector(name, week, values))
@@ -132,7 +132,7 @@ def _as_inav(values: dict[str, float]) -> bool:
     # E1's delay against E5b is used; that against E5a may be missing.
     if values["group_delay_e5a_s"] == NOT_KNOWN:
         values["group_delay_e5a_s"] = 0.0
-    return values["source"] == INAV and bool(bits & E1_TOLD)
+    return values["source"] == INAV and bool(bits & E1_HEALTH_VALID)
 
 
 def _state_vector(name: str, week: int, values: dict[str, float]) -> StateVector:

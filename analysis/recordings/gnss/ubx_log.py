@@ -30,18 +30,18 @@ from analysis.recordings.gnss.navigation_words import (
     Subframe,
     gps_ephemeris,
     inav_ephemeris,
-    inav_word,
-    klobuchar,
-    subframe,
+    klobuchar_coefficients,
+    parse_inav_word,
+    parse_subframe,
 )
-from analysis.recordings.gnss.rinex_observations import Measured, epoch_of
+from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 SYNC = b"\xb5b"
-AROUND = 8  # bytes of a frame beside its payload
+OVERHEAD_BYTES = 8  # bytes of a frame beside its payload
 RAWX, SFRBX = b"\x02\x15", b"\x02\x13"
 HEAD = np.dtype([("tow_s", "<f8"), ("week", "<u2"), ("leap_s", "i1"), ("count", "u1"), ("", "V4")])
 RANGE = np.dtype(
@@ -69,7 +69,7 @@ MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
 Broadcast = EphemerisSample | IonosphereSample
 ULOG = ".ulg"
 TO_RECEIVER = 0x80  # bit of a dump's length
-MOST_DUMPED = 79
+MAX_DUMP_BYTES = 79
 
 
 def is_ubx(path: Path) -> bool:
@@ -115,7 +115,7 @@ def _dumped(path: Path) -> bytes:
     dump = read_ulog(path).topics.get(("gps_dump", 0))
     if dump is None:
         raise ConfigError(f"{path}: has no gps_dump; set GPS_DUMP_COMM to 1 before the flight")
-    names = [f"data[{i}]" for i in range(MOST_DUMPED)]
+    names = [f"data[{i}]" for i in range(MAX_DUMP_BYTES)]
     for name in ("len", *names):
         if name not in dump or dump[name].dtype != np.uint8:
             raise ConfigError(
@@ -127,7 +127,7 @@ def _dumped(path: Path) -> bytes:
     first = (receiver == receiver.min()) & (dump["len"] < TO_RECEIVER)
     data = np.column_stack([dump[name] for name in names])[first]
     # A damaged length beyond the message takes all of it: the frames have checksums.
-    return bytes(data[np.arange(MOST_DUMPED) < dump["len"][first, None]])
+    return bytes(data[np.arange(MAX_DUMP_BYTES) < dump["len"][first, None]])
 
 
 def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -135,7 +135,7 @@ def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     at = data.find(SYNC)
     while at >= 0:
         kind, length = data[at + 2 : at + 4], int.from_bytes(data[at + 4 : at + 6], "little")
-        end = at + AROUND + length
+        end = at + OVERHEAD_BYTES + length
         body, summed = data[at + 2 : end - 2], data[end - 2 : end]
         # A start that was none, or a damaged length, must not swallow the frames behind it.
         if kind in (RAWX, SFRBX) and end <= len(data) and _checksum(body) == summed:
@@ -161,7 +161,7 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
     tow_s, week = float(head["tow_s"]), int(head["week"])
     if week == 0 or not 0.0 <= tow_s < WEEK_S:
         return None
-    rows: dict[str, Measured] = {}
+    rows: dict[str, CodeObservation] = {}
     channels: dict[str, int] = {}
     for row in np.frombuffer(payload, RANGE, count, HEAD.itemsize):
         signal = SIGNALS.get((int(row["system"]), int(row["signal"])))
@@ -189,14 +189,14 @@ def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
             continue
         words = np.frombuffer(payload, "<u4", count, HEAD_BYTES).tolist()
         ephemeris = None
-        if system in (GPS, QZSS) and (part := subframe(words)) is not None:
+        if system in (GPS, QZSS) and (part := parse_subframe(words)) is not None:
             name = f"{'G' if system == GPS else 'J'}{number:02d}"
             subframes.setdefault(name, {})[part.number] = part
             ephemeris = gps_ephemeris(name, subframes[name], near_s)
             # QZSS's own coefficients are those of Japan alone.
-            if system == GPS and (ionosphere := klobuchar(part)) is not None:
+            if system == GPS and (ionosphere := klobuchar_coefficients(part)) is not None:
                 yield IonosphereSample(0, *ionosphere)
-        elif system == GALILEO and (word := inav_word(words)) is not None:
+        elif system == GALILEO and (word := parse_inav_word(words)) is not None:
             name = f"E{number:02d}"
             inav.setdefault(name, {})[word[0]] = word[1]
             ephemeris = inav_ephemeris(name, inav[name], near_s)

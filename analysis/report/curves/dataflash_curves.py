@@ -7,14 +7,14 @@ import numpy as np
 
 from analysis.report.curves.field_values import (
     Columns,
-    Curve,
+    LogCurve,
     Reader,
     Values,
-    accuracy,
+    accuracy_field,
     column,
     field,
     norm,
-    used,
+    used_field,
 )
 
 HIGH_V = 200.0  # more than any battery has: the log is old and gives hundredths
@@ -54,7 +54,7 @@ def _long_loops(topic: Columns) -> Values:
     return 100.0 * column(topic, "NLon") / np.maximum(column(topic, "NLoop"), 1.0)
 
 
-def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Curve, ...]:
+def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[LogCurve, ...]:
     """One core's state, test ratios and innovations; `core` is part of each curve's name.
 
     Since EKF3, messages carry their core's number instead and every core has the same name.
@@ -76,72 +76,72 @@ def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Cu
         ("instance-down", "PD"),
     )  # fmt: skip
     return (
-        *(Curve(status, "variance", label + core, field(name)) for name, label in ratios),
-        *(Curve(innovations, panel, axis + core, field(name)) for panel, name, axis in parts),
+        *(LogCurve(status, "variance", label + core, field(name)) for name, label in ratios),
+        *(LogCurve(innovations, panel, axis + core, field(name)) for panel, name, axis in parts),
         *(
-            Curve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
+            LogCurve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
             for panel, name in states
         ),
         # The last letter of the field is the axis.
-        *(Curve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
+        *(LogCurve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
           ("GX", "GY", "GZ")),
     )  # fmt: skip
 
 
-def _controller(message: str, axis: str, letter: str, up: float) -> tuple[Curve, ...]:
+def _controller(message: str, axis: str, letter: str, up: float) -> tuple[LogCurve, ...]:
     """Position and velocity of PSCN, PSCE, PSCD: what is and what is wanted."""
     return tuple(
-        Curve(message, f"{kind}-{axis}", name, field(f"{prefix}{quantity}{letter}", up))
+        LogCurve(message, f"{kind}-{axis}", name, field(f"{prefix}{quantity}{letter}", up))
         for kind, quantity in (("position", "P"), ("velocity", "V"))
         for name, prefix in (("estimate", ""), ("desired", "T"))
     )
 
 
 # Names of curves are those of the other kinds of log: the page colours and pairs by name.
-CURVES: tuple[Curve, ...] = (
-    Curve("ATT", "roll", "ATTITUDE", field("Roll"), False),
-    Curve("ATT", "roll", "desired", field("DesRoll"), False),
-    Curve("ATT", "pitch", "ATTITUDE", field("Pitch"), False),
-    Curve("ATT", "pitch", "desired", field("DesPitch"), False),
-    Curve("ATT", "yaw", "ATTITUDE", _heading("Yaw"), False),
-    Curve("ATT", "yaw", "desired", _heading("DesYaw"), False),
+CURVES: tuple[LogCurve, ...] = (
+    LogCurve("ATT", "roll", "ATTITUDE", field("Roll"), False),
+    LogCurve("ATT", "roll", "desired", field("DesRoll"), False),
+    LogCurve("ATT", "pitch", "ATTITUDE", field("Pitch"), False),
+    LogCurve("ATT", "pitch", "desired", field("DesPitch"), False),
+    LogCurve("ATT", "yaw", "ATTITUDE", _heading("Yaw"), False),
+    LogCurve("ATT", "yaw", "desired", _heading("DesYaw"), False),
     *(
-        Curve("RATE", f"rate-{axis}", name, field(f"{axis[0].upper()}{suffix}"), False)
+        LogCurve("RATE", f"rate-{axis}", name, field(f"{axis[0].upper()}{suffix}"), False)
         for axis in ("roll", "pitch", "yaw")
         for name, suffix in (("actual", ""), ("desired", "Des"))
     ),
     *_controller("PSCN", "north", "N", 1.0),
     *_controller("PSCE", "east", "E", 1.0),
     *_controller("PSCD", "down", "D", 1.0),
-    Curve("GPS", "altitude", "GPS", field("Alt")),
-    Curve("POS", "altitude", "estimate", field("Alt"), False),
-    Curve("POS", "height", "estimate", field("RelHomeAlt"), False),
-    Curve("CTUN", "height", "desired", field("DAlt"), False),
-    Curve("CTUN", "height", "controller", field("Alt"), False),
-    Curve("CTUN", "height", "barometer", field("BAlt"), False),
-    Curve("GPS", "speed", "GPS", field("Spd")),
-    Curve("ARSP", "speed", "air", field("Airspeed"), False),
+    LogCurve("GPS", "altitude", "GPS", field("Alt")),
+    LogCurve("POS", "altitude", "estimate", field("Alt"), False),
+    LogCurve("POS", "height", "estimate", field("RelHomeAlt"), False),
+    LogCurve("CTUN", "height", "desired", field("DAlt"), False),
+    LogCurve("CTUN", "height", "controller", field("Alt"), False),
+    LogCurve("CTUN", "height", "barometer", field("BAlt"), False),
+    LogCurve("GPS", "speed", "GPS", field("Spd")),
+    LogCurve("ARSP", "speed", "air", field("Airspeed"), False),
     # CTUN gives climb rates in centimetres per second.
-    Curve("CTUN", "climb", "CTUN", field("CRt", 0.01), False),
-    Curve("CTUN", "climb", "desired", field("DCRt", 0.01), False),
-    Curve("GPS", "gps-satellites", "GPS", field("NSats")),
-    Curve("GPS", "gps-fix", "GPS", field("Status")),
-    Curve("GPS", "gps-dilution", "hdop", field("HDop")),
-    Curve("GPA", "gps-dilution", "vdop", field("VDop")),
-    Curve("GPA", "gps-accuracy", "horizontal", accuracy("HAcc")),
-    Curve("GPA", "gps-accuracy", "vertical", accuracy("VAcc")),
-    Curve("GPA", "gps-accuracy", "speed, m/s", field("SAcc")),
-    Curve("UBX1", "gps-noise", "jamming indicator", field("jamInd"), False),
-    Curve("UBX1", "gps-noise", "noise per ms", field("noisePerMS"), False),
-    Curve("UBX1", "gps-gain", "automatic gain control", field("agcCnt"), False),
-    *(Curve("VIBE", "vibration", axis, field(f"Vibe{axis.upper()}")) for axis in "xyz"),
-    Curve("VIBE", "clipping", "accelerometer", field("Clip")),
+    LogCurve("CTUN", "climb", "CTUN", field("CRt", 0.01), False),
+    LogCurve("CTUN", "climb", "desired", field("DCRt", 0.01), False),
+    LogCurve("GPS", "gps-satellites", "GPS", field("NSats")),
+    LogCurve("GPS", "gps-fix", "GPS", field("Status")),
+    LogCurve("GPS", "gps-dilution", "hdop", field("HDop")),
+    LogCurve("GPA", "gps-dilution", "vdop", field("VDop")),
+    LogCurve("GPA", "gps-accuracy", "horizontal", accuracy_field("HAcc")),
+    LogCurve("GPA", "gps-accuracy", "vertical", accuracy_field("VAcc")),
+    LogCurve("GPA", "gps-accuracy", "speed, m/s", field("SAcc")),
+    LogCurve("UBX1", "gps-noise", "jamming indicator", field("jamInd"), False),
+    LogCurve("UBX1", "gps-noise", "noise per ms", field("noisePerMS"), False),
+    LogCurve("UBX1", "gps-gain", "automatic gain control", field("agcCnt"), False),
+    *(LogCurve("VIBE", "vibration", axis, field(f"Vibe{axis.upper()}")) for axis in "xyz"),
+    LogCurve("VIBE", "clipping", "accelerometer", field("Clip")),
     *(
-        Curve("VIBE", "clipping", f"accelerometer {i + 1}", field(f"Clip{i}"), False)
+        LogCurve("VIBE", "clipping", f"accelerometer {i + 1}", field(f"Clip{i}"), False)
         for i in range(3)
     ),
     *(
-        Curve("IMU", kind, axis, field(f"{word}{axis.upper()}"), "-" in kind)
+        LogCurve("IMU", kind, axis, field(f"{word}{axis.upper()}"), "-" in kind)
         for kind, word in (
             ("accel", "Acc"),
             ("gyro", "Gyr"),
@@ -151,39 +151,45 @@ CURVES: tuple[Curve, ...] = (
         for axis in "xyz"
     ),
     # Milligauss to gauss.
-    Curve("MAG", "mag", "compass", norm("MagX", "MagY", "MagZ", scale=1e-3)),
+    LogCurve("MAG", "mag", "compass", norm("MagX", "MagY", "MagZ", scale=1e-3)),
     # Pascal to hectopascal.
-    Curve("BARO", "baro", "barometer", field("Press", 0.01)),
-    Curve("BARO", "temperature", "barometer", field("Temp")),
-    Curve("IMU", "temperature", "IMU", field("T")),
-    Curve("BAT", "battery-voltage", "battery", field("Volt")),
-    Curve("BAT", "battery-current", "battery", field("Curr")),
-    Curve("BAT", "battery-remaining", "battery", field("RemPct")),
-    Curve("CURR", "battery-voltage", "battery", _hundredths("Volt")),
-    Curve("CURR", "battery-current", "battery", _hundredths("Curr")),
-    Curve("CURR", "board-voltage", "Vcc", _millivolts, False),
-    *(Curve("BCL", "battery-cells", f"cell {i}", used(f"V{i}", 1e-3)) for i in range(1, CELLS + 1)),
-    Curve("POWR", "board-voltage", "Vcc", field("Vcc"), False),
-    Curve("POWR", "board-voltage", "servo rail", used("VServo"), False),
-    Curve("POWR", "temperature", "processor", used("MTemp"), False),
-    # PM gives the load in tenths of a percent, the longest loop in microseconds.
-    Curve("PM", "load", "processor", field("Load", 0.1), False),
-    Curve("PM", "scheduler", "long loops", _long_loops, False),
-    Curve("PM", "loop-time", "longest loop", field("MaxT", 1e-3), False),
-    Curve("PM", "memory", "free", field("Mem", 1 / 1024), False),
-    Curve("RAD", "radio", "signal", field("RSSI"), False),
-    Curve("RAD", "radio", "remote signal", field("RemRSSI"), False),
-    Curve("RAD", "radio", "noise", field("Noise"), False),
-    Curve("RAD", "radio", "remote noise", field("RemNoise"), False),
-    Curve("CTUN", "throttle", "throttle", _throttle, False),
+    LogCurve("BARO", "baro", "barometer", field("Press", 0.01)),
+    LogCurve("BARO", "temperature", "barometer", field("Temp")),
+    LogCurve("IMU", "temperature", "IMU", field("T")),
+    LogCurve("BAT", "battery-voltage", "battery", field("Volt")),
+    LogCurve("BAT", "battery-current", "battery", field("Curr")),
+    LogCurve("BAT", "battery-remaining", "battery", field("RemPct")),
+    LogCurve("CURR", "battery-voltage", "battery", _hundredths("Volt")),
+    LogCurve("CURR", "battery-current", "battery", _hundredths("Curr")),
+    LogCurve("CURR", "board-voltage", "Vcc", _millivolts, False),
     *(
-        Curve("RCOU", "outputs", f"output {i}", used(f"C{i}"), False)
-        # `used` alone decides: a channel that is never driven has no curve.
+        LogCurve("BCL", "battery-cells", f"cell {i}", used_field(f"V{i}", 1e-3))
+        for i in range(1, CELLS + 1)
+    ),
+    LogCurve("POWR", "board-voltage", "Vcc", field("Vcc"), False),
+    LogCurve("POWR", "board-voltage", "servo rail", used_field("VServo"), False),
+    LogCurve("POWR", "temperature", "processor", used_field("MTemp"), False),
+    # PM gives the load in tenths of a percent, the longest loop in microseconds.
+    LogCurve("PM", "load", "processor", field("Load", 0.1), False),
+    LogCurve("PM", "scheduler", "long loops", _long_loops, False),
+    LogCurve("PM", "loop-time", "longest loop", field("MaxT", 1e-3), False),
+    LogCurve("PM", "memory", "free", field("Mem", 1 / 1024), False),
+    LogCurve("RAD", "radio", "signal", field("RSSI"), False),
+    LogCurve("RAD", "radio", "remote signal", field("RemRSSI"), False),
+    LogCurve("RAD", "radio", "noise", field("Noise"), False),
+    LogCurve("RAD", "radio", "remote noise", field("RemNoise"), False),
+    LogCurve("CTUN", "throttle", "throttle", _throttle, False),
+    *(
+        LogCurve("RCOU", "outputs", f"output {i}", used_field(f"C{i}"), False)
+        # `used_field` alone decides: a channel that is never driven has no curve.
         for i in range(1, CHANNELS + 1)
     ),
-    *(Curve("RCIN", "rc", f"channel {i}", used(f"C{i}"), False) for i in range(1, CHANNELS + 1)),
-    Curve("ESC", "rpm", "motor", used("RPM")),
-    Curve("RFND", "range", "distance sensor", field("Dist")),
+    *(
+        LogCurve("RCIN", "rc", f"channel {i}", used_field(f"C{i}"), False)
+        for i in range(1, CHANNELS + 1)
+    ),
+    LogCurve("ESC", "rpm", "motor", used_field("RPM")),
+    LogCurve("RFND", "range", "distance sensor", field("Dist")),
     *_estimator("XKF4", "XKF3", "XKF1", ""),
     *_estimator("NKF4", "NKF3", "NKF1", ""),
     *_estimator("NKF9", "NKF8", "NKF6", " 2"),

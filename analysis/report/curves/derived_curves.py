@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.report.curves.fused_curves import fused_errors
-from analysis.report.recordings.recording import Event, Recording, Signal, Track, Vector
+from analysis.report.recordings.recording import Event, FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
 BALANCE_S = 1.0
-ACCEPTED_M = 5.0  # an estimate that moves so far between two samples was reset
+RESET_M = 5.0  # an estimate that moves so far between two samples was reset
 LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log whose intervals are drawn
 
 
-def with_derived(recording: Recording) -> Recording:
+def add_derived_curves(recording: FlightData) -> FlightData:
     """A recording and the signals and events computed from its own."""
-    signals, events = derived(recording)
+    signals, events = derive_curves(recording)
     return replace(
         recording,
         signals=recording.signals + signals,
@@ -25,7 +25,7 @@ def with_derived(recording: Recording) -> Recording:
     )
 
 
-def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
+def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
     """Signals and events computed from a recording's own."""
     signals, events = [], []
     for track in recording.tracks:
@@ -49,7 +49,7 @@ def derived(recording: Recording) -> tuple[list[Signal], list[Event]]:
     return signals, events
 
 
-def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
+def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
     """How much further each step of a track is than its speed explains, m; shape (n - 1,)."""
     # A sphere is enough: steps are compared with speeds, not with maps.
     north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
@@ -70,13 +70,13 @@ def step_beyond_speed(track: Track, speed_mps: Signal | None) -> Vector:
     return beyond
 
 
-def _speed_of(recording: Recording, track: Track) -> Signal | None:
+def _speed_of(recording: FlightData, track: GroundTrack) -> Signal | None:
     speeds = {signal.name: signal for signal in recording.of("speed")}
     return speeds.get(track.name) or speeds.get("ground")
 
 
-def _resets(track: Track, step: Vector) -> list[Event]:
-    far = np.flatnonzero(np.nan_to_num(step) > ACCEPTED_M)
+def _resets(track: GroundTrack, step: Vector) -> list[Event]:
+    far = np.flatnonzero(np.nan_to_num(step) > RESET_M)
     return [
         Event(
             float(track.t_s[i + 1]),
@@ -88,7 +88,7 @@ def _resets(track: Track, step: Vector) -> list[Event]:
     ]
 
 
-def _position_errors(recording: Recording) -> list[Signal]:
+def _position_errors(recording: FlightData) -> list[Signal]:
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
     if truth is None:
         return []
@@ -109,7 +109,7 @@ def _position_errors(recording: Recording) -> list[Signal]:
     return found
 
 
-def _attitude_errors(recording: Recording) -> list[Signal]:
+def _attitude_errors(recording: FlightData) -> list[Signal]:
     """The autopilot's estimate minus the truth, and minus what its controller asked for."""
     found = []
     for part in ("roll", "pitch", "yaw"):
@@ -142,7 +142,7 @@ def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
     return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
 
 
-def _divergence(recording: Recording) -> list[Signal]:
+def _divergence(recording: FlightData) -> list[Signal]:
     """How far each further instance of the estimator leans from the first, degrees: the angle
     between where they see down, as roll and pitch leap upside down and at the zenith."""
     angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
@@ -164,7 +164,7 @@ def _down(roll: Signal, pitch: Signal, t_s: Vector) -> Vector:
     return np.column_stack((-np.sin(p), np.sin(r) * np.cos(p), np.cos(r) * np.cos(p)))
 
 
-def _balance(recording: Recording) -> list[Signal]:
+def _balance(recording: FlightData) -> list[Signal]:
     """Each motor's output less the mean of all, smoothed: a motor that is weak works more."""
     motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
     # With fewer motors the mean says too little of a single one.
@@ -185,7 +185,7 @@ def _balance(recording: Recording) -> list[Signal]:
     ]
 
 
-def _tilt(recording: Recording) -> list[Signal]:
+def _tilt(recording: FlightData) -> list[Signal]:
     """The angle between the vehicle's vertical and the world's, by the autopilot's estimate."""
     angles = {(part, s.name): s for part in ("roll", "pitch") for s in recording.of(part)}
     own = next((name for name in OWN_ATTITUDE if ("roll", name) in angles), None)
@@ -197,7 +197,7 @@ def _tilt(recording: Recording) -> list[Signal]:
     return [Signal("tilt", own, roll.t_s, np.degrees(np.arccos(np.clip(level, -1.0, 1.0))))]
 
 
-def _intervals(recording: Recording) -> list[Signal]:
+def _intervals(recording: FlightData) -> list[Signal]:
     """Time from one logged sample of the gyroscope to the next: gaps and uneven logging."""
     signal = next(iter(recording.of("gyro")), None)
     if signal is None or len(signal.t_s) < LEAST_SAMPLES:

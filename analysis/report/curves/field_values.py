@@ -21,7 +21,7 @@ UNKNOWN_M = 1e6  # 2^32 mm is u-blox's "unknown"
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class LogCurve:
     """One curve: of which message, in which panel, its name; of `every` instance or the first."""
 
     message: str
@@ -31,7 +31,7 @@ class Curve:
     every: bool = True
 
 
-def values_of(curve: Curve, columns: Columns) -> Values | None:
+def values_of(curve: LogCurve, columns: Columns) -> Values | None:
     """The curve, or None where this version lacks a field of it, or has no value in it."""
     try:
         found = curve.values(columns)
@@ -74,7 +74,7 @@ def element(name: str, i: int, scale: float = 1.0, unknown: float | None = None)
     return values
 
 
-def used(name: str, scale: float = 1.0) -> Reader:
+def used_field(name: str, scale: float = 1.0) -> Reader:
     """Values of a field that is zero throughout, or 65535, where nothing is connected."""
 
     def values(columns: Columns) -> Values:
@@ -86,7 +86,7 @@ def used(name: str, scale: float = 1.0) -> Reader:
     return values
 
 
-def positive(name: str, scale: float = 1.0) -> Reader:
+def positive_field(name: str, scale: float = 1.0) -> Reader:
     """A value of which 0 or less means that it is unknown."""
 
     def values(columns: Columns) -> Values:
@@ -96,7 +96,7 @@ def positive(name: str, scale: float = 1.0) -> Reader:
     return values
 
 
-def accuracy(name: str, scale: float = 1.0) -> Reader:
+def accuracy_field(name: str, scale: float = 1.0) -> Reader:
     """An accuracy, m; receivers without a fix give the earth's size and more, or zero."""
 
     def values(columns: Columns) -> Values:
@@ -106,12 +106,12 @@ def accuracy(name: str, scale: float = 1.0) -> Reader:
     return values
 
 
-def degrees(name: str) -> Reader:
+def angle_field(name: str) -> Reader:
     """Values of a field in radians as degrees."""
     return field(name, DEG)
 
 
-def heading(name: str, scale: float = DEG) -> Reader:
+def heading_field(name: str, scale: float = DEG) -> Reader:
     """A heading in degrees, wrapped to (-180, 180]."""
     return lambda columns: 180 - (180 - column(columns, name) * scale) % 360
 
@@ -121,7 +121,7 @@ def norm(*names: str, scale: float = 1.0) -> Reader:
     return lambda columns: scale * np.sqrt(sum(column(columns, name) ** 2 for name in names))
 
 
-def largest(*names: str) -> Reader:
+def largest_field(*names: str) -> Reader:
     """The greatest magnitude among several fields."""
     return lambda columns: np.max([np.abs(column(columns, name)) for name in names], axis=0)
 

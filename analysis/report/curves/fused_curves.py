@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 AXES = ("north", "east", "down")
@@ -10,7 +10,7 @@ FUSED = "fused"  # tracks of fused solutions begin with this
 BAND = 3.0
 
 
-def fused_errors(recording: Recording) -> list[Signal]:
+def fused_errors(recording: FlightData) -> list[Signal]:
     """Errors of every fused track along each axis, and the band of the fused one."""
     sigmas = {signal.name: signal for signal in recording.of("fused-sigma")}
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
@@ -30,7 +30,7 @@ def fused_errors(recording: Recording) -> list[Signal]:
     return found
 
 
-def error_ned_m(track: Track, truth: Track) -> tuple[Vector, Vector]:
+def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]:
     """Times (n,) within the truth's and track minus truth (n, 3) north, east, down there."""
     inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
     t_s = track.t_s[inside]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.recording import Recording, Signal, Vector
+from analysis.report.recordings.recording import FlightData, Signal, Vector
 
 # Below 20 Hz nothing of motors or filters is in the signal.
 LEAST_HZ, LEAST_SAMPLES = 20.0, 512
@@ -81,7 +81,7 @@ class SpectrumPanel:
 
 
 def spectrum_panels(
-    recording: Recording, window: tuple[float, float] | None = None
+    recording: FlightData, window: tuple[float, float] | None = None
 ) -> list[SpectrumPanel]:
     """Spectra of the signals that are fast enough, within a window of time (s) if there is one."""
     # Parameters and speeds as the log has them; no frequency is guessed.
@@ -95,7 +95,7 @@ def spectrum_panels(
     return found
 
 
-def marks(recording: Recording) -> list[tuple[float, str]]:
+def frequency_marks(recording: FlightData) -> list[tuple[float, str]]:
     """Frequencies of filters by the parameters, and of motors by their speed; (Hz, name)."""
     # The last value: a filter may have been set on the ground.
     last = {name: history[-1][1] for name, history in recording.parameters.items() if history}
@@ -114,7 +114,7 @@ def marks(recording: Recording) -> list[tuple[float, str]]:
 
 
 def _fast_signals(
-    recording: Recording, panels: Sequence[str], window: tuple[float, float] | None
+    recording: FlightData, panels: Sequence[str], window: tuple[float, float] | None
 ) -> list[Signal]:
     """Evenly sampled signals: of the first panel that has some, of all where they are axes."""
     axes = panels[0].startswith("rate-")
@@ -170,7 +170,7 @@ def _density(signal: Signal) -> Spectrum:
     return Spectrum(signal.name, frequency_hz[1:], density[1:])
 
 
-def _images(recording: Recording, fast: Sequence[Signal]) -> list[Spectrogram]:
+def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
     """The axes of the first instance, or all motors, summed: by time, and by throttle where that is
     logged."""
     from matplotlib.mlab import specgram

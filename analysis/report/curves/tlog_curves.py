@@ -7,18 +7,18 @@ import numpy as np
 
 from analysis.report.curves.field_values import (
     Columns,
-    Curve,
+    LogCurve,
     Reader,
     Values,
-    accuracy,
+    accuracy_field,
+    angle_field,
     column,
-    degrees,
     element,
     euler_deg,
     field,
-    heading,
+    heading_field,
     norm,
-    used,
+    used_field,
 )
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
@@ -81,18 +81,18 @@ def _noise(strongest: int) -> Reader:
 
 
 _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
-    ("ATTITUDE", "roll", "ATTITUDE", degrees("roll")),
-    ("ATTITUDE", "pitch", "ATTITUDE", degrees("pitch")),
-    ("ATTITUDE", "yaw", "ATTITUDE", heading("yaw")),
+    ("ATTITUDE", "roll", "ATTITUDE", angle_field("roll")),
+    ("ATTITUDE", "pitch", "ATTITUDE", angle_field("pitch")),
+    ("ATTITUDE", "yaw", "ATTITUDE", heading_field("yaw")),
     ("ATTITUDE_QUATERNION", "roll", "ATTITUDE_QUATERNION", _euler(0)),
     ("ATTITUDE_QUATERNION", "pitch", "ATTITUDE_QUATERNION", _euler(1)),
     ("ATTITUDE_QUATERNION", "yaw", "ATTITUDE_QUATERNION", _euler(2)),
     ("ATTITUDE_TARGET", "roll", "desired", _euler(0)),
     ("ATTITUDE_TARGET", "pitch", "desired", _euler(1)),
     ("ATTITUDE_TARGET", "yaw", "desired", _euler(2)),
-    ("AHRS2", "roll", "AHRS2", degrees("roll")),
-    ("AHRS2", "pitch", "AHRS2", degrees("pitch")),
-    ("AHRS2", "yaw", "AHRS2", heading("yaw")),
+    ("AHRS2", "roll", "AHRS2", angle_field("roll")),
+    ("AHRS2", "pitch", "AHRS2", angle_field("pitch")),
+    ("AHRS2", "yaw", "AHRS2", heading_field("yaw")),
     ("HIL_STATE_QUATERNION", "roll", "truth", _euler(0)),
     ("HIL_STATE_QUATERNION", "pitch", "truth", _euler(1)),
     ("HIL_STATE_QUATERNION", "yaw", "truth", _euler(2)),
@@ -114,7 +114,7 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("ESTIMATOR_STATUS", "ratio", "magnetometer", field("mag_ratio")),
     ("ESTIMATOR_STATUS", "ratio", "height above ground", field("hagl_ratio")),
     ("ESTIMATOR_STATUS", "ratio", "airspeed", field("tas_ratio")),
-    ("ESTIMATOR_STATUS", "accuracy", "horizontal", accuracy("pos_horiz_accuracy")),
+    ("ESTIMATOR_STATUS", "accuracy", "horizontal", accuracy_field("pos_horiz_accuracy")),
     ("ESTIMATOR_STATUS", "accuracy", "vertical", field("pos_vert_accuracy")),
     ("EKF_STATUS_REPORT", "variance", "velocity", field("velocity_variance")),
     ("EKF_STATUS_REPORT", "variance", "horizontal position", field("pos_horiz_variance")),
@@ -126,8 +126,8 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("HIL_GPS", "gps-satellites", "HIL_GPS", field("satellites_visible", 1, 255)),
     ("GPS_RAW_INT", "gps-dilution", "eph", _dilution("eph")),
     ("GPS_RAW_INT", "gps-dilution", "epv", _dilution("epv")),
-    ("GPS_RAW_INT", "gps-accuracy", "horizontal", accuracy("h_acc", 1e-3)),
-    ("GPS_RAW_INT", "gps-accuracy", "vertical", accuracy("v_acc", 1e-3)),
+    ("GPS_RAW_INT", "gps-accuracy", "horizontal", accuracy_field("h_acc", 1e-3)),
+    ("GPS_RAW_INT", "gps-accuracy", "vertical", accuracy_field("v_acc", 1e-3)),
     ("GPS_RAW_INT", "gps-fix", "GPS", field("fix_type")),
     ("GPS2_RAW", "gps-fix", "GPS 2", field("fix_type")),
     ("HIL_GPS", "gps-fix", "HIL_GPS", field("fix_type")),
@@ -173,11 +173,11 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("RADIO_STATUS", "radio", "noise", field("noise", 1, 255)),
     ("RADIO_STATUS", "radio", "remote noise", field("remnoise", 1, 255)),
     *(
-        ("ATTITUDE", f"rate-{name}", "actual", degrees(f"{name}speed"))
+        ("ATTITUDE", f"rate-{name}", "actual", angle_field(f"{name}speed"))
         for name in ("roll", "pitch", "yaw")
     ),
     *(
-        ("ATTITUDE_TARGET", f"rate-{name}", "desired", degrees(f"body_{name}_rate"))
+        ("ATTITUDE_TARGET", f"rate-{name}", "desired", angle_field(f"body_{name}_rate"))
         for name in ("roll", "pitch", "yaw")
     ),
     *(
@@ -194,10 +194,13 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
         for i in range(MOTORS)
     ),
     *(
-        ("SERVO_OUTPUT_RAW", "outputs", f"output {i}", used(f"servo{i}_raw"))
+        ("SERVO_OUTPUT_RAW", "outputs", f"output {i}", used_field(f"servo{i}_raw"))
         for i in range(1, CHANNELS + 1)
     ),
-    *(("RC_CHANNELS", "rc", f"channel {i}", used(f"chan{i}_raw")) for i in range(1, CHANNELS + 1)),
+    *(
+        ("RC_CHANNELS", "rc", f"channel {i}", used_field(f"chan{i}_raw"))
+        for i in range(1, CHANNELS + 1)
+    ),
     *(
         ("BATTERY_STATUS", "battery-cells", f"cell {i + 1}", element("voltages", i, 1e-3, NO_CELL))
         for i in range(CELLS)
@@ -220,8 +223,8 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("DISTANCE_SENSOR", "range", "distance sensor", field("current_distance", 1e-2)),
     ("RANGEFINDER", "range", "distance sensor", field("distance")),
     ("SYS_STATUS", "link-drop", "packets dropped", field("drop_rate_comm", 1e-2)),
-    ("POWER_STATUS", "board-voltage", "servo rail", used("Vservo", 1e-3)),
+    ("POWER_STATUS", "board-voltage", "servo rail", used_field("Vservo", 1e-3)),
     ("MEMINFO", "memory", "free", field("freemem", 1 / 1024)),
-    ("HWSTATUS", "board-voltage", "board", used("Vcc", 1e-3)),
+    ("HWSTATUS", "board-voltage", "board", used_field("Vcc", 1e-3)),
 )
-CURVES = tuple(Curve(*row) for row in _TABLE)
+CURVES = tuple(LogCurve(*row) for row in _TABLE)

@@ -30,7 +30,7 @@ INNOVATIONS = (
 GATE = "gate"  # names of gates begin with this
 
 
-def innovations(
+def innovation_signals(
     topics: Mapping[tuple[str, int], Topic], parameters: Mapping[str, float], start_us: int
 ) -> list[Signal]:
     """Innovations of every instance, and the gates of the first, both ways."""

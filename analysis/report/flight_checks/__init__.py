@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import Any
 
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import Check, armed_windows
-from analysis.report.recordings.recording import Recording
+from analysis.report.judging.checks import FlightCheck, armed_windows
+from analysis.report.recordings.recording import FlightData
 
 
 @cache
@@ -22,7 +22,7 @@ def _files() -> tuple[Any, ...]:
     )
 
 
-def flight_checks(recording: Recording, thresholds: Thresholds) -> list[Check]:
+def flight_checks(recording: FlightData, thresholds: Thresholds) -> list[FlightCheck]:
     """Every check on one flight, judged or not."""
     armed = armed_windows(recording)
     return [check for file in _files() for check in file.checks(recording, thresholds, armed)]

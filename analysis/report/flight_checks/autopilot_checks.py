@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Windows, within
-from analysis.report.judging.texts import texts_check
-from analysis.report.recordings.recording import Recording, Span
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
+from analysis.report.recordings.recording import FlightData, Span
 
-SWITCHES_S = 10.0
-BEGINS_S, STANDS_MPS = 1.0, 1.0
+SWITCH_WINDOW_S = 10.0
+LOG_START_S, STANDSTILL_MPS = 1.0, 1.0
 
 
-def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
     """One check a voice."""
     return [
         _flags(recording, armed),
@@ -21,29 +21,29 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     ]
 
 
-def _flags(recording: Recording, armed: Windows | None) -> Check:
+def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     """Flags by which the autopilot itself says that something is wrong."""
     name = "flags of the autopilot"
     # An empty list: the log says when, and it never was.
     if armed == []:
-        return Check(name=name, verdict=NONE, evidence="never armed")
+        return FlightCheck(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
     # Either end inside: flags that were raised on the ground and last count.
-    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
+    spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
     if armed is None:
         spans = [s for s in spans if not _starts(recording, s)]
     if not spans:
         known = recording.of("ratio") or recording.of("variance")
         evidence = "none raised while armed" if known else "no estimator status in the log"
-        return Check(name=name, verdict=PASS if known else NONE, evidence=evidence)
+        return FlightCheck(name=name, verdict=PASS if known else NONE, evidence=evidence)
     shown = ", ".join(f"{s.lane} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:4])
     if len(spans) > 4:
         shown += f" and {len(spans) - 4} more"
     windows = tuple((s.start_s, s.end_s) for s in spans)
-    return Check(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
+    return FlightCheck(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
 
 
-def _starts(recording: Recording, span: Span) -> bool:
+def _starts(recording: FlightData, span: Span) -> bool:
     """Whether a flag is that of an estimator which starts: from the log's beginning on, while the
     receiver says that the vehicle stands."""
     speeds = [
@@ -51,50 +51,52 @@ def _starts(recording: Recording, span: Span) -> bool:
         for signal in recording.of("speed")
         if signal.name == "GPS"
     ]
-    if span.start_s > BEGINS_S or not speeds or not len(speeds[0]):
+    if span.start_s > LOG_START_S or not speeds or not len(speeds[0]):
         return False
-    return bool(np.nanmax(speeds[0]) < STANDS_MPS)
+    return bool(np.nanmax(speeds[0]) < STANDSTILL_MPS)
 
 
-def _switches(recording: Recording, th: Thresholds, armed: Windows | None) -> Check:
+def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
     """How often the estimator in use changed: one change helps, many within seconds do not."""
     name, (warn, fail) = "estimator switches", th.estimator_switches
-    limit = f"warn from {warn:g}, fail from {fail:g} within {SWITCHES_S:g} s"
+    limit = f"warn from {warn:g}, fail from {fail:g} within {SWITCH_WINDOW_S:g} s"
     spans = [s for s in recording.spans if s.lane == "estimator in use"]
     if not spans or armed == []:
         reason = "never armed" if spans else "not told, or one throughout"
-        return Check(name=name, verdict=NONE, evidence=reason, limit=limit)
+        return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
     # The first is the one it began with.
     starts_s = np.sort([s.start_s for s in spans])[1:]
-    starts_s = starts_s[[within(float(t_s), armed) for t_s in starts_s]]
-    counts = np.arange(1, len(starts_s) + 1) - np.searchsorted(starts_s, starts_s - SWITCHES_S)
+    starts_s = starts_s[[is_within(float(t_s), armed) for t_s in starts_s]]
+    counts = np.arange(1, len(starts_s) + 1) - np.searchsorted(starts_s, starts_s - SWITCH_WINDOW_S)
     most = int(counts.max(initial=0))
     if most < warn:
-        evidence = f"at most {most} within {SWITCHES_S:g} s"
-        return Check(name=name, verdict=PASS, evidence=evidence, limit=limit)
+        evidence = f"at most {most} within {SWITCH_WINDOW_S:g} s"
+        return FlightCheck(name=name, verdict=PASS, evidence=evidence, limit=limit)
     end_s = float(starts_s[counts.argmax()])
-    return Check(
+    return FlightCheck(
         name=name,
         verdict=FAIL if most >= fail else WARN,
-        evidence=f"{len(starts_s)} in all, {most} within {SWITCHES_S:g} s up to {end_s:.1f} s",
+        evidence=f"{len(starts_s)} in all, {most} within {SWITCH_WINDOW_S:g} s up to {end_s:.1f} s",
         limit=limit,
-        windows=((end_s - SWITCHES_S, end_s),),
+        windows=((end_s - SWITCH_WINDOW_S, end_s),),
     )
 
 
-def _status(recording: Recording, armed: Windows | None) -> Check:
+def _status(recording: FlightData, armed: Windows | None) -> FlightCheck:
     name = "system status of the autopilot"
     # Heartbeats carry the status.
     if not any(span.lane.startswith("mode") for span in recording.spans):
-        return Check(name=name, verdict=NONE, evidence="no heartbeats in the log")
+        return FlightCheck(name=name, verdict=NONE, evidence="no heartbeats in the log")
     if armed == []:
-        return Check(name=name, verdict=NONE, evidence="never armed")
+        return FlightCheck(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.lane.startswith("system status")]
-    spans = [s for s in spans if within(s.start_s, armed) or within(s.end_s, armed)]
+    spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
     limit = "warn: CRITICAL while armed; fail: EMERGENCY"
     if not spans:
-        return Check(name=name, verdict=PASS, evidence="never critical while armed", limit=limit)
+        return FlightCheck(
+            name=name, verdict=PASS, evidence="never critical while armed", limit=limit
+        )
     worst = FAIL if any(s.text == "EMERGENCY" for s in spans) else WARN
     evidence = ", ".join(f"{s.text} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:5])
     windows = tuple((s.start_s, s.end_s) for s in spans)
-    return Check(name=name, verdict=worst, evidence=evidence, limit=limit, windows=windows)
+    return FlightCheck(name=name, verdict=worst, evidence=evidence, limit=limit, windows=windows)

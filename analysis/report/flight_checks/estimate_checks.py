@@ -3,32 +3,32 @@
 import numpy as np
 
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import Check, Limits, Windows, level
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.recordings.recording import FlightData, Signal
 
 
-def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
     """One check a quantity."""
     of, hold = recording.of, th.hold_s
-    ratio = Limits(*th.innovation_ratio, hold_s=hold)
-    variance = Limits(*th.ekf_variance, hold_s=hold)
-    step = Limits(*th.estimate_step_m, "m")
-    far = Limits(*th.position_error_m, "m", hold_s=hold)
-    high = Limits(*th.height_error_m, "m", hold_s=hold)
-    tilted = Limits(*th.attitude_error_deg, "deg", hold_s=hold)
+    ratio = CheckLimits(*th.innovation_ratio, hold_s=hold)
+    variance = CheckLimits(*th.ekf_variance, hold_s=hold)
+    step = CheckLimits(*th.estimate_step_m, "m")
+    far = CheckLimits(*th.position_error_m, "m", hold_s=hold)
+    high = CheckLimits(*th.height_error_m, "m", hold_s=hold)
+    tilted = CheckLimits(*th.attitude_error_deg, "deg", hold_s=hold)
     # The two that claim to be the vehicle's position.
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
-        level("innovation test ratios", of("ratio"), ratio, armed),
-        level("EKF variances", of("variance"), variance, armed),
-        level("estimate steps", of("estimate-jump"), step, armed),
-        level("position against the truth", positions, far, armed),
-        level("height against the truth", _height_errors(recording), high, armed),
-        level("attitude against the truth", _tilt_errors(recording), tilted, armed),
+        check_level("innovation test ratios", of("ratio"), ratio, armed),
+        check_level("EKF variances", of("variance"), variance, armed),
+        check_level("estimate steps", of("estimate-jump"), step, armed),
+        check_level("position against the truth", positions, far, armed),
+        check_level("height against the truth", _height_errors(recording), high, armed),
+        check_level("attitude against the truth", _tilt_errors(recording), tilted, armed),
     ]
 
 
-def _height_errors(recording: Recording) -> list[Signal]:
+def _height_errors(recording: FlightData) -> list[Signal]:
     """How far the estimated altitude is off the true one, m."""
     tracks = {track.name: track for track in recording.tracks}
     truth = tracks.get("truth")
@@ -44,7 +44,7 @@ def _height_errors(recording: Recording) -> list[Signal]:
     return found
 
 
-def _tilt_errors(recording: Recording) -> list[Signal]:
+def _tilt_errors(recording: FlightData) -> list[Signal]:
     found = []
     for panel in ("error-roll", "error-pitch", "error-yaw"):
         for signal in recording.of(panel):

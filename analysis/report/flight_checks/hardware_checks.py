@@ -3,20 +3,20 @@
 import numpy as np
 
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import Check, Limits, Windows, level
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.recordings.recording import FlightData, Signal
 
 FIRST_MOTOR, MOTORS = 33, 8  # SERVOn_FUNCTION of ArduPilot's motors 1 to 8
 PWM_US = (1000.0, 2000.0)
 FEWEST_MOTORS = 3
-FLYING = 0.15  # mean output above which a multirotor flies
+FLYING_OUTPUT = 0.15  # mean output above which a multirotor flies
 MEAN_S = 2.0  # over which balance and disagreement are taken: manoeuvres and vibration pass
 SIMULATED = "SIM_SPEEDUP"  # a parameter of ArduPilot's own simulator
 LEAST_CELL_V = 1.0  # below it a cell is not connected
-FULL = 0.99
+FULL_OUTPUT = 0.99
 
 
-def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
     """One check a part."""
     of, hold = recording.of, th.hold_s
     motors = motor_outputs(recording)
@@ -27,27 +27,35 @@ def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[
     # A simulated autopilot's loops take as long as its simulator lets them.
     loops = [] if SIMULATED in recording.parameters else of("scheduler")
     return [
-        level("motor balance", _off_mean(motors), Limits(*th.motor_balance, hold_s=hold), armed),
-        level("motors at their limit", _full(motors), Limits(*th.motor_limit_s, "s"), armed),
-        level("gyroscopes agree", gyros, Limits(*th.gyro_apart_rps, "rad/s", hold_s=hold), armed),
-        level(
+        check_level(
+            "motor balance", _off_mean(motors), CheckLimits(*th.motor_balance, hold_s=hold), armed
+        ),
+        check_level(
+            "motors at their limit", _full(motors), CheckLimits(*th.motor_limit_s, "s"), armed
+        ),
+        check_level(
+            "gyroscopes agree", gyros, CheckLimits(*th.gyro_apart_rps, "rad/s", hold_s=hold), armed
+        ),
+        check_level(
             "accelerometers agree",
             accelerometers,
-            Limits(*th.accel_apart_mps2, "m/s²", hold_s=hold),
+            CheckLimits(*th.accel_apart_mps2, "m/s²", hold_s=hold),
             armed,
         ),
-        level(
+        check_level(
             "estimators agree",
             of("divergence"),
-            Limits(*th.estimators_apart_deg, "deg", hold_s=hold),
+            CheckLimits(*th.estimators_apart_deg, "deg", hold_s=hold),
             armed,
         ),
-        level("cell voltage", cells, Limits(*th.cell_v, "V", below=True, hold_s=hold), armed),
-        level("scheduler", loops, Limits(*th.long_loops_percent, "%"), armed),
+        check_level(
+            "cell voltage", cells, CheckLimits(*th.cell_v, "V", below=True, hold_s=hold), armed
+        ),
+        check_level("scheduler", loops, CheckLimits(*th.long_loops_percent, "%"), armed),
     ]
 
 
-def motor_outputs(recording: Recording) -> list[Signal]:
+def motor_outputs(recording: FlightData) -> list[Signal]:
     """The outputs of a multirotor's motors from 0 to 1, on one axis of time; else none."""
     motors = [s for s in recording.of("actuators") if s.name.startswith("motor")]
     if not motors:
@@ -60,7 +68,7 @@ def motor_outputs(recording: Recording) -> list[Signal]:
     return motors if len(motors) >= FEWEST_MOTORS and same and not surfaces else []
 
 
-def _by_function(recording: Recording) -> list[Signal]:
+def _by_function(recording: FlightData) -> list[Signal]:
     """ArduPilot's outputs, by the function that the parameters give them."""
     parameters = {name: values[-1][1] for name, values in recording.parameters.items()}
     # Zero says that the parameter is not set.
@@ -95,7 +103,7 @@ def _off_mean(motors: list[Signal]) -> list[Signal]:
         return []
     mean = np.nanmean([signal.value for signal in motors], axis=0)
     # On the ground motors idle unevenly without harm.
-    flies = mean > FLYING
+    flies = mean > FLYING_OUTPUT
     off = (Signal("balance", s.name, s.t_s[flies], (s.value - mean)[flies]) for s in motors)
     return [_mean(signal) for signal in off]
 
@@ -104,7 +112,7 @@ def _full(motors: list[Signal]) -> list[Signal]:
     """For how long each motor has been at the top of its range."""
     found = []
     for signal in motors:
-        full = signal.value >= FULL
+        full = signal.value >= FULL_OUTPUT
         # While it is full the start of the stretch stands still.
         begin = np.maximum.accumulate(np.where(full, signal.t_s[0], signal.t_s))
         for_s = np.where(full, signal.t_s - begin, 0.0)

@@ -3,37 +3,39 @@
 import re
 
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, Limits, Windows
-from analysis.report.recordings.recording import Recording
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck, Windows
+from analysis.report.recordings.recording import FlightData
 
 DAMAGE = re.compile("damaged|not read")
-MOST_LOST = 0.9  # beyond, the sequence numbers of several links stand in one log
+MAX_LOST_SHARE = 0.9  # beyond, the sequence numbers of several links stand in one log
 FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
 
 
-def checks(recording: Recording, th: Thresholds, armed: Windows | None) -> list[Check]:
+def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
     """The whole log, and each link."""
-    return [_whole(recording, th), *_links(recording, th)]
+    return [_log_integrity(recording, th), *_links(recording, th)]
 
 
-def _whole(recording: Recording, th: Thresholds) -> Check:
-    limits = Limits(*th.broken_bytes_percent, "%")
+def _log_integrity(recording: FlightData, th: Thresholds) -> FlightCheck:
+    limits = CheckLimits(*th.broken_bytes_percent, "%")
     # What the reader of the log noted.
     damage = [note for note in recording.notes if DAMAGE.search(note)]
     if damage:
-        return Check(name="log is whole", verdict=WARN, evidence="; ".join(damage))
+        return FlightCheck(name="log is whole", verdict=WARN, evidence="; ".join(damage))
     if recording.size == 0:
-        return Check(name="log is whole", verdict=PASS, evidence="no part is damaged or missing")
+        return FlightCheck(
+            name="log is whole", verdict=PASS, evidence="no part is damaged or missing"
+        )
     percent = 100 * recording.junk_bytes / recording.size
     verdict = FAIL if percent > limits.fail else WARN if percent > limits.warn else PASS
     evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are no frame"
-    return Check(name="log is whole", verdict=verdict, evidence=evidence, limit=limits.text())
+    return FlightCheck(name="log is whole", verdict=verdict, evidence=evidence, limit=limits.text())
 
 
-def _links(recording: Recording, th: Thresholds) -> list[Check]:
+def _links(recording: FlightData, th: Thresholds) -> list[FlightCheck]:
     """Losses and silences of the vehicles' senders that sent enough to tell."""
     vehicles = set(recording.systems)
-    lost, silent = Limits(*th.frames_lost_percent, "%"), Limits(*th.silence_s, "s")
+    lost, silent = CheckLimits(*th.frames_lost_percent, "%"), CheckLimits(*th.silence_s, "s")
     checks = []
     for link in recording.links:
         # Too few frames to tell a share.
@@ -44,10 +46,10 @@ def _links(recording: Recording, th: Thresholds) -> list[Check]:
         bad = percent > lost.fail or link.longest_gap_s > silent.fail
         doubtful = percent > lost.warn or link.longest_gap_s > silent.warn
         # Links merged into one log share the numbers: nearly all seem lost.
-        mixed = share > MOST_LOST
+        mixed = share > MAX_LOST_SHARE
         name = f"link from {link.system}/{link.component}"
         checks.append(
-            Check(
+            FlightCheck(
                 name=f"{name} in {link.log}" if link.log else name,
                 verdict=NONE if mixed else FAIL if bad else WARN if doubtful else PASS,
                 evidence="sequence numbers of several links in one log, losses cannot be counted"

@@ -12,22 +12,22 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.recording import Recording, Signal, Vector, runs
+from analysis.report.recordings.recording import FlightData, Signal, Vector, true_runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # A check that was not judged ranks below one that passed.
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
 Windows = Sequence[tuple[float, float]]  # seconds
-FEWEST = 5  # samples below which a curve bears no verdict
+MIN_SAMPLES = 5  # samples below which a curve bears no verdict
 LONG_GAP_S = 5.0
-FORMAL = {  # checks that may pass without a flight
+PASS_WITHOUT_FLIGHT = {  # checks that may pass without a flight
     # These pass on a log from the bench as well.
     "log is whole", "messages of the autopilot", "system status of the autopilot",
     "GPS jamming indicator", "before arming", "log ends on the ground", "scheduler",
 }  # fmt: skip
 
 
-class Check(msgspec.Struct, frozen=True, kw_only=True):
+class FlightCheck(msgspec.Struct, frozen=True, kw_only=True):
     """One check: what was found, against which limit, and when.
 
     `windows` are seconds on the report's axis; `panel` is the plot that shows it, `levels` the
@@ -44,7 +44,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class CheckLimits:
     """Warning and failure limit of a value; `below` where small values are bad."""
 
     warn: float
@@ -61,7 +61,7 @@ class Limits:
         return f"warn {word} {self.warn:g}{unit}, fail {word} {self.fail:g}{unit}{hold}"
 
 
-def verdict_of(checks: Sequence[Check]) -> str:
+def verdict_of(checks: Sequence[FlightCheck]) -> str:
     """The worst of all; NO VERDICT if nothing measured in flight could be judged.
 
     A log that is whole, or a link without losses, says nothing about the flight.
@@ -73,11 +73,13 @@ def verdict_of(checks: Sequence[Check]) -> str:
     return "NO VERDICT" if worst == NONE else worst
 
 
-def _formal(check: Check) -> bool:
-    return check.name in FORMAL or check.name.startswith("link from")
+def _formal(check: FlightCheck) -> bool:
+    return check.name in PASS_WITHOUT_FLIGHT or check.name.startswith("link from")
 
 
-def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple[float, float]]:
+def lasting_windows(
+    t_s: Vector, beyond: NDArray[np.bool_], hold_s: float
+) -> list[tuple[float, float]]:
     """Stretches of at least `hold_s` in which a condition `beyond` (n,) was true at every sample.
 
     A sample stands for the time until the next one, but not across a gap in the data.
@@ -87,7 +89,7 @@ def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple
     # The last sample stands for as long as the usual one.
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     windows = []
-    for begin, end in runs(beyond):
+    for begin, end in true_runs(beyond):
         # The value between two samples is known only if they are close.
         cuts = [begin, *(begin + 1 + np.flatnonzero(np.diff(t_s[begin:end]) > LONG_GAP_S)), end]
         for first, last in itertools.pairwise(cuts):
@@ -97,24 +99,29 @@ def lasting(t_s: Vector, beyond: NDArray[np.bool_], hold_s: float) -> list[tuple
     return windows
 
 
-def level(
-    name: str, signals: Sequence[Signal], limits: Limits, only: Sequence[tuple[float, float]] | None
-) -> Check:
+def check_level(
+    name: str,
+    signals: Sequence[Signal],
+    limits: CheckLimits,
+    only: Sequence[tuple[float, float]] | None,
+) -> FlightCheck:
     """Hold curves of one panel against limits, inside the windows `only` (None: everywhere)."""
     panel = signals[0].panel if signals else ""
     rows = [(s.name, *_inside(s, only)) for s in signals]
     # A handful of samples is an accident of logging, no evidence.
-    rows = [row for row in rows if len(row[1]) >= FEWEST]
+    rows = [row for row in rows if len(row[1]) >= MIN_SAMPLES]
     if not rows:
         reason = "no data" if not signals or only is None else "no data while armed"
-        return Check(name=name, verdict=NONE, evidence=reason, limit=limits.text(), panel=panel)
+        return FlightCheck(
+            name=name, verdict=NONE, evidence=reason, limit=limits.text(), panel=panel
+        )
     verdict, windows, worst = PASS, [], []
     for label, t_s, value in rows:
         # One comparison for both kinds of limit.
         sign = -1.0 if limits.below else 1.0
-        failing = lasting(t_s, sign * value > sign * limits.fail, limits.hold_s)
+        failing = lasting_windows(t_s, sign * value > sign * limits.fail, limits.hold_s)
         # Beyond the failing limit is beyond the warning one too.
-        warning = lasting(t_s, sign * value > sign * limits.warn, limits.hold_s)
+        warning = lasting_windows(t_s, sign * value > sign * limits.warn, limits.hold_s)
         found = FAIL if failing else WARN if warning else PASS
         # The worst curve of the panel decides.
         if RANK[found] > RANK[verdict]:
@@ -125,8 +132,8 @@ def level(
     _, label, t_s, value = max(worst, key=lambda row: row[0])
     evidence = _evidence(label, t_s, value, limits, len(rows) > 1)
     if windows:
-        evidence += _how_long(merged_windows(windows), limits.hold_s)
-    return Check(
+        evidence += _excess_text(merged_windows(windows), limits.hold_s)
+    return FlightCheck(
         name=name,
         verdict=verdict,
         evidence=evidence,
@@ -137,7 +144,7 @@ def level(
     )
 
 
-def _how_long(windows: Sequence[tuple[float, float]], hold_s: float) -> str:
+def _excess_text(windows: Sequence[tuple[float, float]], hold_s: float) -> str:
     if hold_s == 0:
         return f"; beyond the limit {len(windows)} time{'s' if len(windows) > 1 else ''}"
     return f"; beyond the limit for {sum(end - start for start, end in windows):.1f} s"
@@ -153,7 +160,7 @@ def _inside(signal: Signal, only: Sequence[tuple[float, float]] | None) -> tuple
     return signal.t_s[keep], signal.value[keep]
 
 
-def _evidence(label: str, t_s: Vector, value: Vector, limits: Limits, several: bool) -> str:
+def _evidence(label: str, t_s: Vector, value: Vector, limits: CheckLimits, several: bool) -> str:
     at = int(value.argmin() if limits.below else value.argmax())
     word = "least" if limits.below else "peak"
     # The percentile tells a lone peak from a habit.
@@ -178,12 +185,12 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
     return found
 
 
-def within(t_s: float, windows: Windows | None) -> bool:
+def is_within(t_s: float, windows: Windows | None) -> bool:
     """Whether an instant lies in one of some windows (None: everywhere)."""
     return windows is None or any(start <= t_s <= end for start, end in windows)
 
 
-def armed_windows(recording: Recording) -> list[tuple[float, float]] | None:
+def armed_windows(recording: FlightData) -> list[tuple[float, float]] | None:
     """When the vehicle was armed; None if the log does not say."""
     spans = [span for span in recording.spans if span.lane.startswith("armed")]
     if not spans:

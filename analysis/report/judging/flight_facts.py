@@ -4,10 +4,10 @@ import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
 from analysis.report.judging.checks import armed_windows
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.recordings.recording import FlightData, Signal
 
 
-def flight_facts(recording: Recording) -> list[tuple[str, str]]:
+def flight_facts(recording: FlightData) -> list[tuple[str, str]]:
     """Name and value of each number that the log's own estimate gives, while armed."""
     armed = armed_windows(recording)
     if not armed:
@@ -30,7 +30,7 @@ def flight_facts(recording: Recording) -> list[tuple[str, str]]:
 
 
 def _inside(
-    recording: Recording, panel: str, names: tuple[str, ...], armed: list[tuple[float, float]]
+    recording: FlightData, panel: str, names: tuple[str, ...], armed: list[tuple[float, float]]
 ) -> Signal | None:
     """The first curve of these names, NaN outside the windows; None without any value."""
     curves = {signal.name: signal for signal in recording.of(panel)}

@@ -7,18 +7,18 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from analysis.report.curves.derived_curves import with_derived
+from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, Check, verdict_of
-from analysis.report.judging.reaction import ECHO_S, reactions
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, verdict_of
+from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
 from analysis.report.page.panels import BY_KEY
-from analysis.report.recordings.recording import Recording, Span
-from analysis.report.recordings.sources import Flight
-from analysis.scoring.criteria import Criteria, faults_missed
+from analysis.report.recordings.flight_sources import RecordedFlight
+from analysis.report.recordings.recording import FlightData, Span
+from analysis.scoring.criteria import Criteria, check_missed_faults
 
 # Checks that hold the autopilot's own alarms: where a fault was injected they ought to speak.
-ALARMS = {
+AUTOPILOT_ALARMS = {
     "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
     "innovation test ratios", "EKF variances", "compass field strength", "vibration",
     "accelerometer clipping", "messages of the autopilot", "flags of the autopilot",
@@ -26,38 +26,38 @@ ALARMS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FlightAssessment:
     """A flight with its derived curves, its checks, their verdict and the summary."""
 
-    flight: Flight
-    checks: list[Check]
+    flight: RecordedFlight
+    checks: list[FlightCheck]
     verdict: str
     summary: dict[str, Any]
 
 
-def judged(flight: Flight, thresholds: Thresholds) -> Outcome:
+def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAssessment:
     """Derive what follows from the recording, check it, and sum up."""
-    recording = with_derived(flight.recording)
+    recording = add_derived_curves(flight.recording)
     raw = flight_checks(recording, thresholds)
     checks = [_expected(check, recording) for check in raw]
-    faults = flight.summary.get("faults") or reactions(flight.labels, recording, raw)
+    faults = flight.summary.get("faults") or fault_reactions(flight.labels, recording, raw)
     # A run's own criteria, or what any labelled log is asked for.
     checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
     # Findings become lanes of the timeline.
     recording = replace(recording, spans=recording.spans + _found(checks))
     flight = replace(flight, recording=recording)
     verdict = verdict_of(checks)
-    return Outcome(flight, checks, verdict, _summary(flight, checks, verdict, faults))
+    return FlightAssessment(flight, checks, verdict, _summary(flight, checks, verdict, faults))
 
 
-def _expected(check: Check, recording: Recording) -> Check:
+def _expected(check: FlightCheck, recording: FlightData) -> FlightCheck:
     """An alarm raised while a fault was injected, and only then, is as it should be."""
     injected = [span for span in recording.spans if span.kind == "injected"]
-    if check.name not in ALARMS or check.verdict not in (WARN, FAIL) or not injected:
+    if check.name not in AUTOPILOT_ALARMS or check.verdict not in (WARN, FAIL) or not injected:
         return check
     inside = all(
         # A second before: a check's window may begin with the sample before the fault.
-        any(s.start_s - 1 <= start and end <= s.end_s + ECHO_S for s in injected)
+        any(s.start_s - 1 <= start and end <= s.end_s + AFTER_FAULT_S for s in injected)
         for start, end in check.windows
     )
     if not inside:
@@ -66,9 +66,9 @@ def _expected(check: Check, recording: Recording) -> Check:
     return msgspec.structs.replace(check, verdict=PASS, evidence=evidence)
 
 
-def _criterion(row: Mapping[str, Any]) -> Check:
+def _criterion(row: Mapping[str, Any]) -> FlightCheck:
     words = {True: PASS, False: FAIL, None: NONE}
-    return Check(
+    return FlightCheck(
         name=f"criterion: {row['name']}",
         verdict=words[row["passed"]],
         evidence="no value" if row["value"] is None else str(row["value"]),
@@ -76,7 +76,7 @@ def _criterion(row: Mapping[str, Any]) -> Check:
     )
 
 
-def _found(checks: Sequence[Check]) -> list[Span]:
+def _found(checks: Sequence[FlightCheck]) -> list[Span]:
     """Windows of the checks that did not pass; what the autopilot said has lanes of its own."""
     return [
         Span(f"found: {check.name}", start, end, check.evidence, check.verdict.lower())
@@ -88,11 +88,14 @@ def _found(checks: Sequence[Check]) -> list[Span]:
 
 def _missed(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """What is asked of every log whose faults are known: that none was missed."""
-    return [msgspec.structs.asdict(row) for row in faults_missed(Criteria(), faults)]
+    return [msgspec.structs.asdict(row) for row in check_missed_faults(Criteria(), faults)]
 
 
 def _summary(
-    flight: Flight, checks: Sequence[Check], verdict: str, faults: Sequence[Mapping[str, Any]]
+    flight: RecordedFlight,
+    checks: Sequence[FlightCheck],
+    verdict: str,
+    faults: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     recording, run = flight.recording, flight.summary
     position = [s for s in recording.of("position-error") if s.name in ("fused", "estimate")]
@@ -138,7 +141,7 @@ def _rms(values: np.typing.NDArray[np.float64]) -> float | None:
     return round(float(np.sqrt(np.mean(good**2))), 4) if len(good) else None
 
 
-def _attitude_rmse(recording: Recording) -> dict[str, float] | None:
+def _attitude_rmse(recording: FlightData) -> dict[str, float] | None:
     """RMSE of the autopilot's attitude where the log holds the truth."""
     found = {}
     for part in ("roll", "pitch", "yaw"):
@@ -150,7 +153,7 @@ def _attitude_rmse(recording: Recording) -> dict[str, float] | None:
     return {**found, "max": max(found.values())} if len(found) == 3 else None
 
 
-def _numbers(recording: Recording) -> dict[str, dict[str, dict[str, float | int | str]]]:
+def _numbers(recording: FlightData) -> dict[str, dict[str, dict[str, float | int | str]]]:
     """Peaks and percentiles of every curve."""
     found: dict[str, dict[str, dict[str, float | int | str]]] = {}
     for signal in recording.signals:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.page.pack import PackedNumbers
+from analysis.report.page.packed_numbers import PackedNumbers
 from analysis.report.recordings.recording import Message, Vector
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -23,7 +23,7 @@ INSIDE_MB = 2.0
 FOLDER = "report-data"
 BYTES_OF_A_CELL = 2.5  # of float32 deflated and base64-coded; measured on real logs 1.5 to 4
 LONGEST_ARRAY = 16  # elements of an array field that are offered
-FAR = 1e6  # numbers so far from zero are kept as differences to the first
+OFFSET_ABOVE = 1e6  # numbers so far from zero are kept as differences to the first
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +125,8 @@ def _packed(
         thin = values[::step]
         # GPS microseconds or 1e-7 degrees in float32 would lose their last digits; the differences
         # to the first value keep them.
-        first = next((v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > FAR), 0.0)
+        first = next(
+            (v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > OFFSET_ABOVE), 0.0
+        )
         entry["fields"].append({"name": name, "y": numbers.values(thin - first), "add": first})
     return entry, numbers.text()

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.curves.spectra import SpectrumPanel, marks, spectrum_panels
-from analysis.report.page.pack import thinned
-from analysis.report.page.page_model import flown, longest_armed
+from analysis.report.curves.spectra import SpectrumPanel, frequency_marks, spectrum_panels
+from analysis.report.page.packed_numbers import thin_curve
+from analysis.report.page.page_model import longest_armed, tracks_in_flight
 from analysis.report.page.panels import PANELS, Panel
 from analysis.report.page.series_colours import GATES, PALETTE, series_colours
-from analysis.report.recordings.recording import Recording
+from analysis.report.recordings.recording import FlightData
 
 MOST_POINTS = 20_000  # of a curve; an SVG with more opens slowly
 # Font type 42 embeds TrueType, which journals ask for; matplotlib's default is type 3.
@@ -23,7 +23,7 @@ FORMS = ("png", "svg", "pdf")
 SHADES = {"injected": ("#d65c1c", 0.16), "flag": ("#c2231c", 0.10)}
 
 
-def write_figures(folder: Path, recording: Recording) -> list[Path]:
+def write_figures(folder: Path, recording: FlightData) -> list[Path]:
     """Write each plot in each form into `folder`; the files written."""
     import matplotlib as mpl
 
@@ -51,12 +51,12 @@ def _axes(width_in: float, height_in: float) -> tuple[Any, Any]:
     return figure, figure.add_subplot()
 
 
-def _figure(folder: Path, panel: Panel, recording: Recording) -> list[Path]:
+def _figure(folder: Path, panel: Panel, recording: FlightData) -> list[Path]:
     figure, axes = _axes(8, 3)
     signals = recording.of(panel.key)
     colours = series_colours([signal.name for signal in signals])
     for signal, colour in zip(signals, colours, strict=True):
-        t_s, value = thinned(signal.t_s, signal.value, MOST_POINTS)
+        t_s, value = thin_curve(signal.t_s, signal.value, MOST_POINTS)
         dashes = "--" if signal.name.startswith(GATES) else "-"
         axes.plot(t_s, value, dashes, color=PALETTE[colour], label=signal.name)
     for span in recording.spans:
@@ -72,14 +72,14 @@ def _figure(folder: Path, panel: Panel, recording: Recording) -> list[Path]:
     return _saved(figure, folder / panel.key)
 
 
-def _spectrum(folder: Path, panel: SpectrumPanel, recording: Recording) -> list[Path]:
+def _spectrum(folder: Path, panel: SpectrumPanel, recording: FlightData) -> list[Path]:
     figure, axes = _axes(8, 3)
     colours = series_colours([spectrum.name for spectrum in panel.spectra])
     for spectrum, colour in zip(panel.spectra, colours, strict=True):
         label, line = spectrum.name, PALETTE[colour]
         axes.semilogy(spectrum.frequency_hz, spectrum.density, color=line, label=label)
     highest_hz = max(float(spectrum.frequency_hz[-1]) for spectrum in panel.spectra)
-    for frequency_hz, text in marks(recording):
+    for frequency_hz, text in frequency_marks(recording):
         # A mark beyond the spectrum would stretch the axis over empty space.
         if frequency_hz <= highest_hz:
             axes.axvline(frequency_hz, color="0.3", ls="--", lw=0.8)
@@ -92,9 +92,9 @@ def _spectrum(folder: Path, panel: SpectrumPanel, recording: Recording) -> list[
     return _saved(figure, folder / panel.key)
 
 
-def _map(folder: Path, recording: Recording) -> list[Path]:
+def _map(folder: Path, recording: FlightData) -> list[Path]:
     figure, axes = _axes(6, 6)
-    tracks = flown(recording)
+    tracks = tracks_in_flight(recording)
     colours = series_colours([track.name for track in tracks])
     for track, colour in zip(tracks, colours, strict=True):
         axes.plot(track.lon_deg, track.lat_deg, color=PALETTE[colour], label=track.name)

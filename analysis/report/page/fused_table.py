@@ -3,8 +3,8 @@
 import numpy as np
 
 from analysis.report.curves.fused_curves import AXES, BAND, FUSED, error_ned_m
-from analysis.report.page.page_parts import Table
-from analysis.report.recordings.recording import Recording, Track, Vector
+from analysis.report.page.page_parts import ReportTable
+from analysis.report.recordings.recording import FlightData, GroundTrack, Vector
 
 NOTE = (
     "Against the truth, all epochs. The squared error over its own variance, summed over three "
@@ -12,7 +12,7 @@ NOTE = (
 )
 
 
-def fused_table(recording: Recording) -> Table | None:
+def fused_table(recording: FlightData) -> ReportTable | None:
     """One row per fused solution; None without any or without the truth."""
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
@@ -26,10 +26,10 @@ def fused_table(recording: Recording) -> Table | None:
         for track in tracks
     ]
     head = ("solution", "epochs", "position RMSE, m", "largest, m", "within 3 sigma", "NEES")
-    return Table("Fused, with and without isolation", head, rows, NOTE)
+    return ReportTable("Fused, with and without isolation", head, rows, NOTE)
 
 
-def _sigmas(recording: Recording) -> tuple[Vector, Vector] | None:
+def _sigmas(recording: FlightData) -> tuple[Vector, Vector] | None:
     """Times (n,) and sigmas (n, 3) of the fused solution."""
     curves = {signal.name: signal for signal in recording.of("fused-sigma")}
     if any(axis not in curves for axis in AXES):
@@ -37,7 +37,9 @@ def _sigmas(recording: Recording) -> tuple[Vector, Vector] | None:
     return curves["north"].t_s, np.column_stack([curves[axis].value for axis in AXES])
 
 
-def _row(track: Track, truth: Track, sigmas: tuple[Vector, Vector] | None) -> tuple[str, ...]:
+def _row(
+    track: GroundTrack, truth: GroundTrack, sigmas: tuple[Vector, Vector] | None
+) -> tuple[str, ...]:
     t_s, error = error_ned_m(track, truth)
     if not len(t_s):
         return (track.name, "0", "", "", "", "")

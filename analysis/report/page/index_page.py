@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import quote
 
 from analysis.report.page.page_body import css_class
-from analysis.report.page.page_file import asset, policy
+from analysis.report.page.page_file import read_asset, security_policy
 
 HEAD = ("verdict", "flight", "duration, s", "autopilot", "worst checks")
 UNREADABLE = "unreadable"
@@ -14,7 +14,7 @@ UNREADABLE = "unreadable"
 
 def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """The whole file; `rows` as `fleet` makes them, links relative to the file."""
-    script, style = asset("index.js"), asset("page.css")
+    script, style = read_asset("index.js"), read_asset("page.css")
     head = "".join(f"<th><button>{escape(name)}</button></th>" for name in HEAD)
     counts: dict[str, int] = {}
     for row in rows:
@@ -26,7 +26,7 @@ def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         # The policy must stand before any script or style it judges.
-        f"{policy(script, style)}"
+        f"{security_policy(script, style)}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>"
         f"<header><h1>{escape(title)}</h1></header><main>"

@@ -2,21 +2,21 @@
 
 from collections.abc import Sequence
 
-from analysis.report.judging.checks import FAIL, PASS, WARN, Check
+from analysis.report.judging.checks import FAIL, PASS, WARN, FlightCheck
 from analysis.report.judging.flight_facts import flight_facts
-from analysis.report.judging.flight_verdict import Outcome
+from analysis.report.judging.flight_verdict import FlightAssessment
 from analysis.report.log_sky import sky_pictures
 from analysis.report.page.fused_table import fused_table
-from analysis.report.page.page_parts import SENSOR_LIMIT, Limit, Page, Table
+from analysis.report.page.page_parts import SENSOR_LIMIT, LimitLine, ReportPage, ReportTable
 from analysis.report.page.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
 from analysis.report.page.report_tables import (
+    check_reasons,
     checks_tables,
-    facts,
     links_table,
     matrix_table,
     parameters_table,
     reaction_table,
-    reasons,
+    run_facts,
     run_tables,
 )
 
@@ -31,7 +31,7 @@ DIRECT = {
 }  # fmt: skip
 
 
-def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
+def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]]) -> ReportPage:
     """The page of a log: its checks, the reactions to what was injected, links and parameters."""
     flight, recording = outcome.flight, outcome.flight.recording
     summary = outcome.summary
@@ -55,35 +55,35 @@ def log_page(outcome: Outcome, tables: Sequence[tuple[str, Table]]) -> Page:
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
     shown += flight_facts(recording) + _run_facts(outcome)
-    return Page(
+    return ReportPage(
         recording.name,
         outcome.verdict,
         shown,
         every,
         {**SENSOR_LIMIT, **panel_limits(outcome.checks)},
-        reasons(outcome.checks),
+        check_reasons(outcome.checks),
         [(GPS, *picture) for picture in sky_pictures(recording)],
     )
 
 
-def _counts(checks: Sequence[Check]) -> list[tuple[str, str]]:
+def _counts(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
     words = ((PASS, "checks passed"), (WARN, "warnings"), (FAIL, "checks failed"))
     counts = [(text, sum(check.verdict == word for check in checks)) for word, text in words]
     return [(text, str(count)) for text, count in counts]
 
 
-def _run_facts(outcome: Outcome) -> list[tuple[str, str]]:
+def _run_facts(outcome: FlightAssessment) -> list[tuple[str, str]]:
     """What a run's summary adds; counts of epochs only where there was a detector."""
     mute = {"flight"} if outcome.flight.results else NEEDS_RESULTS
-    return [fact for fact in facts(outcome.summary) if fact[0] not in mute]
+    return [fact for fact in run_facts(outcome.summary) if fact[0] not in mute]
 
 
-def panel_limits(checks: Sequence[Check]) -> dict[str, list[Limit]]:
+def panel_limits(checks: Sequence[FlightCheck]) -> dict[str, list[LimitLine]]:
     """Lines for the limits of each check on the plot that shows the very value it judges."""
     return {
         check.panel: [
-            Limit(check.levels[0], "warn", "warn"),
-            Limit(check.levels[1], "fail", "fail"),
+            LimitLine(check.levels[0], "warn", "warn"),
+            LimitLine(check.levels[1], "fail", "fail"),
         ]
         for check in checks
         if check.levels is not None and check.panel in DIRECT

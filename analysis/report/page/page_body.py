@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from html import escape
 
 from analysis.report.page.page_model import Model
-from analysis.report.page.page_parts import Cell, Moments, Page, Table
+from analysis.report.page.page_parts import Cell, ReportPage, ReportTable, TimeButtons
 from analysis.report.page.panels import (
     BY_KEY,
     CHECKS,
@@ -18,7 +18,7 @@ from analysis.report.page.panels import (
     SYSTEM,
     TIMELINE,
 )
-from analysis.report.recordings.recording import Recording
+from analysis.report.recordings.recording import FlightData
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"
@@ -28,7 +28,7 @@ EVENTS_SHOWN = 400
 NEAR_S = 5.0  # shown before and after an event that is clicked
 
 
-def anchor(name: str) -> str:
+def section_anchor(name: str) -> str:
     """The id of a section."""
     # Letters and digits only: it stands in addresses too.
     return "to-" + "".join(c if c.isalnum() else "-" for c in name.lower())
@@ -40,7 +40,7 @@ def css_class(word: str) -> str:
     return word if word in VERDICTS else "NONE"
 
 
-def sections_of(page: Page, recording: Recording, model: Model, fields: bool) -> list[str]:
+def sections_of(page: ReportPage, recording: FlightData, model: Model, fields: bool) -> list[str]:
     """The sections that have something to show, in order."""
     with_plots = {BY_KEY[str(panel["key"])].section for panel in model["panels"]}
     # The empty name is the overview, which is no foldable section.
@@ -65,7 +65,7 @@ def sections_of(page: Page, recording: Recording, model: Model, fields: bool) ->
     return sections + sorted(with_tables - set(sections))
 
 
-def overview(page: Page, recording: Recording) -> str:
+def overview_html(page: ReportPage, recording: FlightData) -> str:
     """The verdict's reasons, facts and notes."""
     facts = "".join(
         f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>"
@@ -84,7 +84,7 @@ def overview(page: Page, recording: Recording) -> str:
     )
 
 
-def section_html(section: str, page: Page, recording: Recording, model: Model) -> str:
+def section_html(section: str, page: ReportPage, recording: FlightData, model: Model) -> str:
     """One section, foldable."""
     parts = []
     if section == TIMELINE and recording.spans:
@@ -117,7 +117,7 @@ def section_html(section: str, page: Page, recording: Recording, model: Model) -
     # The attribute keeps it open where the style folds the others.
     narrow = " data-narrow" if section in OPEN_WHEN_NARROW else ""
     return (
-        f'<details class="section" id="{anchor(section)}" open{narrow}><summary>'
+        f'<details class="section" id="{section_anchor(section)}" open{narrow}><summary>'
         f"<h2>{escape(section)}</h2></summary>{''.join(parts)}</details>"
     )
 
@@ -164,10 +164,10 @@ _SPECTRA = (
 )
 
 
-def _events(recording: Recording) -> str:
+def _events(recording: FlightData) -> str:
     rows: list[Sequence[Cell]] = [
         (
-            Moments([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
+            TimeButtons([(event.t_s - NEAR_S, event.t_s + NEAR_S)]),
             event.kind,
             # MAVLink severities: 0 emergency, 1 alert, 2 critical.
             (event.text, "FAIL" if event.severity <= 2 else ""),
@@ -179,7 +179,7 @@ def _events(recording: Recording) -> str:
     missing = len(recording.events) - len(rows)
     note = f"{missing} more are in the JSON file." if missing else ""
     title = f"Events and messages ({len(recording.events)})"
-    return _table(Table(title, ("time", "kind", "text"), rows, note, folded=len(rows) > 12))
+    return _table(ReportTable(title, ("time", "kind", "text"), rows, note, folded=len(rows) > 12))
 
 
 def _printed(title: str, text: str) -> str:
@@ -189,7 +189,7 @@ def _printed(title: str, text: str) -> str:
     )
 
 
-def _table(table: Table) -> str:
+def _table(table: ReportTable) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in table.head)
     heads = table.head if table.style == "cards" else [""] * len(table.head)
     rows = "".join("<tr>" + "".join(map(_cell, row, heads)) + "</tr>" for row in table.rows)
@@ -207,7 +207,7 @@ def _table(table: Table) -> str:
 
 def _cell(cell: Cell, head: str) -> str:
     label = f' data-label="{escape(head)}"' if head else ""
-    if isinstance(cell, Moments):
+    if isinstance(cell, TimeButtons):
         return f"<td{label}>{_buttons(cell)}</td>"
     text, style = cell if isinstance(cell, tuple) else (cell, "")
     # A sign and one point at most; the style aligns numbers.
@@ -217,7 +217,7 @@ def _cell(cell: Cell, head: str) -> str:
     return f"<td{label}{classes}>{escape(text)}</td>"
 
 
-def _buttons(cell: Moments) -> str:
+def _buttons(cell: TimeButtons) -> str:
     """Up to three stretches as buttons; the scripts write the times in the form that is chosen."""
     shown = " ".join(
         f'<button class="moment" data-from="{start:.3f}" data-to="{end:.3f}" '

@@ -11,11 +11,17 @@ from html import escape
 from importlib.resources import files
 
 from analysis.report.page.field_data import FieldData
-from analysis.report.page.pack import PackedNumbers
-from analysis.report.page.page_body import anchor, css_class, overview, section_html, sections_of
+from analysis.report.page.packed_numbers import PackedNumbers
+from analysis.report.page.page_body import (
+    css_class,
+    overview_html,
+    section_anchor,
+    section_html,
+    sections_of,
+)
 from analysis.report.page.page_model import page_model
-from analysis.report.page.page_parts import Page
-from analysis.report.recordings.recording import Recording
+from analysis.report.page.page_parts import ReportPage
+from analysis.report.recordings.recording import FlightData
 
 SCRIPTS = (
     "uPlot.iife.min.js", "time.js", "plots.js", "lanes.js", "spectra.js", "tracks.js",
@@ -24,7 +30,7 @@ SCRIPTS = (
 STYLES = ("uPlot.min.css", "page.css")
 
 
-def html(page: Page, recording: Recording, fields: FieldData | None = None) -> str:
+def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None = None) -> str:
     """The whole file."""
     numbers = PackedNumbers()
     model = page_model(page, recording, numbers)
@@ -33,10 +39,10 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     model["fields"] = fields.index
     sections = sections_of(page, recording, model, bool(fields.index))
     links = "".join(
-        f'<a href="#{anchor(name)}">{escape(name)}</a>' for name in ("Overview", *sections)
+        f'<a href="#{section_anchor(name)}">{escape(name)}</a>' for name in ("Overview", *sections)
     )
-    script = "\n".join(map(asset, SCRIPTS))
-    style = "".join(map(asset, STYLES))
+    script = "\n".join(map(read_asset, SCRIPTS))
+    style = "".join(map(read_asset, STYLES))
     blocks = "".join(
         # `text/plain` is never run: the policy's hashes need not cover it.
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
@@ -45,24 +51,24 @@ def html(page: Page, recording: Recording, fields: FieldData | None = None) -> s
     return "".join(
         (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            policy(script, style),
+            security_policy(script, style),
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(page.title)}</title><style>{style}</style></head><body>",
             f"<header><h1>{escape(page.title)}</h1>",
             f'<p class="verdict {css_class(page.verdict)}">{escape(page.verdict)}</p></header>',
             _navigation(links),
             "<main>",
-            overview(page, recording),
+            overview_html(page, recording),
             *(section_html(section, page, recording, model) for section in sections),
             f'</main><script type="application/json" id="model">{_json(model)}</script>',
             f'<script type="text/plain" id="numbers">{numbers.text()}</script>{blocks}',
-            f"<!-- uPlot: {asset('uPlot.LICENSE')} -->",
+            f"<!-- uPlot: {read_asset('uPlot.LICENSE')} -->",
             f"<script>{script}</script></body></html>\n",
         )
     )
 
 
-def asset(name: str) -> str:
+def read_asset(name: str) -> str:
     """The text of a file of the page."""
     return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
 
@@ -72,7 +78,7 @@ def _json(value: object) -> str:
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
-def policy(script: str, style: str) -> str:
+def security_policy(script: str, style: str) -> str:
     """Nothing but this file's own script and style, and the data that may lie beside it."""
     hashes = [
         # SHA-256 of the exact text between the tags: one added blank and the browser runs nothing.

@@ -6,14 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.curves.spectra import Spectrogram, SpectrumPanel, marks, spectrum_panels
+from analysis.report.curves.spectra import (
+    Spectrogram,
+    SpectrumPanel,
+    frequency_marks,
+    spectrum_panels,
+)
 from analysis.report.judging.checks import armed_windows
-from analysis.report.page.pack import PackedNumbers, broken, longest_curve, thinned, unwrapped
-from analysis.report.page.page_parts import Page
+from analysis.report.page.packed_numbers import (
+    PackedNumbers,
+    break_at_gaps,
+    break_at_wraps,
+    longest_curve,
+    thin_curve,
+)
+from analysis.report.page.page_parts import ReportPage
 from analysis.report.page.panels import BY_KEY, PANELS
 from analysis.report.page.series_colours import series_colours
 from analysis.report.page.uncertainty import track_sigma
-from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 # Angles that wrap at a full turn and may be cut there.
@@ -25,13 +36,13 @@ LEVELS, RANGE_DB = 255, 60.0  # of a spectrogram's picture
 Model = dict[str, Any]
 
 
-def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Model:
+def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) -> Model:
     """The model of a page; its numbers go into `numbers`."""
     # The axis covers curves and spans: an injected fault may outlast the data.
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
     start = float(min(starts, default=0.0))
-    tracks = flown(recording)
+    tracks = tracks_in_flight(recording)
     spectra = spectrum_panels(recording, longest_armed(recording))
     return {
         "start": start,
@@ -49,11 +60,11 @@ def page_model(page: Page, recording: Recording, numbers: PackedNumbers) -> Mode
         # Tracks are given in metres from here.
         "origin": _origin(tracks),
         "spectra": [_spectrum(panel, numbers) for panel in spectra],
-        "frequencies": marks(recording),
+        "frequencies": frequency_marks(recording),
     }  # fmt: skip
 
 
-def _panels(page: Page, recording: Recording, numbers: PackedNumbers) -> list[Model]:
+def _panels(page: ReportPage, recording: FlightData, numbers: PackedNumbers) -> list[Model]:
     shown = {panel.key: recording.of(panel.key) for panel in PANELS}
     # A panel of fewer curves than `least` compares nothing.
     shown = {key: signals for key, signals in shown.items() if len(signals) >= BY_KEY[key].least}
@@ -62,16 +73,16 @@ def _panels(page: Page, recording: Recording, numbers: PackedNumbers) -> list[Mo
 
 
 def _panel(
-    key: str, signals: Sequence[Signal], page: Page, numbers: PackedNumbers, longest: int
+    key: str, signals: Sequence[Signal], page: ReportPage, numbers: PackedNumbers, longest: int
 ) -> Model:
     panel = BY_KEY[key]
     colours = series_colours([signal.name for signal in signals])
     series = []
     for signal, colour in zip(signals, colours, strict=True):
-        t_s, value = thinned(*broken(signal.t_s, signal.value), longest)
+        t_s, value = thin_curve(*break_at_gaps(signal.t_s, signal.value), longest)
         if key in HEADINGS:
             # After thinning, which keeps the extremes and with them both sides of a wrap.
-            t_s, value = unwrapped(t_s, value)
+            t_s, value = break_at_wraps(t_s, value)
         places = {"t": numbers.times(t_s), "y": numbers.values(value)}
         series.append({"name": signal.name, "colour": colour, **places})
     limits = [asdict(limit) for limit in page.limits.get(key, ())]
@@ -85,13 +96,13 @@ def _lane_rank(lane: str) -> int:
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
 
 
-def longest_armed(recording: Recording) -> tuple[float, float] | None:
+def longest_armed(recording: FlightData) -> tuple[float, float] | None:
     """The longest stretch armed: on the ground nothing turns."""
     armed = armed_windows(recording)
     return max(armed, key=lambda window: window[1] - window[0]) if armed else None
 
 
-def flown(recording: Recording) -> list[Track]:
+def tracks_in_flight(recording: FlightData) -> list[GroundTrack]:
     """Tracks while armed, where the log says when: before, there may be no position yet.
 
     A path that nobody knows the place of is not drawn beside those on the earth.
@@ -111,13 +122,15 @@ def flown(recording: Recording) -> list[Track]:
     return found
 
 
-def _origin(tracks: Sequence[Track]) -> list[float] | None:
+def _origin(tracks: Sequence[GroundTrack]) -> list[float] | None:
     if not tracks or not tracks[0].on_earth:
         return None
     return [float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])]
 
 
-def _tracks(tracks: Sequence[Track], recording: Recording, numbers: PackedNumbers) -> list[Model]:
+def _tracks(
+    tracks: Sequence[GroundTrack], recording: FlightData, numbers: PackedNumbers
+) -> list[Model]:
     """Tracks in metres east, north and up of the first one's first point."""
     if not tracks:
         return []

@@ -5,18 +5,18 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
-class Moments:
+class TimeButtons:
     """A cell of buttons that zoom all plots: stretches of time (s), and the plot to show."""
 
     windows: Sequence[tuple[float, float]]
     panel: str = ""
 
 
-Cell = str | tuple[str, str] | Moments  # text, text with a CSS class, or buttons
+Cell = str | tuple[str, str] | TimeButtons  # text, text with a CSS class, or buttons
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ReportTable:
     """A table: head and rows."""
 
     title: str
@@ -28,7 +28,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
+class LimitLine:
     """A horizontal line on a plot."""
 
     value: float
@@ -37,11 +37,11 @@ class Limit:
 
 
 # The statistics are drawn over their thresholds, so that the limit of each is 1.
-SENSOR_LIMIT = {"fdi-sensor": [Limit(1.0, "threshold", "fail")]}
+SENSOR_LIMIT = {"fdi-sensor": [LimitLine(1.0, "threshold", "fail")]}
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class ReportPage:
     """What stands on the page besides the recording's own plots.
 
     `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
@@ -52,7 +52,7 @@ class Page:
     title: str
     verdict: str
     facts: Sequence[tuple[str, str]]
-    tables: Sequence[tuple[str, Table]]
-    limits: Mapping[str, Sequence[Limit]] = field(default_factory=dict)
+    tables: Sequence[tuple[str, ReportTable]]
+    limits: Mapping[str, Sequence[LimitLine]] = field(default_factory=dict)
     reasons: Sequence[tuple[str, str]] = ()
     pictures: Sequence[tuple[str, str, bytes]] = ()

@@ -22,7 +22,7 @@ TIMELINE = "Timeline"
 CHECKS = "Checks"
 DETECTION = "Fault detection"
 FUSION = "Fused solution"
-TWIN = "What the faults did"
+FAULT_EFFECTS = "What the faults did"
 ATTITUDE = "Attitude"
 POSITION = "Position and speed"
 ESTIMATOR = "The autopilot's estimator"
@@ -46,9 +46,9 @@ PANELS = (
     Panel("fused-down", FUSION, "Position error down with three sigmas of the fused", "m"),
     Panel("fused-sigma", FUSION, "Position sigma", "m"),
     Panel("fused-weight", FUSION, "Weights of the sources in use", ""),
-    Panel("twin-position", TWIN, "Position off that of the flight without faults", "m"),
-    Panel("twin-speed", TWIN, "Velocity off that of the flight without faults", "m/s"),
-    Panel("twin-attitude", TWIN, "Attitude off that of the flight without faults", "deg"),
+    Panel("twin-position", FAULT_EFFECTS, "Position off that of the flight without faults", "m"),
+    Panel("twin-speed", FAULT_EFFECTS, "Velocity off that of the flight without faults", "m/s"),
+    Panel("twin-attitude", FAULT_EFFECTS, "Attitude off that of the flight without faults", "deg"),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),
     Panel("error-roll", ATTITUDE, "Attitude error: roll", "deg"),
     Panel("error-pitch", ATTITUDE, "Attitude error: pitch", "deg"),

@@ -9,7 +9,7 @@ from pathlib import Path
 from mavproxy_fault.documents.errors import ConfigError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "msedge")
-MOST_S = 180  # that a browser may need
+TIMEOUT_S = 180  # that a browser may need
 
 
 def write_pdf(page: Path) -> Path:
@@ -38,7 +38,7 @@ def write_pdf(page: Path) -> Path:
             f"--print-to-pdf={target}", page.resolve().as_uri(),
         ]  # fmt: skip
         try:
-            subprocess.run(command, capture_output=True, timeout=MOST_S, check=True)
+            subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=True)
         except (subprocess.SubprocessError, OSError) as error:
             raise ConfigError(f"--pdf: {browser} did not print ({error}); try another") from error
     if not target.is_file():

@@ -4,11 +4,11 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, Check
-from analysis.report.page.page_parts import Cell, Moments, Table
-from analysis.report.page.panels import ATTITUDE, CHECKS, TIMELINE, TWIN
+from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, FlightCheck
+from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
+from analysis.report.page.panels import ATTITUDE, CHECKS, FAULT_EFFECTS, TIMELINE
 from analysis.report.recordings.from_results import isolation_matrix
-from analysis.report.recordings.recording import Recording
+from analysis.report.recordings.recording import FlightData
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 
@@ -16,7 +16,7 @@ EFFECTS = {"position_m": "position, m", "speed_mps": "speed, m/s", "attitude_deg
 REASONS = 6  # shown under the verdict
 
 
-def facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     facts = []
     attitude = summary.get("attitude_rmse_deg")
     rows = summary.get("faults") or []
@@ -45,7 +45,7 @@ def facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
-def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
     tables = []
     rows = summary.get("faults") or []
     if rows:
@@ -74,13 +74,13 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
             )
             for row in rows
         ]
-        tables.append((TIMELINE, Table("Injected against detected", head, cells)))
+        tables.append((TIMELINE, ReportTable("Injected against detected", head, cells)))
     false = summary.get("false_by_channel") or []
     if false:
         tables.append((TIMELINE, _false_table(false)))
     effects = summary.get("effects") or []
     if effects:
-        tables.append((TWIN, _effect_table(effects)))
+        tables.append((FAULT_EFFECTS, _effect_table(effects)))
     checks = summary.get("criteria") or []
     if checks:
         words = {True: "PASS", False: "FAIL", None: "not judged"}
@@ -94,7 +94,7 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
             for check in checks
         ]
         head_ = ("criterion", "found", "limit", "verdict")
-        tables.append((CHECKS, Table("Criteria", head_, cells_)))
+        tables.append((CHECKS, ReportTable("Criteria", head_, cells_)))
     return tables + attitude_tables(summary)
 
 
@@ -107,7 +107,7 @@ def _remark(row: Mapping[str, Any]) -> str:
     return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
 
 
-def _effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def _effect_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
     """Greatest and lasting change of truth and estimate by each fault."""
     names = dict.fromkeys(name for row in rows for kind in EFFECTS for name in row.get(kind, {}))
     kinds = [
@@ -120,10 +120,10 @@ def _effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         shown = (f"{e['most']:.2f} / {e['lasting']:.2f}" if e else "" for e in extents)
         cells.append((str(row["id"]), *shown))
     note = "Against the same flight without faults, from a fault's start until its echo is over."
-    return Table("What the faults did", head, cells, note)
+    return ReportTable("What the faults did", head, cells, note)
 
 
-def _false_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def _false_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
     head = ("channel", "outside faults", "inside faults", "an hour", "blamed", "for, s")
     cells = [
         (
@@ -134,10 +134,10 @@ def _false_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     note = "Alarms that no fault explains; inside a fault only those that left somebody out."
-    return Table("False alarms", head, cells, note)
+    return ReportTable("False alarms", head, cells, note)
 
 
-def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
     """Scores of each attitude estimator: the whole, by phase of flight and by fault."""
     return [
         (ATTITUDE, _attitude_table(name, scores))
@@ -145,7 +145,7 @@ def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
     ]
 
 
-def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
+def _attitude_table(name: str, scores: Mapping[str, Any]) -> ReportTable:
     parts = [("whole flight", scores), ("without faults", scores.get("nominal", {}))]
     parts += [(f"phase: {phase}", part) for phase, part in scores.get("phases", {}).items()]
     parts += [(f"fault: {fault}", part) for fault, part in scores.get("faults", {}).items()]
@@ -171,7 +171,7 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> Table:
         "turn, most",
     )
     note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
-    return Table(f"Attitude errors of {name}", head, rows, note)
+    return ReportTable(f"Attitude errors of {name}", head, rows, note)
 
 
 def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -193,17 +193,17 @@ def _short(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> Table | None:
+def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTable | None:
     """Decisions by what really acted, shaded by share of the row."""
     heads, counts = isolation_matrix(labels, results)
     if not heads:
         return None
     rows = [(name, *(str(count) if count else "" for count in row)) for name, row in counts.items()]
     note = "GNSS epochs by what acted (rows) and what the detector said or excluded (columns)."
-    return Table("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
+    return ReportTable("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
 
 
-def checks_tables(checks: Sequence[Check]) -> list[Table]:
+def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
     """What did not pass, then what did and what had no data, folded."""
     head = ("verdict", "check", "found", "limit", "when")
     rows: dict[str, list[Sequence[Cell]]] = {}
@@ -211,15 +211,15 @@ def checks_tables(checks: Sequence[Check]) -> list[Table]:
         # One table for what needs reading, and one folded for each of the two that do not.
         group = check.verdict if check.verdict in (PASS, NONE) else ""
         cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
-        rows.setdefault(group, []).append((*cells, Moments(check.windows, check.panel)))
+        rows.setdefault(group, []).append((*cells, TimeButtons(check.windows, check.panel)))
     titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
     return [
-        Table(titles[group].format(len(some)), head, some, folded=group != "", style="cards")
+        ReportTable(titles[group].format(len(some)), head, some, folded=group != "", style="cards")
         for group, some in rows.items()
     ]
 
 
-def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
+def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
     """The checks that led to a verdict other than PASS, the worst first."""
     bad = [check for check in checks if check.verdict in (WARN, FAIL)]
     bad.sort(key=lambda check: -RANK[check.verdict])
@@ -230,7 +230,7 @@ def reasons(checks: Sequence[Check]) -> list[tuple[str, str]]:
     return lines
 
 
-def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
+def reaction_table(faults: Sequence[Mapping[str, Any]]) -> ReportTable | None:
     """What the autopilot said to each fault; None where that was not looked at."""
     rows = [
         (
@@ -247,10 +247,10 @@ def reaction_table(faults: Sequence[Mapping[str, Any]]) -> Table | None:
         return None
     head = ("fault", "t, s", "after, s", "what it said or did")
     # A talkative autopilot shall not bury the rest of the section.
-    return Table("The autopilot's reaction to what was injected", head, rows[:60])
+    return ReportTable("The autopilot's reaction to what was injected", head, rows[:60])
 
 
-def links_table(recording: Recording) -> Table:
+def links_table(recording: FlightData) -> ReportTable:
     """Frames and losses of each sender."""
     rows = [
         (
@@ -265,7 +265,7 @@ def links_table(recording: Recording) -> Table:
     ]
     head = ("log", "sender", "frames", "missing", "%", "longest silence, s")
     note = "Missing frames are counted by gaps in each sender's sequence numbers (modulo 256)."
-    return Table("Senders", head, rows, note)
+    return ReportTable("Senders", head, rows, note)
 
 
 def _differs(value: float, default: float) -> bool:
@@ -274,7 +274,7 @@ def _differs(value: float, default: float) -> bool:
     return abs(value - default) > 1e-6 * max(abs(value), abs(default))
 
 
-def parameters_table(recording: Recording) -> list[Table]:
+def parameters_table(recording: FlightData) -> list[ReportTable]:
     """Parameters that changed, those that are not at their default, then all of them, folded."""
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
@@ -284,7 +284,7 @@ def parameters_table(recording: Recording) -> list[Table]:
     ]
     every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
     title = f"All parameters ({len(every)})"
-    tables = [Table(title, ("parameter", "value"), every, folded=True)]
+    tables = [ReportTable(title, ("parameter", "value"), every, folded=True)]
     unusual = [
         (name, f"{history[-1][1]:.7g}", f"{recording.defaults[name]:.7g}")
         for name, history in sorted(recording.parameters.items())
@@ -294,8 +294,8 @@ def parameters_table(recording: Recording) -> list[Table]:
         title = f"Parameters that are not at their default ({len(unusual)})"
         head = ("parameter", "value", "default")
         # Folded where the list is longer than a screen.
-        tables.insert(0, Table(title, head, unusual, folded=len(unusual) > 40))
+        tables.insert(0, ReportTable(title, head, unusual, folded=len(unusual) > 40))
     if changed:
         moves = ("parameter", "t, s", "before", "after")
-        tables.insert(0, Table("Parameters changed", moves, changed[:200]))
+        tables.insert(0, ReportTable("Parameters changed", moves, changed[:200]))
     return tables

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from analysis.report.recordings.recording import Recording, Signal, Track, Vector
+from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 
 # Whose accuracy a track has: the panel, by the first words of its name.
 PANELS_OF = (("GPS", "gps-accuracy"), ("estimate", "accuracy"), ("local estimate", "accuracy"))
 FUSED, FUSED_PANEL = "fused", "fused-sigma"
 
 
-def track_sigma(track: Track, recording: Recording) -> tuple[Vector, Vector] | None:
+def track_sigma(track: GroundTrack, recording: FlightData) -> tuple[Vector, Vector] | None:
     """Sigmas north and east (n,) at the times of a track (n,), m; None where nothing tells them.
 
     A horizontal accuracy is taken for the root of the summed variances of both axes, as PX4's
@@ -29,7 +29,7 @@ def track_sigma(track: Track, recording: Recording) -> tuple[Vector, Vector] | N
     return None
 
 
-def _at(track: Track, signal: Signal) -> Vector:
+def _at(track: GroundTrack, signal: Signal) -> Vector:
     """The last value before each place; NaN before the first."""
     place = np.searchsorted(signal.t_s, track.t_s, side="right") - 1
     found: Vector = np.where(place >= 0, signal.value[np.maximum(place, 0)], np.nan)

@@ -1,4 +1,4 @@
-"""An ArduPilot dataflash log to a `Recording`.
+"""An ArduPilot dataflash log to a `FlightData`.
 
 Messages and fields as ArduPilot's log reference names them (old logs: as they were named then).
 """
@@ -24,11 +24,11 @@ from analysis.report.recordings.recording import (
     REFUSED_S,
     UNGRADED,
     Event,
+    FlightData,
+    GroundTrack,
     Message,
-    Recording,
     Signal,
     Span,
-    Track,
     Vector,
     active_spans,
     flag_events,
@@ -38,7 +38,7 @@ ARMED, DISARMED = 10, 11  # EV.Id
 # Throttle was raised, it left the ground, its motors may turn: it is armed, and did not fly before.
 AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED = 15, 28, 57
 COPTER = 2  # MAV_TYPE of a quadrotor
-NOT_YET = 3  # severity of an error
+ERROR_SEVERITY = 3  # severity of an error
 # Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
 SOLUTION = {14: "GPS glitch"}  # bits of the field SS, nav_filter_status in AP_Nav_Common.h
@@ -53,10 +53,10 @@ LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
 ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 
 
-def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = None) -> Recording:
+def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = None) -> FlightData:
     """Everything of a dataflash log that a report shows; `t0_us` or its beginning is zero."""
     start_us = log.start_us if t0_us is None else t0_us
-    found = Recording(name, "ardupilot", start_us, (log.end_us - start_us) * 1e-6)
+    found = FlightData(name, "ardupilot", start_us, (log.end_us - start_us) * 1e-6)
     for (kind, instance), topic in sorted(log.topics.items()):
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
@@ -95,7 +95,7 @@ def _text(value: object) -> str:
     return value.decode("utf-8", "replace").strip() if isinstance(value, bytes) else str(value)
 
 
-def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[Track]:
+def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[GroundTrack]:
     label = {"GPS": "GPS", "POS": "estimate"}.get(kind)
     if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
         return []
@@ -104,10 +104,10 @@ def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[Track]:
     if keep.sum() < 2:
         return []
     columns = [topic[key][keep].astype(float) for key in ("Lat", "Lng", "Alt")]
-    return [Track(label + suffix, t_s[keep], *columns)]
+    return [GroundTrack(label + suffix, t_s[keep], *columns)]
 
 
-def _add_modes(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
     topic = log.topics.get(("MODE", 0))
     if topic is None:
         return
@@ -123,7 +123,7 @@ def _add_modes(found: Recording, log: DataflashFile, start_us: int) -> None:
         found.events.append(Event(t_s[i], "mode", f"mode {text}"))
 
 
-def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """Stretches between arming and disarming; a log may begin or end in flight."""
     topic = log.topics.get(("EV", 0))
     if topic is None:
@@ -152,7 +152,7 @@ def _add_armed(found: Recording, log: DataflashFile, start_us: int) -> None:
         found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
 
 
-def _add_flags(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_flags(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """What the estimator says of itself: sensors not used for too long, a receiver that jumps."""
     # The newest filter that the log has.
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
@@ -175,7 +175,7 @@ def _add_flags(found: Recording, log: DataflashFile, start_us: int) -> None:
     found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
-def _add_core(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_core(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """Which core of the estimator flies the vehicle, where there is more than one."""
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "PI" in t), None)
     # Core 0 throughout is the rule and worth no lane.
@@ -204,7 +204,7 @@ def _utc0_us(log: DataflashFile, start_us: int) -> int:
     return GPS_EPOCH_US + gps_us - int(topic["TimeUS"][first]) + start_us
 
 
-def _add_texts(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_texts(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """Texts and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
@@ -215,10 +215,10 @@ def _add_texts(found: Recording, log: DataflashFile, start_us: int) -> None:
             name = ERRORS.get(int(subsystem), f"subsystem {subsystem}")
             text = f"{name}: error {code}" if code else f"{name}: resolved"
             # A code of zero says that the error is over.
-            found.events.append(Event(t_s, "error", text, NOT_YET if code else 6))
+            found.events.append(Event(t_s, "error", text, ERROR_SEVERITY if code else 6))
 
 
-def _add_parameters(found: Recording, log: DataflashFile, start_us: int) -> None:
+def _add_parameters(found: FlightData, log: DataflashFile, start_us: int) -> None:
     topic = log.topics.get(("PARM", 0))
     if topic is None:
         return

@@ -1,17 +1,25 @@
-"""What was injected and what the analysis said, as a `Recording`."""
+"""What was injected and what the analysis said, as a `FlightData`."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from analysis.report.recordings.recording import Event, Recording, Signal, Span, Track, Vector, runs
+from analysis.report.recordings.recording import (
+    Event,
+    FlightData,
+    GroundTrack,
+    Signal,
+    Span,
+    Vector,
+    true_runs,
+)
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics import earth
 from mavproxy_fault.wire.label import Label
 
-AFTER = f"{RECOVERY_S:g} s after one"
+RECOVERY_ROW = f"{RECOVERY_S:g} s after one"
 EVERY_EPOCH = {"fdi-residual", "fdi-normalised", "fdi-probability"}
 Points = dict[tuple[str, str], list[tuple[float, float]]]
 
@@ -25,11 +33,11 @@ def axis_start(labels: Sequence[Label], results: Sequence[Result]) -> int | None
 
 def recording_of_results(
     labels: Sequence[Label], results: Iterable[Result], t0_us: int
-) -> Recording:
+) -> FlightData:
     """Curves, spans and events of labels and results on the axis that starts at `t0_us`."""
     # Gone through twice.
     results = list(results)
-    found = Recording("results", t0_us=t0_us)
+    found = FlightData("results", t0_us=t0_us)
     for label in labels:
         found.spans.append(_injected(label, results, t0_us))
         found.events.append(
@@ -141,18 +149,18 @@ def _signal(
     return Signal(panel, name, times, values)
 
 
-def _track(name: str, rows: list[tuple[float, tuple[float, float, float]]]) -> Track:
+def _track(name: str, rows: list[tuple[float, tuple[float, float, float]]]) -> GroundTrack:
     rows.sort(key=lambda row: row[0])
     lat, lon, height = earth.geodetic_from_ecef(np.array([row[1] for row in rows]))
     t_s = np.array([row[0] for row in rows])
-    return Track(name, t_s, np.degrees(lat), np.degrees(lon), height)
+    return GroundTrack(name, t_s, np.degrees(lat), np.degrees(lon), height)
 
 
 def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
     rows.sort(key=lambda row: row[0])
     t_s: Vector = np.array([row[0] for row in rows])
     spans = []
-    for begin, end in runs(np.array([row[1] for row in rows])):
+    for begin, end in true_runs(np.array([row[1] for row in rows])):
         # Each text once, and four at the most: a lane has little room.
         texts = list(dict.fromkeys(row[2] for row in rows[begin:end]))
         stop = t_s[min(end, len(t_s) - 1)]
@@ -166,7 +174,7 @@ def _excluded_spans(excluded: dict[str, list[float]], epochs: list[float]) -> li
     times = np.array(sorted(epochs))
     spans = []
     for satellite, out in sorted(excluded.items()):
-        for begin, end in runs(np.isin(times, out)):
+        for begin, end in true_runs(np.isin(times, out)):
             stop = float(times[min(end, len(times) - 1)])
             text = f"{satellite} left out"
             spans.append(
@@ -185,7 +193,7 @@ def isolation_matrix(
     tuple
         The decisions that head the columns, and per row one count for each.
     """
-    rows = [label.id for label in labels] + [AFTER, "no fault"]
+    rows = [label.id for label in labels] + [RECOVERY_ROW, "no fault"]
     counts: dict[str, dict[str, int]] = {row: defaultdict(int) for row in rows}
     for result in results:
         if not isinstance(result, Decision):
@@ -199,13 +207,13 @@ def isolation_matrix(
             and (label.end_us is None or result.t_us <= label.end_us)
         ]
         # After a fault its exclusions stand for a while, rightly.
-        true = true or [AFTER if _just_after(labels, result.t_us) else "no fault"]
+        true = true or [RECOVERY_ROW if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
             for column in decided:
                 counts[row][column] += 1
     # Only where there was something to count.
-    if not counts[AFTER]:
-        del counts[AFTER]
+    if not counts[RECOVERY_ROW]:
+        del counts[RECOVERY_ROW]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)
     return heads, {row: [counts[row][head] for head in heads] for row in counts}
 

@@ -1,4 +1,4 @@
-"""MAVLink columns (one or more logs of one flight) to a `Recording`."""
+"""MAVLink columns (one or more logs of one flight) to a `FlightData`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from analysis.report.curves.field_values import values_of
 from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.recordings.link_quality import link_quality
-from analysis.report.recordings.log_clock import Clock, clock_of
+from analysis.report.recordings.log_clock import LogClock, clock_of
 from analysis.report.recordings.mode_names import (
     ARDUPILOT,
     EKF_ARDUPILOT_GLITCH,
@@ -20,14 +20,14 @@ from analysis.report.recordings.mode_names import (
 )
 from analysis.report.recordings.recording import (
     Event,
+    FlightData,
+    GroundTrack,
     Message,
-    Recording,
     Signal,
-    Track,
     active_spans,
     flag_events,
     local_track,
-    stretches,
+    value_spans,
 )
 from mavproxy_fault.wire.tlog import Columns
 
@@ -52,13 +52,13 @@ class _Vehicle:
 
     system: int
     columns: Columns
-    clock: Clock
+    clock: LogClock
     suffix: str
     autopilot: int
     type: int
 
 
-def merged(logs: Sequence[Columns]) -> Columns:
+def merge_logs(logs: Sequence[Columns]) -> Columns:
     """The columns of several logs of one flight as those of one log, in order of their stamps."""
     if len(logs) == 1:
         return logs[0]
@@ -71,26 +71,26 @@ def merged(logs: Sequence[Columns]) -> Columns:
     return together
 
 
-def recording_of(
+def recording_of_tlog(
     columns: Columns,
     *,
     name: str = "",
     t0_us: int | None = None,
     links: Mapping[str, NDArray[np.void]] | None = None,
-) -> Recording:
+) -> FlightData:
     """Everything of the vehicles in a log that a report shows.
 
     Parameters
     ----------
     columns : dict of structured arrays
-        As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merged`).
+        As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merge_logs`).
     t0_us : int, optional
         The vehicle's time that is zero on the axis (a label's `t0_us`); the start by default.
     links : dict of structured arrays (k,), optional
         By log name how its frames came (`link.stretches`).
     """
     systems = vehicle_systems(columns)
-    found = Recording(name)
+    found = FlightData(name)
     vehicles = []
     # Without any vehicle everything is shown as one.
     for system in systems or [0]:
@@ -113,7 +113,7 @@ def recording_of(
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
-    return Recording(
+    return FlightData(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
         found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
@@ -121,7 +121,7 @@ def recording_of(
     )  # fmt: skip
 
 
-def _utc0_us(columns: Columns, clock: Clock) -> int:
+def _utc0_us(columns: Columns, clock: LogClock) -> int:
     """The log's stamp where the axis is zero; 0 if stamps are no computer's time."""
     first = min((int(rows["t_us"].min()) for rows in columns.values()), default=0)
     # Small stamps count from boot and tell no date.
@@ -173,7 +173,7 @@ def _kind(columns: Columns) -> tuple[int, int]:
     return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
 
 
-def _add_vehicle(found: Recording, vehicle: _Vehicle) -> None:
+def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
     messages = {
         name: _message(vehicle, rows) for name, rows in vehicle.columns.items() if len(rows)
     }
@@ -211,7 +211,7 @@ def _in_order(
     return (t_s[order], *(value[order] for value in values))
 
 
-def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
+def _add_tracks(found: FlightData, vehicle: _Vehicle) -> None:
     for message, label, scale in TRACKS:
         rows = vehicle.columns.get(message)
         if rows is None:
@@ -222,7 +222,7 @@ def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
             continue
         lat, lon = rows["lat"] * 1e-7, rows["lon"] * 1e-7
         t_s, lat, lon, alt = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
-        found.tracks.append(Track(label + vehicle.suffix, t_s, lat, lon, alt))
+        found.tracks.append(GroundTrack(label + vehicle.suffix, t_s, lat, lon, alt))
     rows = vehicle.columns.get("LOCAL_POSITION_NED")
     # Indoors there is no other position.
     if rows is not None and len(rows) > 1 and not found.tracks:
@@ -230,7 +230,7 @@ def _add_tracks(found: Recording, vehicle: _Vehicle) -> None:
         found.tracks.append(local_track("local estimate" + vehicle.suffix, t_s, *ned))
 
 
-def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
+def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
     beats = vehicle.columns.get("HEARTBEAT")
     if beats is None:
         return
@@ -245,8 +245,8 @@ def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
     # Only states that mean trouble have a name; the others are empty and make no span.
     states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
     for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
-        found.spans.extend(stretches(lane + vehicle.suffix, t_s, values, kind))
-    found.spans.extend(stretches("system status" + vehicle.suffix, t_s, states, "fail"))
+        found.spans.extend(value_spans(lane + vehicle.suffix, t_s, values, kind))
+    found.spans.extend(value_spans("system status" + vehicle.suffix, t_s, states, "fail"))
     for i in range(1, len(beats)):
         if names[i] != names[i - 1]:
             found.events.append(Event(float(t_s[i]), "mode", f"mode {names[i]}{vehicle.suffix}"))
@@ -254,7 +254,7 @@ def _add_modes(found: Recording, vehicle: _Vehicle) -> None:
             found.events.append(Event(float(t_s[i]), "mode", armed[i] + vehicle.suffix))
 
 
-def _add_flags(found: Recording, vehicle: _Vehicle) -> None:
+def _add_flags(found: FlightData, vehicle: _Vehicle) -> None:
     """Estimator flags that mean trouble, as spans and events."""
     tables = (
         ("ESTIMATOR_STATUS", ESTIMATOR_FLAGS),
@@ -273,7 +273,7 @@ def _add_flags(found: Recording, vehicle: _Vehicle) -> None:
             found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
-def _add_texts(found: Recording, vehicle: _Vehicle) -> None:
+def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
     rows = vehicle.columns.get("STATUSTEXT")
     if rows is None:
         return
@@ -286,7 +286,7 @@ def _add_texts(found: Recording, vehicle: _Vehicle) -> None:
         )
 
 
-def _add_parameters(found: Recording, vehicle: _Vehicle) -> None:
+def _add_parameters(found: FlightData, vehicle: _Vehicle) -> None:
     rows = vehicle.columns.get("PARAM_VALUE")
     if rows is None:
         return

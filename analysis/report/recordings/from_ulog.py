@@ -1,4 +1,4 @@
-"""A PX4 ULog to a `Recording`; topics and fields as PX4's message definitions name them."""
+"""A PX4 ULog to a `FlightData`; topics and fields as PX4's message definitions name them."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from analysis.recordings.flight_logs.ulog import Topic, ULogFile
 from analysis.report.curves.field_values import values_of
 from analysis.report.curves.ulog_curves import CURVES
-from analysis.report.curves.ulog_innovations import innovations
+from analysis.report.curves.ulog_innovations import innovation_signals
 from analysis.report.recordings.recording import (
     Event,
+    FlightData,
+    GroundTrack,
     Message,
-    Recording,
     Signal,
     Span,
-    Track,
     active_spans,
     flag_events,
     local_track,
-    stretches,
+    value_spans,
 )
 from analysis.report.recordings.ulog_flags import flag_spans
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
@@ -37,10 +37,10 @@ LOCAL = "local estimate"
 SATURATED = 0.99  # of a motor's range
 
 
-def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Recording:
+def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> FlightData:
     """Everything of a ULog that a report shows; the axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
-    found = Recording(name)
+    found = FlightData(name)
     log_lacks: list[str] = []
     # Missing parts are named in the notes of the page.
     for (topic_name, instance), topic in sorted(log.topics.items()):
@@ -58,7 +58,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
             found.events.extend(flag_events(spans, float(t_s[-1])))
         except KeyError:  # a definition that is damaged, or of another version of PX4
             log_lacks.append(topic_name)
-    found.signals.extend(innovations(log.topics, log.parameters, start_us))
+    found.signals.extend(innovation_signals(log.topics, log.parameters, start_us))
     found.spans.extend(
         Span(
             "log dropout", at_s := (t_us - start_us) * 1e-6, at_s + for_s, f"{for_s:.2f} s", "warn"
@@ -75,7 +75,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Rec
         found.parameters[parameter] = [(0.0, value)]
     for t_us, parameter, value in log.changes:
         found.parameters.setdefault(parameter, []).append(((t_us - start_us) * 1e-6, value))
-    return Recording(
+    return FlightData(
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
         _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
@@ -93,7 +93,7 @@ def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
     return int(topic["time_utc_usec"][last]) - int(topic["timestamp"][last]) + start_us
 
 
-def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Track]:
+def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[GroundTrack]:
     labels = {
         "vehicle_gps_position": "GPS",
         "vehicle_global_position": "estimate",
@@ -108,10 +108,12 @@ def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Track]:
     if keep.sum() < 2:
         return []
     columns = [topic[key][keep] for key in ("latitude_deg", "longitude_deg", "altitude_msl_m")]
-    return [Track(labels[name] + suffix, t_s[keep], *(column.astype(float) for column in columns))]
+    return [
+        GroundTrack(labels[name] + suffix, t_s[keep], *(column.astype(float) for column in columns))
+    ]
 
 
-def _local_track(topic: Topic, t_s: Values) -> list[Track]:
+def _local_track(topic: Topic, t_s: Values) -> list[GroundTrack]:
     """The local estimate around its reference point, on a sphere; without one about nowhere."""
     lat0, lon0 = topic["ref_lat"].astype(float), topic["ref_lon"].astype(float)
     known = np.isfinite(topic["x"])
@@ -123,7 +125,7 @@ def _local_track(topic: Topic, t_s: Values) -> list[Track]:
     # Degrees of longitude grow towards the poles.
     lon = lon0 + np.degrees(topic["y"] / MEAN_EARTH_RADIUS_M) / np.cos(np.radians(lat0))
     alt = topic["ref_alt"] - topic["z"]
-    return [Track(LOCAL, t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
+    return [GroundTrack(LOCAL, t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
 
 
 def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
@@ -132,10 +134,10 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         armed = (topic["arming_state"] == ARMED).tolist()
         texts = [NAV_STATES.get(state, f"state {state}") for state in states]
         words = ["armed" if now else "disarmed" for now in armed]
-        return stretches("mode", t_s, texts) + stretches("armed", t_s, words)
+        return value_spans("mode", t_s, texts) + value_spans("armed", t_s, words)
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
-        return stretches("estimator in use", t_s, texts)
+        return value_spans("estimator in use", t_s, texts)
     if name == "vehicle_gps_position":
         return _state_spans(f"GPS jamming{suffix}", "jamming_state", JAMMING, topic, t_s) + (
             _state_spans(f"GPS spoofing{suffix}", "spoofing_state", SPOOFING, topic, t_s)
@@ -153,7 +155,7 @@ def _state_spans(
     if states is None:
         return []
     words = [texts.get(state, "") for state in states.tolist()]
-    return stretches(lane, t_s, words, "flag")
+    return value_spans(lane, t_s, words, "flag")
 
 
 def _saturated(topic: Topic, t_s: Values) -> list[Span]:

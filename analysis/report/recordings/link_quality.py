@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.log_clock import Clock
+from analysis.report.recordings.log_clock import LogClock
 from analysis.report.recordings.recording import LinkQuality, Signal
 
 MOST_STRETCHES, LEAST_FRAMES = 200, 20  # of a sender in a block of a log; of a stretch
@@ -18,14 +18,14 @@ STRETCHES = np.dtype(
 
 
 @dataclass(frozen=True, slots=True)
-class Sender:
+class LastFrame:
     """The last frame of a sender so far."""
 
     seq: int
     t_us: int
 
 
-def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.void]:
+def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArray[np.void]:
     """Sum up the frames of a log, or of a block of it, in short stretches of each sender.
 
     Parameters
@@ -48,7 +48,7 @@ def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.v
     for key in np.unique(sender).tolist():
         rows = frames[sender == key]
         # A sender's first frame follows nothing: no loss before it.
-        before = last.get(key, Sender((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
+        before = last.get(key, LastFrame((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
         # Modulo 256, in a type that does not wrap by itself.
         steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
         # Few stretches of a long log, but none so short that its share means nothing.
@@ -59,15 +59,16 @@ def stretches(frames: NDArray[np.void], last: dict[int, Sender]) -> NDArray[np.v
         some["frames"] = np.diff(starts, append=len(rows))
         some["lost"] = np.add.reduceat(np.maximum(steps - 1, 0).astype(np.int64), starts)
         some["gap_us"] = np.maximum.reduceat(np.diff(rows["t_us"], prepend=before.t_us), starts)
-        last[key] = Sender(int(rows["seq"][-1]), int(rows["t_us"][-1]))
+        last[key] = LastFrame(int(rows["seq"][-1]), int(rows["t_us"][-1]))
         found.append(some)
     return np.concatenate(found)
 
 
 def link_quality(
-    logs: Mapping[str, NDArray[np.void]], clock: Clock
+    logs: Mapping[str, NDArray[np.void]], clock: LogClock
 ) -> tuple[list[LinkQuality], list[Signal]]:
-    """Losses of every sender of each log, by name rows (k,) of `stretches`, and their curves."""
+    """Losses of every sender of each log, by name rows (k,) of `sum_stretches`, and their
+    curves."""
     links, signals = [], []
     for log, every in logs.items():
         for key in np.unique(every["sender"]).tolist():

@@ -19,7 +19,7 @@ NEAR_US = 5_000_000  # a message's time this near the vehicle's clock is that cl
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class LogClock:
     """Pairs of the log's stamp and the vehicle's time, microseconds; empty: the stamps themselves.
 
     `t0_us` is where the axis starts; unless the clock is `whole`, it was restarted, and a message's
@@ -68,7 +68,7 @@ def own_time_us(rows: NDArray[np.void]) -> NDArray[np.float64] | None:
     return None
 
 
-def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[Clock, list[str]]:
+def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[LogClock, list[str]]:
     """The clock of one vehicle's messages, and what must be said about it.
 
     Parameters
@@ -82,7 +82,7 @@ def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[C
     stamps, times = _pairs(columns, system)
     first = min((float(rows["t_us"].min()) for rows in columns.values()), default=0.0)
     if len(times) < 2:
-        return Clock(np.empty(0), np.empty(0), first), []
+        return LogClock(np.empty(0), np.empty(0), first), []
     order = np.argsort(stamps, kind="stable")
     stamps, times = stamps[order], times[order]
     back = np.flatnonzero(np.diff(times) < -BACKWARD_US)
@@ -94,21 +94,21 @@ def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[C
         note = (
             f"the vehicle's clock jumps back {len(back)} time(s); labels count on, and so does it"
         )
-        return Clock(stamps, times, float(t0_us), whole=False), [note]
+        return LogClock(stamps, times, float(t0_us), whole=False), [note]
     if len(back):
         note = (
             f"the vehicle's clock jumps back {len(back)} time(s) (restart or joined logs); "
             "times are the log's own stamps"
         )
-        return Clock(np.empty(0), np.empty(0), first), [note]
+        return LogClock(np.empty(0), np.empty(0), first), [note]
     # Small steps back are frames out of order: the clock itself goes on.
     times = np.maximum.accumulate(times)
-    clock = Clock(stamps, times, times[0])
+    clock = LogClock(stamps, times, times[0])
     if t0_us is not None:
-        return Clock(stamps, times, float(t0_us)), []
+        return LogClock(stamps, times, float(t0_us)), []
     earliest = [float(clock.seconds(rows).min()) for rows in columns.values()]
     start = times[0] + min(earliest) * 1e6
-    return Clock(stamps, times, start), []
+    return LogClock(stamps, times, start), []
 
 
 def _pairs(columns: Columns, system: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 SHOWN_BYTES = 50_000_000  # a smaller log is read before anybody looks
 
-Told = Callable[[float], None]  # the share that is read, 0 to 1
+ReportProgress = Callable[[float], None]  # the share that is read, 0 to 1
 
 
 @contextmanager
-def reading_bar(path: Path) -> Iterator[Told]:
+def reading_bar(path: Path) -> Iterator[ReportProgress]:
     """A bar while a log is read; nothing of small logs, without a terminal, and in a worker."""
     quiet = not sys.stderr.isatty() or multiprocessing.parent_process() is not None
     if quiet or path.stat().st_size < SHOWN_BYTES:

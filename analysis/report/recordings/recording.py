@@ -54,7 +54,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class GroundTrack:
     """A path over ground; degrees, and metres above mean sea level; shape (n,) each.
 
     Without `on_earth` nobody knows where it was flown: it lies about 0, 0.
@@ -67,17 +67,19 @@ class Track:
     alt_m: Vector
     on_earth: bool = True
 
-    def part(self, rows: NDArray[np.bool_] | slice) -> "Track":
+    def part(self, rows: NDArray[np.bool_] | slice) -> "GroundTrack":
         """The rows chosen."""
         names = ("t_s", "lat_deg", "lon_deg", "alt_m")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
-def local_track(name: str, t_s: Vector, north_m: Vector, east_m: Vector, down_m: Vector) -> Track:
+def local_track(
+    name: str, t_s: Vector, north_m: Vector, east_m: Vector, down_m: Vector
+) -> GroundTrack:
     """A path (n,) about a point that nobody knows."""
     # About the equator, where a degree of longitude is one of latitude.
     lat, lon = (np.degrees(metres / MEAN_EARTH_RADIUS_M) for metres in (north_m, east_m))
-    return Track(name, t_s, lat, lon, -down_m, on_earth=False)
+    return GroundTrack(name, t_s, lat, lon, -down_m, on_earth=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,7 @@ class LinkQuality:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class FlightData:
     """All that one flight's logs hold.
 
     Attributes
@@ -133,7 +135,7 @@ class Recording:
     signals: list[Signal] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    tracks: list[Track] = field(default_factory=list)
+    tracks: list[GroundTrack] = field(default_factory=list)
     links: list[LinkQuality] = field(default_factory=list)
     parameters: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -150,11 +152,11 @@ class Recording:
         return [signal for signal in self.signals if signal.panel == panel]
 
 
-def joined(first: Recording, second: Recording) -> Recording:
+def join_recordings(first: FlightData, second: FlightData) -> FlightData:
     """Two recordings on one axis as one: lists one after the other, the first one's words."""
     together: dict[str, Any] = {
         part.name: getattr(first, part.name) + getattr(second, part.name)
-        for part in fields(Recording)
+        for part in fields(FlightData)
         if isinstance(getattr(first, part.name), (list, tuple))
     }
     for name in ("parameters", "messages", "defaults", "printed"):
@@ -173,7 +175,7 @@ def joined(first: Recording, second: Recording) -> Recording:
     )
 
 
-def runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def true_runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First index and index after the last of each stretch of True; shape (n,) in."""
     edges = np.diff(np.concatenate(([0], active.astype(np.int8), [0])))
     return list(
@@ -199,7 +201,7 @@ def active_spans(
     last = len(t_s) - 1
     return [
         Span(lane, float(t_s[begin]), stop_s, text, kind)
-        for begin, end in runs(active)
+        for begin, end in true_runs(active)
         if (stop_s := float(t_s[min(end, last)])) - float(t_s[begin]) >= least_s
     ]
 
@@ -215,7 +217,7 @@ def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
     return found
 
 
-def stretches(
+def value_spans(
     lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
 ) -> list[Span]:
     """One span per stretch of equal, non-empty values at the times `t_s` (n,)."""

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.link_quality import Sender, stretches
-from analysis.report.recordings.reading_bar import Told
+from analysis.report.recordings.link_quality import LastFrame, sum_stretches
+from analysis.report.recordings.reading_bar import ReportProgress
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import Columns
 from mavproxy_fault.wire.written import written_bytes
@@ -29,7 +29,7 @@ Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class TlogContents:
     """What a report needs of a tlog; `thinned` if rows were left out."""
 
     columns: Columns
@@ -41,7 +41,7 @@ class Contents:
     thinned: bool
 
 
-def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
+def extreme_indices(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
     """Places (k,) of the least and greatest of values (n,) in each of so many equal stretches."""
     n = len(value)
     size = -(-n // buckets)
@@ -57,7 +57,7 @@ def extremes(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
     return np.unique(np.concatenate(((starts + low)[some], (starts + high)[some])))
 
 
-def contents(path: Path, told: Told) -> Contents:
+def read_contents(path: Path, told: ReportProgress) -> TlogContents:
     """A tlog, thinned if it is large; `told` is called with the share that is read."""
     size = written_bytes(path)
     thin = size > WHOLE_BYTES
@@ -65,19 +65,19 @@ def contents(path: Path, told: Told) -> Contents:
     budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
     parts: dict[str, list[Rows]] = {}
     links: list[NDArray[np.void]] = []
-    senders: dict[int, Sender] = {}
+    senders: dict[int, LastFrame] = {}
     frames = unknown = junk_bytes = 0
     for part in tlog.read_parts(path) if thin else [tlog.read_log(path)]:
         for name, rows in part.columns.items():
-            kept = [kept_rows(some, budget) for some in _by_system(rows)] if thin else [rows]
+            kept = [thin_rows(some, budget) for some in _by_system(rows)] if thin else [rows]
             parts.setdefault(name, []).extend(kept)
-        links.append(stretches(part.frames, senders))
+        links.append(sum_stretches(part.frames, senders))
         frames += len(part.frames)
         unknown += int((~part.frames["known"]).sum())
         junk_bytes += part.junk_bytes
         told(part.end / part.size)
     columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
-    return Contents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
+    return TlogContents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
 
 
 def _by_system(rows: Rows) -> Iterator[Rows]:
@@ -90,7 +90,7 @@ def _sorted(some: Sequence[Rows]) -> Rows:
     return rows[np.argsort(rows["t_us"], kind="stable")]
 
 
-def kept_rows(rows: Rows, budget: int) -> Rows:
+def thin_rows(rows: Rows, budget: int) -> Rows:
     """About `budget` rows of a message's (n,): evenly spaced ones and those of the extremes."""
     if len(rows) <= budget:
         return rows
@@ -102,7 +102,7 @@ def kept_rows(rows: Rows, budget: int) -> Rows:
     # Half of the budget for extremes, two for each stretch and curve.
     buckets = max(1, budget // (4 * max(len(curves), 1)))
     picked = [np.arange(0, len(rows), max(1, 2 * len(rows) // budget))]
-    picked += [extremes(curve, buckets) for curve in curves]
+    picked += [extreme_indices(curve, buckets) for curve in curves]
     return rows[np.unique(np.concatenate(picked))]
 
 

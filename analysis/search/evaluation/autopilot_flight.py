@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.autopilots.flight_process import fly_in_process
+from analysis.autopilots.flight_process import run_flight_process
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AUTOPILOTS
@@ -24,11 +24,11 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 
 Array = NDArray[np.float64]
-HEALTHY_SEED = 1
-TRIES = 3  # on a busy machine a take-off may fail by the operator's time-outs
+REFERENCE_SEED = 1
+MAX_ATTEMPTS = 3  # on a busy machine a take-off may fail by the operator's time-outs
 
 
-class Estimate(NamedTuple):
+class AutopilotAttitude(NamedTuple):
     """Of an autopilot in the air: mean squares (4,) and largest errors (4,) in degrees, how long it
     flew, and why the flight ended early, if it did."""
 
@@ -38,9 +38,9 @@ class Estimate(NamedTuple):
     ended_early: str
 
 
-def estimate(
+def measure_autopilot_error(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
-) -> tuple[Estimate, Array]:
+) -> tuple[AutopilotAttitude, Array]:
     """A scenario flown with its faults: what it showed, and the errors (4,) in degrees that the
     faults made, roll, pitch, yaw, angle.
 
@@ -50,44 +50,48 @@ def estimate(
         If the autopilot does not fly it, or says nothing of its attitude.
     """
     # Each test has its own seed, and would be flown twice.
-    healthy = {**document, "seed": HEALTHY_SEED, "schedule": {"faults": []}}
-    base = _healthy(choice, json.dumps(healthy, sort_keys=True), settle_s)
-    found = _fly(choice, document, settle_s)
+    healthy = {**document, "seed": REFERENCE_SEED, "schedule": {"faults": []}}
+    base = _reference_flight(choice, json.dumps(healthy, sort_keys=True), settle_s)
+    found = _fly_with_retries(choice, document, settle_s)
     return found, np.sqrt(np.maximum(found.mean_square - base.mean_square, 0.0))
 
 
 @cache
-def _healthy(choice: AutopilotChoice, document: str, settle_s: float) -> Estimate:
+def _reference_flight(choice: AutopilotChoice, document: str, settle_s: float) -> AutopilotAttitude:
     """The flight without faults, flown once for each scenario."""
-    return _fly(choice, json.loads(document), settle_s)
+    return _fly_with_retries(choice, json.loads(document), settle_s)
 
 
-def _fly(choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float) -> Estimate:
+def _fly_with_retries(
+    choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
+) -> AutopilotAttitude:
     """Fly, again where no flight came of it: no fault had begun."""
     reason = ""
-    for _ in range(TRIES):
-        found = _flown(choice, document, settle_s)
+    for _ in range(MAX_ATTEMPTS):
+        found = _fly_once(choice, document, settle_s)
         if not isinstance(found, str):
             return found
         reason = found
-    raise ConfigError(f"autopilot: no flight came of it, {TRIES} times; {reason}")
+    raise ConfigError(f"autopilot: no flight came of it, {MAX_ATTEMPTS} times; {reason}")
 
 
-def _flown(choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float) -> Estimate | str:
+def _fly_once(
+    choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
+) -> AutopilotAttitude | str:
     """One flight, or why there was none."""
     with tempfile.TemporaryDirectory(prefix="search-") as folder:
         file = Path(folder) / "scenario.yaml"
         scenario = {key: value for key, value in document.items() if key != "schedule"}
-        file.write_text(write_yaml(_given(scenario)))
+        file.write_text(write_yaml(_without_none(scenario)))
         words = [str(file), "--autopilot", choice.kind]
         for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
             words += [option, value] if value is not None else []
         schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
-        run = fly_in_process("autopilot", words, schedule, Path(folder), kept=False)
+        run = run_flight_process("autopilot", words, schedule, Path(folder), kept=False)
         return _read(run, settle_s)
 
 
-def _read(run: Path, settle_s: float) -> Estimate | str:
+def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
     """What a run folder tells of the time in the air, from `settle_s` after leaving the ground."""
     flown = json.loads((run / "summary.json").read_text())["autopilot"]
     off_ground_s = flown["moments_s"].get("take-off")
@@ -111,7 +115,7 @@ def _read(run: Path, settle_s: float) -> Estimate | str:
     if not len(rows):
         return "nothing was heard of its attitude in the air"
     last_s = errors[-1].t_us * 1e-6
-    return Estimate(
+    return AutopilotAttitude(
         np.mean(rows**2, axis=0),
         np.abs(rows).max(axis=0),
         min(last_s, until_s) - off_ground_s,
@@ -119,8 +123,8 @@ def _read(run: Path, settle_s: float) -> Estimate | str:
     )
 
 
-def _given(node: Any) -> Any:
+def _without_none(node: Any) -> Any:
     """A document without the keys that have no value."""
     if isinstance(node, Mapping):
-        return {key: _given(value) for key, value in node.items() if value is not None}
-    return [_given(item) for item in node] if isinstance(node, (list, tuple)) else node
+        return {key: _without_none(value) for key, value in node.items() if value is not None}
+    return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node

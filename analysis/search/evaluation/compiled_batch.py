@@ -8,10 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators import Prior, make
+from analysis.estimators import Prior, make_estimator
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
-from analysis.search.evaluation.traced_flight import Trace, estimated, traced, with_all_sensors
+from analysis.search.evaluation.traced_flight import (
+    FlightTrace,
+    estimate_attitude,
+    trace_flight,
+    with_all_sensors,
+)
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import EKF, FILTER_SIZE, HEARD, LEVELLED, MAHONY, Tunings
 from analysis.search.lanes.inverted_lanes import (
@@ -26,7 +31,7 @@ from analysis.search.lanes.lane_state import Envelope
 from analysis.search.lanes.noise_kernel import GENERATORS, streams
 from analysis.search.lanes.quad_lanes import QuadModel
 from analysis.search.lanes.search_kernel import Plan, fly
-from analysis.search.space.airframe import Airframe, hover_rps, read_airframe, trimmed
+from analysis.search.space.airframe import Airframe, hover_rps, read_airframe, trim_values
 from analysis.search.space.dimensions import (
     Space,
     fault_entries,
@@ -38,23 +43,23 @@ from analysis.search.space.point_scenario import altitude_of
 from analysis.search.space.test_file import StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
-from simvehicle.environment.air import GUSTS
+from simvehicle.environment.air import GUST_LEVELS
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
-from simvehicle.vehicles.multirotor.sway_kernel import quad_of
+from simvehicle.vehicles.multirotor.sway_kernel import quad_parameters
 
 Array = NDArray[np.float64]
 # Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter; it is flown for its flight alone.
 HEUN = 0
-INVERTED = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
+INVERTED_CRITERIA = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
 NO_AERO = Aero(*[0.0] * len(Aero._fields))
-COMPILED = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
+COMPILED_ESTIMATORS = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
 
 
-class Outcome(NamedTuple):
+class EvaluationOutcome(NamedTuple):
     """What became of n evaluations.
 
     `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
@@ -90,7 +95,7 @@ class Batch:
     @cached_property
     def space(self) -> Space:
         """What is searched."""
-        trim = trimmed(self.airframe, self.test.density_kgpm3)
+        trim = trim_values(self.airframe, self.test.density_kgpm3)
         return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
@@ -98,7 +103,9 @@ class Batch:
         """What all flights share."""
         return plan_of(self.test, self.airframe)
 
-    def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
+    def evaluate(
+        self, points: Array, seed: int, first: int, draws: int | None = None
+    ) -> EvaluationOutcome:
         """Fly points (n, d) of the unit cube, each with its own noise.
 
         `first` is the number of the first evaluation: noise belongs to seed and number.
@@ -113,7 +120,7 @@ class Batch:
         first: int,
         draws: int,
         alike: bool = False,
-    ) -> Outcome:
+    ) -> EvaluationOutcome:
         """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`.
 
         Without gusts chance does not move the aircraft: of many flights, those that leave the
@@ -147,23 +154,25 @@ class Batch:
 
     def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
-        columns = padded(flights)
+        columns = pad_lanes(flights)
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
         noise[:, : len(numbers)] = streams(seed, numbers)
         filters = start_filters(self.test.estimator, columns)
         fly(columns, filters, noise, self.plan)
-        if self.test.estimator not in COMPILED:
+        if self.test.estimator not in COMPILED_ESTIMATORS:
             for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
                 # From the start column: the kernel has written over its own copy.
                 column, number = flights[:, lane], int(numbers[lane])
                 # Sensors that the kernel leaves out are wanted by an estimator in Python.
                 plan = with_all_sensors(self.plan)
-                self._score(columns[:, lane], traced(plan, column, filters[lane], seed, number))
+                self._score(
+                    columns[:, lane], trace_flight(plan, column, filters[lane], seed, number)
+                )
         return columns[:, : len(numbers)]
 
-    def _score(self, column: Array, flight: Trace) -> None:
+    def _score(self, column: Array, flight: FlightTrace) -> None:
         """Put the scores of an estimator in Python in the place of the kernel's."""
-        estimate = estimated(flight, make(self.test.estimator))
+        estimate = estimate_attitude(flight, make_estimator(self.test.estimator))
         error = replace(flight, q_estimate=estimate).errors_rad()
         column[rows.SQUARES : rows.SQUARES + 4] = (error**2).sum(axis=0)
         column[rows.LARGEST : rows.LARGEST + 4] = np.abs(error).max(axis=0)
@@ -190,13 +199,13 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
         pressure_every=max(1, round(1.0 / PRESSURE_HZ / test.dt_s)),
         mission=test.mission is not None,
         gusts=test.gusts != "none",
-        gust_sigma_mps=GUSTS[test.gusts].sigma_mps,
-        gust_length_m=GUSTS[test.gusts].length_m,
+        gust_sigma_mps=GUST_LEVELS[test.gusts].sigma_mps,
+        gust_length_m=GUST_LEVELS[test.gusts].length_m,
         slots=len(test.faults),
         noisy=any(fault.fault == "noise" for fault in test.faults),
         angle=test.criterion == "angle",
         state=test.criterion == "state",
-        inverted=test.criterion in INVERTED,
+        inverted=test.criterion in INVERTED_CRITERIA,
         place=Place(
             altitude_of(test.density_kgpm3),
             test.density_kgpm3,
@@ -204,7 +213,7 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
             test.static_pressure == "linear",
             float(np.exp(-test.position_k_per_s / VELOCITY_HZ)),
         ),
-        estimator=COMPILED.get(test.estimator, HEUN),
+        estimator=COMPILED_ESTIMATORS.get(test.estimator, HEUN),
         tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
@@ -221,12 +230,12 @@ def quad_model(quad: Multirotor) -> QuadModel:
     first, second, third, fourth = (
         (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in quad.rotors
     )
-    return QuadModel(quad.frame, (first, second, third, fourth), quad_of(quad))
+    return QuadModel(quad.frame, (first, second, third, fourth), quad_parameters(quad))
 
 
 def tunings_of(name: str) -> Tunings:
     """What the kernels take, from the default parameters of the estimator of that name."""
-    estimator = make(name)
+    estimator = make_estimator(name)
     mahony = estimator if isinstance(estimator, Mahony) else Mahony()
     ekf = estimator if isinstance(estimator, Ekf) else Ekf()
     return Tunings(mahony.gains, ekf.tuning)
@@ -247,7 +256,7 @@ def envelope_of(test: TestFile) -> Envelope:
     )
 
 
-def padded(columns: Array) -> Array:
+def pad_lanes(columns: Array) -> Array:
     """Columns (rows, n) filled up to a multiple of LANES with dead copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
@@ -261,10 +270,10 @@ def start_filters(name: str, columns: Array) -> Array:
     count = columns.shape[1]
     filters = np.zeros((count, FILTER_SIZE))
     # Without a filter in the kernel any attitude will do.
-    if COMPILED.get(name, HEUN) == HEUN:
+    if COMPILED_ESTIMATORS.get(name, HEUN) == HEUN:
         filters[:, 0] = 1.0
         return filters
-    estimator = make(name)
+    estimator = make_estimator(name)
     # Covariance and biases as the estimator starts; attitude and velocity are put in below.
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     filters[:, : len(x)] = x
@@ -273,7 +282,7 @@ def start_filters(name: str, columns: Array) -> Array:
         filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
     filters[:, :4] = q.T
-    if COMPILED[name] == EKF:
+    if COMPILED_ESTIMATORS[name] == EKF:
         filters[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
     return filters
 
@@ -284,7 +293,7 @@ def ned_velocity(q: Array, v_b_mps: Array) -> Array:
     return turned
 
 
-def outcome_of(columns: Array, test: TestFile) -> Outcome:
+def outcome_of(columns: Array, test: TestFile) -> EvaluationOutcome:
     """Scores from the rows (ROWS, n, draws) that the kernel left."""
     count = columns[rows.COUNT]
     # A flight may leave the envelope before its first sample is scored.
@@ -299,10 +308,10 @@ def outcome_of(columns: Array, test: TestFile) -> Outcome:
         "euler": lambda: rmse[:3].max(axis=0),
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
-    }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED[test.criterion]])()
+    }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED_CRITERIA[test.criterion]])()
     # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
     fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
-    return Outcome(
+    return EvaluationOutcome(
         # An estimator that diverges to NaN tells nothing that could be ranked.
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),

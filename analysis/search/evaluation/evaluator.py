@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.evaluation.compiled_batch import Batch, Outcome
+from analysis.search.evaluation.compiled_batch import Batch, EvaluationOutcome
 from analysis.search.space.dimensions import Space
 from analysis.search.space.test_file import TestFile
 
@@ -20,20 +20,22 @@ class Evaluator(Protocol):
     def space(self) -> Space:
         """What is searched."""
 
-    def evaluate(self, points: Array, seed: int, first: int, draws: int | None = None) -> Outcome:
+    def evaluate(
+        self, points: Array, seed: int, first: int, draws: int | None = None
+    ) -> EvaluationOutcome:
         """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
 
     def of_values(
         self, values: Mapping[str, Array], seed: int, first: int, draws: int, alike: bool = False
-    ) -> Outcome:
+    ) -> EvaluationOutcome:
         """Fly values (n,) by name; with the same noise for all if `alike`."""
 
 
-def evaluator(test: TestFile) -> Evaluator:
+def make_evaluator(test: TestFile) -> Evaluator:
     """The evaluator of a test."""
     # The simulator's parts are loaded for tests that need them.
     if test.flown:
-        from analysis.search.evaluation.flown_cases import Flown
+        from analysis.search.evaluation.simulated_batch import SimulatedBatch
 
-        return Flown(test)
+        return SimulatedBatch(test)
     return Batch(test)

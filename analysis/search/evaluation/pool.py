@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.processes import spawning
-from analysis.search.evaluation.compiled_batch import Outcome
-from analysis.search.evaluation.evaluator import Evaluator, evaluator
+from analysis.processes import spawn_context
+from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.evaluator import Evaluator, make_evaluator
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -26,7 +26,9 @@ Job = tuple[bytes, Array, int, int, int]  # test, points, seed, first number, dr
 class Pool(Protocol):
     """Evaluates points of a test."""
 
-    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+    def evaluate(
+        self, test: TestFile, points: Array, seed: int, first: int, draws: int
+    ) -> EvaluationOutcome:
         """As `Batch.evaluate`."""
 
     def close(self) -> None:
@@ -34,18 +36,18 @@ class Pool(Protocol):
 
 
 @lru_cache(maxsize=8)
-def evaluator_of(encoded: bytes) -> Evaluator:
+def cached_evaluator(encoded: bytes) -> Evaluator:
     """The evaluator of a test in JSON; kept, since reading the airframe takes a moment."""
-    return evaluator(msgspec.json.decode(encoded, type=TestFile))
+    return make_evaluator(msgspec.json.decode(encoded, type=TestFile))
 
 
-def work(job: Job) -> Outcome:
+def evaluate_job(job: Job) -> EvaluationOutcome:
     """One share of a batch, in whatever process."""
     encoded, points, seed, first, draws = job
-    return evaluator_of(encoded).evaluate(points, seed, first, draws)
+    return cached_evaluator(encoded).evaluate(points, seed, first, draws)
 
 
-def shares(
+def split_jobs(
     test: TestFile, points: Array, seed: int, first: int, draws: int, count: int
 ) -> list[Job]:
     """At most `count` jobs of neighbouring points (n, d)."""
@@ -54,38 +56,42 @@ def shares(
     return [(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]
 
 
-def joined(outcomes: Sequence[Outcome]) -> Outcome:
+def join_outcomes(outcomes: Sequence[EvaluationOutcome]) -> EvaluationOutcome:
     """One outcome of several shares."""
     arrays = {
         name: np.concatenate([getattr(outcome, name) for outcome in outcomes])
-        for name in Outcome._fields
+        for name in EvaluationOutcome._fields
         if name != "steps"
     }
-    return Outcome(**arrays, steps=sum(outcome.steps for outcome in outcomes))
+    return EvaluationOutcome(**arrays, steps=sum(outcome.steps for outcome in outcomes))
 
 
-class Here:
+class InProcessPool:
     """This process."""
 
-    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+    def evaluate(
+        self, test: TestFile, points: Array, seed: int, first: int, draws: int
+    ) -> EvaluationOutcome:
         """As `Batch.evaluate`."""
-        return work((msgspec.json.encode(test), points, seed, first, draws))
+        return evaluate_job((msgspec.json.encode(test), points, seed, first, draws))
 
     def close(self) -> None:
         """Nothing to let go."""
 
 
-class Processes:
+class LocalProcessPool:
     """Several processes of this machine."""
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
-        self._pool = ProcessPoolExecutor(workers, mp_context=spawning())
+        self._pool = ProcessPoolExecutor(workers, mp_context=spawn_context())
 
-    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+    def evaluate(
+        self, test: TestFile, points: Array, seed: int, first: int, draws: int
+    ) -> EvaluationOutcome:
         """As `Batch.evaluate`."""
-        jobs = shares(test, points, seed, first, draws, self._workers)
-        return joined(list(self._pool.map(work, jobs)))
+        jobs = split_jobs(test, points, seed, first, draws, self._workers)
+        return join_outcomes(list(self._pool.map(evaluate_job, jobs)))
 
     def close(self) -> None:
         """End the processes."""
@@ -112,18 +118,20 @@ def join_ray(address: str) -> tuple[Any, bool]:
     return ray, mine
 
 
-class Cluster:
+class RayPool:
     """A Ray cluster; a share whose worker dies is done again by another."""
 
     def __init__(self, address: str) -> None:
         self._ray, self._mine = join_ray(address)
-        self._work: Callable[..., Any] = self._ray.remote(max_retries=-1)(work).remote
+        self._work: Callable[..., Any] = self._ray.remote(max_retries=-1)(evaluate_job).remote
 
-    def evaluate(self, test: TestFile, points: Array, seed: int, first: int, draws: int) -> Outcome:
+    def evaluate(
+        self, test: TestFile, points: Array, seed: int, first: int, draws: int
+    ) -> EvaluationOutcome:
         """As `Batch.evaluate`."""
         count = 2 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-        jobs = shares(test, points, seed, first, draws, count)
-        return joined(self._ray.get([self._work(job) for job in jobs]))
+        jobs = split_jobs(test, points, seed, first, draws, count)
+        return join_outcomes(self._ray.get([self._work(job) for job in jobs]))
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -134,5 +142,5 @@ class Cluster:
 def pool_of(workers: int | None, ray_address: str | None) -> Pool:
     """The pool that the command line asks for."""
     if ray_address is not None:
-        return Cluster(ray_address)
-    return Processes(workers) if workers is not None and workers > 1 else Here()
+        return RayPool(ray_address)
+    return LocalProcessPool(workers) if workers is not None and workers > 1 else InProcessPool()

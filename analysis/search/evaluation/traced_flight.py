@@ -13,13 +13,13 @@ from analysis.search.lanes.filter_lanes import MAHONY
 from analysis.search.lanes.noise_kernel import streams
 from analysis.search.lanes.search_kernel import Plan, trace
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
-from mavproxy_fault.numerics.rotations.rotation_kernel import errors
+from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Trace:
+class FlightTrace:
     """n samples of a flight.
 
     state (n, 13) as in `rigidbody_kernel`; measured (n, CHANNELS) as in `rows`, slow sensors
@@ -42,10 +42,10 @@ class Trace:
     def errors_rad(self) -> Array:
         """Roll, pitch, yaw, wrapped, and angle between estimate and truth (n, 4)."""
         pairs = zip(self.q_estimate, self.state[:, 6:10], strict=True)
-        return np.array([errors(q, truth) for q, truth in pairs])
+        return np.array([attitude_errors(q, truth) for q, truth in pairs])
 
 
-def traced(plan: Plan, flight: Array, filters: Array, seed: int, number: int) -> Trace:
+def trace_flight(plan: Plan, flight: Array, filters: Array, seed: int, number: int) -> FlightTrace:
     """Fly one column (ROWS,) with noise `number` of `seed`; `filters` (FILTER_SIZE,) as the
     filters'."""
     # Whatever the criterion: the quaternion is filled in only for that of the angle.
@@ -57,10 +57,10 @@ def traced(plan: Plan, flight: Array, filters: Array, seed: int, number: int) ->
     state, measured, estimate, q, alive = np.split(
         out, np.cumsum([13, rows.CHANNELS, 9, 4]), axis=1
     )
-    return Trace(plan, state, measured, estimate, q, alive[:, 0] > 0.5)
+    return FlightTrace(plan, state, measured, estimate, q, alive[:, 0] > 0.5)
 
 
-def readings(flight: Trace) -> Iterator[list[Sample]]:
+def sensor_samples(flight: FlightTrace) -> Iterator[list[Sample]]:
     """The samples of each instant: IMU, field, airspeed, GPS, as they are due."""
     plan = flight.plan
     for k, measured in enumerate(flight.measured):
@@ -77,7 +77,7 @@ def readings(flight: Trace) -> Iterator[list[Sample]]:
         yield found
 
 
-def estimated(flight: Trace, estimator: Estimator) -> Array:
+def estimate_attitude(flight: FlightTrace, estimator: Estimator) -> Array:
     """The attitude (n, 4) that an estimator makes of a flight's samples, started at the truth."""
     first = flight.state[0]
     prior = Prior(
@@ -89,7 +89,7 @@ def estimated(flight: Trace, estimator: Estimator) -> Array:
     )
     state = estimator.start(prior)
     out = np.empty((len(flight.state), 4))
-    for k, samples in enumerate(readings(flight)):
+    for k, samples in enumerate(sensor_samples(flight)):
         for sample in samples:
             estimate, state = estimator.update(sample, state)
         out[k] = estimate.q_nb

@@ -48,7 +48,7 @@ def predict(
     buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, tunings: Tunings, dt: float
 ) -> None:
     """Every living lane's estimate after its IMU sample."""
-    room = ekf_kernel.new_room()
+    room = ekf_kernel.new_workspace()
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
             imu = channels(buf, M, IMU_ID, lane)
@@ -71,23 +71,23 @@ def head(
     dt: float,
 ) -> None:
     """Every living lane's estimate after its field sample, `dt` after the one before."""
-    room, variance = ekf_kernel.new_room(), tunings.ekf.heading_variance
+    room, variance = ekf_kernel.new_workspace(), tunings.ekf.heading_variance
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
             field = channels(buf, FIELD, 3, lane)
             if kind == MAHONY:
                 x = filters[lane, :SIZE]
-                filters[lane, :SIZE] = complementary.head(
+                filters[lane, :SIZE] = complementary.correct_heading(
                     x, field, declination_rad, dt, tunings.mahony
                 )
             else:
-                ekf_kernel.head(filters[lane], field, declination_rad, variance, room)
+                ekf_kernel.correct_heading(filters[lane], field, declination_rad, variance, room)
 
 
 @compiled
 def velocity(buf: Buffer, filters: FilterStates, tuning: Tuning, t_s: float) -> None:
     """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
-    room, variance = ekf_kernel.new_room(), tuning.velocity_variance
+    room, variance = ekf_kernel.new_workspace(), tuning.velocity_variance
     for lane in range(L):
         seen = channels(buf, VELOCITY, 3, lane)
         if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
@@ -101,13 +101,13 @@ def velocity(buf: Buffer, filters: FilterStates, tuning: Tuning, t_s: float) -> 
 @compiled
 def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, tuning: Tuning, t_s: float) -> None:
     """Gravity for every living lane's EKF that has been without GPS for long."""
-    room, variance = ekf_kernel.new_room(), tuning.gravity_variance
+    room, variance = ekf_kernel.new_workspace(), tuning.gravity_variance
     for lane in range(L):
         blind = t_s - filters[lane, HEARD] >= tuning.gps_timeout_s - ROUNDING_S
         due = t_s - filters[lane, LEVELLED] >= tuning.gravity_period_s - ROUNDING_S
         if buf[ALIVE + lane] > 0.5 and blind and due:
             imu = channels(buf, M, IMU_ID, lane)
-            ekf_kernel.level(filters[lane], imu, airspeed[lane], variance, room)
+            ekf_kernel.correct_tilt(filters[lane], imu, airspeed[lane], variance, room)
             filters[lane, LEVELLED] = t_s
 
 

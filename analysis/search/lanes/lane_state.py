@@ -15,7 +15,7 @@ from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.fixedwing.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import (
     DOWN,
     E0,
@@ -32,8 +32,8 @@ from simvehicle.vehicles.rigidbody_kernel import (
     U,
     V,
     W,
-    moved,
-    runge_kutta,
+    combine_stages,
+    euler_step,
 )
 
 L = rows.LANES
@@ -185,7 +185,7 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
         )
         wind = (buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane])
         down = (0.0, 0.0, gravity)
-        k1 = derivative(state, controls, wind, down, density, body, aero)
+        k1 = state_derivative(state, controls, wind, down, density, body, aero)
         _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
         gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
         _, _, _, du, dv, dw, _, _, _, _, _, _, _ = k1
@@ -203,10 +203,14 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
         alive = was_alive & (limit < 0.5)
         buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
         buf[ALIVE + lane] = 1.0 if alive else 0.0
-        k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, down, density, body, aero)
-        k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, down, density, body, aero)
-        k4 = derivative(moved(state, k3, dt), controls, wind, down, density, body, aero)
-        after = runge_kutta(state, k1, k2, k3, k4, dt)
+        k2 = state_derivative(
+            euler_step(state, k1, 0.5 * dt), controls, wind, down, density, body, aero
+        )
+        k3 = state_derivative(
+            euler_step(state, k2, 0.5 * dt), controls, wind, down, density, body, aero
+        )
+        k4 = state_derivative(euler_step(state, k3, dt), controls, wind, down, density, body, aero)
+        after = combine_stages(state, k1, k2, k3, k4, dt)
         put_state(buf, S, lane, chosen(alive, after, state))
 
 

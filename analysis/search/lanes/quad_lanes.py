@@ -9,15 +9,20 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.polynomial import exp
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
-from mavproxy_fault.numerics.rotations.rotation_lanes import euler
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler_of_quaternion
 from simvehicle.vehicles.multirotor.multirotor_flight import Airframe, body_drag, rotor_loads
-from simvehicle.vehicles.multirotor.sway_kernel import Attitude, Four, Quad, sway
+from simvehicle.vehicles.multirotor.sway_kernel import (
+    Four,
+    QuadParameters,
+    SwayFeedback,
+    sway_commands,
+)
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,
     State13,
-    moved,
-    rigid_body,
-    runge_kutta,
+    combine_stages,
+    euler_step,
+    rigid_body_derivative,
 )
 
 L = rows.LANES
@@ -34,22 +39,22 @@ class QuadModel(NamedTuple):
 
     frame: Airframe
     rotors: tuple[Four, Four, Four, Four]
-    control: Quad
+    control: QuadParameters
 
 
 @compiled
-def steer_quad(buf: Buffer, t_s: float, world: World, control: Quad) -> None:
+def steer_quad(buf: Buffer, t_s: float, world: World, control: QuadParameters) -> None:
     """CONTROL from the mission and feedback of the truth, at the height of the start."""
     wide()
     gravity, density = world
     for lane in range(L):
         state = state_at(buf, lane)
         _, _, down, u, v, w, e0, e1, e2, e3, p, q, r = state
-        roll, pitch, _ = euler(e0, e1, e2, e3)
+        roll, pitch, _ = euler_of_quaternion(e0, e1, e2, e3)
         _, _, sink = to_ned(e0, e1, e2, e3, u, v, w)
-        now = Attitude(roll, pitch, (p, q, r), buf[START + lane] - down, -sink)
+        now = SwayFeedback(roll, pitch, (p, q, r), buf[START + lane] - down, -sink)
         aim = (buf[T + L + lane], buf[T + 2 * L + lane], buf[T + 3 * L + lane])
-        motors = sway(now, aim, control, gravity, density / SEA_LEVEL_DENSITY_KGPM3, t_s)
+        motors = sway_commands(now, aim, control, gravity, density / SEA_LEVEL_DENSITY_KGPM3, t_s)
         for i in range(MOTORS):
             buf[C + i * L + lane] = motors[i]
 
@@ -76,7 +81,7 @@ def _slope(
         one = rotor_loads((air[0], air[1]), r, speeds[i], model.rotors[i], density, model.frame)
         fx, fy, fz = fx + one[0], fy + one[1], fz + one[2]
         mx, my, mz = mx + one[3], my + one[4], mz + one[5]
-    return rigid_body(state, (fx, fy, fz), (mx, my, mz), (0.0, 0.0, gravity), body)
+    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), (0.0, 0.0, gravity), body)
 
 
 @inlined
@@ -132,11 +137,14 @@ def move_quad(
         alive = was_alive & (limit < 0.5)
         buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
         buf[ALIVE + lane] = 1.0 if alive else 0.0
-        k2 = _slope(moved(state, k1, half), middle, wind, world, body, model)
-        k3 = _slope(moved(state, k2, half), middle, wind, world, body, model)
-        k4 = _slope(moved(state, k3, dt), last, wind, world, body, model)
+        k2 = _slope(euler_step(state, k1, half), middle, wind, world, body, model)
+        k3 = _slope(euler_step(state, k2, half), middle, wind, world, body, model)
+        k4 = _slope(euler_step(state, k3, dt), last, wind, world, body, model)
         put_state(
-            buf, rows.STATE * L, lane, chosen(alive, runge_kutta(state, k1, k2, k3, k4, dt), state)
+            buf,
+            rows.STATE * L,
+            lane,
+            chosen(alive, combine_stages(state, k1, k2, k3, k4, dt), state),
         )
         for i in range(MOTORS):
             buf[M + i * L + lane] = last[i] if alive else first[i]

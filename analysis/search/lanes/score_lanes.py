@@ -8,7 +8,7 @@ from analysis.search.lanes.lane_state import Buffer, true_attitude
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.polynomial import atan2
-from mavproxy_fault.numerics.rotations.rotation_lanes import euler, wrapped
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler_of_quaternion, wrap_angle
 from simvehicle.vehicles.rigidbody_kernel import P, U
 
 L = rows.LANES
@@ -26,7 +26,9 @@ def euler_of_quaternions(buf: Buffer) -> None:
     for lane in range(L):
         e0, e1 = buf[Q + lane], buf[Q + L + lane]
         e2, e3 = buf[Q + 2 * L + lane], buf[Q + 3 * L + lane]
-        buf[E + lane], buf[E + L + lane], buf[E + 2 * L + lane] = euler(e0, e1, e2, e3)
+        buf[E + lane], buf[E + L + lane], buf[E + 2 * L + lane] = euler_of_quaternion(
+            e0, e1, e2, e3
+        )
 
 
 @compiled
@@ -35,10 +37,10 @@ def score_euler(buf: Buffer) -> None:
     wide()
     for lane in range(L):
         alive = buf[ALIVE + lane] > 0.5
-        roll, pitch, yaw = euler(*true_attitude(buf, lane))
-        roll = wrapped(buf[E + lane] - roll)
-        pitch = wrapped(buf[E + L + lane] - pitch)
-        yaw = wrapped(buf[E + 2 * L + lane] - yaw)
+        roll, pitch, yaw = euler_of_quaternion(*true_attitude(buf, lane))
+        roll = wrap_angle(buf[E + lane] - roll)
+        pitch = wrap_angle(buf[E + L + lane] - pitch)
+        yaw = wrap_angle(buf[E + 2 * L + lane] - yaw)
         roll = roll if alive else 0.0
         pitch = pitch if alive else 0.0
         yaw = yaw if alive else 0.0
@@ -78,13 +80,13 @@ def score_state(buf: Buffer) -> None:
     Position (NED), velocity (body), angles and rates, in the order of STATE_SQUARES.
     """
     for lane in range(L):
-        roll, pitch, yaw = euler(*true_attitude(buf, lane))
+        roll, pitch, yaw = euler_of_quaternion(*true_attitude(buf, lane))
         alive = buf[ALIVE + lane] > 0.5
         for i in range(3):
             place = buf[E + (POSITION + i) * L + lane] - buf[NOW + i * L + lane]
             speed = buf[E + (VELOCITY + i) * L + lane] - buf[NOW + (U + i) * L + lane]
             true = roll if i == 0 else pitch if i == 1 else yaw
-            angle = wrapped(buf[E + i * L + lane] - true)
+            angle = wrap_angle(buf[E + i * L + lane] - true)
             rate = buf[M + i * L + lane] - buf[NOW + (P + i) * L + lane]
             squares = (place * place, speed * speed, angle * angle, rate * rate)
             for k in range(4):

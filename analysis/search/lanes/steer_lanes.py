@@ -7,8 +7,8 @@ from analysis.search.lanes.lane_state import Buffer, state_at
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from mavproxy_fault.numerics.rotations.rotation_lanes import euler
-from simvehicle.vehicles.fixedwing.weave_kernel import Motion, weave
+from mavproxy_fault.numerics.rotations.rotation_lanes import euler_of_quaternion
+from simvehicle.vehicles.fixedwing.weave_kernel import WeaveFeedback, weave_controls
 
 L = rows.LANES
 C, O, T, W = rows.CONTROL * L, rows.OPEN_LOOP * L, rows.MISSION * L, rows.WIND * L  # noqa: E741
@@ -21,7 +21,7 @@ def steer(buf: Buffer, t_s: float) -> None:
     for lane in range(L):
         state = state_at(buf, lane)
         _, _, _, u, v, w, e0, e1, e2, e3, p, q, _ = state
-        roll, pitch, _ = euler(e0, e1, e2, e3)
+        roll, pitch, _ = euler_of_quaternion(e0, e1, e2, e3)
         north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
         x, y, z = to_body(e0, e1, e2, e3, north, east, down)
         u, v, w = u - x, v - y, w - z
@@ -33,7 +33,7 @@ def steer(buf: Buffer, t_s: float) -> None:
             buf[T + 4 * L + lane],
         )
         open_loop = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
-        woven = weave(Motion(roll, pitch, p, q, speed), aim, open_loop, t_s)
+        woven = weave_controls(WeaveFeedback(roll, pitch, p, q, speed), aim, open_loop, t_s)
         on = buf[T + lane] > 0.5
         for i in range(4):
             buf[C + i * L + lane] = woven[i] if on else open_loop[i]

@@ -12,7 +12,7 @@ from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_flight import ELEVATOR, THROTTLE
 from simvehicle.vehicles.fixedwing.trim import PITCH
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
-from simvehicle.vehicles.multirotor.sway_kernel import MOTORS
+from simvehicle.vehicles.multirotor.sway_kernel import MOTOR_COUNT
 from simvehicle.vehicles.parameter_file import parameter_path
 from simvehicle.vehicles.rigidbody_kernel import U, W
 
@@ -36,12 +36,12 @@ def read_airframe(name: str) -> Airframe:
     if not has_rotors(name):
         return FixedWing.read(name)
     quad = Multirotor.read(name)
-    if quad.controls_count != MOTORS:
+    if quad.controls_count != MOTOR_COUNT:
         raise ConfigError(f"vehicle = {name} has {quad.controls_count} rotors; a search flies four")
     return quad
 
 
-def trimmed(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
+def trim_values(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
     """What a test file may leave open: straight flight at cruising speed, or hover."""
     if isinstance(airframe, Multirotor):
         names = ("initial.u_mps", "initial.w_mps", "initial.pitch_deg", "controls.elevator_deg",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.lanes import rows
-from analysis.search.space.fault_range import CHANNELS, LOST
+from analysis.search.space.fault_range import CHANNELS, DROP_CHANNELS
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
@@ -168,7 +168,7 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     name = f"faults[{slot}]"
     kind = test.faults[slot].fault
     # What is dropped is a message, what is falsified a field.
-    known = LOST if kind == "drop" else CHANNELS
+    known = DROP_CHANNELS if kind == "drop" else CHANNELS
     places = [known[target_of(test, slot, value)] for value in values[f"{name}.target"]]
     channel, unit = np.array(places).T
     at_s = values[f"{name}.at_s"]

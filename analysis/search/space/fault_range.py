@@ -6,11 +6,11 @@ import numpy as np
 from msgspec import field
 
 from analysis.search.space.section import Range, Section
-from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.numerics.earth import curvature_radii
 
 # Where the search's own flights are: normal gravity at sea level is 9.80665 m/s^2 there (WGS 84).
 LATITUDE_DEG = 45.497
-_MERIDIAN_M, _PRIME_M = map(float, radii(np.radians(LATITUDE_DEG)))
+_MERIDIAN_M, _PRIME_M = map(float, curvature_radii(np.radians(LATITUDE_DEG)))
 METRES_PER_LAT = float(np.radians(1e-7) * _MERIDIAN_M)
 METRES_PER_LON = float(np.radians(1e-7) * _PRIME_M * np.cos(np.radians(LATITUDE_DEG)))
 
@@ -36,12 +36,12 @@ CHANNELS: dict[str, tuple[int, float]] = {
     "HIL_GPS.alt": (16, -0.001),
 }
 # The kernels know places from the start's ground: a share or a number of a whole latitude is none.
-PLACES = ("HIL_GPS.lat", "HIL_GPS.lon", "HIL_GPS.alt")
-OF_PLACES = ("bias", "drift", "freeze", "noise")
+POSITION_FIELDS = ("HIL_GPS.lat", "HIL_GPS.lon", "HIL_GPS.alt")
+POSITION_FAULTS = ("bias", "drift", "freeze", "noise")
 # Three channels of velocity follow the first.
-LOST = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
-COMPILED = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
-WITHOUT_VALUE = ("drop", "freeze")
+DROP_CHANNELS = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
+COMPILED_FAULTS = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
+VALUELESS_FAULTS = ("drop", "freeze")
 
 
 class FaultRange(Section, frozen=True):
@@ -77,21 +77,21 @@ class FaultRange(Section, frozen=True):
     # Checked here, since the simulator knows all faults and the kernels few.
     def check_compiled(self) -> None:
         """Raise ValueError if this is no fault of the compiled kernels."""
-        if self.fault not in COMPILED:
+        if self.fault not in COMPILED_FAULTS:
             raise ValueError(
-                f"faults.fault {self.fault!r} is not compiled; known: {', '.join(COMPILED)}"
+                f"faults.fault {self.fault!r} is not compiled; known: {', '.join(COMPILED_FAULTS)}"
                 " (all of the proxy's with `scenario`)"
             )
         if self.also:
             raise ValueError(f"faults.also is not compiled for {self.fault!r}; leave it out")
-        if self.value is None and self.fault not in WITHOUT_VALUE:
+        if self.value is None and self.fault not in VALUELESS_FAULTS:
             raise ValueError(f"faults.value is missing for {self.fault!r}; a number or a range")
-        known = LOST if self.fault == "drop" else CHANNELS
+        known = DROP_CHANNELS if self.fault == "drop" else CHANNELS
         for target in self.targets:
             if target not in known:
                 raise ValueError(f"target {target!r} is unknown; known: {', '.join(known)}")
-            if target in PLACES and self.fault not in OF_PLACES:
+            if target in POSITION_FIELDS and self.fault not in POSITION_FAULTS:
                 raise ValueError(
                     f"faults.fault {self.fault!r} on {target} is not compiled; known: "
-                    f"{', '.join(OF_PLACES)}"
+                    f"{', '.join(POSITION_FAULTS)}"
                 )

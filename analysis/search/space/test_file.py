@@ -13,25 +13,25 @@ from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
-from mavproxy_fault.documents.document_kind import refuse_others
+from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
-SIMULATED = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
+SIMULATOR_ESTIMATORS = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
 # As many as `rows` has slots.
 SLOTS = 4  # faults at once in the compiled kernels
 # A flight in the simulator takes a second or so, where the kernels fly thousands
-FLOWN_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
-ANYWHERE = {
+SIMULATOR_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
+NO_ENVELOPE = {
     "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
     "rate_dps": 1e5, "load_g": 1e3, "height_m": -1e4,
 }  # fmt: skip
 
 
-class Initial(Section, frozen=True):
+class InitialState(Section, frozen=True):
     """State at the start; None is that of trimmed flight at the vehicle's cruising speed."""
 
     height_m: Range = 500.0
@@ -46,7 +46,7 @@ class Initial(Section, frozen=True):
     r_dps: Range = 0.0
 
 
-class OpenLoop(Section, frozen=True):
+class SearchControls(Section, frozen=True):
     """Constant controls; None is that of the trim."""
 
     elevator_deg: Range | None = None
@@ -71,7 +71,7 @@ class Mission(Section, frozen=True):
             raise ValueError(f"period_s = {shortest} is not positive; seconds above 0")
 
 
-class Wind(Section, frozen=True):
+class SteadyWind(Section, frozen=True):
     """Where the steady wind blows to."""
 
     north_mps: Range = 0.0
@@ -79,7 +79,7 @@ class Wind(Section, frozen=True):
     down_mps: Range = 0.0
 
 
-class Sensors(Section, frozen=True):
+class SearchSensors(Section, frozen=True):
     """Noise of each sample, one sigma, and constant biases.
 
     `static` is the absolute pressure, which also drifts with the temperature (from 15 degrees on);
@@ -106,7 +106,7 @@ class Sensors(Section, frozen=True):
     accel_bias_z_mps2: Range = 0.0
 
 
-class Limits(Section, frozen=True):
+class FlightEnvelope(Section, frozen=True):
     """The flight envelope: a flight that leaves it does not count."""
 
     pitch_deg: float = 80.0
@@ -173,14 +173,14 @@ class TestFile(Section, frozen=True):
     keep: int = 10
     noise_draws: int = 4
     rescore_draws: int = 100
-    initial: Initial = Initial()
-    controls: OpenLoop = OpenLoop()
+    initial: InitialState = InitialState()
+    controls: SearchControls = SearchControls()
     mission: Mission | None = None
-    wind: Wind = Wind()
+    wind: SteadyWind = SteadyWind()
     gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] = "none"
-    sensors: Sensors = Sensors()
+    sensors: SearchSensors = SearchSensors()
     faults: list[FaultRange] = msgspec.field(default_factory=list)
-    envelope: Limits = Limits()
+    envelope: FlightEnvelope = FlightEnvelope()
     density_kgpm3: float = SEA_LEVEL_DENSITY_KGPM3
     inclination_deg: float = 64.0
     declination_deg: float = 3.0
@@ -244,7 +244,7 @@ class TestFile(Section, frozen=True):
     @property
     def flown(self) -> bool:
         """Whether the simulator and the proxy fly it, one flight after the other."""
-        return self.scenario is not None or self.estimator in SIMULATED
+        return self.scenario is not None or self.estimator in SIMULATOR_ESTIMATORS
 
 
 def read_test(path: Path | str) -> TestFile:
@@ -259,15 +259,15 @@ def read_test(path: Path | str) -> TestFile:
     data = document.data
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
-    refuse_others(data, TestFile.__struct_fields__, str(path), "a search")
+    refuse_other_kinds(data, TestFile.__struct_fields__, str(path), "a search")
     named = data.get("scenario")
-    if named is not None or data.get("estimator") in SIMULATED:
+    if named is not None or data.get("estimator") in SIMULATOR_ESTIMATORS:
         # Behind, what the file says itself.
-        data = {**FLOWN_DEFAULTS, **data}
+        data = {**SIMULATOR_DEFAULTS, **data}
     if isinstance(named, str):
         data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
     if isinstance(named, str | dict):
         duration_s = data["scenario"].get("duration_s", 120.0)
         # A scenario has an envelope of its own making: by default none is judged.
-        data = {"duration_s": duration_s, "envelope": ANYWHERE, **data}
+        data = {"duration_s": duration_s, "envelope": NO_ENVELOPE, **data}
     return decode(document._replace(data=data), TestFile)

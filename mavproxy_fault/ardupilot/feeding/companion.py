@@ -15,15 +15,15 @@ from mavproxy_fault.ardupilot.feeding.sensor_feed import (
     WORST_DOP,
 )
 from mavproxy_fault.ardupilot.hil_readings import ID_GPS
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-GPS_INPUT = known("GPS_INPUT")
+GPS_INPUT = message_layout("GPS_INPUT")
 WEEK_US = 604_800_000_000
 LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
 COVARIANCES = {"ODOMETRY": "pose_covariance", "VISION_POSITION_ESTIMATE": "covariance"}
 ATTITUDE_VARIANCES = 15, 18, 20  # of the upper triangle of a 6x6 matrix
-UNREAD = ("HIL_", "TUNNEL")  # raw ranges go to the monitor, not to the autopilot
+UNREAD_PREFIXES = ("HIL_", "TUNNEL")  # raw ranges go to the monitor, not to the autopilot
 
 
 class CompanionFeed:
@@ -36,15 +36,15 @@ class CompanionFeed:
         """The frame to send at the vehicle's time `t_us`; None where ArduPilot takes none of it."""
         name = frame.layout.name
         if name == "HIL_GPS":
-            return gps_input(frame) if frame.number("id") != ID_GPS else None
+            return build_gps_input(frame) if frame.number("id") != ID_GPS else None
         if name == "HIL_OPTICAL_FLOW":
             return self._flow.step(frame, t_us)
-        if name.startswith(UNREAD):
+        if name.startswith(UNREAD_PREFIXES):
             return None
-        return vision(frame).raw if name in COVARIANCES else frame.raw
+        return adapt_vision_pose(frame).raw if name in COVARIANCES else frame.raw
 
 
-def vision(frame: Frame) -> Frame:
+def adapt_vision_pose(frame: Frame) -> Frame:
     """A pose as ArduPilot reads it: in its frame, an attitude of unknown variance with none.
 
     ArduPilot adds the attitude's variances wherever the position's are known: a NaN among them
@@ -61,7 +61,7 @@ def vision(frame: Frame) -> Frame:
     return frame.patched(values) if values else frame
 
 
-def gps_input(frame: Frame) -> bytes:
+def build_gps_input(frame: Frame) -> bytes:
     """GPS_INPUT of the receiver's own number."""
     read = frame.number
     week, within_us = divmod(GPS_EPOCH_US + int(read("time_usec")), WEEK_US)
@@ -85,4 +85,6 @@ def gps_input(frame: Frame) -> bytes:
         "horiz_accuracy": horizontal_m,
         "vert_accuracy": vertical_m,
     }
-    return build(GPS_INPUT, values, seq=frame.seq, system=frame.system, component=frame.component)
+    return build_frame(
+        GPS_INPUT, values, seq=frame.seq, system=frame.system, component=frame.component
+    )

@@ -10,14 +10,16 @@ References
 .. [1] ArduPilot, `libraries/AP_OpticalFlow/AP_OpticalFlow_MAV.cpp`.
 """
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-OPTICAL_FLOW = known("OPTICAL_FLOW")
+OPTICAL_FLOW = message_layout("OPTICAL_FLOW")
 SCALER = -990  # FLOW_FXSCALER and FLOW_FYSCALER: thousandths that are added to a factor of 1
 SCALE = 1.0 + SCALER * 1e-3
-MOST = 0x7FFF  # of an int16
-SILENCE_US = 500_000  # after so long the driver takes a frame for the first and reads no flow
+INT16_MAX = 0x7FFF  # of an int16
+DRIVER_TIMEOUT_US = (
+    500_000  # after so long the driver takes a frame for the first and reads no flow
+)
 
 
 class FlowInput:
@@ -28,7 +30,7 @@ class FlowInput:
 
     def step(self, frame: Frame, t_us: int) -> bytes | None:
         """OPTICAL_FLOW for a HIL_OPTICAL_FLOW that came at `t_us`; None for a second at once."""
-        since_us = SILENCE_US if self._last_us is None else t_us - self._last_us
+        since_us = DRIVER_TIMEOUT_US if self._last_us is None else t_us - self._last_us
         if since_us <= 0:
             return None  # the driver would divide the flow of two frames by no time
         self._last_us = t_us
@@ -39,16 +41,16 @@ class FlowInput:
         values = {
             "time_usec": read("time_usec"),
             "sensor_id": read("sensor_id"),
-            "flow_x": counts(read("integrated_x") * per_rad),
-            "flow_y": counts(read("integrated_y") * per_rad),
+            "flow_x": flow_counts(read("integrated_x") * per_rad),
+            "flow_y": flow_counts(read("integrated_y") * per_rad),
             "quality": read("quality"),
             "ground_distance": read("distance"),
         }
-        return build(
+        return build_frame(
             OPTICAL_FLOW, values, seq=frame.seq, system=frame.system, component=frame.component
         )
 
 
-def counts(value: float) -> int:
+def flow_counts(value: float) -> int:
     """The nearest whole number that the field holds; 0 for what is no number."""
-    return round(min(max(value, -MOST), MOST)) if value == value else 0
+    return round(min(max(value, -INT16_MAX), INT16_MAX)) if value == value else 0

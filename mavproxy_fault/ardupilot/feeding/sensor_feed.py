@@ -22,7 +22,7 @@ from mavproxy_fault.ardupilot.feeding.vectornav import (
 from mavproxy_fault.ardupilot.hil_readings import (
     DIFF_PRESSURE,
     ID_GPS,
-    Imu,
+    HilImu,
     Readings,
     TrueState,
     true_airspeed,
@@ -37,7 +37,7 @@ DOP_PER_M = 1 / 2.5  # dilution of precision for a receiver with a range error o
 WORST_DOP = 99.0
 
 
-class Fed(NamedTuple):
+class StepBytes(NamedTuple):
     """What a step feeds."""
 
     vectornav: bytes
@@ -60,7 +60,7 @@ class SensorFeed:
 
     def step(
         self, readings: Readings, truth: TrueState, outputs: Sequence[BinaryOutput] = ()
-    ) -> Fed:
+    ) -> StepBytes:
         """The bytes of a step that the truth has closed; `outputs` are those of the VectorNav."""
         first = readings.imus[0]
         self._values |= imu_values(
@@ -87,12 +87,12 @@ class SensorFeed:
         line = self._body_state(truth, second)._replace(
             airspeed_mps=airspeed, battery_va=readings.battery
         )
-        return Fed(b"".join(packets), state_line(line))
+        return StepBytes(b"".join(packets), state_line(line))
 
     def _packets(self, pace: Pace, outputs: Sequence[BinaryOutput]) -> list[bytes]:
         return [output.packet(self._values) for output in outputs if output.pace == pace]
 
-    def _body_state(self, truth: TrueState, imu: Imu) -> BodyState:
+    def _body_state(self, truth: TrueState, imu: HilImu) -> BodyState:
         home = self._home
         north_m = (truth.lat_e7 - home.lat_e7) * M_PER_E7_DEG
         east_m = (truth.lon_e7 - home.lon_e7) * M_PER_E7_DEG * longitude_scale(home.lat_e7)

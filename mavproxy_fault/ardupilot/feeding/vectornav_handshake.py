@@ -12,8 +12,8 @@ from mavproxy_fault.documents.errors import ConfigError
 
 MODEL = b"VN-200"  # one receiver
 MODEL_REGISTER = 1
-OUTPUTS = (75, 76, 77)  # registers: port, divisor, groups, their fields (hexadecimal)
-MOST_PENDING = 256  # bytes of a line that never ends
+OUTPUT_REGISTERS = (75, 76, 77)  # registers: port, divisor, groups, their fields (hexadecimal)
+MAX_PENDING = 256  # bytes of a line that never ends
 
 
 class Handshake:
@@ -38,16 +38,16 @@ class Handshake:
             If an output is asked for that is not served.
         """
         *lines, rest = (self._pending + data).split(b"\n")
-        self._pending = rest[-MOST_PENDING:]
+        self._pending = rest[-MAX_PENDING:]
         return b"".join(self._answer(line.rstrip(b"\r")) for line in lines)
 
     def _answer(self, line: bytes) -> bytes:
         _, start, sentence = line.rpartition(b"$")
         body, star, given = sentence.partition(b"*")
-        if not start or not star or given.upper() != b"%02X" % checksum(body):
+        if not start or not star or given.upper() != b"%02X" % xor_checksum(body):
             return b""  # ArduPilot repeats what was not answered
         try:
-            return sentence_of(self._obey(body))
+            return format_sentence(self._obey(body))
         except ConfigError:
             raise
         except ValueError:
@@ -61,17 +61,19 @@ class Handshake:
                 return b"VNRRG,%02d,%s" % (MODEL_REGISTER, MODEL)
             case [b"VNASY", on]:
                 self._paused = on == b"0"
-            case [b"VNWRG", register, _, _, *choice] if choice and int(register) in OUTPUTS:
+            case [b"VNWRG", register, _, _, *choice] if (
+                choice and int(register) in OUTPUT_REGISTERS
+            ):
                 groups, *words = (int(text, 16) for text in choice)
                 self._outputs[int(register)] = BinaryOutput(groups, words)
         return body
 
 
-def sentence_of(body: bytes) -> bytes:
+def format_sentence(body: bytes) -> bytes:
     """A whole line."""
-    return b"$%s*%02X\r\n" % (body, checksum(body))
+    return b"$%s*%02X\r\n" % (body, xor_checksum(body))
 
 
-def checksum(body: bytes) -> int:
+def xor_checksum(body: bytes) -> int:
     """Exclusive-or of all bytes."""
     return reduce(xor, body, 0)

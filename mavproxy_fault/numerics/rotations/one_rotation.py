@@ -21,7 +21,7 @@ def euler_angles(q_nb: Sequence[float]) -> tuple[float, float, float]:
     )
 
 
-def into_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float, float, float]:
+def rotate_to_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float, float, float]:
     """One NED vector in body axes, in plain floats: numpy takes ten times as long for three."""
     w, x, y, z = q_nb
     n, e, d = v_ned
@@ -45,7 +45,9 @@ def body_matrix(roll: float, pitch: float, yaw: float) -> Matrix:
     )
 
 
-def turned(q_nb: Sequence[float], rotvec_b: Sequence[float]) -> tuple[float, float, float, float]:
+def rotate_quaternion(
+    q_nb: Sequence[float], rotvec_b: Sequence[float]
+) -> tuple[float, float, float, float]:
     """One attitude turned by a small rotation vector in body axes [rad], in plain floats."""
     w, x, y, z = q_nb
     a, b, c = rotvec_b

@@ -126,7 +126,7 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
     )
 
 
-def wrap(angle: ArrayLike) -> Array:
+def wrap_angles(angle: ArrayLike) -> Array:
     """Angle brought into [-pi, pi) [rad]."""
     # The remainder has the divisor's sign, so negative angles need no case of their own.
     return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi)

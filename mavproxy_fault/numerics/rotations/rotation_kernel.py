@@ -26,7 +26,7 @@ def quaternion_of_rotation(rx: float, ry: float, rz: float) -> Quaternion:
 
 
 @compiled
-def rotate(q: Vector, by: Quaternion) -> None:
+def rotate_in_place(q: Vector, by: Quaternion) -> None:
     """Rotate the attitude in the first four places of q (>= 4,) in place, in body axes."""
     w, x, y, z = by
     a, b, c, d = q[0], q[1], q[2], q[3]
@@ -40,20 +40,20 @@ def rotate(q: Vector, by: Quaternion) -> None:
 
 
 @compiled
-def turned(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+def rotate_attitude(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
     out = q.copy()
-    rotate(out, quaternion_of_rotation(rx, ry, rz))
+    rotate_in_place(out, quaternion_of_rotation(rx, ry, rz))
     return out
 
 
 @compiled
-def turned_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+def rotate_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
     """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
     # The attitude behind the rotation: its axes are then those of the reference.
-    rotate(out, (q[0], q[1], q[2], q[3]))
+    rotate_in_place(out, (q[0], q[1], q[2], q[3]))
     return out
 
 
@@ -69,7 +69,7 @@ def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
 
 
 @compiled
-def matrix(q: Vector) -> NDArray[np.float64]:
+def rotation_matrix(q: Vector) -> NDArray[np.float64]:
     """rot_nb (3, 3) of q (4,)."""
     north, east, down = body_axes(q)
     out = np.empty((3, 3))
@@ -110,7 +110,7 @@ def to_ned(
 
 
 @compiled
-def euler(q: Vector | Quaternion) -> tuple[float, float, float]:
+def euler_of_quaternion(q: Vector | Quaternion) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of q (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
@@ -136,7 +136,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 
 
 @compiled
-def wrapped(angle_rad: float) -> float:
+def wrap_angle(angle_rad: float) -> float:
     """The angle in (-pi, pi]."""
     # Nearly always so; and an angle that needs nothing keeps its last bit.
     if -pi < angle_rad <= pi:
@@ -147,10 +147,10 @@ def wrapped(angle_rad: float) -> float:
 @compiled
 def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
     """How far the estimate must turn about down for the field (3,) to lie at the declination."""
-    rot = matrix(q)
+    rot = rotation_matrix(q)
     north = rot[0, 0] * field[0] + rot[0, 1] * field[1] + rot[0, 2] * field[2]
     east = rot[1, 0] * field[0] + rot[1, 1] * field[1] + rot[1, 2] * field[2]
-    return wrapped(declination_rad - atan2(east, north))
+    return wrap_angle(declination_rad - atan2(east, north))
 
 
 @compiled
@@ -168,7 +168,7 @@ def gravity_error(
     norm = sqrt(fx * fx + fy * fy + fz * fz)
     trust = max(0.0, 1.0 - abs(norm / gravity_mps2 - 1.0))
     scale = 0.0 if norm == 0.0 else -trust / norm
-    rot = matrix(q)
+    rot = rotation_matrix(q)
     dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
     mx, my, mz = scale * fx, scale * fy, scale * fz
     out = np.empty(3)
@@ -180,23 +180,28 @@ def gravity_error(
 
 
 @compiled
-def errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
+def attitude_errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
     """Differences of roll, pitch and yaw of two quaternions (4,), wrapped, and the angle of the
     rotation between, rad."""
     a, b = q_estimate, q_truth
-    roll_a, pitch_a, yaw_a = euler(a)
-    roll_b, pitch_b, yaw_b = euler(b)
+    roll_a, pitch_a, yaw_a = euler_of_quaternion(a)
+    roll_b, pitch_b, yaw_b = euler_of_quaternion(b)
     w = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
     # The shorter way by the absolute value; the arc cosine would lose small angles.
     angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
-    return wrapped(roll_a - roll_b), wrapped(pitch_a - pitch_b), wrapped(yaw_a - yaw_b), angle_rad
+    return (
+        wrap_angle(roll_a - roll_b),
+        wrap_angle(pitch_a - pitch_b),
+        wrap_angle(yaw_a - yaw_b),
+        angle_rad,
+    )
 
 
 @compiled
-def between(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
+def interpolate_attitude(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
     """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
     # q and -q are one attitude: the nearer of the two is meant.

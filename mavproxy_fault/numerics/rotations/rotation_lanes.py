@@ -14,7 +14,7 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integ
 
 
 @inlined
-def euler(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
+def euler_of_quaternion(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
     """Roll, pitch, yaw in rad of a unit quaternion."""
     sine = 2.0 * (e0 * e2 - e3 * e1)
     rest = 1.0 - sine * sine
@@ -41,7 +41,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> tuple[float, f
 
 
 @inlined
-def wrapped(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """The angle in [-pi, pi]."""
     revolutions = angle * (0.5 / pi) + _ROUND
     # The rounded number less the constant is whole revolutions.

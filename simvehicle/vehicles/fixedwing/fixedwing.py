@@ -13,18 +13,22 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.contact_kernel import Gear
-from simvehicle.vehicles.fixedwing.fixedwing_flight import STATE, fly, pack
+from simvehicle.vehicles.fixedwing.fixedwing_flight import (
+    STATE_SIZE,
+    integrate_flight,
+    pack_parameters,
+)
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import (
     FixedWingParameters,
-    aero_of,
-    gear_of,
+    aero_coefficients,
     read_fixedwing,
+    wheel_gear,
 )
-from simvehicle.vehicles.fixedwing.trim import Trim, trim
-from simvehicle.vehicles.parameter_file import body_of
+from simvehicle.vehicles.fixedwing.trim import TrimPoint, find_trim
+from simvehicle.vehicles.parameter_file import body_inertia
 from simvehicle.vehicles.rigidbody_kernel import Inertia
-from simvehicle.vehicles.vehicle import LOAD
+from simvehicle.vehicles.vehicle import LOAD_SIZE
 
 Array = NDArray[np.float64]
 
@@ -55,11 +59,11 @@ class FixedWing:
     def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
         self.plant = dict(plant)
-        self.body: Inertia = body_of(parameters, plant)
-        self.aero: Aero = aero_of(parameters, plant)
+        self.body: Inertia = body_inertia(parameters, plant)
+        self.aero: Aero = aero_coefficients(parameters, plant)
         # Height of the centre of mass above ground when the ground carries it.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
-        self.gear: Gear = gear_of(parameters)
+        self.gear: Gear = wheel_gear(parameters)
         throw = parameters.throw_deg
         self.throw_rad = (
             math.radians(throw.elevator),
@@ -74,7 +78,9 @@ class FixedWing:
             plant.get("battery_voltage_scale", 1.0),
             1.0,
         )
-        self.packed = pack(self.body, self.aero, self.gear, supply, shift_m, self.throw_rad)
+        self.packed = pack_parameters(
+            self.body, self.aero, self.gear, supply, shift_m, self.throw_rad
+        )
 
     @classmethod
     def read(cls, name: str | Path) -> "FixedWing":
@@ -85,9 +91,9 @@ class FixedWing:
         """The same airframe with plant faults (`plant_names`)."""
         return FixedWing(self.parameters, plant)
 
-    def trim(self, airspeed_mps: float, density: float, gravity: float) -> Trim:
+    def trim(self, airspeed_mps: float, density: float, gravity: float) -> TrimPoint:
         """Straight flight at this speed."""
-        return trim(airspeed_mps, self.body, self.aero, density, gravity)
+        return find_trim(airspeed_mps, self.body, self.aero, density, gravity)
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (14,) at a position, velocity and attitude, battery full."""
@@ -122,6 +128,6 @@ class FixedWing:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        after, load = np.empty(STATE), np.empty(LOAD)
-        fly(x, controls, around, steps, dt, self.packed, after, load)
+        after, load = np.empty(STATE_SIZE), np.empty(LOAD_SIZE)
+        integrate_flight(x, controls, around, steps, dt, self.packed, after, load)
         return after, load

@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.battery_kernel import Supply, supplied
-from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, forces_moments, propulsion
-from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
+from simvehicle.vehicles.battery_kernel import BatterySupply, battery_output
+from simvehicle.vehicles.contact_kernel import Gear, contact_loads
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, forces_moments, propulsion_output
+from simvehicle.vehicles.rigidbody_kernel import (
+    RIGID_SIZE,
+    Inertia,
+    Loads,
+    State13,
+    runge_kutta_step,
+)
 from simvehicle.vehicles.vehicle import (
     CHARGE,
     CURRENT,
@@ -27,20 +33,23 @@ from simvehicle.vehicles.vehicle import (
 )
 
 Array = NDArray[np.float64]
-_CLEAR_M = 5.0  # above this height nothing can touch the ground
-_BRAKES = 0.4  # friction along the body while the throttle is closed
-DRAWN, STATE = RIGID, RIGID + 1  # where the charge drawn is in a state, and a state's length
+_CONTACT_CHECK_M = 5.0  # above this height nothing can touch the ground
+_BRAKE_FRICTION = 0.4  # friction along the body while the throttle is closed
+CHARGE_DRAWN, STATE_SIZE = (
+    RIGID_SIZE,
+    RIGID_SIZE + 1,
+)  # where the charge drawn is in a state, and a state's length
 ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # of the controls
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
-_SUPPLY = len(Supply._fields)
+_SUPPLY = len(BatterySupply._fields)
 _POWERED = _BODY + _AERO
 _END = _POWERED + _SUPPLY
-# What `pack` puts behind the named tuples; the contact points come last.
+# What `pack_parameters` puts behind the named tuples; the contact points come last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _SHIFT, _THROW, _POINTS = (*range(_END, _END + 6), _END + 8)
 
 
-class _Given(NamedTuple):
+class _LoadInputs(NamedTuple):
     """What the loads depend on besides the state; constant over a step."""
 
     surfaces: tuple[float, float, float, float]
@@ -52,11 +61,11 @@ class _Given(NamedTuple):
     shift: float
 
 
-def pack(
-    body: Inertia, aero: Aero, wheels: Gear, supply: Supply, shift_x_m: float,
+def pack_parameters(
+    body: Inertia, aero: Aero, wheels: Gear, supply: BatterySupply, shift_x_m: float,
     throw_rad: tuple[float, float, float],
 ) -> Array:  # fmt: skip
-    """All parameters of `fly` in one array; the contact points are its end.
+    """All parameters of `integrate_flight` in one array; the contact points are its end.
 
     `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold, `throw_rad`
     the largest deflections of elevator, aileron and rudder.
@@ -67,7 +76,7 @@ def pack(
 
 
 @inlined
-def _loads(state: State13, stage: int, given: _Given) -> Loads:
+def _loads(state: State13, stage: int, given: _LoadInputs) -> Loads:
     """Air, propeller and ground; the same at every stage of a step."""
     _, _, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     wind = given.wind
@@ -79,31 +88,31 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     my += given.shift * fz
     mz -= given.shift * fy
     # Down is positive: this is below five metres, higher up there is nothing to touch.
-    if down > given.ground - _CLEAR_M:
-        gx, gy, gz, gl, gm, gn = contact(state, given.ground, given.wheels)
+    if down > given.ground - _CONTACT_CHECK_M:
+        gx, gy, gz, gl, gm, gn = contact_loads(state, given.ground, given.wheels)
         fx, fy, fz = fx + gx, fy + gy, fz + gz
         mx, my, mz = mx + gl, my + gm, mz + gn
     return fx, fy, fz, mx, my, mz
 
 
 @inlined
-def _clipped(value: float, low: float, high: float) -> float:
+def _clip(value: float, low: float, high: float) -> float:
     return min(high, max(low, value))
 
 
 @inlined
-def _surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
+def _commanded_surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
     """Deflections [rad] and throttle that are commanded, within their limits."""
     return (
-        _clipped(controls[ELEVATOR], -1.0, 1.0) * packed[_THROW + ELEVATOR],
-        _clipped(controls[AILERON], -1.0, 1.0) * packed[_THROW + AILERON],
-        _clipped(controls[RUDDER], -1.0, 1.0) * packed[_THROW + RUDDER],
-        _clipped(controls[THROTTLE], 0.0, 1.0),
+        _clip(controls[ELEVATOR], -1.0, 1.0) * packed[_THROW + ELEVATOR],
+        _clip(controls[AILERON], -1.0, 1.0) * packed[_THROW + AILERON],
+        _clip(controls[RUDDER], -1.0, 1.0) * packed[_THROW + RUDDER],
+        _clip(controls[THROTTLE], 0.0, 1.0),
     )
 
 
 @compiled
-def fly(
+def integrate_flight(
     x: Array,
     controls: Array,
     around: Array,
@@ -125,7 +134,8 @@ def fly(
     around : array, shape (8,)
         From `vehicle.surroundings`.
     packed : array
-        From `pack`; handing numba the named tuples themselves costs some microseconds each.
+        From `pack_parameters`; handing numba the named tuples themselves costs some microseconds
+        each.
     after : array, shape (14,)
         Becomes the new state.
     load : array, shape (6,)
@@ -133,33 +143,33 @@ def fly(
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_POWERED], _AERO))
-    supply = Supply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
+    supply = BatterySupply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
     # A pilot who closes the throttle on the ground brakes.
-    rolling = packed[_ALONG] if controls[THROTTLE] > 0.0 else _BRAKES
+    rolling = packed[_ALONG] if controls[THROTTLE] > 0.0 else _BRAKE_FRICTION
     points_m = packed[_POINTS:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], rolling, packed[_ACROSS])
-    surfaces = _surfaces(controls, packed)
+    surfaces = _commanded_surfaces(controls, packed)
     wind = (around[WIND], around[WIND + 1], around[WIND + 2])
     g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
     density = around[DENSITY]
-    given = _Given(surfaces, wind, density, around[GROUND], aero, wheels, packed[_SHIFT])
+    given = _LoadInputs(surfaces, wind, density, around[GROUND], aero, wheels, packed[_SHIFT])
     # A tuple: scalars stay in registers over the steps.
-    s = to_fixed_tuple(x[:RIGID], RIGID)
+    s = to_fixed_tuple(x[:RIGID_SIZE], RIGID_SIZE)
     for _ in range(steps):
-        s = integrated(s, _loads, given, g, body, dt)
+        s = runge_kutta_step(s, _loads, given, g, body, dt)
     fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
     _, _, _, u, v, w, e0, e1, e2, e3, _, _, _ = s
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     airspeed = np.sqrt((u - wx) ** 2 + (v - wy) ** 2 + (w - wz) ** 2)
     # The current of the last step stands for all of them.
-    _, _, current = propulsion(airspeed, surfaces[THROTTLE], density, aero)
+    _, _, current = propulsion_output(airspeed, surfaces[THROTTLE], density, aero)
     # The thrust law of the first edition knows no current: it is taken in proportion.
     if supply.full_throttle_a > 0.0:
         current = supply.full_throttle_a * surfaces[THROTTLE]
-    for i in range(RIGID):
+    for i in range(RIGID_SIZE):
         after[i] = s[i]
-    after[DRAWN] = x[DRAWN] + current * steps * dt
+    after[CHARGE_DRAWN] = x[CHARGE_DRAWN] + current * steps * dt
     load[FORCE], load[FORCE + 1] = fx / body.mass_kg, fy / body.mass_kg
     load[FORCE + 2] = fz / body.mass_kg
     load[CURRENT] = current
-    load[VOLTS], load[CHARGE] = supplied(supply, after[DRAWN], current)
+    load[VOLTS], load[CHARGE] = battery_output(supply, after[CHARGE_DRAWN], current)

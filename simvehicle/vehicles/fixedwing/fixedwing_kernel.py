@@ -13,10 +13,16 @@ import numpy as np
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import atan2, exp
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, moved, rigid_body, runge_kutta
+from simvehicle.vehicles.rigidbody_kernel import (
+    Inertia,
+    State13,
+    combine_stages,
+    euler_step,
+    rigid_body_derivative,
+)
 
 _REV_PER_RAD = 1.0 / (2.0 * np.pi)
-_STILL = 1e-9  # m/s; keeps the flow angles defined in still air
+_STILL_AIR_MPS = 1e-9  # m/s; keeps the flow angles defined in still air
 
 
 class Aero(NamedTuple):
@@ -80,7 +86,7 @@ class Aero(NamedTuple):
 
 
 @inlined
-def propulsion(
+def propulsion_output(
     airspeed: float, throttle: float, density: float, aero: Aero
 ) -> tuple[float, float, float]:
     """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
@@ -143,7 +149,7 @@ def forces_moments(
     de, da, dr, dt = controls
     plane = ur * ur + wr * wr
     va = np.sqrt(plane + vr * vr)
-    in_plane = np.sqrt(plane) + _STILL
+    in_plane = np.sqrt(plane) + _STILL_AIR_MPS
     alpha, beta = atan2(wr, ur), atan2(vr, in_plane)
     inverse = 1.0 / in_plane
     sa, ca = wr * inverse, ur * inverse
@@ -162,7 +168,7 @@ def forces_moments(
         qd * (aero.cdp + aero.induced * linear * linear + aero.cdde * de)
         + qr * aero.cdq * aero.c * q
     )
-    thrust, torque, _ = propulsion(va, dt, density, aero)
+    thrust, torque, _ = propulsion_output(va, dt, density, aero)
     pb, rb = aero.b * p, aero.b * r
     return (
         lift * sa - drag * ca + thrust,
@@ -180,7 +186,7 @@ def forces_moments(
 
 
 @inlined
-def derivative(
+def state_derivative(
     state: State13,
     controls: tuple[float, float, float, float],
     wind: tuple[float, float, float],
@@ -207,7 +213,7 @@ def derivative(
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     air = (u - wx, v - wy, w - wz)
     fx, fy, fz, mx, my, mz = forces_moments(air, (p, q, r), controls, density, aero)
-    return rigid_body(state, (fx, fy, fz), (mx, my, mz), gravity, body)
+    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), gravity, body)
 
 
 @inlined
@@ -221,9 +227,13 @@ def step(
     aero: Aero,
     dt: float,
 ) -> State13:
-    """One classical Runge-Kutta step of `dt` seconds; arguments as in `derivative`."""
-    k1 = derivative(state, controls, wind, gravity, density, body, aero)
-    k2 = derivative(moved(state, k1, 0.5 * dt), controls, wind, gravity, density, body, aero)
-    k3 = derivative(moved(state, k2, 0.5 * dt), controls, wind, gravity, density, body, aero)
-    k4 = derivative(moved(state, k3, dt), controls, wind, gravity, density, body, aero)
-    return runge_kutta(state, k1, k2, k3, k4, dt)
+    """One classical Runge-Kutta step of `dt` seconds; arguments as in `state_derivative`."""
+    k1 = state_derivative(state, controls, wind, gravity, density, body, aero)
+    k2 = state_derivative(
+        euler_step(state, k1, 0.5 * dt), controls, wind, gravity, density, body, aero
+    )
+    k3 = state_derivative(
+        euler_step(state, k2, 0.5 * dt), controls, wind, gravity, density, body, aero
+    )
+    k4 = state_derivative(euler_step(state, k3, dt), controls, wind, gravity, density, body, aero)
+    return combine_stages(state, k1, k2, k3, k4, dt)

@@ -7,9 +7,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from simvehicle.vehicles.contact_kernel import Gear, gear
+from simvehicle.vehicles.contact_kernel import Gear, make_gear
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
-from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
+from simvehicle.vehicles.parameter_file import (
+    BatteryParameters,
+    InertiaMoments,
+    body_inertia,
+    read_parameters,
+)
 
 
 class _Struct(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -76,7 +81,7 @@ class Polynomial(_Struct, frozen=True):
     j2: float
 
 
-class Motor(_Struct, frozen=True):
+class FixedWingMotor(_Struct, frozen=True):
     """Direct-current motor and propeller."""
 
     diameter_m: float
@@ -102,7 +107,7 @@ class FixedWingParameters(_Struct, frozen=True):
     name: str
     source: str
     mass_kg: float
-    inertia_kgm2: Moments
+    inertia_kgm2: InertiaMoments
     wing: Wing
     lift: Longitudinal
     drag: Drag
@@ -113,16 +118,16 @@ class FixedWingParameters(_Struct, frozen=True):
     yaw: Lateral
     throw_deg: Throw
     gear_m: list[tuple[float, float, float]]
-    battery: Battery
+    battery: BatteryParameters
     cruise_mps: float
     thrust_law: ThrustLaw | None = None
-    motor: Motor | None = None
+    motor: FixedWingMotor | None = None
 
     def __post_init__(self) -> None:
         # Two laws at once would add their thrusts.
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
-        body_of(self, {})  # refuses what is no body
+        body_inertia(self, {})  # refuses what is no body
 
 
 def read_fixedwing(name: str | Path) -> FixedWingParameters:
@@ -130,13 +135,13 @@ def read_fixedwing(name: str | Path) -> FixedWingParameters:
     return read_parameters(name, FixedWingParameters)
 
 
-def gear_of(parameters: FixedWingParameters) -> Gear:
+def wheel_gear(parameters: FixedWingParameters) -> Gear:
     """Wheels that roll along the body and hold across it."""
     # Wheels: little friction ahead, much aside.
-    return gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
+    return make_gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
 
 
-def aero_of(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
+def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
     """The kernel's coefficients, with plant faults.
 
     `motor_efficiency[0]` and `propeller_efficiency[0]` scale the thrust, `elevator_efficiency`,

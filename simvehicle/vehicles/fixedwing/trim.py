@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ LATERAL = [V, ROLL, RATES, RATES + 2]
 
 
 @dataclass(frozen=True, slots=True)
-class Trim:
+class TrimPoint:
     """Straight, unaccelerated flight without wind: angles and deflections in rad."""
 
     airspeed_mps: float
@@ -57,7 +57,9 @@ def _derivative(
     body: Inertia,
     aero: Aero,
 ) -> State13:
-    return derivative(state, controls, (0.0, 0.0, 0.0), (0.0, 0.0, gravity), density, body, aero)
+    return state_derivative(
+        state, controls, (0.0, 0.0, 0.0), (0.0, 0.0, gravity), density, body, aero
+    )
 
 
 def euler_derivative(
@@ -79,14 +81,14 @@ def euler_derivative(
     return np.array([*rate[:E0], *angles, *rate[P:]])
 
 
-def trim(
+def find_trim(
     airspeed_mps: float,
     body: Inertia,
     aero: Aero,
     density: float = 1.2682,
     gravity: float = 9.81,
     climb_rad: float = 0.0,
-) -> Trim:
+) -> TrimPoint:
     """Find angle of attack, roll, deflections and throttle for straight flight without sideslip.
 
     The default density and gravity are those of the model's source [1]_.
@@ -102,12 +104,12 @@ def trim(
     """
     from scipy.optimize import least_squares
 
-    def at(z: Array) -> Trim:
+    def at(z: Array) -> TrimPoint:
         # The square of the throttle is sought: thrust laws are even in the throttle, and their
         # negative root is no answer.
         alpha, elevator, square, *rest = z.tolist()
         throttle = math.sqrt(max(square, 0.0))
-        return Trim(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, *rest)
+        return TrimPoint(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, *rest)
 
     def residual(z: Array) -> Array:
         guess = at(z)
@@ -129,8 +131,8 @@ def trim(
     return found
 
 
-def linearise(
-    point: Trim, body: Inertia, aero: Aero, density: float = 1.2682, gravity: float = 9.81
+def linearise_trim(
+    point: TrimPoint, body: Inertia, aero: Aero, density: float = 1.2682, gravity: float = 9.81
 ) -> tuple[Array, Array]:
     """Jacobians A (12, 12) and B (12, 4) of the Euler-angle model, by central differences."""
     x, u = point.state12(), point.controls()
@@ -146,7 +148,7 @@ def linearise(
     return np.array(a).T, np.array(b).T
 
 
-def modes(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def mode_eigenvalues(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Eigenvalues [1/s] of the longitudinal (u, w, pitch, q) and lateral (v, roll, p, r) blocks."""
     longitudinal = np.linalg.eigvals(a[np.ix_(_LONGITUDINAL, _LONGITUDINAL)])
     lateral = np.linalg.eigvals(a[np.ix_(LATERAL, LATERAL)])

@@ -12,13 +12,13 @@ from mavproxy_fault.numerics.polynomial import sin_cos
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: the loops of pitch and roll lie
 # near 6 rad/s for the Aerosonde at 35 m/s.
-PITCH, PITCH_RATE, ROLL, ROLL_RATE, SPEED = 1.0, 0.1, 0.3, 0.05, 0.05
-THROW_RAD = 0.4
+PITCH_GAIN, PITCH_RATE_GAIN, ROLL_GAIN, ROLL_RATE_GAIN, SPEED_GAIN = 1.0, 0.1, 0.3, 0.05, 0.05
+DEFLECTION_LIMIT_RAD = 0.4
 
 Four = tuple[float, float, float, float]
 
 
-class Motion(NamedTuple):
+class WeaveFeedback(NamedTuple):
     """What is fed back: roll, pitch [rad], their rates about the body's axes [rad/s], airspeed."""
 
     roll: float
@@ -29,7 +29,7 @@ class Motion(NamedTuple):
 
 
 @inlined
-def weave(motion: Motion, aim: Four, open_loop: Four, t_s: float) -> Four:
+def weave_controls(motion: WeaveFeedback, aim: Four, open_loop: Four, t_s: float) -> Four:
     """Elevator, aileron, rudder [rad] and throttle.
 
     Parameters
@@ -45,12 +45,12 @@ def weave(motion: Motion, aim: Four, open_loop: Four, t_s: float) -> Four:
     roll_rad, period_s, pitch_rad, airspeed_mps = aim
     elevator, aileron, rudder, throttle = open_loop
     sine, _ = sin_cos(2.0 * pi * t_s / period_s)
-    more_elevator = PITCH_RATE * motion.q - PITCH * (pitch_rad - motion.pitch)
-    more_aileron = ROLL * (roll_rad * sine - motion.roll) - ROLL_RATE * motion.p
-    throttle += SPEED * (airspeed_mps - motion.airspeed_mps)
+    more_elevator = PITCH_RATE_GAIN * motion.q - PITCH_GAIN * (pitch_rad - motion.pitch)
+    more_aileron = ROLL_GAIN * (roll_rad * sine - motion.roll) - ROLL_RATE_GAIN * motion.p
+    throttle += SPEED_GAIN * (airspeed_mps - motion.airspeed_mps)
     return (
-        elevator + min(THROW_RAD, max(-THROW_RAD, more_elevator)),
-        aileron + min(THROW_RAD, max(-THROW_RAD, more_aileron)),
+        elevator + min(DEFLECTION_LIMIT_RAD, max(-DEFLECTION_LIMIT_RAD, more_elevator)),
+        aileron + min(DEFLECTION_LIMIT_RAD, max(-DEFLECTION_LIMIT_RAD, more_aileron)),
         rudder,
         min(1.0, max(0.0, throttle)),
     )

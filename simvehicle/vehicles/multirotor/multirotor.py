@@ -14,11 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
-from simvehicle.vehicles.contact_kernel import Gear, gear
-from simvehicle.vehicles.multirotor.multirotor_flight import Airframe, fly, pack
-from simvehicle.vehicles.parameter_file import Battery, Moments, body_of, read_parameters
-from simvehicle.vehicles.rigidbody_kernel import RIGID
-from simvehicle.vehicles.vehicle import LOAD
+from simvehicle.vehicles.contact_kernel import Gear, make_gear
+from simvehicle.vehicles.multirotor.multirotor_flight import (
+    Airframe,
+    integrate_flight,
+    pack_parameters,
+)
+from simvehicle.vehicles.parameter_file import (
+    BatteryParameters,
+    InertiaMoments,
+    body_inertia,
+    read_parameters,
+)
+from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
+from simvehicle.vehicles.vehicle import LOAD_SIZE
 
 Array = NDArray[np.float64]
 
@@ -31,7 +40,7 @@ class Rotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     turns: Literal["ccw", "cw"]
 
 
-class Motor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MultirotorMotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Motor and propeller, alike for all rotors; rates are of the rotor [rad/s]."""
 
     thrust_n_per_rps2: float
@@ -49,13 +58,13 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
     name: str
     source: str
     mass_kg: float
-    inertia_kgm2: Moments
+    inertia_kgm2: InertiaMoments
     rotors: list[Rotor]
-    motor: Motor
+    motor: MultirotorMotor
     drag_area_m2: float
     damping_nms: float
     gear_m: list[tuple[float, float, float]]
-    battery: Battery
+    battery: BatteryParameters
     cruise_mps: float
 
     def __post_init__(self) -> None:
@@ -63,7 +72,7 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
             raise ValueError(f"{len(self.rotors)} rotors are not supported; 4 to 8 are")
         if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
             raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
-        body_of(self, {})  # refuses what is no body
+        body_inertia(self, {})  # refuses what is no body
 
 
 class Multirotor:
@@ -73,7 +82,7 @@ class Multirotor:
         self.parameters = parameters
         self.controls_count = len(parameters.rotors)
         motor = parameters.motor
-        self.body = body_of(parameters, plant)
+        self.body = body_inertia(parameters, plant)
         self.frame = Airframe(
             motor.thrust_n_per_rps2,
             motor.torque_per_thrust_m,
@@ -90,7 +99,7 @@ class Multirotor:
         # Height of the centre of mass above ground when the ground carries it.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
         # Skids: alike in both directions.
-        self.gear: Gear = gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
+        self.gear: Gear = make_gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
             [
                 (
@@ -109,7 +118,7 @@ class Multirotor:
             plant.get("battery_voltage_scale", 1.0),
             plant.get("battery_resistance_scale", 1.0),
         )
-        self.packed = pack(self.body, self.frame, self.gear, supply, self.rotors)
+        self.packed = pack_parameters(self.body, self.frame, self.gear, supply, self.rotors)
 
     @classmethod
     def read(cls, name: str | Path) -> "Multirotor":
@@ -149,7 +158,7 @@ class Multirotor:
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
-        x[RIGID:-2] = self.hover_rps(density, gravity)
+        x[RIGID_SIZE:-2] = self.hover_rps(density, gravity)
         return x
 
     def hover_rps(self, density: float, gravity: float) -> float:
@@ -171,6 +180,6 @@ class Multirotor:
         load : array, shape (6,)
             Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
         """
-        after, load = np.empty(len(x)), np.empty(LOAD)
-        fly(x, controls, around, steps, dt, self.packed, after, load)
+        after, load = np.empty(len(x)), np.empty(LOAD_SIZE)
+        integrate_flight(x, controls, around, steps, dt, self.packed, after, load)
         return after, load

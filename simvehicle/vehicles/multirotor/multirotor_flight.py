@@ -17,17 +17,23 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.battery_kernel import Supply, supplied
-from simvehicle.vehicles.contact_kernel import Gear, contact
-from simvehicle.vehicles.rigidbody_kernel import RIGID, Inertia, Loads, State13, integrated
+from simvehicle.vehicles.battery_kernel import BatterySupply, battery_output
+from simvehicle.vehicles.contact_kernel import Gear, contact_loads
+from simvehicle.vehicles.rigidbody_kernel import (
+    RIGID_SIZE,
+    Inertia,
+    Loads,
+    State13,
+    runge_kutta_step,
+)
 from simvehicle.vehicles.vehicle import (
+    BATTERY_SAG,
     CHARGE,
     CURRENT,
     DENSITY,
     FORCE,
     GRAVITY,
     GROUND,
-    SAG,
     VOLTS,
     WIND,
 )
@@ -51,7 +57,7 @@ class Airframe(NamedTuple):
     shift_y: float
 
 
-class _Given(NamedTuple):
+class _LoadInputs(NamedTuple):
     """What the loads depend on besides the state.
 
     `speeds` (3, n) are those of the motors at a step's beginning, middle and end [rad/s]; `rotors`
@@ -70,18 +76,22 @@ class _Given(NamedTuple):
 
 _BODY = len(Inertia._fields)
 _FRAME = len(Airframe._fields)
-_SUPPLY = len(Supply._fields)
+_SUPPLY = len(BatterySupply._fields)
 _POWERED = _BODY + _FRAME
 _END = _POWERED + _SUPPLY
-# What `pack` puts behind the named tuples; the rotors and then the contact points come last.
+# What `pack_parameters` puts behind the named tuples; the rotors and then the contact points come
+# last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _ROTORS = range(_END, _END + 5)
-_CURRENT, _DRAWN = -2, -1  # in the state
+_CURRENT, _CHARGE_DRAWN = -2, -1  # in the state
 _FULL_CELL_V = 4.2  # the full speed of a parameter file is that of a full pack
 _RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor behind x
 
 
-def pack(body: Inertia, frame: Airframe, wheels: Gear, supply: Supply, rotors: Array) -> Array:
-    """All parameters of `fly` in one array; rotors (n, 5) and contact points are its end."""
+def pack_parameters(
+    body: Inertia, frame: Airframe, wheels: Gear, supply: BatterySupply, rotors: Array
+) -> Array:
+    """All parameters of `integrate_flight` in one array; rotors (n, 5) and contact points are its
+    end."""
     ends = (rotors.ravel(), wheels.points_m.ravel())
     return np.concatenate([[*body, *frame, *supply, *wheels[1:]], *ends])
 
@@ -131,7 +141,7 @@ def body_drag(
 
 
 @inlined
-def _loads(state: State13, stage: int, given: _Given) -> Loads:
+def _loads(state: State13, stage: int, given: _LoadInputs) -> Loads:
     """Rotors, drag and ground."""
     rotors, frame, density, wind = given.rotors, given.frame, given.density, given.wind
     # Stages 1 and 2 of Runge-Kutta lie both in the middle of the step.
@@ -139,7 +149,7 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
     _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     ax, ay, az = u - wx, v - wy, w - wz
-    fx, fy, fz, mx, my, mz = contact(state, given.ground, given.wheels)
+    fx, fy, fz, mx, my, mz = contact_loads(state, given.ground, given.wheels)
     for i in range(rotors.shape[0]):
         at = (rotors[i, 0], rotors[i, _RIGHT], rotors[i, _REACTION], rotors[i, _PROPELLER])
         one = rotor_loads((ax, ay), r, given.speeds[when, i], at, density, frame)
@@ -153,7 +163,7 @@ def _loads(state: State13, stage: int, given: _Given) -> Loads:
 
 
 @inlined
-def commanded(control: float, sag: float, power: float, frame: Airframe) -> float:
+def commanded_speed(control: float, sag: float, power: float, frame: Airframe) -> float:
     """Speed [rad/s] that a motor runs to; power goes with the square of the speed into thrust."""
     u = min(1.0, max(0.0, control))
     # At 0 a motor stands still; just above it idles, as speed controllers do when armed.
@@ -162,12 +172,12 @@ def commanded(control: float, sag: float, power: float, frame: Airframe) -> floa
 
 
 @inlined
-def _spin(
+def _spin_motors(
     speeds: Array, controls: Array, sag: float, rotors: Array, frame: Airframe, dt: float
 ) -> None:
     """Fill in the motors' speeds at the middle and the end of a step, exactly."""
     for i in range(controls.shape[0]):
-        wanted = commanded(controls[i], sag, rotors[i, _POWER], frame)
+        wanted = commanded_speed(controls[i], sag, rotors[i, _POWER], frame)
         # Brakes are weaker than drives: spinning down takes longer.
         lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
         remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step
@@ -176,7 +186,7 @@ def _spin(
 
 
 @compiled
-def fly(
+def integrate_flight(
     x: Array,
     controls: Array,
     around: Array,
@@ -188,7 +198,7 @@ def fly(
 ) -> None:
     """Advance the state by `steps` Runge-Kutta steps of `dt` seconds.
 
-    Parameters are those of the fixed wing's `fly`, but for these, with n motors:
+    Parameters are those of the fixed wing's `integrate_flight`, but for these, with n motors:
 
     Parameters
     ----------
@@ -201,10 +211,10 @@ def fly(
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_POWERED], _FRAME))
-    supply = Supply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
+    supply = BatterySupply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
     # Of the last step: the voltage sags under it before the motors are computed.
-    load[VOLTS], load[CHARGE] = supplied(supply, x[_DRAWN], x[_CURRENT])
-    around[SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
+    load[VOLTS], load[CHARGE] = battery_output(supply, x[_CHARGE_DRAWN], x[_CURRENT])
+    around[BATTERY_SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
     n = controls.shape[0]
     # Behind the fixed part of `packed` come five numbers a rotor, then the contact points.
     points = _ROTORS + _ROTOR * n
@@ -212,25 +222,25 @@ def fly(
     wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], packed[_ALONG], packed[_ACROSS])
     speeds = np.empty((3, n))
     for i in range(n):
-        speeds[0, i] = x[RIGID + i]
+        speeds[0, i] = x[RIGID_SIZE + i]
     w = (around[WIND], around[WIND + 1], around[WIND + 2])
     g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
-    given = _Given(speeds, rotors, w, around[DENSITY], around[GROUND], frame, wheels)
-    s = to_fixed_tuple(x[:RIGID], RIGID)
+    given = _LoadInputs(speeds, rotors, w, around[DENSITY], around[GROUND], frame, wheels)
+    s = to_fixed_tuple(x[:RIGID_SIZE], RIGID_SIZE)
     for _ in range(steps):
-        _spin(speeds, controls, around[SAG], rotors, frame, dt)
-        s = integrated(s, _loads, given, g, body, dt)
+        _spin_motors(speeds, controls, around[BATTERY_SAG], rotors, frame, dt)
+        s = runge_kutta_step(s, _loads, given, g, body, dt)
         for i in range(n):
             speeds[0, i] = speeds[2, i]
     # After the last step the stage 0 speeds are those of now.
     f = _loads(s, 0, given)
-    for i in range(RIGID):
+    for i in range(RIGID_SIZE):
         after[i] = s[i]
     for i in range(3):
         load[FORCE + i] = f[i] / body.mass_kg
     power = 0.0  # goes with the mean cube of the speeds over full speed
     for i in range(n):
-        after[RIGID + i] = speeds[0, i]
+        after[RIGID_SIZE + i] = speeds[0, i]
         power += (speeds[0, i] / frame.full) ** 3 / n
     after[_CURRENT] = load[CURRENT] = supply.full_throttle_a * power
-    after[_DRAWN] = x[_DRAWN] + load[CURRENT] * steps * dt
+    after[_CHARGE_DRAWN] = x[_CHARGE_DRAWN] + load[CURRENT] * steps * dt

@@ -19,9 +19,9 @@ from queue import Queue
 
 import pytest
 
-from analysis.autopilots.autopilot_run import ahead_of_logs
+from analysis.autopilots.autopilot_run import real_time_priority
 from analysis.recordings.flight_logs.ulog import read_ulog
-from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.links.bus import choose_free_port, open_bus
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_columns
 
@@ -232,7 +232,7 @@ def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4,
 
 
 def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4, run):
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     options = ("--binary", recorded_px4, "--speed", "0.5", "--zenoh", url, "--no-report")
     process = run(*options, autopilot="px4")
     fly_until(process, "in lockstep")
@@ -310,7 +310,7 @@ def test_a_flight_stands_before_what_an_autopilot_does_beside_it():
         os.sched_setscheduler(0, before, os.sched_param(0))
     except PermissionError:
         pytest.skip("real-time priorities are not allowed here")
-    with ahead_of_logs():
+    with real_time_priority():
         assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
         child = subprocess.run(
             [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"],
@@ -331,7 +331,7 @@ def test_a_user_who_may_not_drop_the_flag_about_forks_still_ends_a_flight(
         policies.append(policy)
 
     monkeypatch.setattr(os, "sched_setscheduler", allow)
-    with ahead_of_logs():
+    with real_time_priority():
         pass
     assert policies[-1] & ~os.SCHED_RESET_ON_FORK == os.sched_getscheduler(0)
 
@@ -347,7 +347,7 @@ def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
         monkeypatch.delattr(os, "sched_getscheduler")
     else:
         monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    with ahead_of_logs():
+    with real_time_priority():
         assert gc.get_freeze_count() > 0
     assert gc.get_freeze_count() == 0
 

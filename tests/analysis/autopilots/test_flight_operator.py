@@ -1,10 +1,10 @@
 import pytest
 
-from analysis.autopilots.ardupilot.ardupilot_requests import COPTER, ArduPilotRequests
+from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, ArduPilotCommands
 from analysis.autopilots.flight_operator import Operator, Phase
 from analysis.autopilots.flight_plan import FlightPlan, Waypoint
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 
 SECOND_US = 1_000_000
@@ -12,8 +12,8 @@ CORNERS = (Waypoint(47.4, 8.5, 20.0, 6.0), Waypoint(47.401, 8.5, 25.0, 6.0))
 
 
 def frame(name, **values):
-    layout = known(name)
-    return Frame(build(layout, values), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values), layout)
 
 
 READY = frame("EKF_STATUS_REPORT", flags=0x33F)
@@ -39,7 +39,7 @@ def commands(frames):
 
 
 def operator(plan):
-    return Operator(plan, ArduPilotRequests(COPTER))
+    return Operator(plan, ArduPilotCommands(COPTER))
 
 
 class Autopilot:
@@ -196,8 +196,8 @@ def test_motors_that_stop_during_the_take_off_are_told():
 @pytest.mark.parametrize("component", [1, 25])
 def test_only_what_the_autopilot_itself_says_is_kept(component):
     ground = operator(FlightPlan(10.0, 30.0))
-    layout = known("STATUSTEXT")
-    raw = build(layout, {"text": b"PreArm: Compass not healthy"}, component=component)
+    layout = message_layout("STATUSTEXT")
+    raw = build_frame(layout, {"text": b"PreArm: Compass not healthy"}, component=component)
     ground.step(3 * SECOND_US)
     ground.heard(Frame(raw, layout))
     expected = [(3 * SECOND_US, "PreArm: Compass not healthy")] if component == 1 else []

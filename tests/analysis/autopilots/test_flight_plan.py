@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from analysis.autopilots.flight_plan import corners, flight_plan
+from analysis.autopilots.flight_plan import flight_plan, simplify_path
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 
@@ -49,7 +49,7 @@ def test_the_way_between_corners_follows_the_path(tmp_path, shape):
     simulation = Simulation(read_scenario(str(file)))
     path = simulation.controller.track.path
     places = path.north_m + 1j * path.east_m
-    chosen = corners(path, 20.0, 1.0)
+    chosen = simplify_path(path, 20.0, 1.0)
     assert (chosen[0], chosen[-1]) == (0, len(places) - 1)
     for first, last in itertools.pairwise(chosen):
         assert (last - first) * path.spacing_m < 20.0 + path.spacing_m

@@ -12,26 +12,26 @@ import pytest
 from analysis.autopilots.hil_exchange import (
     BRIDGE_STEP,
     PX4_STEP,
-    FromAutopilot,
-    Patience,
-    ToAutopilot,
+    AutopilotReceiver,
+    AutopilotSender,
+    ConnectionDeadline,
 )
-from analysis.run.proxied_flight import VEHICLE, Flight
+from analysis.run.proxied_flight import VEHICLE, ProxiedFlight
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_change
 from simvehicle.app import lockstep_loop
 from simvehicle.app.lockstep_loop import LockstepLoop
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import START_US, Hil
+from simvehicle.hil.hil_frames import START_US, HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.actuators import motor_mix
 
 SCENARIO = """
 name: on the ground
@@ -51,14 +51,16 @@ def scenario(tmp_path):
 
 @pytest.fixture
 def flight_of(scenario):
-    def make(**fault) -> Flight:
-        return Flight(scenario, parse_schedule({"faults": [{"id": "f", "at_s": 0, **fault}]}))
+    def make(**fault) -> ProxiedFlight:
+        return ProxiedFlight(
+            scenario, parse_schedule({"faults": [{"id": "f", "at_s": 0, **fault}]})
+        )
 
     return make
 
 
 def deaf(flight, step=PX4_STEP):
-    return ToAutopilot(flight, Hil(), hear=lambda sends: None, step=step)
+    return AutopilotSender(flight, HilPacker(), hear=lambda sends: None, step=step)
 
 
 def fly(exchange, steps):
@@ -94,17 +96,20 @@ FAULTS = [
 def flown(scenario, compiled):
     """What left for an autopilot that answers everything, what it commanded, and the logs."""
     faults = [{"id": f"f{n}", **fault} for n, fault in enumerate(FAULTS)]
-    flight = Flight(scenario, parse_schedule({"seed": 5, "faults": faults}))
+    flight = ProxiedFlight(scenario, parse_schedule({"seed": 5, "faults": faults}))
     passage = new_passage(flight.core, flight.tape) if compiled else None
-    outward, lockstep = ToAutopilot(flight, Hil(), lambda sends: None, passage=passage), Lockstep()
+    outward, lockstep = (
+        AutopilotSender(flight, HilPacker(), lambda sends: None, passage=passage),
+        Lockstep(),
+    )
     left, steps, commanded = [], [], []
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
-        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         for step in range(250):
             left.append(b"".join(outward.frames(*flight.simulation.step(None))))
             steps.append(outward.step_us)
             values = {"time_usec": START_US + 4_000 * (step + 1), "controls": [step] * 16}
-            raw = build(known("HIL_ACTUATOR_CONTROLS"), values, seq=step & 0xFF)
+            raw = build_frame(message_layout("HIL_ACTUATOR_CONTROLS"), values, seq=step & 0xFF)
             for part in (raw[:20], raw[20:]) if step % 7 == 3 else (raw,):
                 autopilot.sendall(part)
                 select.select(link.filenos(), [], [], 5.0)
@@ -160,7 +165,7 @@ def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
     flight = flight_of(fault="delay", target="HIL_ACTUATOR_CONTROLS", value=0.1, for_s=10)
     outward, lockstep = deaf(flight), Lockstep()
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
-        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         acted = []
         for _ in range(100):
             fly(outward, 1)
@@ -175,19 +180,21 @@ def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
 
 
 def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of, monkeypatch):
-    monkeypatch.setattr(lockstep_loop, "FIRST_WORD_S", math.inf)  # only a word can begin it
+    monkeypatch.setattr(
+        lockstep_loop, "FIRST_MESSAGE_TIMEOUT_S", math.inf
+    )  # only a word can begin it
     outward, lockstep = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1)), Lockstep()
     with closing(TcpServer("127.0.0.1", 0)) as link:
-        inward = FromAutopilot(outward, [link], Patience(link, None, 5.0), lockstep)
+        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         simulation, progress = outward.flight.simulation, Progress(0.0, StringIO())
         loop = LockstepLoop(
-            simulation, outward, inward, motors(4), float("inf"), progress, lockstep
+            simulation, outward, inward, motor_mix(4), float("inf"), progress, lockstep
         )
         flying = threading.Thread(target=loop.run, args=[4_000])
         flying.start()
         with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
             # What PX4 says first: nothing that leaves the proxy for the simulator.
-            autopilot.sendall(build(known("HEARTBEAT"), {"mavlink_version": 3}))
+            autopilot.sendall(build_frame(message_layout("HEARTBEAT"), {"mavlink_version": 3}))
             flying.join(20)
     assert loop.t_us == 4_000
 
@@ -196,7 +203,9 @@ def test_of_the_links_only_those_with_something_are_read(flight_of):
     outward = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1))
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
         idle = IdleLink()
-        inward = FromAutopilot(outward, [link, idle], Patience(link, None, 5.0), Lockstep())
+        inward = AutopilotReceiver(
+            outward, [link, idle], ConnectionDeadline(link, None, 5.0), Lockstep()
+        )
         autopilot.sendall(answer(START_US))
         assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
         idle.close()
@@ -205,8 +214,8 @@ def test_of_the_links_only_those_with_something_are_read(flight_of):
 def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
     heard = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
-    outward = ToAutopilot(
-        flight, Hil(), heard.extend, passage=new_passage(flight.core, flight.tape)
+    outward = AutopilotSender(
+        flight, HilPacker(), heard.extend, passage=new_passage(flight.core, flight.tape)
     )
     with (
         closing(TcpServer("127.0.0.1", 0)) as link,
@@ -214,13 +223,18 @@ def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
         connected(link) as autopilot,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
     ):
-        inward = FromAutopilot(outward, [link, telemetry], Patience(link, None, 5.0), Lockstep())
-        other.sendto(build(known("ATTITUDE"), {"time_boot_ms": 5}), ("127.0.0.1", telemetry.port))
+        inward = AutopilotReceiver(
+            outward, [link, telemetry], ConnectionDeadline(link, None, 5.0), Lockstep()
+        )
+        other.sendto(
+            build_frame(message_layout("ATTITUDE"), {"time_boot_ms": 5}),
+            ("127.0.0.1", telemetry.port),
+        )
         autopilot.sendall(answer(START_US))
         for one in (link, telemetry):
             assert select.select(one.filenos(), [], [], 5.0)[0]
         assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
-        attitude = known("ATTITUDE").id
+        attitude = message_layout("ATTITUDE").id
         assert attitude not in [send.data[7] for send in outward.unheard]
         assert inward.frames(5.0) == []
         outward.hear_all()
@@ -230,7 +244,9 @@ def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
 def test_the_operator_is_asked_while_the_autopilot_works_and_once_a_step(flight_of):
     asked = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
-    outward = ToAutopilot(flight, Hil(), lambda sends: None, lambda: asked.append(1) or [])
+    outward = AutopilotSender(
+        flight, HilPacker(), lambda sends: None, lambda: asked.append(1) or []
+    )
     fly(outward, 1)
     assert asked == []
     outward.meanwhile()
@@ -249,7 +265,7 @@ class IdleLink(UdpServer):
 
 
 def answer(stamp_us):
-    return build(known("HIL_ACTUATOR_CONTROLS"), {"time_usec": stamp_us, "flags": 1})
+    return build_frame(message_layout("HIL_ACTUATOR_CONTROLS"), {"time_usec": stamp_us, "flags": 1})
 
 
 @contextmanager
@@ -264,7 +280,10 @@ def connected(link):
 def test_a_command_of_the_schedule_leaves_for_the_autopilot_with_the_next_step(flight_of):
     exchange = deaf(flight_of(fault="command", do="arm"))
     fly(exchange, 2)  # the schedule counts from the first stamp
-    heartbeat = Frame(build(known("HEARTBEAT"), {"autopilot": 3, "type": 2}), known("HEARTBEAT"))
+    heartbeat = Frame(
+        build_frame(message_layout("HEARTBEAT"), {"autopilot": 3, "type": 2}),
+        message_layout("HEARTBEAT"),
+    )
     returned: list[Frame] = []
     flight = exchange.flight
     for send in flight.core.received_frame(VEHICLE, heartbeat, flight.now_us):

@@ -1,14 +1,14 @@
 """Waypoints as mission items."""
 
 from analysis.autopilots.flight_plan import Waypoint
-from analysis.autopilots.mission_items import along, approach
+from analysis.autopilots.mission_items import landing_items, waypoint_items
 
 SLOW = Waypoint(47.4, 8.5, 20.0, 3.0)
 FAST = Waypoint(47.41, 8.5, 30.0, 6.0)
 
 
 def test_a_change_of_speed_stands_before_the_corner_that_it_is_for():
-    items = along([SLOW, SLOW, FAST])
+    items = waypoint_items([SLOW, SLOW, FAST])
     assert [(item["command"], item["frame"]) for item in items] == [
         (178, 2), (16, 6), (16, 6), (178, 2), (16, 6),
     ]  # fmt: skip
@@ -17,6 +17,6 @@ def test_a_change_of_speed_stands_before_the_corner_that_it_is_for():
 
 
 def test_an_approach_ends_by_landing_at_its_last_corner():
-    items = approach([FAST, SLOW])
+    items = landing_items([FAST, SLOW])
     assert [item["command"] for item in items] == [16, 21]
     assert items[-1]["x"] == 474_000_000

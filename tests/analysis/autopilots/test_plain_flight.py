@@ -12,24 +12,24 @@ from pathlib import Path
 import pytest
 
 from analysis.autopilots import stretch_kernel
-from analysis.autopilots.hil_exchange import FromAutopilot, Patience, ToAutopilot
+from analysis.autopilots.hil_exchange import AutopilotReceiver, AutopilotSender, ConnectionDeadline
 from analysis.autopilots.plain_flight import plain_flight
-from analysis.run.proxied_flight import Flight
+from analysis.run.proxied_flight import ProxiedFlight
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, framed
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, frame_payload
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.lockstep_loop import LockstepLoop
 from simvehicle.app.sim_progress import Progress
-from simvehicle.app.sim_server import airframe
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.app.sim_server import mav_type_and_mix
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
-from simvehicle.vehicles.actuators import ARMED, CHANNELS
+from simvehicle.vehicles.actuators import ARMED_FLAG, CHANNEL_COUNT
 
-ANSWER = known("HIL_ACTUATOR_CONTROLS")
+ANSWER = message_layout("HIL_ACTUATOR_CONTROLS")
 SENSORS = """
   imu: [{preset: consumer-mems, rate_hz: 250}, {preset: consumer-mems, rate_hz: 250, id: 1}]
   mag: {preset: consumer-mag, rate_hz: 50}
@@ -58,10 +58,10 @@ STEPS = 750
 
 def answer(stamp_us: int, number: int, kind: str) -> bytes:
     """What the stand-in commands at its n-th answer."""
-    wave = [0.02 * math.sin(0.05 * number + n) for n in range(CHANNELS)]
+    wave = [0.02 * math.sin(0.05 * number + n) for n in range(CHANNEL_COUNT)]
     values = [0.7 + value for value in wave] if kind == "quad" else [5.0 * value for value in wave]
-    payload = struct.pack("<QQ16fB", stamp_us, 0, *values, ARMED if number > 50 else 0)
-    return framed(ANSWER, payload, seq=number & 0xFF, system=1, component=1)
+    payload = struct.pack("<QQ16fB", stamp_us, 0, *values, ARMED_FLAG if number > 50 else 0)
+    return frame_payload(ANSWER, payload, seq=number & 0xFF, system=1, component=1)
 
 
 @contextmanager
@@ -71,7 +71,9 @@ def autopilot(port: int, kind: str) -> Iterator[None]:
     def work() -> None:
         parser, number = Parser(), 0
         with socket.create_connection(("127.0.0.1", port)) as link:
-            link.sendall(framed(known("HEARTBEAT"), bytes(9), seq=0, system=1, component=1))
+            link.sendall(
+                frame_payload(message_layout("HEARTBEAT"), bytes(9), seq=0, system=1, component=1)
+            )
             while number < STEPS and (data := link.recv(65_536)):
                 for frame in parser.push(data):
                     if isinstance(frame, Frame) and frame.id == 107 and frame.number("id") == 0:
@@ -84,17 +86,21 @@ def autopilot(port: int, kind: str) -> Iterator[None]:
     thread.join()
 
 
-def flown(scenario: Path, kind: str, faults: list, *, plainly: bool) -> tuple[Flight, list[int]]:
+def flown(
+    scenario: Path, kind: str, faults: list, *, plainly: bool
+) -> tuple[ProxiedFlight, list[int]]:
     """A flight under the stand-in, and the steps of each stretch."""
     entries = [{"id": str(n), **fault} for n, fault in enumerate(faults)]
-    flight = Flight(read_scenario(scenario), parse_schedule({"faults": entries}))
+    flight = ProxiedFlight(read_scenario(scenario), parse_schedule({"faults": entries}))
     passage = new_passage(flight.core, flight.tape)
-    hil, lockstep = Hil(), Lockstep(timeout_s=20.0)
+    hil, lockstep = HilPacker(), Lockstep(timeout_s=20.0)
     lockstep.locked = True  # from the first step on, as nothing here may hang on the clock
-    outward = ToAutopilot(flight, hil, lambda _: None, passage=passage)
+    outward = AutopilotSender(flight, hil, lambda _: None, passage=passage)
     stretches: list[int] = []
     with closing(TcpServer("127.0.0.1", 0)) as server, autopilot(server.port, kind):
-        inward = FromAutopilot(outward, [server], Patience(server, None, 20.0), lockstep)
+        inward = AutopilotReceiver(
+            outward, [server], ConnectionDeadline(server, None, 20.0), lockstep
+        )
         steps = plain_flight(flight.simulation, hil, passage) if plainly else None
         if steps is not None:
             assert steps.join(outward, inward, lockstep)
@@ -106,7 +112,7 @@ def flown(scenario: Path, kind: str, faults: list, *, plainly: bool) -> tuple[Fl
                 account()
 
             steps._account = counted  # type: ignore[method-assign]
-        mix = airframe(flight.simulation)[1]
+        mix = mav_type_and_mix(flight.simulation)[1]
         progress = Progress(0.0, StringIO())
         loop = LockstepLoop(
             flight.simulation, outward, inward, mix, math.inf, progress, lockstep, steps

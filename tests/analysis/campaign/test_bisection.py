@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.campaign.bisection import Critical, bisect
+from analysis.campaign.bisection import CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import Magnitudes
 
 
-def found(interval: Magnitudes, threshold: float) -> Critical:
+def found(interval: Magnitudes, threshold: float) -> CriticalMagnitude:
     """The outcome for a subject that breaks from a threshold on."""
-    search = bisect(interval)
+    search = bisect_magnitude(interval)
     magnitude = next(search)
     try:
         while True:
@@ -33,8 +33,8 @@ def test_eight_flights_bracket_any_threshold(threshold: float) -> None:
 
 def test_an_interval_that_is_harmless_or_worse_throughout_takes_one_or_two_flights() -> None:
     interval = Magnitudes(low=1.0, high=2.0, spacing="linear")
-    assert found(interval, 3.0) == Critical(None, 2.0, 1)
-    assert found(interval, 0.5) == Critical(1.0, None, 2)
+    assert found(interval, 3.0) == CriticalMagnitude(None, 2.0, 1)
+    assert found(interval, 0.5) == CriticalMagnitude(1.0, None, 2)
 
 
 def test_a_linear_interval_may_be_negative() -> None:

@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 import pyarrow.parquet as pq
 import pytest
 
-from analysis.autopilots.flight_process import RUN
+from analysis.autopilots.flight_process import RUN_FOLDER
 from analysis.campaign.campaign_file import read_campaign
-from analysis.campaign.cell import Verdict, verdict_of
+from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.cell import CellVerdict, monitor_verdict
 from analysis.campaign.flying.flight_job import setup_by_name
-from analysis.campaign.plan import Plan
-from analysis.campaign.results.data_set import export
-from analysis.search.evaluation.flown_cases import Flown
+from analysis.campaign.results.data_set import export_data_set
+from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.space.test_file import read_test
 from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
@@ -60,9 +60,9 @@ def test_of_several_parts_the_first_that_was_found_counts() -> None:
     late = {"verdict": "isolated", "isolated": ["baro"], "wrongly": [], "delay_s": 2.0}
     blame = {"who": "GPS", "from_s": 1.0, "for_s": 1.0}
     soon = {"verdict": "wrong", "isolated": ["imu"], "wrongly": [blame, blame], "delay_s": 0.5}
-    assert verdict_of([missed, late, soon]) == Verdict("wrong", "imu, GPS", 0.5)
-    assert verdict_of([missed]) == Verdict("missed", "", None)
-    assert verdict_of([]) == Verdict()
+    assert monitor_verdict([missed, late, soon]) == CellVerdict("wrong", "imu, GPS", 0.5)
+    assert monitor_verdict([missed]) == CellVerdict("missed", "", None)
+    assert monitor_verdict([]) == CellVerdict()
 
 
 def test_each_cell_is_a_test_case(flown: Path) -> None:
@@ -141,8 +141,8 @@ def test_an_autopilots_run_is_exported_as_a_simulators_flight_is(
     for flight in (campaign / "flights").iterdir():
         flight.rename(campaign / "moved")
         flight.mkdir()
-        (campaign / "moved").rename(flight / RUN)
-    export(campaign, tmp_path / "data")
+        (campaign / "moved").rename(flight / RUN_FOLDER)
+    export_data_set(campaign, tmp_path / "data")
     found, expected = (
         {str(file.relative_to(data)) for file in data.rglob("*")}
         for data in (tmp_path / "data", flown / "data")
@@ -165,7 +165,11 @@ def test_the_worst_cell_becomes_a_search_around_it(flown: Path, capsys) -> None:
     assert (fault.at_s, fault.for_s) == ((0.0, 4.0), (1.0, 4.0))
     # The middle of the search's space is the cell's own flight.
     assert test.scenario is not None
-    assert Flown(test).space.names == ("faults[0].value", "faults[0].at_s", "faults[0].for_s")
+    assert SimulatedBatch(test).space.names == (
+        "faults[0].value",
+        "faults[0].at_s",
+        "faults[0].for_s",
+    )
 
 
 def test_a_cell_to_search_around_may_be_named(flown: Path, capsys) -> None:
@@ -181,7 +185,7 @@ def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
     vary = '{"environment.wind_ned_mps[0]": [0, 5], start.heading_deg: [90]}'
     (tmp_path / "c.yaml").write_text((HERE / "small.yaml").read_text() + f"\nvary: {vary}\n")
     campaign = read_campaign(tmp_path / "c.yaml")
-    plan = Plan(campaign)
+    plan = CampaignPlan(campaign)
     assert plan.most_cells == 8
     name = "short.yaml environment.wind_ned_mps[0]=5 start.heading_deg=90"
     assert plan.scenarios[1] == name
@@ -215,5 +219,5 @@ def test_wrong_arguments_are_told(tmp_path: Path) -> None:
 
 
 def _main(*words: str) -> int:
-    args = cli.parser("").parse_args(words)
+    args = cli.build_parser("").parse_args(words)
     return int(args.main(args))

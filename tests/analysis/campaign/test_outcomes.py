@@ -1,15 +1,15 @@
 import pytest
 
-from analysis.campaign.cell import ATTITUDE, POSITION, Cell, Curve, Evidence, Mark
-from analysis.campaign.outcomes import Limits, judged, rank
+from analysis.campaign.cell import ATTITUDE, POSITION, Cell, Evidence, EvidenceCurve, FlightMark
+from analysis.campaign.outcomes import OutcomeLimits, classify_flight, outcome_rank
 
 CELL = Cell(subject="s", scenario="x", fault="f", magnitude=1.0, onset=10.0, duration_s=5.0)
 TIMES = [float(t) for t in range(31)]
 HEALTHY = [1.0] * 31
 
 
-def evidence(value: list[float], *marks: Mark, name: str = ATTITUDE) -> Evidence:
-    return Evidence({name: Curve(TIMES, value)}, list(marks))
+def evidence(value: list[float], *marks: FlightMark, name: str = ATTITUDE) -> Evidence:
+    return Evidence({name: EvidenceCurve(TIMES, value)}, list(marks))
 
 
 def bump(height: float, start: int = 11, end: int = 18) -> list[float]:
@@ -17,7 +17,7 @@ def bump(height: float, start: int = 11, end: int = 18) -> list[float]:
 
 
 def outcome(flight: Evidence, twin: Evidence | None = None, **limits: float):
-    return judged(CELL, 10.0, flight, twin or evidence(HEALTHY), Limits(**limits))
+    return classify_flight(CELL, 10.0, flight, twin or evidence(HEALTHY), OutcomeLimits(**limits))
 
 
 def test_the_same_flight_is_unaffected() -> None:
@@ -58,31 +58,38 @@ def test_positions_have_limits_of_their_own() -> None:
 
 
 def test_a_new_alarm_is_a_detection_with_its_delay() -> None:
-    marks = Mark(5.0, "detected", "imu"), Mark(12.5, "detected", "imu")
+    marks = FlightMark(5.0, "detected", "imu"), FlightMark(12.5, "detected", "imu")
     result = outcome(evidence(HEALTHY, *marks))
     assert (result.outcome, result.detected_s, result.detected_by) == ("detected", 2.5, "imu")
 
 
 def test_an_alarm_of_the_twin_is_no_detection() -> None:
-    twin = evidence(HEALTHY, Mark(12.0, "detected", "imu"))
-    assert outcome(evidence(HEALTHY, Mark(12.5, "detected", "imu")), twin).outcome == "unaffected"
+    twin = evidence(HEALTHY, FlightMark(12.0, "detected", "imu"))
+    assert (
+        outcome(evidence(HEALTHY, FlightMark(12.5, "detected", "imu")), twin).outcome
+        == "unaffected"
+    )
 
 
 def test_the_worst_that_happened_counts() -> None:
-    marks = [Mark(11.0, "detected"), Mark(12.0, "failsafe", "LAND"), Mark(20.0, "crashed")]
+    marks = [
+        FlightMark(11.0, "detected"),
+        FlightMark(12.0, "failsafe", "LAND"),
+        FlightMark(20.0, "crashed"),
+    ]
     result = outcome(evidence(bump(6.0), *marks))
     assert (result.outcome, result.failsafe, result.failsafe_s) == ("crashed", "LAND", 2.0)
 
 
 def test_a_flight_that_could_not_be_made_says_nothing() -> None:
-    assert rank("aborted") == -1
-    assert not Limits().worse("aborted")
-    assert Limits(worse_from="failsafe").worse("failsafe")
-    assert not Limits(worse_from="failsafe").worse("degraded")
+    assert outcome_rank("aborted") == -1
+    assert not OutcomeLimits().worse("aborted")
+    assert OutcomeLimits(worse_from="failsafe").worse("failsafe")
+    assert not OutcomeLimits(worse_from="failsafe").worse("degraded")
 
 
 def test_wrong_limits_are_told() -> None:
     with pytest.raises(ValueError, match="worse_from = bad is unknown"):
-        Limits(worse_from="bad")
+        OutcomeLimits(worse_from="bad")
     with pytest.raises(ValueError, match="not positive"):
-        Limits(lost_deg=0.0)
+        OutcomeLimits(lost_deg=0.0)

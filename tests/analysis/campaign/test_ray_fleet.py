@@ -6,10 +6,10 @@ import msgspec
 import pytest
 
 from analysis.campaign.campaign_file import read_campaign
-from analysis.campaign.campaign_fleet import RayFleet
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import CampaignRun
-from analysis.campaign.ledger import Ledger
-from analysis.campaign.plan import Plan
+from analysis.campaign.results_store import ResultsStore
+from analysis.campaign.worker_pool import RayWorkerPool
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
 HERE = Path(__file__).parent
@@ -23,11 +23,11 @@ SMALL = msgspec.structs.replace(
 def test_a_killed_node_loses_no_cell(tmp_path: Path) -> None:
     from ray.cluster_utils import Cluster
 
-    plan = Plan(SMALL)
+    plan = CampaignPlan(SMALL)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = cluster.add_node(num_cpus=1)
-    fleet = RayFleet(cluster.address, 300.0)
-    ledger = Ledger(tmp_path, SMALL)
+    fleet = RayWorkerPool(cluster.address, 300.0)
+    ledger = ResultsStore(tmp_path, SMALL)
     nodes = [2]
 
     def kill_after_the_first(results: list[object]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
+from analysis.detection.detector import run_detector
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample, TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -17,7 +17,7 @@ Ranges = dict[str, Callable[[float], float]]
 
 
 def decisions(samples: list[Sample], config: DetectorConfig | None = None) -> list[Decision]:
-    results = run(Detector(config or DetectorConfig()), samples)
+    results = run_detector(Detector(config or DetectorConfig()), samples)
     return [result for result in results if isinstance(result, Decision)]
 
 
@@ -178,7 +178,7 @@ def test_a_silent_imu_is_reported_and_satellites_go_on_being_tested(flight):
         for s in with_ranges(flight, {name: lambda t: 50.0 if t > 5.0 else 0.0})
         if not (isinstance(s, ImuSample) and FROM_S <= s.t_us * 1e-6 < UNTIL_S)
     ]
-    results = run(Detector(DetectorConfig()), silent)
+    results = run_detector(Detector(DetectorConfig()), silent)
     imu = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "imu" and r.alarm]
     assert imu[0].reason.startswith("no IMU samples")
     assert imu[0].t_s == pytest.approx(FROM_S + 0.2)
@@ -276,7 +276,7 @@ def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_us
         rates[sample.satellites.index(name)] += 5.0
         return replace(sample, doppler_mps=rates)
 
-    results = run(Detector(), [faulty(sample) for sample in flight])
+    results = run_detector(Detector(), [faulty(sample) for sample in flight])
     told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "satellites"]
     assert {result.suspect for result in told} == {name}
     spacing_s = 1e-6 * np.diff([s.t_us for s in flight if isinstance(s, Epoch)]).max()
@@ -284,7 +284,7 @@ def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_us
     assert FROM_S + 1.5 * spacing_s < told[0].t_s < FROM_S + 2.5 * spacing_s
     assert UNTIL_S - 1.5 * spacing_s < told[-1].t_s < UNTIL_S
     assert not any(r.excluded for r in results if isinstance(r, Decision))
-    clean = run(Detector(), flight)
+    clean = run_detector(Detector(), flight)
     assert not any(isinstance(r, SensorDecision) and r.sensor == "satellites" for r in clean)
 
 

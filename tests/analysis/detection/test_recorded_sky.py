@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from analysis.detection.recorded_sky import place_of
-from analysis.detection.sky import orbits_of
-from analysis.recordings.recordings import read_rinex
+from analysis.detection.recorded_sky import locate_receiver
+from analysis.detection.sky_geometry import orbits_of
+from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.sample import Epoch
 from mavproxy_fault.app.rinex_faults import faulted_lines
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.schedule.entries import parse_schedule
 
 CARRY_OFF = {"preset": "gnss-carry-off", "at_s": 10, "for_s": 60}  # north, 5 m/s to 200 m
@@ -30,12 +30,12 @@ def test_the_receiver_is_carried_off_as_the_preset_says(shared_data):
     static = shared_data / "gnss_static"
     clean, spoofed, orbits = clean_and_spoofed(static / "SEPT078M.21O", static / "SEPT078M.21P")
     both = [
-        (place_of(a.select(own), orbits), place_of(b.select(own), orbits))
+        (locate_receiver(a.select(own), orbits), locate_receiver(b.select(own), orbits))
         for a, b in zip(clean, spoofed, strict=True)
         for own in [[i for i, name in enumerate(a.satellites) if name[0] in "GE"]]
     ]
     here, there = (np.array(side) for side in zip(*both, strict=True))
-    lat, lon, _ = geodetic(here[0])
+    lat, lon, _ = geodetic_position(here[0])
     moved_m = (there - here) @ ned_axes(lat, lon).T
     wanted_m = np.zeros_like(moved_m)
     wanted_m[10:50, 0], wanted_m[50:70, 0] = 5.0 * np.arange(40), 200.0

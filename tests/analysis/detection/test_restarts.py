@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
-from analysis.detection.filter.measurement import choose, model, observe
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.detector import run_detector
+from analysis.detection.filter.measurement import (
+    observe_epoch,
+    predict_innovations,
+    select_ephemerides,
+)
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
 
 
 def decisions(samples: list[Sample], config: DetectorConfig | None = None) -> list[Decision]:
-    results = run(Detector(config or DetectorConfig()), samples)
+    results = run_detector(Detector(config or DetectorConfig()), samples)
     return [result for result in results if isinstance(result, Decision)]
 
 
@@ -117,13 +121,16 @@ def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight)
     assert core.chosen is not None
     epoch = next(s for s in free if isinstance(s, Epoch) and s.t_us >= 27_000_000)
     five = epoch.select([i for i, name in enumerate(epoch.satellites) if name[0] == "G"][:5])
-    chosen = choose(five, core.ephemerides)
-    observed = observe(five, chosen)
+    chosen = select_ephemerides(five, core.ephemerides)
+    observed = observe_epoch(five, chosen)
     assert observed is not None
     far = core.motion.x.copy()
     far[:3] += np.array([3000.0, -4000.0, 1000.0])
     config = DetectorConfig()
-    here, there = (model(observed, x, config.sigma, core.ionosphere) for x in (core.motion.x, far))
+    here, there = (
+        predict_innovations(observed, x, config.sigma, core.ionosphere)
+        for x in (core.motion.x, far)
+    )
     moved = replace(five, pseudorange_m=five.pseudorange_m + here.v_m - there.v_m)
     (decision,), _ = detector.step(moved, state)
     assert isinstance(decision, Decision)

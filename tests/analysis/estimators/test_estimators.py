@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from analysis.estimators import Prior, make, names
+from analysis.estimators import Prior, estimator_names, make_estimator
 from analysis.samples.sample import GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.rotations.rotation_kernel import errors, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors, quaternion_of_euler
 
 DECLINATION_RAD = float(np.arctan2(0.03, 0.21))
 
 
 def track(name, flight, after_s=0.0, turn_rad=0.0):
     """Errors (n, 4) in degrees from `after_s` on; the prior is off by `turn_rad` in roll."""
-    estimator = make(name)
+    estimator = make_estimator(name)
     q0 = quaternion_of_euler(turn_rad, np.radians(5.0), 0.0)
     rot_x = np.array([np.cos(np.radians(5.0)), 0.0, -np.sin(np.radians(5.0))])
     state = estimator.start(Prior(0, q0, 25.0 * rot_x, declination_rad=DECLINATION_RAD))
@@ -23,7 +23,7 @@ def track(name, flight, after_s=0.0, turn_rad=0.0):
         estimate, state = estimator.update(sample, state)
         if isinstance(sample, ImuSample):
             if sample.t_us >= after_s * 1e6:
-                found.append(errors(estimate.q_nb, flight.q_nb[k]))
+                found.append(attitude_errors(estimate.q_nb, flight.q_nb[k]))
             k += 1
     return np.degrees(np.array(found))
 
@@ -38,7 +38,7 @@ def test_an_estimator_follows_turns_without_noise(flights, name, limit_deg):
 
 
 def test_a_fix_that_does_not_tell_the_climb_leaves_the_ekf_as_it_is():
-    ekf = make("ekf")
+    ekf = make_estimator("ekf")
     state = ekf.start(Prior(0, quaternion_of_euler(0.0, 0.0, 0.0)))
     v_ned_mps = np.array([20.0, 0.0, np.nan])
     fix = GpsFix(0, 47.0, 8.0, 500.0, v_ned_mps, 3, 10, 1.0, 1.5, "GPS_RAW_INT")
@@ -71,30 +71,30 @@ def test_the_ekf_recovers_from_a_wrong_start(flights):
 
 
 def test_madgwick_keeps_a_vehicle_at_rest_level_and_north():
-    estimator = make("madgwick")
+    estimator = make_estimator("madgwick")
     q0 = quaternion_of_euler(0.1, -0.1, 0.2)
     state = estimator.start(Prior(0, q0, declination_rad=DECLINATION_RAD))
     for k in range(1, 4000):
         _, state = estimator.update(MagSample(k * 10_000, np.array([0.21, 0.03, 0.42])), state)
         rest = ImuSample(k * 10_000, np.full(3, 1e-9), np.array([0.0, 0.0, -9.80665]))
         estimate, state = estimator.update(rest, state)
-    assert np.degrees(errors(estimate.q_nb, np.array([1.0, 0, 0, 0]))[3]) < 0.5
+    assert np.degrees(attitude_errors(estimate.q_nb, np.array([1.0, 0, 0, 0]))[3]) < 0.5
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", estimator_names())
 def test_a_sample_from_the_past_and_a_long_gap_do_no_harm(name):
-    estimator = make(name)
+    estimator = make_estimator(name)
     state = estimator.start(Prior(1_000_000, np.array([1.0, 0, 0, 0])))
     level = np.array([0.0, 0.0, -9.80665])
     for t_us in (500_000, 1_000_000, 1_010_000, 90_000_000, 90_005_000):
         estimate, state = estimator.update(ImuSample(t_us, np.array([0.1, 0.0, 0.0]), level), state)
     assert np.isfinite(estimate.q_nb).all()
-    assert np.degrees(errors(estimate.q_nb, np.array([1.0, 0, 0, 0]))[3]) < 1.0
+    assert np.degrees(attitude_errors(estimate.q_nb, np.array([1.0, 0, 0, 0]))[3]) < 1.0
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", estimator_names())
 def test_an_update_leaves_the_state_it_was_given_as_it_was(name, flights):
-    estimator = make(name)
+    estimator = make_estimator(name)
     state = estimator.start(Prior(0, flights["clean"].q_nb[0]))
     for sample in flights["clean"].samples[:100]:
         _, state = estimator.update(sample, state)
@@ -110,4 +110,4 @@ def test_an_update_leaves_the_state_it_was_given_as_it_was(name, flights):
 
 def test_an_unknown_estimator_is_the_users_error():
     with pytest.raises(ConfigError, match="known: complementary, ekf"):
-        make("magic")
+        make_estimator("magic")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.detection.filter.inertial import CLOCK, ISB, PSI, R, V
-from analysis.fusion.feedback import fed_back
+from analysis.fusion.feedback import feed_back
 from analysis.monitor.pipeline import WITHOUT_ISOLATION, Pipeline, monitor_config
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Epoch
@@ -68,7 +68,7 @@ def test_the_filter_takes_the_place_of_the_newest_node_with_its_covariance(fed):
 
 def test_without_a_graph_the_filter_stays(fed):
     core = fed[0]._detector_state.detector.core
-    assert fed_back(core, None) is core
+    assert feed_back(core, None) is core
 
 
 def test_a_clean_flight_raises_no_alarm_with_feedback(fed):

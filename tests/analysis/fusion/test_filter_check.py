@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from analysis.detection import DetectorConfig
-from analysis.detection.sensors.sensor_tests import References
-from analysis.fusion.filter_check import FILTER, against_filter, told_apart
+from analysis.detection.sensors.sensor_tests import NavigationDetector
+from analysis.fusion.filter_check import FILTER, blend_with_filter, filter_contradiction
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
-from analysis.fusion.graph_start import at_filter
+from analysis.fusion.graph_start import start_from_filter
 from analysis.fusion.smoother import Fusion
-from analysis.recordings.recordings import read_rinex, read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Epoch, TruthSample
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.schedule.entries import parse_schedule
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
@@ -30,7 +30,7 @@ CONFIG = FusionConfig()
 def judged(samples, systems):
     """Decisions, fused states, and the detector's last state."""
     config = DetectorConfig(systems=systems)
-    references, fusion = References(config), Fusion(CONFIG, config)
+    references, fusion = NavigationDetector(config), Fusion(CONFIG, config)
     detecting, fusing = references.new_state(), fusion.new_state()
     results = []
     for sample in samples:
@@ -126,7 +126,7 @@ def test_in_turns_that_neither_an_imu_nor_a_doppler_tells_the_graph_does_not_lag
     samples = read_rinex(obs, nav, None, lines).samples()
     decisions, states, _ = judged(epochs(samples, 120.0, lambda epoch, _: epoch), "GE")
     assert {d.alarm for d in decisions} == {False}
-    lat, lon, _ = geodetic(ANTENNA_M)
+    lat, lon, _ = geodetic_position(ANTENNA_M)
     north = ned_axes(lat, lon)[0]
     squares = []
     for results in (states, decisions):
@@ -142,28 +142,28 @@ def test_in_turns_that_neither_an_imu_nor_a_doppler_tells_the_graph_does_not_lag
 def begun(static):
     """A graph that began at the filter, and the filter."""
     *_, core = judged(epochs(static, 20.0, lambda epoch, _: epoch), "GE")
-    graph = Graph(at_filter(core.motion, CONFIG.correlation), CONFIG, DetectorConfig())
+    graph = Graph(start_from_filter(core.motion, CONFIG.correlation), CONFIG, DetectorConfig())
     graph.commit()
     return graph, core.motion
 
 
 def test_a_graph_that_began_at_the_filter_is_as_good(begun):
     graph, motion = begun
-    assert against_filter(graph, motion, CONFIG.correlation) == ""
+    assert filter_contradiction(graph, motion, CONFIG.correlation) == ""
 
 
 def test_a_graph_off_the_filter_is_told(begun):
     graph, motion = begun
     x = motion.x.copy()
     x[0] += 100.0
-    told = against_filter(graph, motion._replace(x=x), CONFIG.correlation)
+    told = filter_contradiction(graph, motion._replace(x=x), CONFIG.correlation)
     assert "100.0 m" in told
     assert "off the filter" in told
 
 
 def test_a_graph_that_knows_much_less_than_the_filter_is_told(begun):
     graph, motion = begun
-    told = against_filter(graph, motion._replace(p=motion.p / 100.0), CONFIG.correlation)
+    told = filter_contradiction(graph, motion._replace(p=motion.p / 100.0), CONFIG.correlation)
     assert told == "the graph was 30 times less sure than the filter"
 
 
@@ -188,11 +188,11 @@ def test_a_graph_that_is_not_told_apart_from_the_filter_has_its_position(off_m, 
         t_us=0, statistic=1.0, threshold=9.0, dof=5, p_value=0.5, alarm=False,
         hypothesis="none", position_ecef_m=(0.0, 0.0, 0.0), position_sigma_m=(3.0, 0.0, 0.0),
     )  # fmt: skip
-    told = told_apart(state_at(off_m), decision)
+    told = blend_with_filter(state_at(off_m), decision)
     assert told.position_ecef_m[0] == pytest.approx(told_m)
     assert told.weights == {"G01": 1.0, FILTER: pytest.approx(share)}
     unbounded = msgspec.structs.replace(decision, position_sigma_m=None)
-    assert told_apart(state_at(off_m), unbounded) == state_at(off_m)
+    assert blend_with_filter(state_at(off_m), unbounded) == state_at(off_m)
 
 
 # Of the seeds 1 to 30 these were worse than the filter, by 1.16, 1.17, 1.12 and 1.13.

@@ -4,10 +4,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from analysis.fusion.factors.unary_factors import alike
+from analysis.fusion.factors.unary_factors import isotropic_noise
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
-from analysis.fusion.window import Window, key
+from analysis.fusion.window import FactorWindow, variable_key
 from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import Decision, FusedState
 
@@ -16,13 +16,15 @@ FAILS_US = 5_000_000
 
 def lost_variable(graph):
     """A factor on a variable that the smoother does not know (any more)."""
-    noise = alike(1, 1.0)
-    graph.attach("lost", graph.node.epoch, gtsam.PriorFactorDouble(key("c", 99_999), 0.0, noise))
+    noise = isotropic_noise(1, 1.0)
+    graph.attach(
+        "lost", graph.node.epoch, gtsam.PriorFactorDouble(variable_key("c", 99_999), 0.0, noise)
+    )
 
 
 def indeterminate(graph):
     """Two variables of which only the difference is measured."""
-    values, keys = gtsam.Values(), (key("h", 1), key("h", 2))
+    values, keys = gtsam.Values(), (variable_key("h", 1), variable_key("h", 2))
     for name in keys:
         values.insert(name, 0.0)
     graph.window.insert(values, keys, graph.seconds(graph.node.t_us))
@@ -34,8 +36,10 @@ def far_off(graph):
     """A measurement of the pose that is 100 m wrong and sure of itself."""
     pose = graph.node.pose
     wrong = gtsam.Pose3(pose.rotation(), pose.translation() + np.array([100.0, 0.0, 0.0]))
-    name = key("x", graph.node.epoch)
-    graph.attach("wrong", graph.node.epoch, gtsam.PriorFactorPose3(name, wrong, alike(6, 1e-3)))
+    name = variable_key("x", graph.node.epoch)
+    graph.attach(
+        "wrong", graph.node.epoch, gtsam.PriorFactorPose3(name, wrong, isotropic_noise(6, 1e-3))
+    )
 
 
 def results_of(samples):
@@ -77,8 +81,10 @@ def test_a_failing_graph_is_reported_and_goes_on_from_the_last_good_state(
 
 
 def test_the_smoother_raises_what_the_step_catches():
-    window = Window(FusionConfig().lag_s)
-    window.attach("lost", 0, 0.0, gtsam.PriorFactorDouble(key("c", 7), 0.0, alike(1, 1.0)))
+    window = FactorWindow(FusionConfig().lag_s)
+    window.attach(
+        "lost", 0, 0.0, gtsam.PriorFactorDouble(variable_key("c", 7), 0.0, isotropic_noise(1, 1.0))
+    )
     with pytest.raises((RuntimeError, ValueError, IndexError)):
         window.commit()
 

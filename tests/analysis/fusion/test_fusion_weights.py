@@ -6,10 +6,10 @@ import msgspec
 import pytest
 
 from analysis.fusion.factors.factor_weights import (
+    faulty_rates,
     isolated_sensors,
     range_weights,
-    weight,
-    wrong_rates,
+    residual_weight,
 )
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.pipeline import monitor_config
@@ -36,7 +36,7 @@ def decided(**changes: object) -> Decision:
 
 
 def test_the_weight_falls_smoothly_from_one_to_zero_between_the_thresholds():
-    values = [weight(3.0 + 0.01 * k, 3.0, 6.0) for k in range(301)]
+    values = [residual_weight(3.0 + 0.01 * k, 3.0, 6.0) for k in range(301)]
     assert values[0] == 1.0
     assert values[150] == pytest.approx(0.5)
     assert values[-1] == 0.0
@@ -46,7 +46,7 @@ def test_the_weight_falls_smoothly_from_one_to_zero_between_the_thresholds():
 
 
 def test_the_sign_of_a_residual_does_not_matter():
-    assert weight(-4.0, 3.0, 6.0) == weight(4.0, 3.0, 6.0) < 1.0
+    assert residual_weight(-4.0, 3.0, 6.0) == residual_weight(4.0, 3.0, 6.0) < 1.0
 
 
 def test_a_suspicious_satellite_is_weighed_down_and_the_healthy_are_not():
@@ -110,4 +110,4 @@ def test_a_wrong_rate_is_that_of_the_satellite_it_is_told_of():
         )  # fmt: skip
 
     results = [told("satellites", "G05"), told("satellites", ""), told("actuators", "motor 2")]
-    assert wrong_rates(results) == {"G05"}
+    assert faulty_rates(results) == {"G05"}

@@ -9,7 +9,7 @@ import pytest
 from analysis.detection.sensors.sensor_models import density_kgpm3
 from analysis.fusion.factors.unary_factors import OFFSET_UNIT_M
 from analysis.fusion.local_frame import frame_at
-from analysis.fusion.window import key
+from analysis.fusion.window import variable_key
 from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import FusedState
 from analysis.samples.sample import (
@@ -125,9 +125,9 @@ def test_they_make_the_solution_surer_and_no_worse(plain, rich):
 def test_the_barometers_offset_and_the_wind_are_found(rich):
     _, _, graph = rich
     smoother, span = graph.window.smoother, graph.span(graph.node.epoch)
-    offset_m = OFFSET_UNIT_M * float(smoother.calculateEstimateVector(key("h", span))[0])
+    offset_m = OFFSET_UNIT_M * float(smoother.calculateEstimateVector(variable_key("h", span))[0])
     assert abs(offset_m - 40.0) < 5.0  # the ellipsoid's height error is in it
-    east, north, _ = smoother.calculateEstimateVector(key("w", span))
+    east, north, _ = smoother.calculateEstimateVector(variable_key("w", span))
     assert math.hypot(north - WIND_NED_MPS[0], east - WIND_NED_MPS[1]) < 3.0
 
 

@@ -5,37 +5,37 @@ import numpy as np
 import pytest
 
 from analysis.detection import DetectorConfig
-from analysis.detection.filter.measurement import observe
-from analysis.detection.sensors.sensor_tests import References
-from analysis.fusion.factors.range_factors import Ranges
+from analysis.detection.filter.measurement import observe_epoch
+from analysis.detection.sensors.sensor_tests import NavigationDetector
+from analysis.fusion.factors.range_factors import EpochRanges
 from analysis.fusion.factors.range_rows import LOS
-from analysis.fusion.factors.unary_factors import NUMBER
+from analysis.fusion.factors.unary_factors import PLACEHOLDER
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import Node, first_guess
 from analysis.fusion.local_frame import frame_at
-from analysis.fusion.window import key
+from analysis.fusion.window import variable_key
 from analysis.orbits.snapshot import design_matrix
 from analysis.samples.sample import Epoch
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 CLOCK = 40.0, 3.0  # what the graph's clock is counted from
 OFF_M, FASTER_MPS = np.array([4.0, -7.0, 2.0]), np.array([1.0, 2.0, -3.0])
-X, V, C = (key(letter, 0) for letter in "xvc")
+X, V, C = (variable_key(letter, 0) for letter in "xvc")
 
 
 @pytest.fixture(scope="module")
 def seen(flights):
     """The ranges of an epoch, a frame, a node some metres off, and weights of which one is 0."""
-    references = References()
+    references = NavigationDetector()
     state = references.new_state()
     samples = flights(8.0)
     for sample in samples:
         _, state = references.step(sample, state)
     core = state.detector.core
     epoch = [sample for sample in samples if isinstance(sample, Epoch)][-1]
-    observed = observe(epoch, core.chosen)
+    observed = observe_epoch(epoch, core.chosen)
     x = core.motion.x
-    ranges = Ranges(observed, x, core, FusionConfig(), DetectorConfig(), 0)
+    ranges = EpochRanges(observed, x, core, FusionConfig(), DetectorConfig(), 0)
     frame = frame_at(x[:3] + 30.0, stamp_us=0)
     pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.5, 2.0), frame.local(x[:3]) + OFF_M)
     node = Node(
@@ -59,11 +59,11 @@ def test_the_rows_of_ranges_are_those_of_gtsams_pseudorange_factor(seen):
     jacobian, wanted = rows(*seen)
     values = gtsam.Values()
     values.insert(X, node.pose)
-    values.insert(NUMBER, 0.0)
+    values.insert(PLACEHOLDER, 0.0)
     for row, i in enumerate(used):
         sigma = ranges.sigma_m[i] / np.sqrt(weights[i])
         noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
-        factor = ranges.pseudorange(i, X, NUMBER, frame, CLOCK, noise)
+        factor = ranges.pseudorange(i, X, PLACEHOLDER, frame, CLOCK, noise)
         theirs, their_wanted = factor.linearize(values).jacobian()
         assert np.allclose(jacobian[row, :6], theirs[0, :6], rtol=0.0, atol=2e-6 / sigma)
         assert np.isclose(jacobian[row, 9], theirs[0, 6] / SPEED_OF_LIGHT_MPS, rtol=1e-12)

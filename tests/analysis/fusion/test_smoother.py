@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from analysis.detection import DetectorConfig
-from analysis.detection.sensors.sensor_tests import References
+from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.fusion.filter_check import FILTER
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
@@ -26,7 +26,7 @@ STEP_M = 50.0
 
 def detected(samples):
     """Each sample with what the detector said of it and its state."""
-    references = References()
+    references = NavigationDetector()
     state = references.new_state()
     rows = []
     for sample in samples:

@@ -4,8 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from analysis.fusion.factors.unary_factors import NO_CLOCK, alike, walk_factor
-from analysis.fusion.window import Window, key
+from analysis.fusion.factors.unary_factors import NO_CLOCK, isotropic_noise, walk_factor
+from analysis.fusion.window import FactorWindow, variable_key
 
 LAG_S, STEP_S, EPOCHS = 1.0, 0.2, 24
 
@@ -13,14 +13,16 @@ LAG_S, STEP_S, EPOCHS = 1.0, 0.2, 24
 @pytest.fixture(scope="module")
 def chain():
     """After each epoch of a chain: how many are in the window, how many were eliminated."""
-    window, rows = Window(LAG_S), []
+    window, rows = FactorWindow(LAG_S), []
     for epoch in range(EPOCHS):
-        name, stamp_s = key("c", epoch), window.stamp(epoch * STEP_S)
+        name, stamp_s = variable_key("c", epoch), window.stamp(epoch * STEP_S)
         values = gtsam.Values()
         values.insert(name, NO_CLOCK)
         window.insert(values, (name,), stamp_s)
         if epoch == 0:
-            window.attach("prior", 0, 0.0, gtsam.PriorFactorVector(name, NO_CLOCK, alike(2, 1.0)))
+            window.attach(
+                "prior", 0, 0.0, gtsam.PriorFactorVector(name, NO_CLOCK, isotropic_noise(2, 1.0))
+            )
         else:
             since_s = window.stamp((epoch - 1) * STEP_S)
             window.attach("walk", epoch, since_s, walk_factor(name - 1, name, 1.0, 2))
@@ -44,16 +46,18 @@ def test_a_block_leaves_without_anything_else_being_eliminated_anew(chain):
 
 
 def test_a_factor_attached_to_what_leaves_in_the_same_update_is_forgotten():
-    window = Window(LAG_S)
+    window = FactorWindow(LAG_S)
     for epoch in range(2 * round(LAG_S / STEP_S) + 1):
-        name, stamp_s = key("c", epoch), window.stamp(epoch * STEP_S)
+        name, stamp_s = variable_key("c", epoch), window.stamp(epoch * STEP_S)
         values = gtsam.Values()
         values.insert(name, NO_CLOCK)
         window.insert(values, (name,), stamp_s)
-        window.attach("prior", epoch, stamp_s, gtsam.PriorFactorVector(name, NO_CLOCK, alike(2, 1)))
+        window.attach(
+            "prior", epoch, stamp_s, gtsam.PriorFactorVector(name, NO_CLOCK, isotropic_noise(2, 1))
+        )
         if epoch == 2 * round(LAG_S / STEP_S):  # the first block leaves: its first epoch's prior
             assert window.remove("prior", 0)  # is changed at the last moment
-            again = gtsam.PriorFactorVector(key("c", 0), NO_CLOCK, alike(2, 2.0))
+            again = gtsam.PriorFactorVector(variable_key("c", 0), NO_CLOCK, isotropic_noise(2, 2.0))
             window.attach("prior", 0, 0.0, again)
         window.commit()
     assert window.slots("prior", 0) == ()

@@ -3,7 +3,7 @@
 import pytest
 from rich.console import Console
 
-from analysis.monitor.watch import Watch
+from analysis.monitor.terminal_status import TerminalStatus
 from analysis.results import AttitudeError, Result, SensorDecision
 
 
@@ -22,7 +22,7 @@ def attitude(t_s: float) -> AttitudeError:
 
 @pytest.mark.parametrize(("later_s", "old"), [(2.0, False), (9.0, True)])
 def test_a_verdict_that_nobody_repeats_is_told_as_old(later_s: float, old: bool) -> None:
-    watch = Watch()
+    watch = TerminalStatus()
     told: list[Result] = [alarm(10.0), attitude(10.0 + later_s)]
     watch.show(told)
     console = Console(width=120, record=True)

@@ -14,10 +14,10 @@ from analysis.orbits.broadcast import (
     troposphere_m,
     zenith_delay_m,
 )
-from analysis.orbits.snapshot import solve
+from analysis.orbits.snapshot import solve_position
 from analysis.samples.sample import EphemerisSample, Epoch, Sample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.numerics.earth_kernel import geodetic
+from mavproxy_fault.numerics.earth_kernel import geodetic_position
 from simvehicle.gnss.signal_delays import ionosphere_m
 from simvehicle.gnss.signal_delays import troposphere_m as simulated_troposphere_m
 
@@ -39,7 +39,7 @@ def test_the_velocity_of_a_satellite_is_the_derivative_of_its_position(flight):
 
 def test_a_satellite_is_where_the_simulator_has_it(flight):
     epoch, packed = _first(flight)
-    fix = solve(
+    fix = solve_position(
         epoch, packed, np.array(TYPICAL_ALPHA + TYPICAL_BETA), np.ones(len(epoch.satellites))
     )
     truth = next(s for s in flight if type(s).__name__ == "TruthSample")
@@ -69,5 +69,5 @@ def test_the_zenith_delay_at_sea_level_is_about_two_metres_forty():
 @pytest.mark.parametrize("lat", [-1.5, -0.3, 0.0, 0.9, 1.55])
 def test_geodetic_undoes_ecef(lat: float):
     r = np.asarray(ecef_from_geodetic(lat, 2.0, 1234.5))
-    back = geodetic(r)
+    back = geodetic_position(r)
     assert back == pytest.approx((lat, 2.0, 1234.5), abs=1e-4)

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
+from analysis.detection.detector import run_detector
 from analysis.orbits.broadcast import (
     B1I_HZ,
     TYPICAL_ALPHA,
     TYPICAL_BETA,
     pack_ephemeris,
-    packed_for,
+    packed_for_carrier,
     satellite_states,
 )
 from analysis.orbits.glonass import leap_seconds
-from analysis.orbits.snapshot import Fix, solve
+from analysis.orbits.snapshot import Fix, solve_position
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
@@ -78,7 +78,7 @@ def test_utc_falls_behind_gps_time_by_its_leap_seconds():
 
 def test_another_carrier_has_its_own_ionosphere_and_b3i_no_group_delay():
     row = packed()["C21"]
-    b1i, b3i = packed_for(row, B1I_HZ), packed_for(row, 1268.52e6)
+    b1i, b3i = packed_for_carrier(row, B1I_HZ), packed_for_carrier(row, 1268.52e6)
     assert (b1i[22], b3i[22]) == (row[22], 0.0)
     assert (row[24], b1i[24]) == (1.0, pytest.approx(1.0184, abs=1e-4))
     assert b3i[24] == pytest.approx(1.5424, abs=1e-4)
@@ -122,11 +122,11 @@ def fix_of(samples: list, systems: str) -> Fix:
     epoch = epoch.select([i for i, n in enumerate(names) if n in known and n[0] in systems])
     assert epoch.carrier_hz is not None
     rows = [
-        packed_for(pack_ephemeris(known[name]), hz)
+        packed_for_carrier(pack_ephemeris(known[name]), hz)
         for name, hz in zip(epoch.satellites, epoch.carrier_hz.tolist(), strict=True)
     ]
     ionosphere = np.array(TYPICAL_ALPHA + TYPICAL_BETA)
-    fix = solve(epoch, np.array(rows), ionosphere, np.ones(len(rows)))
+    fix = solve_position(epoch, np.array(rows), ionosphere, np.ones(len(rows)))
     assert fix is not None
     return fix
 
@@ -141,7 +141,7 @@ def test_beidou_alone_finds_the_walker_where_gps_and_galileo_do(shared_data: Pat
 
 def test_beidou_joins_with_an_offset_of_its_own(shared_data: Path):
     config = DetectorConfig(systems="GC")
-    found = run(Detector(config), walk(shared_data, 40))
+    found = run_detector(Detector(config), walk(shared_data, 40))
     decisions = [d for d in found if isinstance(d, Decision)]
     assert {name[0] for name in decisions[-1].satellites} == {"G", "C"}
     assert not any(d.alarm for d in decisions)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
+from analysis.detection.detector import run_detector
 from analysis.orbits.broadcast import (
     CLOCK_OF,
     CLOCKS,
@@ -21,7 +21,7 @@ from analysis.orbits.broadcast import (
 )
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.ubx_log import read_ubx
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.numerics.constants import GPS_GM_M3PS2
@@ -82,7 +82,7 @@ def test_real_ranges_and_rates_of_qzss_fit_those_of_gps_on_one_clock():
 
 
 def test_a_detector_takes_qzss_without_another_clock():
-    found = run(Detector(DetectorConfig(systems="GJ")), recorded())
+    found = run_detector(Detector(DetectorConfig(systems="GJ")), recorded())
     decisions = [d for d in found if isinstance(d, Decision)]
     last = decisions[-1]
     assert {name for name in last.satellites if name[0] == "J"} == {"J03", "J07"}
@@ -110,7 +110,7 @@ def test_a_real_u_blox_log_brings_qzss_with_the_orbits_that_rtklib_finds_in_it()
 def test_four_satellites_of_qzss_move_a_position_by_gps_by_a_metre():
     samples = read_rinex_samples(FOLDER / "f9p.ubx", [])
     with_qzss, without = (
-        [d for d in run(Detector(DetectorConfig(systems=systems)), samples)
+        [d for d in run_detector(Detector(DetectorConfig(systems=systems)), samples)
          if isinstance(d, Decision)][-1]
         for systems in ("GJ", "G")
     )  # fmt: skip

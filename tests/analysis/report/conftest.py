@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.wire import tlog
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 NOON_US = 1_700_000_000_000_000
 ARDUPILOT, COPTER = 3, 2
@@ -31,7 +31,7 @@ def frames(
 
     def send(t_s: float, name: str, **values: object) -> None:
         nonlocal seq
-        raw = build(known(name), values, seq=seq % 256, system=system)
+        raw = build_frame(message_layout(name), values, seq=seq % 256, system=system)
         records.append((NOON_US + round(t_s * 1e6), raw))
         seq += 1
 
@@ -72,7 +72,7 @@ def flight(tmp_path: Path) -> Flight:
 
     def write(name: str = "flight", seconds: int = 20, **trouble: object) -> Path:
         path = tmp_path / f"{name}.tlog"
-        tlog.write(path, frames(seconds, **trouble))  # type: ignore[arg-type]
+        tlog.write_log(path, frames(seconds, **trouble))  # type: ignore[arg-type]
         return path
 
     return write

@@ -6,7 +6,7 @@ import pytest
 from analysis.report.flight_checks.autopilot_checks import checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import PASS, WARN
-from analysis.report.recordings.recording import Recording, Signal, Span
+from analysis.report.recordings.recording import FlightData, Signal, Span
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ def test_an_estimator_that_starts_on_the_bench_is_in_no_trouble(
 ) -> None:
     """A log of ten seconds that does not tell when it was armed."""
     t_s = np.arange(0.0, 10.0, 0.2)
-    found = Recording("bench", "ardupilot", 0, 10.0)
+    found = FlightData("bench", "ardupilot", 0, 10.0)
     found.signals.append(Signal("speed", "GPS", t_s, np.full(len(t_s), speed_mps)))
     found.signals.append(Signal("ratio", "velocity", t_s, np.zeros(len(t_s))))
     found.spans.append(Span("estimator: position timeout", since_s, 10.0, "timeout", "flag"))

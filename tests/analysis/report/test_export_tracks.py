@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from analysis.report.export_tracks import export_tracks
-from analysis.report.recordings.recording import Recording, Span, Track
+from analysis.report.recordings.recording import FlightData, GroundTrack, Span
 
 KML = "{http://www.opengis.net/kml/2.2}"
 
 
-def recording() -> Recording:
+def recording() -> FlightData:
     t_s = np.arange(5.0)
-    track = Track("GPS", t_s, 47 + t_s * 1e-5, 8 + t_s * 2e-5, 500 + t_s)
+    track = GroundTrack("GPS", t_s, 47 + t_s * 1e-5, 8 + t_s * 2e-5, 500 + t_s)
     span = Span("injected: jump", 1.0, 3.0, "bias", "injected")
-    return Recording("a & b", tracks=[track], spans=[span])
+    return FlightData("a & b", tracks=[track], spans=[span])
 
 
 def test_kml_holds_the_track_and_the_stretch_of_the_fault(tmp_path: Path) -> None:

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from analysis.recordings.flight_logs.ulog import read_ulog
-from analysis.report.curves.derived_curves import derived, with_derived
+from analysis.report.curves.derived_curves import add_derived_curves, derive_curves
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog
-from analysis.report.recordings.recording import Recording, Signal, Span
+from analysis.report.recordings.recording import FlightData, Signal, Span
 
 T = np.arange(0.0, 100.0, 0.1)
 
 
-def flight() -> Recording:
+def flight() -> FlightData:
     """10 m/s for 80 s armed, before and after 99 m/s that nobody flew."""
     armed = (T >= 10) & (T <= 90)
     signals = [
@@ -23,11 +23,11 @@ def flight() -> Recording:
         Signal("roll", "ATTITUDE", T, np.full(len(T), 30.0)),
         Signal("pitch", "ATTITUDE", T, np.full(len(T), 40.0)),
     ]
-    return Recording("", signals=signals, spans=[Span("armed", 10.0, 90.0, "armed", "mode")])
+    return FlightData("", signals=signals, spans=[Span("armed", 10.0, 90.0, "armed", "mode")])
 
 
 def test_numbers_are_those_while_armed() -> None:
-    facts = dict(flight_facts(with_derived(flight())))
+    facts = dict(flight_facts(add_derived_curves(flight())))
     assert facts["armed"] == "80 s"
     assert facts["flown over ground"] == "800 m"
     assert facts["fastest over ground"] == "10.0 m/s"
@@ -45,7 +45,7 @@ def test_a_log_that_never_says_armed_has_no_numbers() -> None:
 def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) -> None:
     """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
-    facts = dict(flight_facts(with_derived(recording_of_ulog(log, ""))))
+    facts = dict(flight_facts(add_derived_curves(recording_of_ulog(log, ""))))
     assert float(facts["flown over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
     assert facts["between lowest and highest"] == "0.9 m"
     assert facts["fastest over ground"] == "0.9 m/s"
@@ -54,9 +54,9 @@ def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) 
 
 def test_intervals_show_gaps_but_not_those_of_a_thinned_log() -> None:
     t_s = np.delete(np.arange(0.0, 2.0, 0.004), slice(100, 110))
-    (found,) = derived(Recording("", signals=[Signal("gyro", "x", t_s, t_s)]))[0]
+    (found,) = derive_curves(FlightData("", signals=[Signal("gyro", "x", t_s, t_s)]))[0]
     assert found.panel == "interval"
     assert np.median(found.value) == pytest.approx(4.0)
     assert found.value.max() == pytest.approx(44.0)
     thinned = np.sort(np.random.default_rng(0).choice(t_s, 200, replace=False))
-    assert derived(Recording("", signals=[Signal("gyro", "x", thinned, thinned)]))[0] == []
+    assert derive_curves(FlightData("", signals=[Signal("gyro", "x", thinned, thinned)]))[0] == []

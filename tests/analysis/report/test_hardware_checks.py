@@ -5,8 +5,8 @@ import pytest
 
 from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import Check
-from analysis.report.recordings.recording import Recording, Signal, Span, Track, Vector
+from analysis.report.judging.checks import FlightCheck
+from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Span, Vector
 
 T_S = np.arange(0.0, 60.0, 0.05)
 NONE = np.zeros_like(T_S)
@@ -14,11 +14,11 @@ NONE = np.zeros_like(T_S)
 
 def checks(*signals: Signal, armed: tuple[float, float] = (2.0, 60.0), **more: object) -> dict:
     span = Span("armed", *armed, "armed", "mode")
-    recording = Recording("x", duration_s=60.0, signals=list(signals), spans=[span], **more)
+    recording = FlightData("x", duration_s=60.0, signals=list(signals), spans=[span], **more)
     return {check.name: check for check in flight_checks(recording, Thresholds())}
 
 
-def verdict(found: dict[str, Check], name: str) -> str:
+def verdict(found: dict[str, FlightCheck], name: str) -> str:
     return found[name].verdict
 
 
@@ -132,8 +132,8 @@ def test_a_vehicle_that_lies_on_its_back_fails_and_a_tail_sitter_may_stand(
 
 def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:
     place = np.full_like(T_S, 47.0), np.full_like(T_S, 8.0)
-    truth = Track("truth", T_S, *place, np.full_like(T_S, 500.0))
-    own = Track("estimate", T_S, *place, np.where(T_S > 30, 533.7, 500.0))
+    truth = GroundTrack("truth", T_S, *place, np.full_like(T_S, 500.0))
+    own = GroundTrack("estimate", T_S, *place, np.where(T_S > 30, 533.7, 500.0))
     found = checks(tracks=[truth, own])
     assert verdict(found, "height against the truth") == "FAIL"
 
@@ -169,7 +169,7 @@ def test_an_estimator_that_is_changed_again_and_again_is_told(
         Span("estimator in use", begin, end, f"instance {i % 2 + 1}", "mode")
         for i, (begin, end) in enumerate(zip(starts_s, ends_s, strict=False))
     ]
-    recording = Recording("a", spans=spans, duration_s=90.0)
+    recording = FlightData("a", spans=spans, duration_s=90.0)
     found = {check.name: check for check in flight_checks(recording, Thresholds())}
     assert found["estimator switches"].verdict == expected
 

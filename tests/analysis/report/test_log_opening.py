@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from analysis.report.recordings.opening import log_file, log_files
+from analysis.report.recordings.log_paths import log_file, log_files
 from mavproxy_fault.documents.errors import ConfigError
 
 CONTENT = bytes(range(256)) * 100

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from analysis.report.run_report import write
+from analysis.report.run_report import write_run_report
 from analysis.results import Decision
 from mavproxy_fault.cli import main
 
@@ -85,7 +85,9 @@ def test_a_logarithmic_plot_has_a_range_that_its_curves_can_be_drawn_in(
     ]  # fmt: skip
     page = Opened(
         browser,
-        write(tmp_path, summary={"verdict": "PASS"}, labels=[], results=decisions, columns={}),
+        write_run_report(
+            tmp_path, summary={"verdict": "PASS"}, labels=[], results=decisions, columns={}
+        ),
     ).page
     page.evaluate("report.all()")
     page.wait_for_timeout(50)

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.report.page.report_tables import attitude_tables
 from analysis.report.recordings.from_results import isolation_matrix, recording_of_results
-from analysis.report.run_report import write
+from analysis.report.run_report import write_run_report
 from analysis.results import AttitudeError, Decision, Result
 from mavproxy_fault.wire.label import Label
 
@@ -73,7 +73,9 @@ def decisions() -> list[Result]:
 
 
 def written(tmp_path: Path) -> str:
-    path = write(tmp_path, summary=SUMMARY, labels=[JUMP], results=decisions(), columns={})
+    path = write_run_report(
+        tmp_path, summary=SUMMARY, labels=[JUMP], results=decisions(), columns={}
+    )
     return path.read_text()
 
 
@@ -141,14 +143,18 @@ def test_attitude_scores_stand_by_phase_and_fault() -> None:
 
 
 def test_every_column_of_a_runs_page_has_a_name(tmp_path: Path) -> None:
-    path = write(tmp_path, summary=SUMMARY, labels=[JUMP], results=decisions(), columns={})
+    path = write_run_report(
+        tmp_path, summary=SUMMARY, labels=[JUMP], results=decisions(), columns={}
+    )
     assert "<th></th>" not in path.read_text()
 
 
 def test_a_criterion_that_is_not_met_is_the_reason_for_the_verdict(tmp_path: Path) -> None:
     failed = {"name": "false alarms", "limit": 0, "value": 3, "passed": False}
     summary = {**SUMMARY, "verdict": "FAIL", "criteria": [failed]}
-    path = write(tmp_path, summary=summary, labels=[JUMP], results=decisions(), columns={})
+    path = write_run_report(
+        tmp_path, summary=summary, labels=[JUMP], results=decisions(), columns={}
+    )
     assert "false alarms: 3, limit 0" in path.read_text()
 
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from analysis.report.curves.derived_curves import derived
-from analysis.report.curves.spectra import marks, spectrum_panels
-from analysis.report.curves.ulog_innovations import innovations
-from analysis.report.recordings.recording import Recording, Signal
+from analysis.report.curves.derived_curves import derive_curves
+from analysis.report.curves.spectra import frequency_marks, spectrum_panels
+from analysis.report.curves.ulog_innovations import innovation_signals
+from analysis.report.recordings.recording import FlightData, Signal
 
 T_S = np.arange(0, 20, 0.004)
 
 
-def turning(frequency_hz: float, amplitude: float = 1.0) -> Recording:
+def turning(frequency_hz: float, amplitude: float = 1.0) -> FlightData:
     wave = amplitude * np.sin(2 * np.pi * frequency_hz * T_S)
-    return Recording("r", signals=[Signal("gyro", "x", T_S, wave)])
+    return FlightData("r", signals=[Signal("gyro", "x", T_S, wave)])
 
 
 def test_a_spectrum_has_its_peak_where_the_signal_turns_and_holds_its_power() -> None:
@@ -28,7 +28,7 @@ def test_a_spectrogram_shows_when_the_frequency_changed() -> None:
     early = np.sin(2 * np.pi * 20 * T_S)
     late = np.sin(2 * np.pi * 80 * T_S)
     both = Signal("gyro", "x", T_S, np.where(T_S < 10, early, late))
-    (panel,) = spectrum_panels(Recording("r", signals=[both]))
+    (panel,) = spectrum_panels(FlightData("r", signals=[both]))
     (image,) = panel.images
     rows, columns = image.level_db.shape
     loudest_hz = (np.argmax(image.level_db, axis=0) + 1) / rows * image.highest_hz
@@ -40,7 +40,7 @@ def test_a_spectrogram_shows_when_the_frequency_changed() -> None:
 def test_what_the_motors_do_together_has_a_spectrogram_too() -> None:
     hum = np.sin(2 * np.pi * 40 * T_S)
     motors = [Signal("actuators", f"motor {i}", T_S, 0.5 + 0.1 * i * hum) for i in (1, 2, 3, 4)]
-    (panel,) = spectrum_panels(Recording("r", signals=motors))
+    (panel,) = spectrum_panels(FlightData("r", signals=motors))
     (image,) = panel.images
     loudest_hz = (np.argmax(image.level_db, axis=0) + 1) / len(image.level_db) * image.highest_hz
     assert loudest_hz == pytest.approx(40, abs=2)
@@ -51,7 +51,7 @@ def test_slow_uneven_and_constant_signals_have_no_spectrum() -> None:
     slow = Signal("gyro", "x", np.arange(1000) * 0.2, rng.normal(size=1000))
     uneven = Signal("accel", "x", np.sort(rng.uniform(0, 20, 5000)), rng.normal(size=5000))
     constant = Signal("torque", "roll", T_S, np.ones(len(T_S)))
-    assert spectrum_panels(Recording("r", signals=[slow, uneven, constant])) == []
+    assert spectrum_panels(FlightData("r", signals=[slow, uneven, constant])) == []
 
 
 def test_filters_and_motors_are_marked_and_a_notch_that_is_off_is_not() -> None:
@@ -62,7 +62,8 @@ def test_filters_and_motors_are_marked_and_a_notch_that_is_off_is_not() -> None:
         "INS_HNTCH_ENABLE": [(0.0, 0.0)],
     }
     found = dict(
-        (text, hz) for hz, text in marks(Recording("r", signals=[speed], parameters=parameters))
+        (text, hz)
+        for hz, text in frequency_marks(FlightData("r", signals=[speed], parameters=parameters))
     )
     assert found == {"gyro low-pass": 40.0, "motors": 100.0, "motors × 2": 200.0}
 
@@ -76,7 +77,7 @@ def test_an_innovation_comes_with_the_gate_of_its_parameter_both_ways() -> None:
             "baro_vpos": np.array([0.04, 0.09]),
         },
     }
-    found = {s.name: s for s in innovations(topics, {"EKF2_BARO_GATE": 3.0}, 1_000_000)}
+    found = {s.name: s for s in innovation_signals(topics, {"EKF2_BARO_GATE": 3.0}, 1_000_000)}
     assert found["gate baro"].value == pytest.approx([0.6, 0.9])
     assert found["gate baro, below"].value == pytest.approx([-0.6, -0.9])
     assert found["baro"].t_s == pytest.approx([0, 1])
@@ -87,7 +88,7 @@ def test_a_motor_that_works_more_stands_off_the_balance() -> None:
         Signal("actuators", f"motor {i + 1}", T_S, np.full(len(T_S), 0.5 + 0.2 * (i == 2)))
         for i in range(4)
     ]
-    signals, _ = derived(Recording("r", signals=motors))
+    signals, _ = derive_curves(FlightData("r", signals=motors))
     middle = {s.name: s.value[len(T_S) // 2] for s in signals if s.panel == "balance"}
     assert middle["motor 3"] == pytest.approx(0.15)
     assert middle["motor 1"] == pytest.approx(-0.05)
@@ -99,7 +100,9 @@ def test_instances_that_lean_apart_diverge() -> None:
         for name, lean in (("instance", 0.0), ("instance 2", 3.0))
         for part in ("roll", "pitch")
     ]
-    (apart,) = [s for s in derived(Recording("r", signals=signals))[0] if s.panel == "divergence"]
+    (apart,) = [
+        s for s in derive_curves(FlightData("r", signals=signals))[0] if s.panel == "divergence"
+    ]
     assert apart.name == "instance 2"
     assert apart.value == pytest.approx(np.hypot(3, 3), rel=1e-3)
 
@@ -113,5 +116,7 @@ def test_estimators_that_are_both_upside_down_agree() -> None:
         for i, roll in enumerate(rolls)
         for part, value in (("roll", roll), ("pitch", np.full(len(t_s), 10.0)))
     ]
-    (apart,) = [s for s in derived(Recording("r", signals=signals))[0] if s.panel == "divergence"]
+    (apart,) = [
+        s for s in derive_curves(FlightData("r", signals=signals))[0] if s.panel == "divergence"
+    ]
     assert apart.value.max() == pytest.approx(2.0 * np.cos(np.radians(10.0)), abs=0.01)

@@ -7,14 +7,20 @@ import msgspec
 import numpy as np
 import pytest
 
+from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
-from analysis.report.judging.checks import Check, Limits, lasting, level, verdict_of
-from analysis.report.judging.flight_verdict import Outcome, judged
-from analysis.report.judging.reaction import reactions
-from analysis.report.judging.texts import texts_check
-from analysis.report.recordings.recording import UNGRADED, Event, Recording, Signal
-from analysis.report.recordings.sources import Flight as Source
-from analysis.report.recordings.sources import group, read_flight
+from analysis.report.judging.checks import (
+    CheckLimits,
+    FlightCheck,
+    check_level,
+    lasting_windows,
+    verdict_of,
+)
+from analysis.report.judging.fault_reaction import fault_reactions
+from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
+from analysis.report.recordings.flight_sources import RecordedFlight as Source
+from analysis.report.recordings.flight_sources import group_logs, read_flight
+from analysis.report.recordings.recording import UNGRADED, Event, FlightData, Signal
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label
@@ -22,11 +28,11 @@ from mavproxy_fault.wire.label import Label
 Flight = Callable[..., Path]
 
 
-def outcome(path: Path, *labels: Label) -> Outcome:
-    return judged(read_flight([path], labels), Thresholds())
+def outcome(path: Path, *labels: Label) -> FlightAssessment:
+    return assess_flight(read_flight([path], labels), Thresholds())
 
 
-def verdicts(found: Outcome) -> dict[str, str]:
+def verdicts(found: FlightAssessment) -> dict[str, str]:
     return {check.name: check.verdict for check in found.checks}
 
 
@@ -104,23 +110,23 @@ def test_modes_arming_and_changed_parameters_are_events_of_the_recording(flight:
 def test_a_value_counts_only_when_it_stays_beyond_the_limit() -> None:
     brief = signal([0.0] * 50 + [9.0] * 5 + [0.0] * 50)
     long = signal([0.0] * 50 + [9.0] * 15 + [0.0] * 50)
-    limits = Limits(1.0, 5.0, hold_s=1.0)
-    assert level("x", [brief], limits, None).verdict == "PASS"
-    check = level("x", [long], limits, None)
+    limits = CheckLimits(1.0, 5.0, hold_s=1.0)
+    assert check_level("x", [brief], limits, None).verdict == "PASS"
+    check = check_level("x", [long], limits, None)
     assert check.verdict == "FAIL"
     assert check.windows == ((pytest.approx(5.0), pytest.approx(6.5)),)
 
 
 def test_only_what_was_flown_armed_is_judged() -> None:
     values = signal([9.0] * 50 + [0.0] * 50)
-    limits = Limits(1.0, 5.0)
-    assert level("x", [values], limits, [(6.0, 9.0)]).verdict == "PASS"
-    assert level("x", [values], limits, []).verdict == "not judged"
+    limits = CheckLimits(1.0, 5.0)
+    assert check_level("x", [values], limits, [(6.0, 9.0)]).verdict == "PASS"
+    assert check_level("x", [values], limits, []).verdict == "not judged"
 
 
 def test_a_gap_in_the_data_does_not_join_two_excursions() -> None:
     t_s = np.array([0.0, 0.4, 100.0, 100.4])
-    assert lasting(t_s, np.ones(4, bool), 1.0) == []
+    assert lasting_windows(t_s, np.ones(4, bool), 1.0) == []
 
 
 def test_thresholds_come_from_a_file_and_unknown_ones_are_refused(tmp_path: Path) -> None:
@@ -139,10 +145,10 @@ def test_overlapping_tlogs_are_one_flight_and_others_are_not(
     later = tmp_path / "later.tlog"
     data = one.read_bytes()
     later.write_bytes(data)
-    assert group([one, two]) == [[one, two]]
+    assert group_logs([one, two]) == [[one, two]]
     ulog = tmp_path / "a.ulg"
     ulog.write_bytes(b"ULog\x01\x12\x35" + bytes(50))
-    assert group([one, ulog]) == [[one], [ulog]]
+    assert group_logs([one, ulog]) == [[one], [ulog]]
 
 
 def test_two_vehicles_keep_their_curves_apart(tmp_path: Path, flight: Flight) -> None:
@@ -163,15 +169,18 @@ def test_a_foreign_or_empty_file_is_the_users_error(tmp_path: Path, content: byt
 
 
 def test_a_recording_without_anything_has_no_verdict() -> None:
-    found = judged(Source(Recording("nothing"), (Path("x"),)), Thresholds())
+    found = assess_flight(Source(FlightData("nothing"), (Path("x"),)), Thresholds())
     assert found.verdict == "NO VERDICT"
 
 
 def test_a_link_without_losses_says_nothing_about_a_flight() -> None:
-    whole = Check(name="log is whole", verdict="PASS", evidence="")
-    link = Check(name="link from 1/1", verdict="PASS", evidence="")
+    whole = FlightCheck(name="log is whole", verdict="PASS", evidence="")
+    link = FlightCheck(name="link from 1/1", verdict="PASS", evidence="")
     assert verdict_of([whole, link]) == "NO VERDICT"
-    assert verdict_of([whole, link, Check(name="vibration", verdict="PASS", evidence="")]) == "PASS"
+    assert (
+        verdict_of([whole, link, FlightCheck(name="vibration", verdict="PASS", evidence="")])
+        == "PASS"
+    )
 
 
 def test_the_sequence_numbers_of_two_links_in_one_log_are_not_judged(flight: Flight) -> None:
@@ -187,7 +196,7 @@ def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
         for part, value in (("roll", roll), ("pitch", 0 * roll))
         for name, value in (("ATTITUDE", value), ("desired", 0 * roll))
     ]
-    found = judged(Source(Recording("x", signals=curves), (Path("x"),)), Thresholds())
+    found = assess_flight(Source(FlightData("x", signals=curves), (Path("x"),)), Thresholds())
     check = next(check for check in found.checks if check.name == "attitude control")
     assert check.verdict == "FAIL"
     assert check.windows[0][0] == pytest.approx(5.1)
@@ -195,7 +204,7 @@ def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
 
 def test_a_truth_that_never_changes_is_no_truth(shared_data: Path) -> None:
     log = shared_data / "px4_hil" / "hover_gps_jump_hil.tlog"
-    found = judged(read_flight([log], []), Thresholds())
+    found = assess_flight(read_flight([log], []), Thresholds())
     assert verdicts(found)["position against the truth"] == "not judged"
     assert any("never changes" in note for note in found.summary["notes"])
 
@@ -207,8 +216,8 @@ def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data
         start_us=41_000_000, end_us=56_000_000, frames=75,
     )  # fmt: skip
     paths = [folder / "hover_gps_jump_hil.tlog", folder / "hover_gps_jump_gcs.tlog"]
-    assert group(paths) == [paths]
-    found = judged(read_flight(paths, [label]), Thresholds())
+    assert group_logs(paths) == [paths]
+    found = assess_flight(read_flight(paths, [label]), Thresholds())
     said = found.summary["faults"][0]["reaction"]
     assert said[0]["text"] == "estimator: GPS glitch raised"
     assert said[0]["after_s"] == pytest.approx(0.18, abs=0.01)
@@ -225,7 +234,7 @@ def jump(id: str = "jump", **changes: object) -> Label:
     return msgspec.structs.replace(label, **changes)
 
 
-def fault_rows(found: Outcome) -> dict[str, tuple[str, str]]:
+def fault_rows(found: FlightAssessment) -> dict[str, tuple[str, str]]:
     return {row["id"]: (row["verdict"], row["reason"]) for row in found.summary["faults"]}
 
 
@@ -256,23 +265,23 @@ def test_labels_of_a_recording_in_which_the_vehicle_restarted_count_on(
     records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(first)]
     records += [(t_us + 50_000_000, raw) for t_us, raw, _ in tlog.read_records(second)]
     path = tmp_path / "both.tlog"
-    tlog.write(path, records)
+    tlog.write_log(path, records)
     label = jump(recorded=True, start_us=30_700_000, end_us=40_800_000)
     assert fault_rows(outcome(path, label)) == {"jump": ("isolated", "")}
 
 
 def test_a_trouble_of_the_recording_itself_blames_nobody_for_an_edit() -> None:
     """The real flight shook before, while and after its GPS was edited, which the edit did not."""
-    shaken = Check(
+    shaken = FlightCheck(
         name="vibration", verdict="FAIL", evidence="", windows=((3.0, 4.0), (11.0, 12.0))
     )
-    jumps = Check(name="GPS jumps", verdict="FAIL", evidence="", windows=((9.8, 10.1),))
-    recording = Recording("x", "ardupilot", 1_000_000, 60.0, [])
-    rows = reactions([jump(recorded=True)], recording, [shaken, jumps])
+    jumps = FlightCheck(name="GPS jumps", verdict="FAIL", evidence="", windows=((9.8, 10.1),))
+    recording = FlightData("x", "ardupilot", 1_000_000, 60.0, [])
+    rows = fault_reactions([jump(recorded=True)], recording, [shaken, jumps])
     # A window that begins with the sample before the edit is not from before it.
     assert [(row["verdict"], row["delay_s"]) for row in rows] == [("isolated", 0.0)]
     calm = msgspec.structs.replace(shaken, windows=((11.0, 12.0),))
-    (row,) = reactions([jump(recorded=True)], recording, [calm, jumps])
+    (row,) = fault_reactions([jump(recorded=True)], recording, [calm, jumps])
     assert (row["verdict"], row["wrongly"][0]["who"]) == ("wrong", "imu")
 
 
@@ -290,8 +299,8 @@ def test_a_command_of_a_sequence_is_nothing_that_an_autopilot_could_miss(flight:
 
 
 def test_a_log_without_an_autopilot_calls_no_fault_missed() -> None:
-    recording = Recording("x", signals=[signal([0.0] * 50)])
-    found = judged(Source(recording, (Path("x"),), [jump()]), Thresholds())
+    recording = FlightData("x", signals=[signal([0.0] * 50)])
+    found = assess_flight(Source(recording, (Path("x"),), [jump()]), Thresholds())
     assert fault_rows(found)["jump"][0] == "not judged"
 
 
@@ -312,9 +321,9 @@ def test_an_estimators_flag_counts_as_the_autopilots_word_on_a_fault(
     flag: str, verdict: str
 ) -> None:
     label = jump("accel", targets=("HIL_SENSOR.zacc",))
-    recording = Recording("x", "px4", 1_000_000, 60.0, [signal([0.0] * 600)])
+    recording = FlightData("x", "px4", 1_000_000, 60.0, [signal([0.0] * 600)])
     recording.events.append(text(12.0, flag, 4, "flag"))
-    found = judged(Source(recording, (Path("x"),), [label]), Thresholds())
+    found = assess_flight(Source(recording, (Path("x"),), [label]), Thresholds())
     assert fault_rows(found)["accel"][0] == verdict
 
 
@@ -381,6 +390,6 @@ TEXTS = {
 @pytest.mark.parametrize("case", TEXTS.values(), ids=TEXTS.keys())
 def test_texts_count_by_severity_time_and_end(case: tuple[list[Event], str, str]) -> None:
     events, verdict, evidence = case
-    check = texts_check(Recording("x", events=events), ARMED)
+    check = texts_check(FlightData("x", events=events), ARMED)
     assert check.verdict == verdict
     assert check.evidence.startswith(evidence)

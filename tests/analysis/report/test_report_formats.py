@@ -10,14 +10,14 @@ import pytest
 
 from analysis.recordings.flight_logs.dataflash import read_dataflash
 from analysis.recordings.flight_logs.ulog import read_ulog
-from analysis.report.export import tables_of
+from analysis.report.export import read_tables
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import armed_windows
-from analysis.report.judging.flight_verdict import judged
+from analysis.report.judging.flight_verdict import assess_flight
+from analysis.report.recordings.flight_sources import RecordedFlight as Source
+from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_ulog import recording_of_ulog
-from analysis.report.recordings.sources import Flight as Source
-from analysis.report.recordings.sources import read_flight
 from mavproxy_fault.documents.errors import ConfigError
 
 HEAD = b"\xa3\x95"
@@ -99,7 +99,7 @@ def test_a_dataflash_log_has_curves_modes_texts_and_parameters(tmp_path: Path) -
 
 def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
     flight = read_flight([dataflash(tmp_path / "a.bin")], ())
-    checks = {check.name: check.verdict for check in judged(flight, Thresholds()).checks}
+    checks = {check.name: check.verdict for check in assess_flight(flight, Thresholds()).checks}
     assert checks["vibration"] == "FAIL"
     assert checks["GPS satellites"] == "PASS"
 
@@ -133,7 +133,7 @@ def test_an_old_dataflash_log_in_milliseconds_is_read(tmp_path: Path) -> None:
 
 
 def test_a_dataflash_log_is_exported(tmp_path: Path) -> None:
-    tables = dict(tables_of(dataflash(tmp_path / "a.bin")))
+    tables = dict(read_tables(dataflash(tmp_path / "a.bin")))
     assert tables["ATT_0"]["Yaw"].tolist() == [90.0] * 100
     assert tables["GPS_0"]["Lat"][0] == pytest.approx(47.0)
 
@@ -157,7 +157,9 @@ def test_a_dataflash_log_without_messages_is_the_users_error(tmp_path: Path) -> 
 
 
 def test_the_real_ulog_shows_its_interference(shared_data: Path) -> None:
-    found = judged(read_flight([shared_data / "ulog" / "gps_interference.ulg"], ()), Thresholds())
+    found = assess_flight(
+        read_flight([shared_data / "ulog" / "gps_interference.ulg"], ()), Thresholds()
+    )
     checks = {check.name: check.verdict for check in found.checks}
     assert checks["GPS jamming indicator"] == "WARN"
     assert checks["GPS fix"] == "WARN"
@@ -268,6 +270,6 @@ def test_a_battery_that_is_not_connected_fails_no_log(shared_data: Path) -> None
     for connected in (0, 1):
         log.topics[("battery_status", 0)] = {**empty, "connected": np.full(rows, connected)}
         flight = Source(recording_of_ulog(log, "a"), (Path("a.ulg"),), [])
-        checks = judged(flight, Thresholds()).checks
+        checks = assess_flight(flight, Thresholds()).checks
         found[connected] = {check.name: check.verdict for check in checks}["battery remaining"]
     assert found == {0: "not judged", 1: "FAIL"}

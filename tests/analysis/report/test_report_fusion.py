@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from analysis.report.curves.derived_curves import with_derived
+from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.curves.fused_curves import error_ned_m
 from analysis.report.page.fused_table import fused_table
 from analysis.report.recordings.from_results import recording_of_results
-from analysis.report.recordings.recording import Recording, Track, joined
+from analysis.report.recordings.recording import FlightData, GroundTrack, join_recordings
 from analysis.results import FusedState
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
@@ -34,13 +34,13 @@ def truth():
     """A vehicle that stays where it is."""
     t_s = np.arange(10.0)
     columns = (np.full(10, value) for value in (LAT_DEG, LON_DEG, ALT_M))
-    return Track("truth", t_s, *columns)
+    return GroundTrack("truth", t_s, *columns)
 
 
 def recorded(states):
     """A report's recording of fused states with the truth."""
-    flight = Recording("flight", tracks=[truth()])
-    return with_derived(joined(flight, recording_of_results([], states, 0)))
+    flight = FlightData("flight", tracks=[truth()])
+    return add_derived_curves(join_recordings(flight, recording_of_results([], states, 0)))
 
 
 def curves(recording, panel):
@@ -74,14 +74,14 @@ def test_weights_are_curves_and_what_the_solution_says_of_itself_is_an_event():
 
 
 def test_without_the_truth_there_is_no_error_and_no_table():
-    recording = with_derived(recording_of_results([], [state(k, 0.0) for k in range(4)], 0))
+    recording = add_derived_curves(recording_of_results([], [state(k, 0.0) for k in range(4)], 0))
     assert not recording.of("fused-north")
     assert fused_table(recording) is None
 
 
 def test_errors_are_in_metres_north_and_east():
     moved = truth()
-    off = Track(
+    off = GroundTrack(
         "fused",
         moved.t_s,
         moved.lat_deg + 2.0 * METRE_DEG,

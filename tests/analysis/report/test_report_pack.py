@@ -5,13 +5,13 @@ import zlib
 
 import numpy as np
 
-from analysis.report.page.pack import (
-    LONGEST,
+from analysis.report.page.packed_numbers import (
+    MAX_CURVE_SAMPLES,
     PackedNumbers,
-    broken,
+    break_at_gaps,
+    break_at_wraps,
     longest_curve,
-    thinned,
-    unwrapped,
+    thin_curve,
 )
 from analysis.report.page.series_colours import PALETTE, series_colours
 
@@ -51,7 +51,7 @@ def test_a_thinned_curve_keeps_its_ends_and_its_single_spike() -> None:
     t_s = np.arange(500_000) * 0.001
     value = np.sin(t_s)
     value[123_456] = 99.0
-    thin_t_s, thin = thinned(t_s, value, 10_000)
+    thin_t_s, thin = thin_curve(t_s, value, 10_000)
     assert len(thin) <= 10_002
     assert thin.max() == 99.0
     assert thin_t_s[thin.argmax()] == t_s[123_456]
@@ -60,20 +60,20 @@ def test_a_thinned_curve_keeps_its_ends_and_its_single_spike() -> None:
 
 def test_a_pause_breaks_the_curve_and_jitter_does_not() -> None:
     t_s = np.array([0.0, 0.1, 0.2, 0.25, 0.4, 9.0, 9.1])
-    broken_t_s, value = broken(t_s, np.ones(7))
+    broken_t_s, value = break_at_gaps(t_s, np.ones(7))
     assert broken_t_s.tolist() == [0.0, 0.1, 0.2, 0.25, 0.4, 4.7, 9.0, 9.1]
     assert np.flatnonzero(np.isnan(value)).tolist() == [5]
 
 
 def test_a_heading_that_wraps_has_a_gap_and_no_line_across() -> None:
-    t_s, angle = unwrapped(np.array([0.0, 1, 2]), np.array([170.0, 179, -179]))
+    t_s, angle = break_at_wraps(np.array([0.0, 1, 2]), np.array([170.0, 179, -179]))
     assert t_s.tolist() == [0, 1, 1.5, 2]
     assert np.isnan(angle[2])
     assert angle[3] == -179
 
 
 def test_curves_share_the_room_of_a_page_and_short_ones_stay_whole() -> None:
-    assert longest_curve([10, 20, 30], most=100) == LONGEST
+    assert longest_curve([10, 20, 30], most=100) == MAX_CURVE_SAMPLES
     longest = longest_curve([10, 1000, 2000], most=110)
     assert longest == 50
     assert 10 + 2 * longest == 110

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.flight_verdict import Outcome, judged
+from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.recordings import thinning as thin
-from analysis.report.recordings.link_quality import stretches
-from analysis.report.recordings.sources import read_flight
+from analysis.report.recordings.flight_sources import read_flight
+from analysis.report.recordings.link_quality import sum_stretches
 from mavproxy_fault.wire import tlog
 
 Flight = Callable[..., Path]
@@ -24,15 +24,15 @@ def small_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tlog, "BLOCK_FRAMES", 3_000)
 
 
-def outcome(path: Path) -> Outcome:
-    return judged(read_flight([path], ()), Thresholds())
+def outcome(path: Path) -> FlightAssessment:
+    return assess_flight(read_flight([path], ()), Thresholds())
 
 
 @pytest.mark.usefixtures("small_memory")
 def test_a_large_log_is_thinned_and_says_so(flight: Flight) -> None:
     path = flight(seconds=200)
     shares: list[float] = []
-    found = thin.contents(path, shares.append)
+    found = thin.read_contents(path, shares.append)
     assert found.thinned
     # A bar shows it.
     assert len(shares) > 1
@@ -54,7 +54,7 @@ def test_a_single_peak_survives_thinning(flight: Flight) -> None:
     rows = tlog.read_columns(flight(seconds=200))["VIBRATION"].copy()
     rows["vibration_y"][777] = 99.0
     rows["vibration_x"][5] = -1.0
-    kept = thin.kept_rows(rows, 100)
+    kept = thin.thin_rows(rows, 100)
     assert len(kept) < 200
     assert (kept["vibration_y"].max(), kept["vibration_x"].min()) == (99.0, -1.0)
     assert np.all(np.diff(kept["t_us"]) >= 0)
@@ -64,10 +64,10 @@ def test_losses_counted_block_by_block_are_those_of_the_whole_log(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = flight(seconds=60, lost=3)
-    whole = stretches(tlog.read_log(path).frames, {})
+    whole = sum_stretches(tlog.read_log(path).frames, {})
     monkeypatch.setattr(tlog, "BLOCK_FRAMES", 100)
-    last: dict[int, thin.Sender] = {}
-    parts = np.concatenate([stretches(part.frames, last) for part in tlog.read_parts(path)])
+    last: dict[int, thin.LastFrame] = {}
+    parts = np.concatenate([sum_stretches(part.frames, last) for part in tlog.read_parts(path)])
     for column in ("frames", "lost"):
         assert parts[column].sum() == whole[column].sum() > 0
     assert parts["gap_us"].max() == whole["gap_us"].max()

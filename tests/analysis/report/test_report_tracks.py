@@ -11,21 +11,29 @@ import pytest
 from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.export_tracks import export_tracks
 from analysis.report.log_sky import sky_pictures
-from analysis.report.page.page_model import flown
+from analysis.report.page.page_model import tracks_in_flight
 from analysis.report.page.uncertainty import track_sigma
-from analysis.report.recordings.from_tlog import recording_of
+from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.report.recordings.from_ulog import recording_of_ulog
-from analysis.report.recordings.recording import Message, Recording, Signal, Track, local_track
+from analysis.report.recordings.recording import (
+    FlightData,
+    GroundTrack,
+    Message,
+    Signal,
+    local_track,
+)
 
 T = np.arange(5.0)
-GPS = Track("GPS", T, 47.0 + T * 1e-5, 8.0 + T * 0, 500.0 + T)
+GPS = GroundTrack("GPS", T, 47.0 + T * 1e-5, 8.0 + T * 0, 500.0 + T)
 LOCAL = local_track("local estimate", T, T, 2.0 * T, -T)
 
 
 def test_a_path_that_nobody_knows_the_place_of_is_drawn_alone_only(tmp_path: Path) -> None:
-    both = Recording("flight", tracks=[LOCAL, GPS])
-    assert [track.name for track in flown(both)] == ["GPS"]
-    assert [track.name for track in flown(replace(both, tracks=[LOCAL]))] == ["local estimate"]
+    both = FlightData("flight", tracks=[LOCAL, GPS])
+    assert [track.name for track in tracks_in_flight(both)] == ["GPS"]
+    assert [track.name for track in tracks_in_flight(replace(both, tracks=[LOCAL]))] == [
+        "local estimate"
+    ]
     lines = json.loads(export_tracks(both, tmp_path, "geojson").read_text())["features"]
     assert [line["properties"]["name"] for line in lines] == ["GPS"]
 
@@ -40,7 +48,7 @@ def test_metres_of_a_local_path_are_metres_on_the_map() -> None:
 
 def test_an_indoor_flight_of_a_real_vehicle_has_its_path(shared_data: Path) -> None:
     found = recording_of_ulog(read_ulog(shared_data / "ulog" / "gps_interference.ulg"), "indoors")
-    (track,) = flown(found)
+    (track,) = tracks_in_flight(found)
     # Its setpoint went from 0, 0.15 to 1, 1 m and back.
     assert not track.on_earth
     assert np.ptp(np.radians(track.lat_deg) * 6_371_000.0) == pytest.approx(1.3, abs=0.1)
@@ -56,7 +64,7 @@ def test_a_tlog_without_a_global_position_has_the_local_one() -> None:
                         ("time_boot_ms", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4")])  # fmt: skip
     rows["t_us"], rows["system"] = np.arange(4) * 1_000_000, 1
     rows["time_boot_ms"], rows["x"], rows["z"] = np.arange(4) * 1000, np.arange(4), -3.0
-    (track,) = recording_of({"LOCAL_POSITION_NED": rows}, name="indoors").tracks
+    (track,) = recording_of_tlog({"LOCAL_POSITION_NED": rows}, name="indoors").tracks
     assert not track.on_earth
     assert track.alt_m == pytest.approx([3.0] * 4)
 
@@ -75,7 +83,7 @@ def test_a_track_has_the_accuracy_of_its_own_source(
     track: str, signal: tuple[str, str], sigma: float | None
 ) -> None:
     accuracy = Signal(*signal, T + 0.5, np.full(5, np.sqrt(2.0)))
-    found = track_sigma(replace(GPS, name=track), Recording("", signals=[accuracy]))
+    found = track_sigma(replace(GPS, name=track), FlightData("", signals=[accuracy]))
     if sigma is None:
         assert found is None
     else:
@@ -88,15 +96,15 @@ def test_a_track_has_the_accuracy_of_its_own_source(
 def test_the_fused_solution_has_its_own_sigma_by_axis() -> None:
     signals = [Signal("fused-sigma", axis, T, np.full(5, value)) for axis, value in
                (("north", 1.0), ("east", 3.0))]  # fmt: skip
-    found = track_sigma(replace(GPS, name="fused"), Recording("", signals=signals))
+    found = track_sigma(replace(GPS, name="fused"), FlightData("", signals=signals))
     assert found is not None
     assert (found[0][0], found[1][0]) == (1.0, 3.0)
 
 
-def _info(**columns: Any) -> Recording:
+def _info(**columns: Any) -> FlightData:
     shaped = {name: np.asarray(value) for name, value in columns.items()}
     message = "GPS_STATUS" if "satellite_prn" in columns else "satellite_info"
-    return Recording("", messages={message: Message(np.zeros(1), shaped)})
+    return FlightData("", messages={message: Message(np.zeros(1), shaped)})
 
 
 def test_the_sky_of_both_kinds_of_log_is_the_same() -> None:
@@ -114,7 +122,7 @@ def test_the_sky_of_both_kinds_of_log_is_the_same() -> None:
 
 
 def test_a_log_that_tells_no_sky_has_no_picture() -> None:
-    assert sky_pictures(Recording("")) == []
+    assert sky_pictures(FlightData("")) == []
     assert sky_pictures(_info(svid=[5])) == []
     empty = {f"{name}[0]": [0] for name in ("svid", "used", "elevation", "azimuth")}
     assert sky_pictures(_info(**empty)) == []

@@ -10,10 +10,10 @@ from pynmeagps import ERR_RAISE, NMEAReader
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.recordings.position_reference import read_reference
-from analysis.recordings.recordings import read_rinex
+from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision
-from analysis.run.monitor_command import watch_recording
-from analysis.run.terminal import print_summary
+from analysis.run.monitor_command import monitor_recording
+from analysis.run.terminal_summary import print_summary
 from mavproxy_fault.cli import main
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
@@ -133,7 +133,7 @@ def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, caps
 def test_a_stop_ends_a_recording_midway_and_what_was_judged_is_told(shared_data):
     data, told, asked = shared_data / "gnss_static", [], iter((False, True))
     block = read_rinex(data / "SEPT078M.21O", data / "SEPT078M.21P")
-    watch_recording(block, Monitor(MonitorConfig()), told.extend, lambda: next(asked))
+    monitor_recording(block, Monitor(MonitorConfig()), told.extend, lambda: next(asked))
     decisions = [result for result in told if isinstance(result, Decision)]
     assert 0 < len(decisions) < 900
     assert all(decision.hdop is not None for decision in decisions)

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 
-from analysis.campaign.campaign_command import size_of
+from analysis.campaign.campaign_command import describe_size
 from analysis.campaign.campaign_file import read_campaign
-from analysis.campaign.plan import Plan
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
-from analysis.run.setup import read_setup
+from analysis.run.run_setup import read_setup
 from analysis.search.space.test_file import read_test
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
-from mavproxy_fault.live.rflysim import SHIPPED, read_map
+from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
 from mavproxy_fault.schedule.entries import read_schedule
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import FixedWingParameters
@@ -66,7 +66,7 @@ def parameters(path: Path) -> object:
 
 def dry_run(path: Path) -> object:
     """What `campaign --dry-run` does with a file."""
-    return size_of(Plan(read_campaign(path), None), 2)
+    return describe_size(CampaignPlan(read_campaign(path), None), 2)
 
 
 def campaign(path: Path) -> str:
@@ -80,7 +80,7 @@ KINDS: list[tuple[Callable[[Path], object], Path | str]] = [
     (read_scenario, DEMO),
     (lambda path: read_thresholds(str(path)), write_yaml({k: list(v) if isinstance(v, tuple) else v
         for k in Thresholds.__struct_fields__ for v in [getattr(Thresholds(), k)]})),
-    (read_map, SHIPPED),
+    (read_map, DEFAULT_MAP),
     (parameters, ROOT / "simvehicle/vehicles/parameters/aerosonde-2025.yaml"),
     *((read_test, path) for path in sorted((ROOT / "examples").glob("*search*.yaml"))[:2]),
     *((dry_run, campaign(path)) for path in sorted((ROOT / "examples").glob("campaign_*.yaml"))),

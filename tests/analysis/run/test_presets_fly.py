@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from analysis.run.proxied_flight import Flight
+from analysis.run.proxied_flight import ProxiedFlight
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.scenario.scenario_file import read_scenario
@@ -16,7 +16,7 @@ def test_a_receiver_without_a_solution_does_not_end_the_flight(name: str) -> Non
     sensors = msgspec.structs.replace(scenario.sensors, imu=imu)
     scenario = msgspec.structs.replace(scenario, sensors=sensors, duration_s=3.0)
     entry = {"preset": name, "id": "it", "at_s": 1.0}
-    flight = Flight(scenario, parse_schedule({"seed": 1, "faults": [entry]}))
+    flight = ProxiedFlight(scenario, parse_schedule({"seed": 1, "faults": [entry]}))
     parser, fixes, ground = Parser(), [], []
     while not flight.over:
         sent = flight.advance([])

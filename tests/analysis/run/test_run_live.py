@@ -15,7 +15,7 @@ from mavsdk.plugins.telemetry import Telemetry
 
 from analysis.results import read_results
 from mavproxy_fault.cli import main
-from mavproxy_fault.live.journal import read_edits
+from mavproxy_fault.live.edit_log import read_edits
 from mavproxy_fault.wire.tlog import read_columns
 
 SHORT = Path(__file__).with_name("short.yaml")

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
-from analysis.recordings.recordings import read_log
+from analysis.recordings.read_recordings import read_log
 from analysis.results import Result, encode
-from analysis.run.proxied_flight import Flight
-from analysis.run.setup import read_setup
-from analysis.samples.block import block_of, pieces
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.run_setup import read_setup
+from analysis.samples.block import block_of, split_at_events
 from analysis.samples.sample import GpsFix, IonosphereSample
 from mavproxy_fault.wire import tlog
 
@@ -25,7 +25,7 @@ CONFIG = {"attitude": {"estimators": ["ekf", "complementary"]}}
 def frames() -> list[bytes]:
     """What the demo's vehicle sends in its first seconds, HIL frames and those of its autopilot."""
     setup = read_setup(None, None, None)
-    flight = Flight(setup.scenario, setup.schedule)
+    flight = ProxiedFlight(setup.scenario, setup.schedule)
     sent: list[bytes] = []
     while flight.t_us < SECONDS * 1e6:
         chunks = flight.advance([])
@@ -72,14 +72,14 @@ def test_frames_that_come_one_by_one_say_the_same(frames, at_once):
 
 def test_a_log_of_the_stream_says_the_same(frames, at_once, tmp_path: Path):
     path = tmp_path / "flight.tlog"
-    tlog.write(path, ((1_700_000_000_000_000, frame) for frame in frames))
+    tlog.write_log(path, ((1_700_000_000_000_000, frame) for frame in frames))
     monitor = Monitor(config())
     assert lines([result for block in read_log(path) for result in monitor.push(block)]) == at_once
 
 
 def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
     path = tmp_path / "flight.tlog"
-    tlog.write(path, ((0, frame) for frame in frames))
+    tlog.write_log(path, ((0, frame) for frame in frames))
     (block,) = read_log(path)
     again = block_of(block.samples())
     assert (again.kind == block.kind).all()
@@ -92,6 +92,6 @@ def test_a_fix_that_is_not_wanted_ends_no_piece_but_the_last():
     fixes = [GpsFix(t, 0.0, 0.0, 0.0, None, 3, 9, 1.0, 1.0, "HIL_GPS") for t in range(4)]
     broadcast = IonosphereSample(9, (0.0,) * 4, (0.0,) * 4)
     block = block_of([fixes[0], fixes[1], broadcast, fixes[2], fixes[3]])
-    assert [(p.first, p.last) for p in pieces(block)] == [(n, n) for n in range(5)]
-    cut = [(p.first, p.last) for p in pieces(block, lambda t_us: t_us == 0)]
+    assert [(p.first, p.last) for p in split_at_events(block)] == [(n, n) for n in range(5)]
+    cut = [(p.first, p.last) for p in split_at_events(block, lambda t_us: t_us == 0)]
     assert cut == [(0, 0), (1, 2), (3, 4)]

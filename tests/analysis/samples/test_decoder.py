@@ -26,13 +26,13 @@ from analysis.samples.sample import (
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import tunnel_frames
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 
 def frame(name: str, component: int = 51, **values: object) -> Frame:
-    layout = known(name)
-    return Frame(build(layout, values, component=component), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values, component=component), layout)
 
 
 def samples_of(decoder: Decoder, *frames: Frame) -> list[Sample]:
@@ -40,7 +40,7 @@ def samples_of(decoder: Decoder, *frames: Frame) -> list[Sample]:
 
 
 def tunnel(message: bytes, sequence: int) -> list[Frame]:
-    return [Frame(raw, known("TUNNEL")) for raw in tunnel_frames(message, sequence)]
+    return [Frame(raw, message_layout("TUNNEL")) for raw in tunnel_frames(message, sequence)]
 
 
 @pytest.mark.parametrize(

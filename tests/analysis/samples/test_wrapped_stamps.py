@@ -4,14 +4,14 @@ import pytest
 
 from analysis.samples.block import COMMAND
 from analysis.samples.decoder import Decoder
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 ROUND_US = 1 << 32
 
 
 def frame(name: str, **values: object) -> Frame:
-    return Frame(build(known(name), values), known(name))
+    return Frame(build_frame(message_layout(name), values), message_layout(name))
 
 
 def outputs(t_us: int) -> Frame:

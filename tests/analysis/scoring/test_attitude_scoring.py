@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from analysis.samples.sample import AttitudeSample, ImuSample, MagSample, TruthSample
-from analysis.scoring.attitude_scores import REPEATED, with_repeaters_last
+from analysis.scoring.attitude_scores import REPEATED, put_repeaters_last
 from analysis.scoring.attitude_scoring import (
     AUTOPILOTS,
     AttitudeConfig,
     AttitudeScorer,
     declination_rad,
 )
-from mavproxy_fault.numerics.rotations.rotation_kernel import errors, quaternion_of_euler
+from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors, quaternion_of_euler
 from mavproxy_fault.wire.label import Label
 
 LEVEL = np.array([0.0, 0.0, -9.80665])
@@ -37,7 +37,7 @@ def score(samples, **config):
 
 
 def test_yaw_differences_are_wrapped():
-    error = errors(quaternion_of_euler(0, 0, 3.1), quaternion_of_euler(0, 0, -3.1))
+    error = attitude_errors(quaternion_of_euler(0, 0, 3.1), quaternion_of_euler(0, 0, -3.1))
     assert error[2] == pytest.approx(6.2 - 2 * np.pi)
     assert error[3] == pytest.approx(2 * np.pi - 6.2)
 
@@ -140,11 +140,11 @@ def test_an_autopilot_that_only_repeats_the_truth_is_called_so_and_comes_last():
         samples += [ImuSample(k * 5000, np.array([0.0, 0.1, 0.0]), LEVEL), autopilot(k * 5000)]
         samples.append(truth(k * 5000))
     scorer, state, _ = score(samples, estimators=("inverse-model",))
-    found = with_repeaters_last(scorer.summary(state), AUTOPILOTS)
+    found = put_repeaters_last(scorer.summary(state), AUTOPILOTS)
     assert list(found) == ["inverse-model", "ATTITUDE" + REPEATED]
     wrong = [truth(0), *(autopilot(k * 5000, roll=0.001) for k in range(1, 100)), truth(500_000)]
     scorer, state, _ = score(wrong, estimators=())
-    assert list(with_repeaters_last(scorer.summary(state), AUTOPILOTS)) == ["ATTITUDE"]
+    assert list(put_repeaters_last(scorer.summary(state), AUTOPILOTS)) == ["ATTITUDE"]
 
 
 def test_declination_at_provo_is_that_of_the_world_magnetic_model():

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from analysis.scoring.criteria import Criteria, judge, receiver_criteria, verdict
+from analysis.scoring.criteria import Criteria, check_criteria, overall_verdict, receiver_criteria
 
 
 def fault(**changes: Any) -> dict[str, Any]:
@@ -41,9 +41,9 @@ ALL = Criteria(
 
 
 def test_a_summary_inside_every_limit_passes() -> None:
-    checks = judge(ALL, summary())
+    checks = check_criteria(ALL, summary())
     assert len(checks) == 9
-    assert verdict(checks) == "PASS"
+    assert overall_verdict(checks) == "PASS"
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_summary_inside_every_limit_passes() -> None:
     ],
 )
 def test_each_limit_can_fail_the_run(change: dict[str, Any]) -> None:
-    assert verdict(judge(ALL, summary(**change))) == "FAIL"
+    assert overall_verdict(check_criteria(ALL, summary(**change))) == "FAIL"
 
 
 @pytest.mark.parametrize(
@@ -76,23 +76,26 @@ def test_each_limit_can_fail_the_run(change: dict[str, Any]) -> None:
 def test_a_miss_or_a_wrong_blame_fails_by_default_and_can_be_let_pass(
     change: dict[str, Any], loosened: dict[str, Any]
 ) -> None:
-    assert verdict(judge(Criteria(), summary(**change))) == "FAIL"
-    assert verdict(judge(Criteria(**loosened), summary(**change))) == "PASS"
+    assert overall_verdict(check_criteria(Criteria(), summary(**change))) == "FAIL"
+    assert overall_verdict(check_criteria(Criteria(**loosened), summary(**change))) == "PASS"
 
 
 def test_what_nothing_can_see_bears_no_verdict() -> None:
     unseen = summary(faults=[fault(verdict="not judged")])
-    assert verdict(judge(Criteria(), unseen)) == "NO VERDICT"
+    assert overall_verdict(check_criteria(Criteria(), unseen)) == "NO VERDICT"
 
 
 def test_without_labels_and_criteria_there_is_no_verdict() -> None:
-    assert verdict(judge(Criteria(), summary(faults=[], false_by_channel=None))) == "NO VERDICT"
+    assert (
+        overall_verdict(check_criteria(Criteria(), summary(faults=[], false_by_channel=None)))
+        == "NO VERDICT"
+    )
 
 
 def test_what_was_not_measured_bears_no_verdict() -> None:
-    checks = judge(Criteria(max_position_rmse_m=1.0), summary(position_rmse_m=None))
+    checks = check_criteria(Criteria(max_position_rmse_m=1.0), summary(position_rmse_m=None))
     assert [check.passed for check in checks] == [True, True, None]
-    assert verdict(checks) == "NO VERDICT"
+    assert overall_verdict(checks) == "NO VERDICT"
 
 
 def test_an_unknown_criterion_is_refused() -> None:
@@ -126,4 +129,4 @@ def test_a_receivers_recording_is_judged_by_its_epochs_and_errors(
     change: dict[str, Any], with_truth: bool, expected: str
 ) -> None:
     found = summary(**(RECEIVER | change))
-    assert verdict(judge(receiver_criteria(with_truth), found)) == expected
+    assert overall_verdict(check_criteria(receiver_criteria(with_truth), found)) == expected

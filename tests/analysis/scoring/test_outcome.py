@@ -6,11 +6,11 @@ import msgspec
 import pytest
 
 from analysis.results import Decision, Result, SensorDecision
-from analysis.scoring.alarm_windows import Window, alarms_of, channel_of, windows_of
-from analysis.scoring.fault_channels import OF_PLANE, sight
-from analysis.scoring.outcome import RECOVERY_S, FaultOutcome, false_alarms, outcomes
+from analysis.scoring.alarm_windows import AlarmWindow, alarms_of, channel_of, windows_of
+from analysis.scoring.fault_channels import PLANE_OUTPUTS, fault_visibility
+from analysis.scoring.outcome import RECOVERY_S, FaultOutcome, false_alarms, fault_outcomes
 from mavproxy_fault.wire.label import Label
-from simvehicle.hil.actuator_commands import CHANNELS_OF
+from simvehicle.hil.actuator_commands import ACTUATOR_CHANNELS
 
 T0_US = 1_000_000
 
@@ -67,14 +67,14 @@ def from_to(start_s: float, end_s: float) -> list[float]:
     return [start_s + 0.2 * i for i in range(round((end_s - start_s) / 0.2) + 1)]
 
 
-def windows(results: Iterable[Result]) -> list[Window]:
+def windows(results: Iterable[Result]) -> list[AlarmWindow]:
     return windows_of(alarm for result in results for alarm in alarms_of(result))
 
 
 def judged(labels: Sequence[Label], results: Sequence[Result]) -> list[FaultOutcome]:
     quiet = [sensor(0, name, alarm=False) for name in ("imu", "mag", "baro", "gps-position")]
     watched = {channel_of(result) for result in [decision(0), *quiet, *results]} - {None}
-    return outcomes(labels, windows(results), {str(name) for name in watched}, 200_000)
+    return fault_outcomes(labels, windows(results), {str(name) for name in watched}, 200_000)
 
 
 G12, GYRO, FIX = "PSEUDORANGE.G12", "HIL_SENSOR.xgyro", "HIL_GPS.lat"
@@ -213,8 +213,10 @@ TRUTH = {
 
 
 def test_the_outputs_of_a_plane_are_those_of_the_simulator() -> None:
-    expected = {number: name for name, outputs in CHANNELS_OF.items() for number, _ in outputs}
-    assert expected == OF_PLANE
+    expected = {
+        number: name for name, outputs in ACTUATOR_CHANNELS.items() for number, _ in outputs
+    }
+    assert expected == PLANE_OUTPUTS
 
 
 @pytest.mark.parametrize("case", TRUTH.values(), ids=TRUTH.keys())
@@ -319,7 +321,7 @@ def test_who_is_back_ten_seconds_after_the_first_sound_epoch_was_left_out_rightl
     ],
 )
 def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels: str) -> None:
-    found = sight(label("f", targets, fault=fault))
+    found = fault_visibility(label("f", targets, fault=fault))
     assert sorted(found.channels) == channels.split()
     assert bool(found.reason) is not bool(channels)
 
@@ -334,4 +336,4 @@ def test_bits_cleared_by_group_belong_to_that_sensor() -> None:
         id="f", fault="clear-bits", targets=("HIL_SENSOR.fields_updated",), t0_us=0, start_us=0,
         parameters={"groups": ["baro"]},
     )  # fmt: skip
-    assert sight(off).channels == {"baro"}
+    assert fault_visibility(off).channels == {"baro"}

@@ -10,7 +10,7 @@ import pytest
 
 from analysis.results import AttitudeError, encode_lines
 from analysis.search.evaluation import autopilot_flight
-from analysis.search.evaluation.flown_cases import Flown
+from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.space.test_file import TestFile, read_test
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -63,10 +63,10 @@ def flights(monkeypatch):
             return written(folder, HEALTHY_DEG)
         return written(folder, **coming.pop(0))
 
-    monkeypatch.setattr(autopilot_flight, "fly_in_process", fly)
-    autopilot_flight._healthy.cache_clear()
+    monkeypatch.setattr(autopilot_flight, "run_flight_process", fly)
+    autopilot_flight._reference_flight.cache_clear()
     yield coming, flown
-    autopilot_flight._healthy.cache_clear()
+    autopilot_flight._reference_flight.cache_clear()
 
 
 @pytest.fixture
@@ -79,11 +79,11 @@ def choice():
 def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, choice):
     coming, flown = flights
     coming += [{"error_deg": FAULTED_DEG}, {"error_deg": 1.0}]
-    found, error_deg = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    found, error_deg = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
     assert error_deg.tolist() == pytest.approx([4.0, 0.0, 0.0, 4.0])  # 5^2 = 3^2 + 4^2
     assert (found.lasted_s, found.ended_early) == (10.0, "")
     # With the next test's noise; the flight without faults is that of the first.
-    _, error_deg = autopilot_flight.estimate(choice, {**DOCUMENT, "seed": 2}, 0.0)
+    _, error_deg = autopilot_flight.measure_autopilot_error(choice, {**DOCUMENT, "seed": 2}, 0.0)
     assert error_deg.tolist() == [0.0] * 4  # better than without: no fault has done that
     assert [bool(one["schedule"]["faults"]) for one in flown] == [False, True, True]
     assert flown[0]["words"][1:] == ["--autopilot", "px4"]
@@ -92,17 +92,17 @@ def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, ch
 def test_a_flight_that_never_began_is_flown_again_and_then_told(flights, choice):
     coming, _ = flights
     coming += [{"error_deg": 0.0, "off_ground": False}] * 2 + [{"error_deg": FAULTED_DEG}]
-    found, _ = autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+    found, _ = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
     assert found.lasted_s == 10.0
     coming += [{"error_deg": 0.0, "off_ground": False, "landed": False}] * 3
     with pytest.raises(ConfigError, match="no flight came of it, 3 times; it never left the gr"):
-        autopilot_flight.estimate(choice, DOCUMENT, 0.0)
+        autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
 
 
 def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
     coming, _ = flights
     coming += [{"error_deg": FAULTED_DEG, "landed": False}]
-    flown = Flown(read_test(EXAMPLE))
+    flown = SimulatedBatch(read_test(EXAMPLE))
     outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
     assert outcome.broken_limit.tolist() == [7]
     assert outcome.fitness[0] < 0.0  # worse than any that stayed in the air
@@ -124,6 +124,6 @@ def test_a_real_px4_is_turned_by_a_gyro_bias_of_the_search(tmp_path):
     )
     (tmp_path / "search.yaml").write_text(text)
     shutil.copy(EXAMPLE.with_name("px4_brief_hover.yaml"), tmp_path)
-    flown = Flown(read_test(tmp_path / "search.yaml"))
+    flown = SimulatedBatch(read_test(tmp_path / "search.yaml"))
     outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
     assert outcome.rmse_deg[0, 3] > 2.0

@@ -5,17 +5,17 @@ import argparse
 import numpy as np
 import pytest
 
-from analysis.search.archive import APART, Archive, distance
-from analysis.search.cases import yaml_of
-from analysis.search.evaluation.compiled_batch import Outcome
-from analysis.search.evaluation.pool import Here, Processes
+from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
+from analysis.search.cases import test_yaml
+from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.pool import InProcessPool, LocalProcessPool
 from analysis.search.history import RECORD
-from analysis.search.search_command import campaign, main
+from analysis.search.search_command import main, run_search
 from analysis.search.space.test_file import (
     FaultRange,
-    Initial,
+    InitialState,
     Mission,
-    OpenLoop,
+    SearchControls,
     TestFile,
     read_test,
 )
@@ -27,8 +27,8 @@ TEST = TestFile(
     rescore_draws=16,
     keep=2,
     budget=112,
-    initial=Initial(roll_deg=(-60.0, 60.0), pitch_deg=(-30.0, 30.0)),
-    controls=OpenLoop(elevator_deg=(-20.0, 1.0)),
+    initial=InitialState(roll_deg=(-60.0, 60.0), pitch_deg=(-30.0, 30.0)),
+    controls=SearchControls(elevator_deg=(-20.0, 1.0)),
     faults=[
         FaultRange(
             fault="bias",
@@ -46,7 +46,7 @@ class Killed(Exception):
 
 
 def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tmp_path):
-    cases, totals = campaign(TEST, Here(), tmp_path)
+    cases, totals = run_search(TEST, InProcessPool(), tmp_path)
     worst = cases[0]
     assert totals.tests == 112
     assert sum(totals.rejected.values()) > 0
@@ -60,10 +60,10 @@ def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tm
 
 
 def test_workers_change_nothing(tmp_path):
-    alone = campaign(TEST, Here(), tmp_path / "a")[0]
-    pool = Processes(2)
+    alone = run_search(TEST, InProcessPool(), tmp_path / "a")[0]
+    pool = LocalProcessPool(2)
     try:
-        together = campaign(TEST, pool, tmp_path / "b")[0]
+        together = run_search(TEST, pool, tmp_path / "b")[0]
     finally:
         pool.close()
     assert alone == together
@@ -72,63 +72,68 @@ def test_workers_change_nothing(tmp_path):
 
 def test_the_worst_that_is_told_never_gets_better(tmp_path):
     told = []
-    campaign(TEST, Here(), tmp_path / "s", progress=lambda tests, worst, budget: told.append(worst))
+    run_search(
+        TEST,
+        InProcessPool(),
+        tmp_path / "s",
+        progress=lambda tests, worst, budget: told.append(worst),
+    )
     assert told == sorted(told)
 
 
 def test_a_killed_search_goes_on_where_it_was(tmp_path):
-    whole = campaign(TEST, Here(), tmp_path / "whole")[0]
+    whole = run_search(TEST, InProcessPool(), tmp_path / "whole")[0]
 
     def kill(tests, worst, budget):
         if tests >= 100:
             raise Killed
 
     with pytest.raises(Killed):
-        campaign(TEST, Here(), tmp_path / "killed", progress=kill)
+        run_search(TEST, InProcessPool(), tmp_path / "killed", progress=kill)
     history = tmp_path / "killed/history.bin"
     found = len(history.read_bytes())
     history.write_bytes(history.read_bytes()[:-5])  # the kill came within a record
     flown = []
 
-    class Counting(Here):
+    class Counting(InProcessPool):
         def evaluate(self, test, points, seed, first, draws):
             if seed == TEST.seed:
                 flown.append(first)
             return super().evaluate(test, points, seed, first, draws)
 
-    resumed = campaign(TEST, Counting(), tmp_path / "killed")[0]
+    resumed = run_search(TEST, Counting(), tmp_path / "killed")[0]
     assert resumed == whole
     assert min(flown) >= found // 16 - 40  # one batch again at most
 
 
 def test_flights_in_the_simulator_are_kept_in_small_portions(tmp_path):
     test = TestFile(
-        estimator="fusion", method="random", budget=40, initial=Initial(roll_deg=(-9.0, 9.0))
+        estimator="fusion", method="random", budget=40, initial=InitialState(roll_deg=(-9.0, 9.0))
     )
 
-    class Dying(Here):
+    class Dying(InProcessPool):
         def evaluate(self, test, points, seed, first, draws):
             if first == 16:
                 raise Killed
             nothing = np.zeros(len(points))
             axes = np.zeros((len(points), 4))
             whole = nothing.astype(np.int64)
-            return Outcome(nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3])
+            return EvaluationOutcome(nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3])
 
     with pytest.raises(Killed):
-        campaign(test, Dying(), tmp_path)
+        run_search(test, Dying(), tmp_path)
     assert len((tmp_path / "history.bin").read_bytes()) == 16 * RECORD.itemsize
 
 
 def test_another_test_does_not_go_on_in_the_same_folder(tmp_path):
-    campaign(TestFile(duration_s=1.0, mission=Mission()), Here(), tmp_path)
+    run_search(TestFile(duration_s=1.0, mission=Mission()), InProcessPool(), tmp_path)
     with pytest.raises(ConfigError, match="another search"):
-        campaign(TEST, Here(), tmp_path)
+        run_search(TEST, InProcessPool(), tmp_path)
 
 
 def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, capsys):
     path = tmp_path / "test.yaml"
-    path.write_text(yaml_of(TEST))
+    path.write_text(test_yaml(TEST))
     out = tmp_path / "out"
     arguments = argparse.Namespace(
         testfile=str(path), budget=80, method="random", seed=2, workers=None, ray=None,
@@ -137,10 +142,15 @@ def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, cap
     assert main(arguments) == 0
     text = (out / "TestResFile.log").read_text()
     assert text in capsys.readouterr().out
-    for said in ("Number of tests           80", "Greatest error", "Initial position", "Run time"):
+    for said in (
+        "Number of tests           80",
+        "Greatest error",
+        "InitialState position",
+        "Run time",
+    ):
         assert said in text
     case = read_test(out / "worst-01-test.yaml")
-    again, totals = campaign(case, Here(), tmp_path / "again")
+    again, totals = run_search(case, InProcessPool(), tmp_path / "again")
     assert totals.tests == 1
     first = next(line for line in text.splitlines() if line.startswith("     1 "))
     assert again[0].error_deg == pytest.approx(float(first.split()[2]), rel=0.05)
@@ -153,14 +163,18 @@ def test_the_archive_keeps_cases_apart():
         points = rng.random((100, 3))
         archive.add(first, points, -((points - 0.5) ** 2).sum(axis=1))
     found = archive.cases
-    assert all(distance(a.point, b.point) >= APART for i, a in enumerate(found) for b in found[:i])
+    assert all(
+        rms_distance(a.point, b.point) >= MIN_DISTANCE
+        for i, a in enumerate(found)
+        for b in found[:i]
+    )
     assert [case.fitness for case in found] == sorted((c.fitness for c in found), reverse=True)
 
 
 def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
-    test = TestFile(mission=Mission(), initial=Initial(roll_deg=3.0), seed=9)
+    test = TestFile(mission=Mission(), initial=InitialState(roll_deg=3.0), seed=9)
     path = tmp_path / "t.yaml"
-    path.write_text(yaml_of(test))
+    path.write_text(test_yaml(test))
     assert read_test(path) == test
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from analysis.search.evaluation import pool
 from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.space.test_file import Initial, TestFile
+from analysis.search.space.test_file import InitialState, TestFile
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
-TEST = TestFile(duration_s=1.0, noise_draws=2, initial=Initial(roll_deg=(-40.0, 40.0)))
+TEST = TestFile(duration_s=1.0, noise_draws=2, initial=InitialState(roll_deg=(-40.0, 40.0)))
 
 
 @pytest.mark.timeout(300)
@@ -19,7 +19,7 @@ TEST = TestFile(duration_s=1.0, noise_draws=2, initial=Initial(roll_deg=(-40.0, 
 def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     marker = tmp_path / "killed"
-    work = pool.work
+    work = pool.evaluate_job
 
     def deadly(job):
         if job[3] > 0 and not marker.exists():
@@ -27,8 +27,8 @@ def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGKILL)
         return work(job)
 
-    monkeypatch.setattr(pool, "work", deadly)
-    cluster = pool.Cluster("auto")
+    monkeypatch.setattr(pool, "evaluate_job", deadly)
+    cluster = pool.RayPool("auto")
     try:
         points = np.linspace(0.0, 1.0, 64)[:, None]
         found = cluster.evaluate(TEST, points, 1, 0, 2)
@@ -45,5 +45,5 @@ def test_a_cluster_that_is_already_joined_is_left_running(monkeypatch):
     calls = []
     monkeypatch.setattr(ray, "is_initialized", lambda: True)
     monkeypatch.setattr(ray, "shutdown", lambda: calls.append("shutdown"))
-    pool.Cluster("auto").close()
+    pool.RayPool("auto").close()
     assert calls == []

@@ -6,31 +6,31 @@ import pytest
 import yaml
 
 from analysis.campaign.campaign_file import read_campaign
-from analysis.run.proxied_flight import Flight
-from analysis.run.setup import read_setup
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
-from analysis.search.cases import campaign_of, write_cases
+from analysis.search.cases import campaign_document, write_cases
 from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.flown_cases import Flown, Watch, fly
-from analysis.search.evaluation.pool import Here
-from analysis.search.search_command import campaign
+from analysis.search.evaluation.pool import InProcessPool
+from analysis.search.evaluation.simulated_batch import FlightScorer, SimulatedBatch, score_flight
+from analysis.search.search_command import run_search
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import (
     AutopilotChoice,
     FaultRange,
-    Initial,
+    InitialState,
     Mission,
-    OpenLoop,
-    Sensors,
+    SearchControls,
+    SearchSensors,
+    SteadyWind,
     TestFile,
-    Wind,
     read_test,
 )
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.schedule.entries import parse_schedule
 
-QUIET = Sensors(
+QUIET = SearchSensors(
     gyro_sigma_dps=0.0,
     accel_sigma_mps2=0.0,
     field_sigma_gauss=0.0,
@@ -64,13 +64,13 @@ def test_the_simulator_and_the_proxy_give_the_kernels_error(name):
         estimator=name,
         duration_s=10.0,
         noise_draws=1,
-        initial=Initial(height_m=2000.0),
+        initial=InitialState(height_m=2000.0),
         mission=Mission(roll_deg=35.0, period_s=12.0),
         sensors=QUIET,
         faults=[BIAS],
     )
     kernel = Batch(test).evaluate(np.zeros((1, 0)), 1, 0).rmse_deg[0, :3]
-    flown = fly(test, document_of(test, Batch(test).space.fixed, 1)).rmse_deg[:3]
+    flown = score_flight(test, document_of(test, Batch(test).space.fixed, 1)).rmse_deg[:3]
     assert flown == pytest.approx(kernel, rel=0.07, abs=0.03)
 
 
@@ -81,11 +81,11 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
         rescore_draws=16,
         keep=1,
         budget=64,
-        initial=Initial(height_m=1000.0, roll_deg=(-40.0, 40.0)),
-        controls=OpenLoop(aileron_deg=(-1.0, 1.0)),
+        initial=InitialState(height_m=1000.0, roll_deg=(-40.0, 40.0)),
+        controls=SearchControls(aileron_deg=(-1.0, 1.0)),
         faults=[msgspec.structs.replace(BIAS, value=(-0.02, 0.02), at_s=(0.5, 2.0))],
     )
-    cases, _ = campaign(test, Here(), tmp_path)
+    cases, _ = run_search(test, InProcessPool(), tmp_path)
     paths = write_cases(tmp_path, test, cases)
     assert [path.name for path in paths] == [
         "worst-01.yaml",
@@ -97,7 +97,10 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
     ]
     for path, error in ((paths[0], cases[0].error_deg), (paths[3], cases[0].shrunk_deg)):
         setup = read_setup(str(path))
-        flight, watch = Flight(setup.scenario, setup.schedule), Watch(setup.monitor.attitude)
+        flight, watch = (
+            ProxiedFlight(setup.scenario, setup.schedule),
+            FlightScorer(setup.monitor.attitude),
+        )
         while not flight.over:
             watch.hear(flight.advance([]).monitor)
         again = watch.summary([])["inverse-model"]["rmse_deg"]["max"]
@@ -108,12 +111,12 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
     (tmp_path / "quad.yaml").write_text(SCENARIO)
     (tmp_path / "search.yaml").write_text(SEARCH)
     test = read_test(tmp_path / "search.yaml")
-    assert Flown(test).space.names == (
+    assert SimulatedBatch(test).space.names == (
         "vary.environment.wind_ned_mps[0]",
         "vary.start.heading_deg",
         "faults[0].at_s",
     )
-    cases, totals = campaign(test, Here(), tmp_path / "out")
+    cases, totals = run_search(test, InProcessPool(), tmp_path / "out")
     assert totals.tests == 3
     assert cases[0].error_deg > 0.0
     path = write_cases(tmp_path, test, cases)[0]
@@ -123,7 +126,10 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
     setup = read_setup(str(path))
     assert setup.scenario.vehicle.kind == "multirotor"
     assert setup.monitor.attitude == AttitudeConfig(estimators=("mahony",))
-    flight, watch = Flight(setup.scenario, setup.schedule), Watch(setup.monitor.attitude)
+    flight, watch = (
+        ProxiedFlight(setup.scenario, setup.schedule),
+        FlightScorer(setup.monitor.attitude),
+    )
     while not flight.over:
         watch.hear(flight.advance([]).monitor)
     rmse = watch.summary([])["mahony"]["rmse_deg"]
@@ -133,7 +139,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
 def test_a_worst_case_is_a_cell_of_a_campaign(tmp_path):
     (tmp_path / "quad.yaml").write_text(SCENARIO)
     (tmp_path / "search.yaml").write_text(SEARCH)
-    cases, _ = campaign(read_test(tmp_path / "search.yaml"), Here(), tmp_path / "out")
+    cases, _ = run_search(read_test(tmp_path / "search.yaml"), InProcessPool(), tmp_path / "out")
     write_cases(tmp_path, read_test(tmp_path / "search.yaml"), cases)
     cell = read_campaign(tmp_path / "worst-01-campaign.yaml")
     setup = read_setup(str(tmp_path / "worst-01.yaml"))
@@ -150,7 +156,7 @@ def test_an_autopilots_worst_case_is_a_cell_with_that_autopilot(tmp_path):
     choice = AutopilotChoice(kind="px4", binary="/opt/px4", parameters="own.params")
     test = TestFile(estimator="autopilot", autopilot=choice, scenario={})
     fault = {"id": "drawn-0", "fault": "freeze", "target": "HIL_SENSOR.zgyro", "at_s": 3.0}
-    (tmp_path / "cell.yaml").write_text(write_yaml(campaign_of(test, "worst-01", fault, 5)))
+    (tmp_path / "cell.yaml").write_text(write_yaml(campaign_document(test, "worst-01", fault, 5)))
     (tmp_path / "own.params").write_text("EKF2_GPS_CTRL 0\n")
     cell = read_campaign(tmp_path / "cell.yaml")
     subject = cell.autopilot("px4")
@@ -168,7 +174,7 @@ def test_a_key_that_the_scenario_does_not_have_is_the_users_error(tmp_path):
     with pytest.raises(
         ConfigError, match=r"vary.start.heigt_m: heigt_m is unknown; known: lat_deg"
     ):
-        Flown(read_test(tmp_path / "search.yaml")).evaluate(np.zeros((1, 1)), 1, 0)
+        SimulatedBatch(read_test(tmp_path / "search.yaml")).evaluate(np.zeros((1, 1)), 1, 0)
 
 
 def test_the_projects_own_fusion_is_searched():
@@ -177,17 +183,17 @@ def test_the_projects_own_fusion_is_searched():
         criterion="angle",
         duration_s=4.0,
         noise_draws=1,
-        initial=Initial(height_m=1000.0),
+        initial=InitialState(height_m=1000.0),
         mission=Mission(),
         faults=[BIAS],
     )
-    outcome = Flown(test).evaluate(np.zeros((1, 0)), 1, 0)
+    outcome = SimulatedBatch(test).evaluate(np.zeros((1, 0)), 1, 0)
     assert outcome.broken_limit[0] == 0
     assert 0.0 < outcome.fitness[0] < 10.0
 
 
 def test_a_fault_that_lasts_no_time_is_left_out_of_the_scenario():
-    test = TestFile(duration_s=5.0, faults=[BIAS], initial=Initial(height_m=500.0))
+    test = TestFile(duration_s=5.0, faults=[BIAS], initial=InitialState(height_m=500.0))
     values = dict(Batch(test).space.fixed)
     assert len(document_of(test, values, 1)["schedule"]["faults"]) == 1
     values["faults[0].for_s"] = 0.0
@@ -205,14 +211,14 @@ def test_a_quadrotor_of_the_kernels_flies_as_the_simulators(name: str, wind_mps:
         estimator=name,
         duration_s=10.0,
         noise_draws=1,
-        initial=Initial(height_m=60.0, yaw_deg=30.0),
+        initial=InitialState(height_m=60.0, yaw_deg=30.0),
         mission=Mission(roll_deg=15.0, period_s=5.0),
-        wind=Wind(north_mps=wind_mps),
+        wind=SteadyWind(north_mps=wind_mps),
         sensors=QUIET,
         faults=[BIAS],
     )
     batch = Batch(test)
     kernel = batch.evaluate(np.zeros((1, 0)), 1, 0)
     assert kernel.broken_limit[0] == 0
-    flown = fly(test, document_of(test, batch.space.fixed, 1)).rmse_deg[:3]
+    flown = score_flight(test, document_of(test, batch.space.fixed, 1)).rmse_deg[:3]
     assert flown == pytest.approx(kernel.rmse_deg[0, :3], rel=0.07, abs=0.03)

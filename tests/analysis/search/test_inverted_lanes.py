@@ -6,12 +6,20 @@ import pytest
 
 from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.lanes.inverted_lanes import AIRSPEED, HEIGHT, POSITION
-from analysis.search.space.test_file import FaultRange, Initial, Mission, Sensors, TestFile
+from analysis.search.space.test_file import (
+    FaultRange,
+    InitialState,
+    Mission,
+    SearchSensors,
+    TestFile,
+)
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from simvehicle.environment.air import standard_air
 
-SILENT = Sensors(pressure_sigma_pa=0.0, static_sigma_pa=0.0, position_kick_m=0.0, height_kick_m=0.0)
+SILENT = SearchSensors(
+    pressure_sigma_pa=0.0, static_sigma_pa=0.0, position_kick_m=0.0, height_kick_m=0.0
+)
 LEVEL = TestFile(
     criterion="height", duration_s=10.0, noise_draws=1, mission=Mission(roll_deg=0.0),
     sensors=SILENT,
@@ -53,7 +61,7 @@ def test_pressure_drifts_with_the_temperature() -> None:
     high = msgspec.structs.replace(
         LEVEL,
         density_kgpm3=1.1117,  # at 1000 m
-        initial=Initial(height_m=100.0),
+        initial=InitialState(height_m=100.0),
         sensors=msgspec.structs.replace(SILENT, static_drift_pa_per_k=5.0),
     )
     _, kelvin, density = standard_air(1000.0)

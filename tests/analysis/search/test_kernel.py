@@ -7,27 +7,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.estimators import make
-from analysis.search.breakdown import breakdown
+from analysis.estimators import make_estimator
+from analysis.search.breakdown import case_breakdown
 from analysis.search.evaluation.compiled_batch import Batch, start_filters
-from analysis.search.evaluation.traced_flight import estimated, traced
+from analysis.search.evaluation.traced_flight import estimate_attitude, trace_flight
 from analysis.search.lanes import rows
 from analysis.search.space.test_file import (
-    ANYWHERE,
+    NO_ENVELOPE,
     FaultRange,
-    Initial,
-    Limits,
+    FlightEnvelope,
+    InitialState,
     Mission,
-    OpenLoop,
-    Sensors,
+    SearchControls,
+    SearchSensors,
+    SteadyWind,
     TestFile,
-    Wind,
 )
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
-from simvehicle.vehicles.vehicle import surroundings
+from simvehicle.vehicles.vehicle import pack_surroundings
 
-QUIET = Sensors(
+QUIET = SearchSensors(
     gyro_sigma_dps=0.0,
     accel_sigma_mps2=0.0,
     field_sigma_gauss=0.0,
@@ -49,7 +49,7 @@ def flown(test, number=0):
     batch = Batch(test)
     column = batch.columns(batch.space.values(np.zeros((1, batch.space.dimension))))
     filters = start_filters(test.estimator, column)[0]
-    return traced(batch.plan, column[:, 0], filters, test.seed, number)
+    return trace_flight(batch.plan, column[:, 0], filters, test.seed, number)
 
 
 SMALL = st.floats(-1.0, 1.0)
@@ -69,24 +69,26 @@ def test_lanes_and_the_simulator_fly_the_same(attitude, rates, surfaces, throttl
     p, q, r = (40.0 * x for x in rates)
     test = test_of(
         duration_s=2.0,
-        initial=Initial(
+        initial=InitialState(
             roll_deg=roll, pitch_deg=0.5 * pitch, yaw_deg=yaw, p_dps=p, q_dps=q, r_dps=r
         ),
-        controls=OpenLoop(
+        controls=SearchControls(
             elevator_deg=8.0 * surfaces[0],
             aileron_deg=8.0 * surfaces[1],
             rudder_deg=8.0 * surfaces[2],
             throttle=throttle,
         ),
-        wind=Wind(north_mps=8.0 * wind[0], east_mps=8.0 * wind[1], down_mps=2.0 * wind[2]),
-        envelope=Limits(**{**ANYWHERE, "alpha_deg": 90.0}),  # the lanes compare its tangent
+        wind=SteadyWind(north_mps=8.0 * wind[0], east_mps=8.0 * wind[1], down_mps=2.0 * wind[2]),
+        envelope=FlightEnvelope(
+            **{**NO_ENVELOPE, "alpha_deg": 90.0}
+        ),  # the lanes compare its tangent
     )
     flight = flown(test)
     vehicle = Batch(test).airframe
     after, _ = vehicle.advance(
         np.append(flight.state[0], 0.0),
         np.append(np.radians(8.0 * np.array(surfaces)) / vehicle.throw_rad, throttle),
-        surroundings(
+        pack_surroundings(
             np.array([8.0 * wind[0], 8.0 * wind[1], 2.0 * wind[2]]),
             np.array([0.0, 0.0, 9.80665]),
             1.225,
@@ -129,7 +131,7 @@ NO_GPS = FaultRange(fault="drop", target="HIL_GPS", at_s=2.0, for_s=5.0)
 )
 def test_an_estimator_in_the_kernel_is_the_one_in_python(name, faults):
     flight = flown(test_of(estimator=name, mission=WEAVE, faults=faults))
-    again = estimated(flight, make(name))
+    again = estimate_attitude(flight, make_estimator(name))
     assert np.abs(flight.q_estimate - again).max() < 1e-9
 
 
@@ -144,7 +146,7 @@ def test_scores_are_those_of_the_trace():
 
 
 def test_noise_belongs_to_the_evaluation_not_to_its_neighbours():
-    test = test_of(initial=Initial(roll_deg=(-20.0, 20.0)), noise_draws=3)
+    test = test_of(initial=InitialState(roll_deg=(-20.0, 20.0)), noise_draws=3)
     points = np.linspace(0.1, 0.9, 40)[:, None]
     together = Batch(test).evaluate(points, seed=5, first=100).fitness
     alone = [
@@ -191,7 +193,7 @@ def test_a_fault_on_a_slow_sensor_is_not_applied_twice_to_one_sample():
 
 
 def test_a_flight_that_leaves_the_envelope_scores_by_how_long_it_lasted():
-    test = test_of(controls=OpenLoop(elevator_deg=(-25.0, -4.0)), duration_s=20.0)
+    test = test_of(controls=SearchControls(elevator_deg=(-25.0, -4.0)), duration_s=20.0)
     outcome = Batch(test).evaluate(np.array([[0.0], [0.5], [1.0]]), 1, 0)
     assert (outcome.broken_limit[:2] > 0).all()
     assert outcome.fitness[:2] == pytest.approx(outcome.lasted_s[:2] / 20.0 - 1.0, abs=1e-3)
@@ -246,7 +248,7 @@ def test_gusts_shake_the_aircraft_by_chance_of_their_own():
 def test_twelve_states_are_scored_in_their_scales():
     test = test_of(mission=WEAVE, criterion="state")
     fitness = Batch(test).evaluate(np.zeros((1, 0)), seed=1, first=0).fitness[0]
-    parts = breakdown(test, Batch(test).space.fixed, 1, 0)
+    parts = case_breakdown(test, Batch(test).space.fixed, 1, 0)
     scales = np.repeat([10.0, 1.0, 1.0, 1.0], 3)
     rmse = np.array(list(parts["state_rmse"].values()))
     assert fitness == pytest.approx(np.sqrt(((rmse / scales) ** 2).mean()), rel=1e-6)
@@ -255,7 +257,7 @@ def test_twelve_states_are_scored_in_their_scales():
 def test_a_case_is_broken_down_by_phase_and_by_fault():
     broken = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=0.1, at_s=4.0, for_s=2.0)
     test = test_of(mission=WEAVE, faults=[broken])
-    parts = breakdown(test, Batch(test).space.fixed, 1, 0)
+    parts = case_breakdown(test, Batch(test).space.fixed, 1, 0)
     assert set(parts["phases"]) >= {"turn"}
     assert sum(p["samples"] for p in parts["phases"].values()) == parts["samples"] == 1001
     assert parts["faults"]["drawn-0"]["samples"] == 200

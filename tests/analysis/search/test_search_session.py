@@ -5,14 +5,14 @@ import csv
 import numpy as np
 import pytest
 
-from analysis.search.search_session import COLUMNS, Session
-from analysis.search.space.test_file import Initial, TestFile, read_test
+from analysis.search.search_session import COLUMNS, SearchSession
+from analysis.search.space.test_file import InitialState, TestFile, read_test
 
-TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)))
+TEST = TestFile(duration_s=1.0, initial=InitialState(roll_deg=(-30.0, 30.0)))
 
 
 def test_a_session_steps_and_saves(tmp_path):
-    session = Session(TEST, tmp_path)
+    session = SearchSession(TEST, tmp_path)
     first = session.next()
     second = session.next()
     assert session.number == 1
@@ -26,7 +26,7 @@ def test_a_session_steps_and_saves(tmp_path):
 
 
 def test_a_session_learns_like_the_search(tmp_path):
-    session = Session(TEST, tmp_path)
+    session = SearchSession(TEST, tmp_path)
     for _ in range(70):
         session.next()
     assert session.number == 69
@@ -36,8 +36,8 @@ def test_a_session_learns_like_the_search(tmp_path):
 def test_the_title_has_the_unit_of_the_criterion(tmp_path):
     test = TestFile(
         duration_s=1.0, estimator="inverse-model", criterion="height",
-        initial=Initial(roll_deg=(-30.0, 30.0)),
+        initial=InitialState(roll_deg=(-30.0, 30.0)),
     )  # fmt: skip
-    session = Session(test, tmp_path)
+    session = SearchSession(test, tmp_path)
     session.next()
     assert f"inverse-model errs by {session.error:.3f} m (worst so far" in session.title

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.search.searchers import METHODS, searcher
+from analysis.search.searchers import METHODS, make_searcher
 from mavproxy_fault.documents.errors import ConfigError
 
 TOP = np.array([0.2, 0.7, 0.4, 0.9])
@@ -14,7 +14,7 @@ def hill(points):
 
 
 def search(method, seed, budget, function=hill):
-    made = searcher(method, 4, seed, budget)
+    made = make_searcher(method, 4, seed, budget)
     points, values = [], []
     while sum(map(len, points)) < budget:
         asked = made.ask()
@@ -58,11 +58,11 @@ def test_a_searcher_leaves_numpys_global_generator_alone():
 
 
 def test_a_search_of_many_evaluations_asks_for_several_islands_at_once():
-    made = searcher("mixed", 4, 1, 100_000)
+    made = make_searcher("mixed", 4, 1, 100_000)
     made.tell(first := made.ask(), hill(first))
     assert len(made.ask()) >= 80
 
 
 def test_an_unknown_method_is_the_users_error():
     with pytest.raises(ConfigError, match="known: cmaes, de, matyas, mixed, random, sobol"):
-        searcher("luck", 4, 1, 10)
+        make_searcher("luck", 4, 1, 10)

@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.search.search_session import Session
+from analysis.search.search_session import SearchSession
 from analysis.search.space.fault_range import FaultRange
-from analysis.search.space.test_file import Initial, Limits, TestFile
+from analysis.search.space.test_file import FlightEnvelope, InitialState, TestFile
 from analysis.search_page import flight_data as module
 from analysis.search_page.flight_data import flight_data
 
 FAULT = FaultRange(
     fault="bias", any_of=["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro"], value=(0.1, 0.2), at_s=0.25
 )
-TEST = TestFile(duration_s=1.0, initial=Initial(roll_deg=(-30.0, 30.0)), faults=[FAULT])
+TEST = TestFile(duration_s=1.0, initial=InitialState(roll_deg=(-30.0, 30.0)), faults=[FAULT])
 
 
-def flown(test: TestFile, folder: Path) -> tuple[Session, dict]:
-    session = Session(test, folder)
+def flown(test: TestFile, folder: Path) -> tuple[SearchSession, dict]:
+    session = SearchSession(test, folder)
     session.next()
     return session, json.loads(flight_data(session))
 
@@ -52,7 +52,11 @@ def test_parameters_have_their_ranges_and_a_target_its_name(tmp_path: Path) -> N
 
 def test_a_flight_is_shown_as_far_as_its_envelope(tmp_path: Path) -> None:
     session, flight = flown(
-        TestFile(duration_s=1.0, initial=Initial(q_dps=60.0), envelope=Limits(pitch_deg=10.0)),
+        TestFile(
+            duration_s=1.0,
+            initial=InitialState(q_dps=60.0),
+            envelope=FlightEnvelope(pitch_deg=10.0),
+        ),
         tmp_path,
     )
     count = int(session.trace.alive.sum())
@@ -64,7 +68,7 @@ def test_a_flight_is_shown_as_far_as_its_envelope(tmp_path: Path) -> None:
 def test_a_long_flight_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "MOST", 40)
+    monkeypatch.setattr(module, "MAX_SAMPLES", 40)
     _, flight = flown(TEST, tmp_path)
     assert flight["step"] == 3
     assert flight["t"][0][:3] == [0.0, 0.03, 0.06]

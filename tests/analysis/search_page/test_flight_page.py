@@ -10,21 +10,21 @@ from typing import Any
 
 import pytest
 
-from analysis.search.search_session import Session
+from analysis.search.search_session import SearchSession
 from analysis.search.space.fault_range import FaultRange
-from analysis.search.space.test_file import Initial, TestFile
+from analysis.search.space.test_file import InitialState, TestFile
 from analysis.search_page.flights import Flights
-from analysis.search_page.search_server import flights_of, serve
+from analysis.search_page.search_server import make_flights, serve_search_page
 from mavproxy_fault.documents.errors import ConfigError
 
 TEST = TestFile(
     duration_s=2.0,
-    initial=Initial(roll_deg=(-30.0, 30.0)),
+    initial=InitialState(roll_deg=(-30.0, 30.0)),
     faults=[FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=(0.1, 0.3), at_s=0.5)],
 )
 
 
-class HeldSession(Session):
+class HeldSession(SearchSession):
     """A session whose flights wait until they may go on."""
 
     def __init__(self, test: TestFile, folder: Path) -> None:
@@ -38,7 +38,7 @@ class HeldSession(Session):
 
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[str]:
-    with serve(flights_of(TEST, tmp_path / "found"), port=0) as found:
+    with serve_search_page(make_flights(TEST, tmp_path / "found"), port=0) as found:
         yield found
 
 
@@ -71,7 +71,7 @@ def test_looking_is_free_and_flying_needs_the_token(address: str) -> None:
 
 def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
     session = HeldSession(TEST, tmp_path)
-    with serve(Flights(session), port=0) as address:
+    with serve_search_page(Flights(session), port=0) as address:
         try:
             state = {"number": None, "flying": True, "failed": False}
             assert asked(address, "state", {}, None) == (200, state)
@@ -86,19 +86,19 @@ def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
 
 def test_what_the_simulator_flies_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--interactive: shows flights of the compiled kernels"):
-        flights_of(TestFile(estimator="fusion"), tmp_path)
+        make_flights(TestFile(estimator="fusion"), tmp_path)
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "found").write_text("in the way")
-    flights = flights_of(TEST, tmp_path / "found")
+    flights = make_flights(TEST, tmp_path / "found")
     flights.next()
     flights.close()
     with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder by --out"):
         flights.save()
 
 
-class BrokenSession(Session):
+class BrokenSession(SearchSession):
     """A session whose second flight fails, as by a mistake of ours."""
 
     def next(self) -> Any:
@@ -201,7 +201,7 @@ def test_a_narrow_screen_shows_all_of_a_flight(page: Any) -> None:
 @pytest.mark.browser
 def test_the_end_of_the_search_is_told(browser: Any, tmp_path: Path) -> None:
     viewer = browser.new_page()
-    with serve(flights_of(TEST, tmp_path), port=0) as address:
+    with serve_search_page(make_flights(TEST, tmp_path), port=0) as address:
         viewer.goto(address)
         viewer.wait_for_selector("#next:not([disabled])")
     viewer.wait_for_selector("#flying:has-text('the search has ended')")

@@ -12,17 +12,17 @@ import pytest
 
 from analysis.monitor.publish import Publisher
 from analysis.results import AttitudeError, Decision, SensorDecision
-from analysis.web.page_server import serve
+from analysis.web.page_server import serve_page
 from mavproxy_fault.links.bus import Bus, open_bus
-from mavproxy_fault.live.control import Control
-from mavproxy_fault.live.session import Live
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.live.session import LiveSession
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
-from mavproxy_fault.proxy.statistics import figures
+from mavproxy_fault.proxy.statistics import link_statistics
 from mavproxy_fault.schedule.entries import Schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import Label
 
 LINKS = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
@@ -36,10 +36,10 @@ class Loop:
 
     def __init__(self, url: str = "tcp/127.0.0.1:0") -> None:
         self.bus: Bus = open_bus(url, run="flight-1", router=True)
-        control = Control(Engine(Schedule(1)))
+        control = LiveControl(Engine(Schedule(1)))
         self.core = Core(LINKS, control.engine, control=control)
         self.engine = control.engine
-        self.live = Live(control, lambda: self.core.clock.t_us)
+        self.live = LiveSession(control, lambda: self.core.clock.t_us)
         self.live.offer(self.bus)
         self.publisher = Publisher(self.bus)
         self.labels: list[Label] = []
@@ -64,7 +64,7 @@ class Loop:
             self.live.serve()
             labels = self.core.drain_labels()
             self.labels += labels
-            figures_now = [figures(self.core, number) for number in range(len(LINKS))]
+            figures_now = [link_statistics(self.core, number) for number in range(len(LINKS))]
             self.live.publish(figures_now, labels)
             self.live.show(time.monotonic())
 
@@ -80,9 +80,9 @@ class Loop:
         ]
         for name, values in frames:
             self._seq = (self._seq + 1) & 0xFF
-            raw = build(known(name), values, seq=self._seq)
+            raw = build_frame(message_layout(name), values, seq=self._seq)
             for link, sent, _ in list(self.core.received(0, raw, self._t_us)):
-                frame = Frame(sent, known(int.from_bytes(sent[7:10], "little")))
+                frame = Frame(sent, message_layout(int.from_bytes(sent[7:10], "little")))
                 if frame.layout.name == "COMMAND_LONG" and link == 0:
                     self._grant(frame)
                 elif frame.layout.name == "HIL_SENSOR":
@@ -92,7 +92,7 @@ class Loop:
         """Answer a command as a vehicle that does all it is told."""
         number = int(command.number("command"))
         self.commands.append((number, command.number("param7")))
-        raw = build(known("COMMAND_ACK"), {"command": number})
+        raw = build_frame(message_layout("COMMAND_ACK"), {"command": number})
         self.core.received(0, raw, self._t_us)
 
     @property
@@ -149,7 +149,7 @@ def loop() -> Iterator[Loop]:
 
 @pytest.fixture
 def address(loop: Loop) -> Iterator[str]:
-    with serve(loop.bus.url, port=0) as found:
+    with serve_page(loop.bus.url, port=0) as found:
         yield found
 
 

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from analysis.web.feed import BURST, MOST_VIEWERS, WAITING, Feed, Viewer
+from analysis.web.feed import MAX_QUEUED_BATCHES, MAX_VIEWERS, SAMPLES_PER_TICK, Feed, Viewer
 from mavproxy_fault.documents.errors import ConfigError
 
 
@@ -30,23 +30,23 @@ def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
     feed = Feed()
     frozen, lively = feed.join(), feed.join()
     said(lively)
-    for number in range(3 * WAITING):
+    for number in range(3 * MAX_QUEUED_BATCHES):
         feed.push("fdi/main/stat", b"%d" % number)
         feed.tick()
         assert said(lively) == [["fdi/main/stat", number]]
-    assert frozen.queue.qsize() <= WAITING
+    assert frozen.queue.qsize() <= MAX_QUEUED_BATCHES
 
 
 def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
     feed = Feed()
     viewer = feed.join()
     feed.push("fdi/events", b'"early"')
-    for number in range(WAITING):
+    for number in range(MAX_QUEUED_BATCHES):
         feed.push("schedule/state", b"%d" % number)
         feed.tick()
     assert said(viewer) == [
         ["page/picture", None],
-        ["schedule/state", WAITING - 1],
+        ["schedule/state", MAX_QUEUED_BATCHES - 1],
         ["fdi/events", "early"],
     ]
 
@@ -73,10 +73,12 @@ def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
     feed = Feed()
     viewer = feed.join()
     said(viewer)
-    for number in range(2 * BURST):
+    for number in range(2 * SAMPLES_PER_TICK):
         feed.push("fdi/main/stat", b"%d" % number)
     feed.tick()
-    assert said(viewer) == [["fdi/main/stat", number] for number in range(BURST, 2 * BURST)]
+    assert said(viewer) == [
+        ["fdi/main/stat", number] for number in range(SAMPLES_PER_TICK, 2 * SAMPLES_PER_TICK)
+    ]
 
 
 def test_a_late_joiner_is_shown_the_past_of_a_curve() -> None:
@@ -100,7 +102,7 @@ def test_the_proxy_is_asked_for_what_any_viewer_wants_and_exists() -> None:
 
 def test_more_viewers_than_a_page_is_for_are_turned_away() -> None:
     feed = Feed()
-    for _ in range(MOST_VIEWERS):
+    for _ in range(MAX_VIEWERS):
         feed.join()
     with pytest.raises(ConfigError, match="viewers already"):
         feed.join()

@@ -10,7 +10,7 @@ from websockets import Origin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from analysis.web.page_server import listen
+from analysis.web.page_server import open_socket
 
 
 @pytest.mark.browser
@@ -84,7 +84,7 @@ def test_another_site_can_neither_read_nor_listen(address: str) -> None:
 
 
 def test_the_page_is_reached_on_loopback_only() -> None:
-    bound = listen(0)
+    bound = open_socket(0)
     assert bound.getsockname()[0] == "127.0.0.1"
     bound.close()
 

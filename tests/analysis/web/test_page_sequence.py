@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from analysis.web.page_server import Offer, serve
+from analysis.web.page_server import PageOptions, serve_page
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import read_schedule
 
@@ -27,7 +27,7 @@ faults:
 
 @pytest.fixture
 def address(loop: Any, tmp_path: Path) -> Iterator[str]:
-    with serve(loop.bus.url, port=0, offer=Offer(True, tmp_path)) as found:
+    with serve_page(loop.bus.url, port=0, offer=PageOptions(True, tmp_path)) as found:
         yield found
 
 
@@ -126,7 +126,7 @@ def test_a_button_commands_the_vehicle_until_it_grants_it(page: Any, loop: Any) 
 def test_without_the_option_the_page_commands_nothing(
     loop: Any, open_page: Callable[[str], Any]
 ) -> None:
-    with serve(loop.bus.url, port=0) as address:
+    with serve_page(loop.bus.url, port=0) as address:
         page = open_page(address)
         assert page.is_hidden("#commands")
         assert page.is_hidden("#command-step")
@@ -145,7 +145,7 @@ def test_without_the_option_the_page_commands_nothing(
 def test_a_folder_of_sequences_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with (
         pytest.raises(ConfigError, match=r"--sequences .*is no folder"),
-        serve("tcp/127.0.0.1:1", port=0, offer=Offer(sequences=tmp_path / "none")),
+        serve_page("tcp/127.0.0.1:1", port=0, offer=PageOptions(sequences=tmp_path / "none")),
     ):
         pass
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from analysis.web.page_server import serve
+from analysis.web.page_server import serve_page
 from mavproxy_fault.links.bus import open_bus
 
 pytestmark = pytest.mark.browser
@@ -70,7 +70,7 @@ def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
-    with serve(first.bus.url, port=0) as address:
+    with serve_page(first.bus.url, port=0) as address:
         page = open_page(address)
         first.close()
         page.wait_for_selector("#connection:has-text('The proxy is gone')")
@@ -86,7 +86,7 @@ def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
-    with serve(first.bus.url, port=0) as address:
+    with serve_page(first.bus.url, port=0) as address:
         page = open_page(address)
         page.select_option("#kind", "fault:bias")
         page.fill("[data-key=target]", "HIL_SENSOR.xgyro")

@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analysis.web.feed import STATUS, Feed
-from analysis.web.run_source import Source
+from analysis.web.feed import STATUS_KEY, Feed
+from analysis.web.run_source import RunSource
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.bus_users import CONFIG
@@ -27,7 +27,7 @@ class Statuses(Feed):
         """The run of the next status."""
         while True:
             key, value = self.heard.get(timeout=20)
-            if key == STATUS:
+            if key == STATUS_KEY:
                 assert isinstance(value, dict)
                 return value["run"]
 
@@ -38,23 +38,25 @@ def feed() -> Statuses:
 
 
 @pytest.fixture
-def source(feed: Statuses) -> Iterator[Source]:
+def source(feed: Statuses) -> Iterator[RunSource]:
     with open_bus("tcp/127.0.0.1:0", router=True) as found:
         url = found.url
-    running = Source(feed, url)
+    running = RunSource(feed, url)
     running.start()
     yield running
     running.close()
 
 
-def test_a_request_without_a_proxy_says_that_there_is_none(feed: Statuses, source: Source) -> None:
+def test_a_request_without_a_proxy_says_that_there_is_none(
+    feed: Statuses, source: RunSource
+) -> None:
     assert feed.next_run() is None
     with pytest.raises(ConfigError, match="no proxy and no run is there"):
         source.ask("schedule/stop", b"")
 
 
 def test_the_source_follows_a_proxy_that_goes_and_comes_back(
-    feed: Statuses, source: Source
+    feed: Statuses, source: RunSource
 ) -> None:
     assert feed.next_run() is None
     for run in ("first", "second"):
@@ -75,7 +77,7 @@ def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "ours"))
         with pytest.raises(ConfigError, match="refuses us"):
             open_bus(proxy.url)
-        source = Source(feed, proxy.url, str(*tmp_path.glob(f"theirs/*/*/{CONFIG}")))
+        source = RunSource(feed, proxy.url, str(*tmp_path.glob(f"theirs/*/*/{CONFIG}")))
         source.start()
         try:
             assert feed.next_run() is None
@@ -84,6 +86,6 @@ def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
             source.close()
 
 
-def test_a_run_that_is_not_there_cannot_be_chosen(source: Source) -> None:
+def test_a_run_that_is_not_there_cannot_be_chosen(source: RunSource) -> None:
     with pytest.raises(ConfigError, match="'nobody' is not there; there are: none"):
         source.choose("nobody")

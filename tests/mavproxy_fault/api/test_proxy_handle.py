@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 import mavproxy_fault
-from mavproxy_fault.links.bus import with_port
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.links.bus import choose_free_port
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.tlog import read_columns
 
 ANY = "udpin:127.0.0.1:0"
-GPS = known("GPS_RAW_INT")
+GPS = message_layout("GPS_RAW_INT")
 
 
 class Ends:
@@ -31,7 +31,7 @@ class Ends:
         """Send one more frame; the fix type that came out."""
         self.count += 1
         values = {"time_usec": 1_000_000 + self.count * 20_000, "fix_type": sent}
-        self.vehicle.send(build(GPS, values, seq=self.count & 255))
+        self.vehicle.send(build_frame(GPS, values, seq=self.count & 255))
         while True:
             for item in Parser().push(self.station.recv(999), datagram=True):
                 if isinstance(item, Frame) and item.id == GPS.id:
@@ -57,8 +57,8 @@ def ends(addresses: list[str]) -> Iterator[Ends]:
             sock.connect(("127.0.0.1", int(address.rsplit(":", 1)[1])))
             socks.append(sock)
         vehicle, station = socks
-        heartbeat = build(known("HEARTBEAT"), {"type": 6}, system=255)
-        vehicle.send(build(known("HEARTBEAT"), {"type": 2}))
+        heartbeat = build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255)
+        vehicle.send(build_frame(message_layout("HEARTBEAT"), {"type": 2}))
         station.send(heartbeat)
         assert vehicle.recv(999) == heartbeat
         yield Ends(vehicle, station)
@@ -137,7 +137,7 @@ def test_the_same_with_asyncio() -> None:
 
 
 def test_a_proxy_of_another_owner_can_be_joined() -> None:
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     with (
         mavproxy_fault.Proxy(ANY, ANY, zenoh=url) as owner,
         ends(owner.addresses) as both,
@@ -153,7 +153,7 @@ def test_a_proxy_of_another_owner_can_be_joined() -> None:
 
 def test_nobody_to_join_is_told() -> None:
     with pytest.raises(mavproxy_fault.ConfigError, match="no router"):
-        mavproxy_fault.Proxy.attach(with_port("tcp/127.0.0.1:0"))
+        mavproxy_fault.Proxy.attach(choose_free_port("tcp/127.0.0.1:0"))
 
 
 def test_to_import_the_package_loads_nothing_heavy() -> None:

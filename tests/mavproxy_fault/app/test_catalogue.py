@@ -5,7 +5,7 @@ import jsonschema
 import pytest
 import yaml
 
-from mavproxy_fault.app.catalogue import listing, schema
+from mavproxy_fault.app.catalogue import list_catalogue, schedule_schema
 from mavproxy_fault.cli import main
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.schedule.presets import preset_names
@@ -27,7 +27,7 @@ def schedule(tmp_path: Path) -> Path:
 
 
 def test_the_list_has_one_line_for_every_fault_and_preset() -> None:
-    words = [line.split()[0] for line in listing().splitlines()]
+    words = [line.split()[0] for line in list_catalogue().splitlines()]
     assert words == ["faults", *known_faults(), "presets", *preset_names()]
 
 
@@ -76,7 +76,7 @@ def test_plot_draws_a_picture(schedule: Path, tmp_path: Path) -> None:
 
 
 def test_the_schema_takes_what_the_reader_takes_and_refuses_what_it_refuses() -> None:
-    checker = jsonschema.Draft202012Validator(json.loads(json.dumps(schema())))
+    checker = jsonschema.Draft202012Validator(json.loads(json.dumps(schedule_schema())))
     checker.check_schema(checker.schema)
     checker.validate(yaml.safe_load(SCHEDULE))
     for wrong in ("bais", "drift, rate: 3"):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.cli import SHELLS, main, parser
+from mavproxy_fault.cli import SHELLS, build_parser, main
 
 
 def parsers(one: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -21,7 +21,7 @@ def parsers(one: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
 
 
 def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
-    every = list(parsers(parser()))
+    every = list(parsers(build_parser()))
     assert len(every) > 20
     for one in every:
         formatter = one._get_formatter()
@@ -59,8 +59,8 @@ def test_a_misspelt_word_is_answered_with_the_nearest(
 
 def test_the_proxy_takes_its_stations_by_mavproxys_word_too_but_does_not_show_it() -> None:
     words = ["proxy", "--master", "udpin:127.0.0.1:1", "--to", "a", "--out", "b"]
-    assert parser("proxy").parse_args(words).to == ["a", "b"]
-    assert "--out EP" not in parser("proxy").format_help()
+    assert build_parser("proxy").parse_args(words).to == ["a", "b"]
+    assert "--out EP" not in build_parser("proxy").format_help()
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.signing import key_of, signed
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.signing import derive_key, sign_frame
 
 OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --master udpin:{{master}} --to udpout:{{out}}"
 COMMAND = os.environ.get("MAVPROXY_FAULT_CONFORMANCE", f"{OURS} --zenoh off")
@@ -32,7 +32,7 @@ PATIENCE_S = 5.0
 
 
 def frame(name: str, seq: int = 0, system: int = 1, component: int = 1, **values: object) -> bytes:
-    return build(known(name), values, seq=seq, system=system, component=component)
+    return build_frame(message_layout(name), values, seq=seq, system=system, component=component)
 
 
 def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
@@ -41,7 +41,7 @@ def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
 
 def with_flags(raw: bytes, flags: int) -> bytes:
     """A frame with incompatibility flags set and the CRC right."""
-    layout = known(int.from_bytes(raw[7:10], "little"))
+    layout = message_layout(int.from_bytes(raw[7:10], "little"))
     changed = Frame(raw[:2] + bytes((flags,)) + raw[3:], layout)
     return changed.with_payload(changed.payload).raw
 
@@ -49,8 +49,8 @@ def with_flags(raw: bytes, flags: int) -> bytes:
 END = frame("STATUSTEXT", 99, 9, 9, text=b"end of the case")
 BROKEN = bytes((*heartbeat()[:-1], heartbeat()[-1] ^ 0xFF))
 SENSOR = frame("HIL_SENSOR", 1, 1, 51, time_usec=10**6, xgyro=0.1, fields_updated=63)
-ZEROS = Frame(heartbeat(), known("HEARTBEAT")).with_payload(b"\2\0\0\0\2\0\0\0\0").raw
-FUTURE = Frame(heartbeat(), known("HEARTBEAT")).with_payload(bytes(range(1, 20))).raw
+ZEROS = Frame(heartbeat(), message_layout("HEARTBEAT")).with_payload(b"\2\0\0\0\2\0\0\0\0").raw
+FUTURE = Frame(heartbeat(), message_layout("HEARTBEAT")).with_payload(bytes(range(1, 20))).raw
 UNKNOWN = b"\xfd\x03\0\0\x05\x01\x01\x99\x99\x09abc"
 UNKNOWN += bytes.fromhex("4d50")  # with a CRC extra of 0x55
 
@@ -142,7 +142,9 @@ ONE_BY_ONE = {
     "extension bytes of the future": (FUTURE, SENSOR),
     "a message of another dialect": (UNKNOWN, SENSOR),
     "bytes that are no MAVLink": (b"\r\nboot: \xfe\xfd fine\r\n", SENSOR),
-    "a signed frame": (signed(Frame(SENSOR, known("HIL_SENSOR")), key_of("k"), 1, 5).raw,),
+    "a signed frame": (
+        sign_frame(Frame(SENSOR, message_layout("HIL_SENSOR")), derive_key("k"), 1, 5).raw,
+    ),
     "a length that reaches beyond the datagram": (b"\xfd\xff\0\0\1\1\1\0\0\0", SENSOR),
     "MAVLink 1": (bytes.fromhex("fe0900013300000000000203510403aee1"), SENSOR),
 }

@@ -8,15 +8,15 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from mavproxy_fault.app.preview import epoch, sample
+from mavproxy_fault.app.preview import encode_test_epoch, healthy_frame
 from mavproxy_fault.app.replay import main
 from mavproxy_fault.faults.registry import known_faults
-from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import read_labels
 
@@ -37,7 +37,7 @@ def healthy(entries: tuple[Entry, ...], path: Path) -> None:
     messages = {"HIL_SENSOR"}
     satellites: set[str] = set()
     for entry in entries:
-        if isinstance(entry.fault, Satellites):
+        if isinstance(entry.fault, SatelliteFault):
             satellites |= set(entry.fault.names)
         named = entry.targets or getattr(entry.fault, "messages", ())
         heads = {name.split(".")[0] for name in named}
@@ -45,12 +45,14 @@ def healthy(entries: tuple[Entry, ...], path: Path) -> None:
     with path.open("wb") as log:
         for n in range(FRAMES):
             t_s = 1.0 + n * STEP_S
-            frames = [sample(name, t_s) for name in sorted(messages)]
+            frames = [healthy_frame(name, t_s) for name in sorted(messages)]
             if satellites and n % 5 == 0:
                 for system in sorted({name[0] for name in satellites}):
                     names = sorted(name for name in satellites if name[0] == system)[:MOST]
-                    parts = tunnel_frames(epoch(system, [*names, f"{system}31"], t_s), n)
-                    frames += [Frame(raw, known("TUNNEL")) for raw in parts]
+                    parts = tunnel_frames(
+                        encode_test_epoch(system, [*names, f"{system}31"], t_s), n
+                    )
+                    frames += [Frame(raw, message_layout("TUNNEL")) for raw in parts]
             for frame in frames:
                 log.write((UNIX_US + round(t_s * 1e6)).to_bytes(8, "big") + frame.raw)
 

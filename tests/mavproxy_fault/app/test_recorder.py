@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.app.playback import split
+from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.live.journal import Edit, read_edits
-from mavproxy_fault.proxy.tape import Tape
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.live.edit_log import Edit, read_edits
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from mavproxy_fault.wire.label import Label, read_labels
 
 with warnings.catch_warnings():
@@ -26,17 +26,21 @@ WALL_US = 1_700_000_000_000_000
 
 
 def heartbeat(seq: int) -> bytes:
-    return build(known("HEARTBEAT"), {"type": 2, "mavlink_version": 3}, seq=seq)
+    return build_frame(message_layout("HEARTBEAT"), {"type": 2, "mavlink_version": 3}, seq=seq)
 
 
 def test_a_session_can_be_read_before_it_is_closed(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, {"seed": 3})
-    tape = Tape()
+    tape = CaptureBuffer()
     tape.receive(WALL_US, 1, heartbeat(0))
     tape.send(WALL_US + 5, heartbeat(0))
     recorder.write(tape, [Label(id="a", fault="bias", t0_us=0, start_us=1)])
-    assert list(split((tmp_path / "received.tlog").read_bytes())) == [(WALL_US, heartbeat(0))]
-    assert list(split((tmp_path / "sent.tlog").read_bytes())) == [(WALL_US + 5, heartbeat(0))]
+    assert list(split_records((tmp_path / "received.tlog").read_bytes())) == [
+        (WALL_US, heartbeat(0))
+    ]
+    assert list(split_records((tmp_path / "sent.tlog").read_bytes())) == [
+        (WALL_US + 5, heartbeat(0))
+    ]
     assert [label.id for label in read_labels(tmp_path / "labels.jsonl")] == ["a"]
     recorder.close(7, WALL_US + 9)
     session = json.loads((tmp_path / "session.json").read_text())
@@ -54,7 +58,7 @@ def test_an_earlier_session_is_set_aside_and_never_overwritten(tmp_path: Path) -
 
 
 def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path: Path) -> None:
-    tape = Tape()
+    tape = CaptureBuffer()
     frames = [heartbeat(seq) for seq in range(40)]
     for number, raw in enumerate(frames):
         tape.send(WALL_US + number * 1000, raw)
@@ -62,7 +66,7 @@ def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path:
         tape.send(WALL_US + number * 1000 + 1, (b"boot: fine\r\n", broken)[number % 2])
     path = tmp_path / "sent.tlog"
     path.write_bytes(tape.drain().sent)
-    ours = [raw for _, raw in split(path.read_bytes())]
+    ours = [raw for _, raw in split_records(path.read_bytes())]
     assert [raw for raw in ours if raw in frames] == frames
     log = mavutil.mavlink_connection(str(path))
     theirs = 0
@@ -85,7 +89,7 @@ def files_no_larger_than(size: int) -> Iterator[None]:
 
 def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, {})
-    tape = Tape()
+    tape = CaptureBuffer()
     label = Label(id="a", fault="bias", t0_us=0, start_us=1)
     edit = Edit(3, 0, 0, "rflysim")
     for n in range(3):
@@ -101,7 +105,9 @@ def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> N
     recorder.write(tape)
     recorder.close(None, 0)
     assert recorder.failing is None
-    kept = [n for _, raw in split((tmp_path / "received.tlog").read_bytes()) for n in [raw[4]]]
+    kept = [
+        n for _, raw in split_records((tmp_path / "received.tlog").read_bytes()) for n in [raw[4]]
+    ]
     assert kept == [0, 1, 2, 100]
     assert len((tmp_path / "received.index").read_bytes()) == 4 * 6
     assert [one.id for one in read_labels(tmp_path / "labels.jsonl")] == ["a"]
@@ -112,7 +118,7 @@ def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> N
 def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "log"
     recorder = Recorder(folder, {})
-    tape = Tape()
+    tape = CaptureBuffer()
     tape.receive(WALL_US, 0, heartbeat(0))
     recorder.write(tape)
     shutil.rmtree(folder)
@@ -127,7 +133,7 @@ def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
 def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_path: Path) -> None:
     folder = tmp_path / "log"
     recorder = Recorder(folder, {})
-    tape = Tape()
+    tape = CaptureBuffer()
     for n in range(100):
         tape.receive(WALL_US + n, 0, heartbeat(n))
     with files_no_larger_than(200):
@@ -138,7 +144,7 @@ def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_
     recorder.write(tape)
     assert recorder.failing is None
     recorder.close(None, 0)
-    assert [raw[4] for _, raw in split((folder / "received.tlog").read_bytes())] == [100]
+    assert [raw[4] for _, raw in split_records((folder / "received.tlog").read_bytes())] == [100]
     assert len((folder / "received.index").read_bytes()) == 6
 
 
@@ -151,7 +157,7 @@ class Uncut(FileIO):
 
 def test_what_a_failed_disk_does_not_let_be_cut_is_cut_when_it_is_back(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, {})
-    tape = Tape()
+    tape = CaptureBuffer()
     for n in range(100):
         tape.receive(WALL_US + n, 0, heartbeat(n))
     whole = recorder._files
@@ -166,7 +172,7 @@ def test_what_a_failed_disk_does_not_let_be_cut_is_cut_when_it_is_back(tmp_path:
     recorder.write(tape)
     recorder.close(None, 0)
     assert recorder.failing is None
-    assert [raw[4] for _, raw in split((tmp_path / "received.tlog").read_bytes())] == [100]
+    assert [raw[4] for _, raw in split_records((tmp_path / "received.tlog").read_bytes())] == [100]
 
 
 def test_a_folder_that_cannot_be_written_is_the_users_mistake(tmp_path: Path) -> None:

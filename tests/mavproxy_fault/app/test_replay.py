@@ -7,18 +7,18 @@ import pytest
 import yaml
 
 from mavproxy_fault.app import replay
-from mavproxy_fault.app.playback import open_log, split
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.playback import open_log, split_records
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from mavproxy_fault.wire.label import read_labels
 
 SCHEDULE = """
@@ -40,11 +40,11 @@ def arguments(log: Path, schedule: str, tmp_path: Path, **chosen: str | None) ->
 
 def sensor(step: int, component: int = 51) -> bytes:
     values = {"time_usec": 1_000_000 + step * 4000, "xgyro": 0.5, "fields_updated": 63}
-    return build(known("HIL_SENSOR"), values, seq=step & 255, component=component)
+    return build_frame(message_layout("HIL_SENSOR"), values, seq=step & 255, component=component)
 
 
 def heartbeat(step: int) -> bytes:
-    return build(known("HEARTBEAT"), {"type": 2}, seq=step & 255)
+    return build_frame(message_layout("HEARTBEAT"), {"type": 2}, seq=step & 255)
 
 
 def record_a_live_session(folder: Path) -> None:
@@ -54,8 +54,8 @@ def record_a_live_session(folder: Path) -> None:
         sim.bind(("127.0.0.1", 0))
         sim.settimeout(10)
         links = [master, UdpClient(*sim.getsockname())]
-        tape = Tape()
-        core = Core(roles(links), Engine(parse_schedule(SCHEDULE)), tape=tape)
+        tape = CaptureBuffer()
+        core = Core(link_roles(links), Engine(parse_schedule(SCHEDULE)), tape=tape)
         server = Server(links, core, tape=tape, recorder=Recorder(folder, {
             "links": [{"name": role.name, "direction": role.direction} for role in core.links],
             "schedule": yaml.safe_load(SCHEDULE),
@@ -102,7 +102,7 @@ def test_a_real_log_passes_unchanged_where_no_fault_acts(
     log: str, shared_data: Path, tmp_path: Path
 ) -> None:
     whole = (shared_data / log).read_bytes()
-    records = list(split(whole))
+    records = list(split_records(whole))
     assert sum(8 + len(raw) for _, raw in records) == len(whole)
     part = tmp_path / "part.tlog"
     part.write_bytes(b"".join(t.to_bytes(8, "big") + raw for t, raw in records[:6000]))
@@ -113,7 +113,7 @@ def test_a_real_log_passes_unchanged_where_no_fault_acts(
 
 def test_directions_of_a_foreign_log_are_told_by_the_sender(tmp_path: Path) -> None:
     log = tmp_path / "foreign.tlog"
-    station = build(known("HEARTBEAT"), {"type": 6}, system=255, component=190)
+    station = build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255, component=190)
     simulator = [sensor(step, component=7) for step in range(2)]
     frames = [heartbeat(0), station, *simulator, heartbeat(1)]
     log.write_bytes(b"".join((10**15 + n).to_bytes(8, "big") + raw for n, raw in enumerate(frames)))

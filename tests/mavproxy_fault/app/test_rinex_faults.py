@@ -6,7 +6,7 @@ from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.cli import main
 from mavproxy_fault.rinex.rinex_text import read_rinex_text
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.label import newest, read_labels
+from mavproxy_fault.wire.label import latest_labels, read_labels
 
 STEP = {"fault": "bias", "target": "PSEUDORANGE.G19", "value": 50, "at_s": 10, "for_s": 5}
 LOSS = {"fault": "drop", "target": "PSEUDORANGE.G17", "value": 1.0, "at_s": 20, "for_s": 2}
@@ -29,7 +29,7 @@ def test_faults_act_from_the_first_epoch_on_as_on_a_link(recording):
     assert steps == pytest.approx([50.0] * 5)
     assert [b[3:17].strip() for a, b in changed if a.startswith("G17")] == ["", ""]
     assert len(changed) == 7
-    step, loss = newest(labels)
+    step, loss = latest_labels(labels)
     assert (step.frames, step.magnitude, step.recorded) == (5, 50.0, True)
     assert (step.start_us - step.t0_us, step.end_us - step.t0_us) == (10_000_000, 15_000_000)
     assert loss.frames == 2
@@ -88,4 +88,4 @@ def test_a_jammed_recording_loses_its_signals(recording):
         b for a, b in zip(healthy, lines, strict=True) if a[:1] in "GE" and not b[3:17].strip()
     ]
     assert len(blank) > 10
-    assert [label.frames for label in newest(labels)] == [2]
+    assert [label.frames for label in latest_labels(labels)] == [2]

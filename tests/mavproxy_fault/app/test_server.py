@@ -15,7 +15,7 @@ import pytest
 from mavproxy_fault.app import commands
 from mavproxy_fault.app import proxy_command as proxy
 from mavproxy_fault.app import server as server_module
-from mavproxy_fault.app.playback import split
+from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
@@ -24,23 +24,25 @@ from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from tests.mavproxy_fault.serving import serving
 
 
 def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
-    return build(known("HEARTBEAT"), {"type": 2}, seq=seq, system=system, component=component)
+    return build_frame(
+        message_layout("HEARTBEAT"), {"type": 2}, seq=seq, system=system, component=component
+    )
 
 
 def sensor(step: int) -> bytes:
     values = {"time_usec": 1_000_000 + step * 4000, "fields_updated": 63}
-    return build(known("HIL_SENSOR"), values, seq=step & 255, component=51)
+    return build_frame(message_layout("HIL_SENSOR"), values, seq=step & 255, component=51)
 
 
 @contextlib.contextmanager
@@ -62,7 +64,7 @@ def sending_to(sock: socket.socket) -> Link:
 def test_where_memory_runs_out_frames_go_on_and_what_is_not_recorded_is_counted(
     tmp_path: Path,
 ) -> None:
-    class Short(Tape):
+    class Short(CaptureBuffer):
         """A tape for which there is no memory at first."""
 
         left = 3
@@ -82,7 +84,7 @@ def test_where_memory_runs_out_frames_go_on_and_what_is_not_recorded_is_counted(
             came = [station.recv(999) for _ in range(7)]
     assert came == [heartbeat(seq) for seq in range(3, 10)]
     assert running.sheds == 3
-    recorded = [raw for _, raw in split((tmp_path / "received.tlog").read_bytes())]
+    recorded = [raw for _, raw in split_records((tmp_path / "received.tlog").read_bytes())]
     assert came[-len(recorded) :] == recorded
     assert recorder.lost == 7 - len(recorded)
 
@@ -131,7 +133,7 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
             other.sendto(heartbeat(0, 254), links[2].sock.getsockname())  # type: ignore[attr-defined]
             assert station.recv(999) == heartbeat(0, 254)
             values = {"target_system": 254, "target_component": 1, "command": 400}
-            answer = build(known("COMMAND_ACK"), values, system=2)
+            answer = build_frame(message_layout("COMMAND_ACK"), values, system=2)
             two.sendto(answer, address(master))
             two.sendto(heartbeat(1, 2), address(master))
             assert station.recv(999) == heartbeat(1, 2), "the answer was for the other one"
@@ -142,7 +144,7 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
 def test_what_comes_together_leaves_together_to_peers_of_a_server(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server_module, "HOLD_NS", 10**10)
+    monkeypatch.setattr(server_module, "BATCH_NS", 10**10)
     master, outlet = open_link("udpin:127.0.0.1:0"), TcpServer("127.0.0.1", 0)
     together: list[int] = []
 
@@ -151,7 +153,7 @@ def test_what_comes_together_leaves_together_to_peers_of_a_server(
         TcpServer.write_all(outlet, chunks)
 
     monkeypatch.setattr(outlet, "write_all", write_all)
-    running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
+    running = server_module.Server([master, outlet], Core(proxy.link_roles([master, outlet])))
     if compiled:
         machine.make()
         running.use_compiled()
@@ -178,7 +180,7 @@ def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_byt
     turn: str,
 ) -> None:
     master, outlet = TcpServer("127.0.0.1", 0), TcpServer("127.0.0.1", 0)
-    running = server_module.Server([master, outlet], Core(proxy.roles([master, outlet])))
+    running = server_module.Server([master, outlet], Core(proxy.link_roles([master, outlet])))
     with socket.create_connection(address(master)) as vehicle:
         vehicle.sendall(sensor(0)[:30])
         while not running.core._patience:
@@ -299,7 +301,7 @@ def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures
                 assert frame.number("xgyro") == 0.5
                 assert b"FAULT step on" in station.recv(999)
             values = {"target_system": 1, "target_component": 1, "command": 420, "param2": 1}
-            request = build(known("COMMAND_LONG"), values, system=255, component=190)
+            request = build_frame(message_layout("COMMAND_LONG"), values, system=255, component=190)
             station.sendto(request, address)
             (answer,) = Parser().push(station.recv(999), datagram=True)
             assert isinstance(answer, Frame)
@@ -373,7 +375,7 @@ from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.capture_buffer import Tape
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import known
 from mavproxy_fault.wire.frame import build
@@ -413,7 +415,7 @@ def test_a_fault_that_draws_nothing_never_loads_numpy_amid_the_traffic() -> None
 def test_without_the_calls_of_linux_the_interpreted_way_serves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(datagram_batch, "BATCHES", False)
+    monkeypatch.setattr(datagram_batch, "HAS_RECVMMSG", False)
     monkeypatch.setattr(server_module.ctypes, "CDLL", lambda name: object())
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.ardupilot.bridge_command import Exchange, FlightEndError
+from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 STAND_IN = Path(__file__).with_name("recorded_autopilot.py")
 STEP_US = 2_500
@@ -40,12 +40,12 @@ class Simulator:
         truth = {"time_usec": self.t_us, "attitude_quaternion": (1, 0, 0, 0), "lat": 474_000_000}
         sensor = {"time_usec": self.t_us, "zacc": -9.8, "abs_pressure": 955}
         frames = [
-            build(known("HIL_SENSOR"), {**sensor, "fields_updated": 0x1FFF}),
-            build(known("HIL_STATE_QUATERNION"), truth),
+            build_frame(message_layout("HIL_SENSOR"), {**sensor, "fields_updated": 0x1FFF}),
+            build_frame(message_layout("HIL_STATE_QUATERNION"), truth),
         ]
         if self._gps and self.t_us % 200_000 == 0:
             fix = {"time_usec": self.t_us, "fix_type": 3, "lat": 474_000_000}
-            frames.insert(1, build(known("HIL_GPS"), fix))
+            frames.insert(1, build_frame(message_layout("HIL_GPS"), fix))
         self._inbox.link.write(b"".join(frames))
         self.listen(0.0)
 
@@ -173,7 +173,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
         quiet = stack.enter_context(closing(Datagrams()))
         while not link.peer_count:
             link.read()
-        exchange = Exchange(link, Autopilot(), told.append, silence_s=0.1)
+        exchange = BridgeLoop(link, Autopilot(), told.append, silence_s=0.1)
         with pytest.raises(FlightEndError, match="ended with exit code 0"):
             exchange.run(b"")
         assert peer.fileno() >= 0

@@ -2,14 +2,14 @@ import math
 
 import pytest
 
-from mavproxy_fault.ardupilot.hil_readings import Imu, Readings, TrueState, true_airspeed
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.ardupilot.hil_readings import HilImu, Readings, TrueState, true_airspeed
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 
 def frame(name, **values):
-    layout = known(name)
-    return Frame(build(layout, values), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values), layout)
 
 
 def test_a_sensor_frame_is_read_in_si_units():
@@ -21,7 +21,7 @@ def test_a_sensor_frame_is_read_in_si_units():
     imu = readings.imus[0]
     assert not ended
     assert readings.fresh_imu
-    assert imu == Imu((1, 0, 0), (0, 0, 0.5), (0, 0.25, 0), 100_000, 200, 15)
+    assert imu == HilImu((1, 0, 0), (0, 0, 0.5), (0, 0.25, 0), 100_000, 200, 15)
 
 
 def test_the_truth_ends_a_step():
@@ -81,7 +81,7 @@ def test_the_heading_of_a_quaternion(yaw_deg):
 
 def test_airspeed_from_dynamic_pressure_at_sea_level():
     # ICAO standard atmosphere at sea level: 1.225 kg/m3; half of it times the speed squared
-    imu = Imu((0, 0, 0), (0, 0, 0), (0, 0, 0), 101_325, 0.5 * 1.225 * 20**2, 15.0)
+    imu = HilImu((0, 0, 0), (0, 0, 0), (0, 0, 0), 101_325, 0.5 * 1.225 * 20**2, 15.0)
     assert true_airspeed(imu) == pytest.approx(20.0, rel=1e-4)
     assert true_airspeed(imu._replace(diff_pressure_pa=-5.0)) == 0.0
     assert true_airspeed(imu._replace(pressure_pa=0.0)) == 0.0

@@ -1,52 +1,60 @@
 import pytest
 
-from mavproxy_fault.ardupilot.parameters import KINDS, Fitted, check, file_text, parameters
+from mavproxy_fault.ardupilot.parameters import (
+    VEHICLE_KINDS,
+    AvailableSensors,
+    bridge_parameters,
+    check_parameter_file,
+    parameter_file_text,
+)
 from mavproxy_fault.documents.errors import ConfigError
 
-BARE = Fitted(400.0, second_imu=False, second_gps=False, rangefinder=False)
+BARE = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", VEHICLE_KINDS)
 def test_nothing_of_sitls_own_sensors_is_left(kind):
-    values = parameters(kind, BARE)
+    values = bridge_parameters(kind, BARE)
     assert values["AHRS_EKF_TYPE"] == 3
     assert values["SIM_IMU_COUNT"] == values["SIM_BARO_COUNT"] == values["SIM_GPS1_ENABLE"] == 0
     assert all(values[f"SIM_MAG{number}_DEVID"] == 0 for number in range(1, 7))
 
 
 def test_what_is_fitted_twice_is_used_twice():
-    values = parameters("copter", Fitted(400.0, second_imu=True, second_gps=True, rangefinder=True))
+    values = bridge_parameters(
+        "copter", AvailableSensors(400.0, second_imu=True, second_gps=True, rangefinder=True)
+    )
     assert (values["SIM_IMU_COUNT"], values["EK3_IMU_MASK"]) == (1, 3)
     assert values["GPS2_TYPE"] == 14
     assert values["RNGFND1_TYPE"] == 10
-    assert "GPS2_TYPE" not in parameters("copter", BARE)
+    assert "GPS2_TYPE" not in bridge_parameters("copter", BARE)
 
 
 def test_flow_and_vision_come_by_mavlink_where_there_are_any():
-    values = parameters(
+    values = bridge_parameters(
         "copter",
-        Fitted(
+        AvailableSensors(
             400.0, second_imu=False, second_gps=False, rangefinder=False, flow=True, vision=True
         ),
     )
     assert (values["FLOW_TYPE"], values["FLOW_FXSCALER"], values["VISO_TYPE"]) == (5, -990, 1)
-    assert not {"FLOW_TYPE", "VISO_TYPE"} & parameters("copter", BARE).keys()
+    assert not {"FLOW_TYPE", "VISO_TYPE"} & bridge_parameters("copter", BARE).keys()
 
 
 def test_the_loop_is_no_faster_than_the_steps():
-    slow = Fitted(250.0, second_imu=False, second_gps=False, rangefinder=False)
-    assert parameters("copter", slow)["SCHED_LOOP_RATE"] == 250
-    assert parameters("plane", BARE)["SCHED_LOOP_RATE"] == 100
+    slow = AvailableSensors(250.0, second_imu=False, second_gps=False, rangefinder=False)
+    assert bridge_parameters("copter", slow)["SCHED_LOOP_RATE"] == 250
+    assert bridge_parameters("plane", BARE)["SCHED_LOOP_RATE"] == 100
 
 
 def test_a_file_has_a_line_for_each():
-    assert file_text({"A": 1, "B": 0.85}) == "A 1\nB 0.85\n"
+    assert parameter_file_text({"A": 1, "B": 0.85}) == "A 1\nB 0.85\n"
 
 
 def test_an_estimator_that_reads_the_truth_is_refused():
     with pytest.raises(ConfigError, match=r"own\.parm:2: AHRS_EKF_TYPE = 10 .* must be 3"):
-        check(["# mine", "AHRS_EKF_TYPE 10"], "own.parm")
+        check_parameter_file(["# mine", "AHRS_EKF_TYPE 10"], "own.parm")
 
 
 def test_other_parameters_are_the_users():
-    check(["AHRS_EKF_TYPE,3 # as it is", "ATC_RAT_RLL_P 0.2", "", "odd"], "own.parm")
+    check_parameter_file(["AHRS_EKF_TYPE,3 # as it is", "ATC_RAT_RLL_P 0.2", "", "odd"], "own.parm")

@@ -1,18 +1,18 @@
 import pytest
 
 from mavproxy_fault.ardupilot.hil_readings import TrueState
-from mavproxy_fault.ardupilot.preparation import AGAIN_US, Preparation, streams
+from mavproxy_fault.ardupilot.preparation import REPEAT_US, Preparation, stream_requests
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 
 EAST = TrueState(0, (0.5**0.5, 0.0, 0.0, 0.5**0.5), 474_000_000, 85_000_000, 0, (0.0, 0.0, 0.0))
 
 
 def frame(name, **values):
-    layout = known(name)
-    return Frame(build(layout, values), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values), layout)
 
 
 def asked(raw):
@@ -24,7 +24,7 @@ def asked(raw):
 def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
     preparation, t_us, requests = Preparation(EAST), 0, []
     for item in Parser().push(mavlink_bytes):
-        t_us += 2 * AGAIN_US
+        t_us += 2 * REPEAT_US
         if (raw := preparation.due(t_us)) is not None:
             requests.append(asked(raw).layout.name)
         preparation.received(item)
@@ -36,7 +36,7 @@ def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
 
 def test_a_board_is_asked_for_what_conditions_and_reports_look_at():
     """It tells nothing by itself: `from: take-off` would never come."""
-    preparation, numbers = Preparation(EAST, streams()), []
+    preparation, numbers = Preparation(EAST, stream_requests()), []
     while preparation.pending.startswith("stream"):
         numbers.append(asked(preparation.due(0)).number("param1"))
         preparation.received(frame("COMMAND_ACK", command=511))
@@ -46,8 +46,8 @@ def test_a_board_is_asked_for_what_conditions_and_reports_look_at():
 def test_a_request_is_repeated_each_second_until_it_is_answered():
     preparation = Preparation(EAST)
     assert preparation.due(0) is not None
-    assert preparation.due(AGAIN_US - 1) is None
-    assert preparation.due(AGAIN_US) is not None
+    assert preparation.due(REPEAT_US - 1) is None
+    assert preparation.due(REPEAT_US) is not None
 
 
 def test_an_autopilot_on_another_estimator_is_refused():

@@ -15,8 +15,8 @@ import pytest
 
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from tests.mavproxy_fault.ardupilot.test_bridge import PATIENCE_S, Simulator
 
@@ -51,7 +51,7 @@ class Board:
             self.asked += [item for item in self._parser.push(data) if isinstance(item, Frame)]
 
     def _say(self, name: str, **values: object) -> None:
-        os.write(self._mavlink, build(known(name), values))
+        os.write(self._mavlink, build_frame(message_layout(name), values))
 
 
 @contextmanager

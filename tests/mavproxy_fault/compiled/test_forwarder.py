@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from mavproxy_fault.app.playback import split
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.playback import split_records
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer, CapturedBytes
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.tape import Tape, TapeContents
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import Label
 
 SCHEDULE = """
@@ -58,11 +58,13 @@ class Run(NamedTuple):
     got: list[bytes]
     labels: list[Label]
     figures: list[dict[str, Any]]
-    taped: TapeContents | None
+    taped: CapturedBytes | None
 
 
 def frame(name: str, seq: int, system: int = 1, component: int = 1, **values: object) -> bytes:
-    return build(known(name), values, seq=seq & 255, system=system, component=component)
+    return build_frame(
+        message_layout(name), values, seq=seq & 255, system=system, component=component
+    )
 
 
 def traffic(count: int = 400, seed: int = 1) -> list[bytes]:
@@ -83,7 +85,7 @@ def traffic(count: int = 400, seed: int = 1) -> list[bytes]:
             frame("SYS_STATUS", n, 2, load=n),
             frame("COMMAND_LONG", n, 255, 190, target_system=rng.choice([0, 1, 9]), command=400),
             frame("STATUSTEXT", n + rng.randrange(2), 2, text=b"words"),
-            Frame(frame("HEARTBEAT", n), known("HEARTBEAT")).with_payload(bytes(9)).raw,
+            Frame(frame("HEARTBEAT", n), message_layout("HEARTBEAT")).with_payload(bytes(9)).raw,
         ]
         datagram = b"".join(rng.choice(choice) for _ in range(rng.choice([1, 1, 1, 3])))
         if rng.random() < 0.1:
@@ -114,8 +116,8 @@ def run(
             enlarge_buffers(sock)
         master = UdpServer("127.0.0.1", 0)
         links = [master, UdpClient(*station.getsockname())]
-        kept = Tape() if tape else None
-        core = Core(roles(links), Engine(parse_schedule(schedule)), tape=kept)
+        kept = CaptureBuffer() if tape else None
+        core = Core(link_roles(links), Engine(parse_schedule(schedule)), tape=kept)
         server = Server(links, core, tape=kept, busy_poll=spin)
         if fast:
             server.use_compiled()
@@ -173,8 +175,8 @@ def test_the_compiled_path_records_the_same() -> None:
         (fast.taped.received, plain.taped.received),
         (fast.taped.sent, plain.taped.sent),
     ):
-        assert [raw for _, raw in split(one)] == [raw for _, raw in split(other)]
-        stamps = [t_us for t_us, _ in split(one)]
+        assert [raw for _, raw in split_records(one)] == [raw for _, raw in split_records(other)]
+        stamps = [t_us for t_us, _ in split_records(one)]
         assert stamps == sorted(stamps)
 
 

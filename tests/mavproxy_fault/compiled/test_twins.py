@@ -15,20 +15,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.forwarder import Forwarder
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkState
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
-from mavproxy_fault.proxy.statistics import Latencies
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.statistics import LatencyHistogram
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import INTEGER_LIMITS, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import INTEGER_LIMITS, build_frame
 from mavproxy_fault.wire.label import Label
 
 STAMPS = {
@@ -96,7 +96,7 @@ def values(draw: st.DrawFn, name: str) -> dict[str, Any]:
     """Ordinary and extreme values of a message's fields."""
     found: dict[str, Any] = {}
     for field in FIELDS[name]:
-        code = known(name).fields[field].code
+        code = message_layout(name).fields[field].code
         extremes = INTEGER_LIMITS.get(code, (3e38, float("nan")))
         found[field] = draw(st.sampled_from([0, 1, 7, *extremes]))
     return found
@@ -107,7 +107,7 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
     """Frames of two systems, several in a datagram, with reboots, wrong stamps and junk."""
     kinds = st.sampled_from([name for name in sorted(FIELDS) if stamped or not STAMPS[name]])
     offset_ms = {1: 0, 2: draw(st.sampled_from([0, 5, 900_000]))}
-    found = [build(known("HEARTBEAT"), {"type": 2}, system=2)]
+    found = [build_frame(message_layout("HEARTBEAT"), {"type": 2}, system=2)]
     for n in range(draw(st.integers(10, 60))):
         if draw(st.integers(0, 19)) == 0:
             system = draw(st.sampled_from([1, 2]))
@@ -122,8 +122,8 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
                 stamp = ms if STAMPS[name] == "time_boot_ms" else ms * 1000 + unix_us
                 given_values[STAMPS[name]] = stamp
             component = draw(st.sampled_from([1, 1, 51]))
-            data += build(
-                known(name), given_values, seq=n & 255, system=system, component=component
+            data += build_frame(
+                message_layout(name), given_values, seq=n & 255, system=system, component=component
             )
         damage = draw(st.integers(0, 39))
         if damage == 0:
@@ -151,8 +151,8 @@ def compiled(traffic: Sequence[bytes], schedule: str) -> tuple[Outcome, list[int
         station.bind(("127.0.0.1", 0))
         station.setblocking(False)
         links = [UdpServer("127.0.0.1", 0), UdpClient(*station.getsockname())]
-        core = Core(roles(links), Engine(parse_schedule(schedule)))
-        forwarder = Forwarder(links, core, [Latencies(), Latencies()], WALL_NS)
+        core = Core(link_roles(links), Engine(parse_schedule(schedule)))
+        forwarder = Forwarder(links, core, [LatencyHistogram(), LatencyHistogram()], WALL_NS)
         sent, came_us = [], []
         for datagram in traffic:
             forwarder.loop[k.BASE] += STEP_MS * 1_000_000
@@ -191,7 +191,7 @@ def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int])
 def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
     """What becomes of the same without sockets; the tape holds what the core's would."""
     links = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
-    cores = [Core(links, Engine(parse_schedule(schedule)), tape=Tape()) for _ in range(2)]
+    cores = [Core(links, Engine(parse_schedule(schedule)), tape=CaptureBuffer()) for _ in range(2)]
     core, reference = cores
     tape = core._tape
     assert tape is not None
@@ -233,15 +233,22 @@ def test_both_ways_give_the_same(traffic: list[bytes], faults: list[dict[str, An
 
 
 def test_faults_begin_on_a_link_without_stamps() -> None:
-    hud = [build(known("VFR_HUD"), {"throttle": 40, "climb": 1}, seq=n) for n in range(100)]
+    hud = [
+        build_frame(message_layout("VFR_HUD"), {"throttle": 40, "climb": 1}, seq=n)
+        for n in range(100)
+    ]
     faults = [{"fault": "constant", "target": "VFR_HUD.throttle", "value": 7, "at_s": 0.5}]
     check(hud, faults)
 
 
 def test_a_frame_without_a_stamp_is_judged_by_the_one_before_it_in_its_datagram() -> None:
     traffic = [
-        build(known("ATTITUDE"), {"time_boot_ms": 10 * n + 10, "yawspeed": 1}, seq=2 * n & 255)
-        + build(known("VFR_HUD"), {"throttle": 40, "climb": 1}, seq=2 * n + 1 & 255)
+        build_frame(
+            message_layout("ATTITUDE"),
+            {"time_boot_ms": 10 * n + 10, "yawspeed": 1},
+            seq=2 * n & 255,
+        )
+        + build_frame(message_layout("VFR_HUD"), {"throttle": 40, "climb": 1}, seq=2 * n + 1 & 255)
         for n in range(100)
     ]
     faults = [{"fault": "constant", "target": "VFR_HUD.throttle", "value": 7, "at_s": 0.5}]
@@ -251,7 +258,7 @@ def test_a_frame_without_a_stamp_is_judged_by_the_one_before_it_in_its_datagram(
 def test_clocks_that_leap_within_a_datagram_are_followed_alike() -> None:
     stamps_ms = [1000, 1010, 50_000, 1020, 51_000, 51_010, 51_020, 1000, 1010, 1020, 30_000, 1030]
     frames = [
-        build(known("ATTITUDE"), {"time_boot_ms": ms, "yawspeed": 1}, seq=n)
+        build_frame(message_layout("ATTITUDE"), {"time_boot_ms": ms, "yawspeed": 1}, seq=n)
         for n, ms in enumerate([10, 20, *stamps_ms])
     ]
     traffic = [frames[0], frames[1], b"".join(frames[2:8]), b"".join(frames[8:])]
@@ -261,11 +268,11 @@ def test_clocks_that_leap_within_a_datagram_are_followed_alike() -> None:
 def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
     """The count came between a datagram that was handed over and the rest of its batch."""
     links = [UdpServer("127.0.0.1", 0), UdpClient("127.0.0.1", 9)]
-    core = Core(roles(links))
-    forwarder = Forwarder(links, core, [Latencies(), Latencies()], WALL_NS)
+    core = Core(link_roles(links))
+    forwarder = Forwarder(links, core, [LatencyHistogram(), LatencyHistogram()], WALL_NS)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         for seq in range(3):
-            frame = build(known("HEARTBEAT"), {"type": 2}, seq=seq)
+            frame = build_frame(message_layout("HEARTBEAT"), {"type": 2}, seq=seq)
             vehicle.sendto(frame, ("127.0.0.1", links[0].port))
     while not forwarder.pending:
         forwarder.forward(time.monotonic_ns() + 100_000, spin=False)

@@ -1,13 +1,15 @@
 import time
 
-from mavproxy_fault.documents.suggestion import near
+from mavproxy_fault.documents.suggestion import suggest_known
 
 
 def test_a_name_of_megabytes_is_answered_at_once() -> None:
     begun_s = time.process_time()
-    assert near("bias" + "x" * 3_000_000, [f"bias-{n}" for n in range(100)]).startswith("known: ")
+    assert suggest_known("bias" + "x" * 3_000_000, [f"bias-{n}" for n in range(100)]).startswith(
+        "known: "
+    )
     assert time.process_time() - begun_s < 0.5
 
 
 def test_without_names_there_is_nothing_to_mean() -> None:
-    assert near("bias", []) == "there is none"
+    assert suggest_known("bias", []) == "there is none"

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from mavproxy_fault.fault_parts import draft
 from mavproxy_fault.fault_parts.draft import Draft
-from mavproxy_fault.faults.driven import Bias
+from mavproxy_fault.faults.profile_faults import Bias
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.label import newest
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.label import latest_labels
 
 # A link fault in between: the frame is whole again there, and goes on in several copies.
 RULES = {n: k.example for n, k in known_faults().items() if k.acts_on == "fields"}
@@ -24,9 +24,9 @@ FRAMES, STEP_US = 30, 20_000
 
 
 def sensor(n: int, **values: float) -> Frame:
-    layout = known("HIL_SENSOR")
+    layout = message_layout("HIL_SENSOR")
     fields = {"time_usec": 1_000_000 + n * STEP_US, "xgyro": n / 7, "fields_updated": 7, **values}
-    return Frame(build(layout, fields, seq=n), layout)
+    return Frame(build_frame(layout, fields, seq=n), layout)
 
 
 def entry(n: int, name: str) -> dict[str, Any]:
@@ -55,8 +55,8 @@ def test_faults_on_one_message_do_together_what_each_does_after_the_other(names:
     for engine in alone:
         frames = through(engine, frames)
     assert [(t_us, frame.raw) for t_us, frame in left] == [(t_us, f.raw) for t_us, f in frames]
-    labels = [newest(engine.finish(FRAMES * STEP_US)) for engine in (together, *alone)]
-    assert labels[0] == newest(label for one in labels[1:] for label in one)
+    labels = [latest_labels(engine.finish(FRAMES * STEP_US)) for engine in (together, *alone)]
+    assert labels[0] == latest_labels(label for one in labels[1:] for label in one)
 
 
 def test_ten_faults_on_a_frame_cost_one_checksum(monkeypatch: pytest.MonkeyPatch) -> None:

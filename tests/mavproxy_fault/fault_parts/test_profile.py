@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.fault_parts.profile import Draw, Live, Profile, Segment, Sine, Table
+from mavproxy_fault.fault_parts.profile import (
+    Draw,
+    LinearSegment,
+    LiveInput,
+    Profile,
+    SeriesTable,
+    SineProfile,
+)
 from mavproxy_fault.fault_parts.series import BLOCK_ROWS
 from mavproxy_fault.schedule.entries import read_schedule
 
@@ -16,7 +23,7 @@ RNG = np.random.default_rng(0)
 
 def linear(*rows: tuple[float, float, float, float], **keys: object) -> Profile:
     """Segments given as (at, for, start, rate)."""
-    segments = tuple(Segment(at_s=a, for_s=f, start=s, rate=r) for a, f, s, r in rows)
+    segments = tuple(LinearSegment(at_s=a, for_s=f, start=s, rate=r) for a, f, s, r in rows)
     return Profile(segments=segments, **keys)  # type: ignore[arg-type]
 
 
@@ -56,7 +63,7 @@ def test_segments_that_overlap_by_less_than_a_microsecond_are_taken() -> None:
 
 
 def test_drawn_numbers_are_new_at_each_start_and_the_same_for_the_same_seed() -> None:
-    profile = Profile(segments=(Segment(0, 1, Draw(uniform=(2, 3)), Draw(normal=(0, 1))),))
+    profile = Profile(segments=(LinearSegment(0, 1, Draw(uniform=(2, 3)), Draw(normal=(0, 1))),))
     rng = np.random.default_rng(5)
     first, second = profile.new_state(rng), profile.new_state(rng)
     assert first != second
@@ -65,20 +72,20 @@ def test_drawn_numbers_are_new_at_each_start_and_the_same_for_the_same_seed() ->
 
 
 def test_a_sine_has_its_amplitude_frequency_and_offset() -> None:
-    profile = Profile(sine=Sine(amplitude=2, frequency_hz=5, offset=1))
+    profile = Profile(sine=SineProfile(amplitude=2, frequency_hz=5, offset=1))
     assert profile.value(0.0, None) == 1
     assert profile.value(0.05, None) == pytest.approx(3)
 
 
 def test_a_live_value_is_stale_after_its_timeout() -> None:
-    profile = Profile(live=Live(timeout_s=0.5))
+    profile = Profile(live=LiveInput(timeout_s=0.5))
     assert profile.value(1.5, (1.0, 7.0)) == 7
     assert profile.value(1.51, (1.0, 7.0)) is None
 
 
 def table(path: Path, rows: list[tuple[float, float]], **keys: object) -> Profile:
     path.write_text("t_s,value\n" + "".join(f"{t!r},{v!r}\n" for t, v in rows))
-    return Profile(table=Table(str(path), **keys))  # type: ignore[arg-type]
+    return Profile(table=SeriesTable(str(path), **keys))  # type: ignore[arg-type]
 
 
 def test_a_table_holds_each_value_until_the_next_or_goes_straight(tmp_path: Path) -> None:
@@ -111,7 +118,7 @@ def test_a_parquet_table_says_the_same_as_its_csv(tmp_path: Path) -> None:
     written = table(tmp_path / "a.csv", rows)
     columns = {"value": [v for _, v in rows], "t_s": [t for t, _ in rows]}
     parquet.write_table(pyarrow.table(columns), tmp_path / "a.parquet")
-    packed = Profile(table=Table(str(tmp_path / "a.parquet")))
+    packed = Profile(table=SeriesTable(str(tmp_path / "a.parquet")))
     states = written.new_state(RNG), packed.new_state(RNG)
     for i in range(120):
         assert written.value(i * 0.09, states[0]) == packed.value(i * 0.09, states[1])

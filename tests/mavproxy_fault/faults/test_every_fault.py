@@ -20,8 +20,8 @@ from mavproxy_fault.faults import registry
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 START_US = 1_000_000
@@ -47,15 +47,17 @@ def frames() -> list[tuple[int, Frame]]:
         }
         gps = {"time_usec": t_us, "lat": 473977418, "lon": 85455939, "alt": 488_000, "vn": 100}
         for name, values in [("HIL_SENSOR", sensor)] + [("HIL_GPS", gps)] * (i % 10 == 0):
-            layout = known(name)
-            made.append((t_us, Frame(build(layout, values, seq=i % 256, component=51), layout)))
+            layout = message_layout(name)
+            made.append(
+                (t_us, Frame(build_frame(layout, values, seq=i % 256, component=51), layout))
+            )
         place = {"time_boot_ms": t_us // 1000, "alt": 488_000, "relative_alt": 0}
         for name, values in [
             ("GLOBAL_POSITION_INT", place),
             ("HEARTBEAT", {"type": 2, "autopilot": 12}),
         ] * (i % 10 == 0):
-            layout = known(name)
-            made.append((t_us, Frame(build(layout, values, component=1), layout)))
+            layout = message_layout(name)
+            made.append((t_us, Frame(build_frame(layout, values, component=1), layout)))
     return made
 
 
@@ -157,7 +159,8 @@ def test_a_plant_fault_tells_the_simulator_and_at_the_end_that_all_is_well() -> 
 
 
 LAYOUTS = [
-    known(name) for name in ("HIL_SENSOR", "HIL_GPS", "GPS_INPUT", "ODOMETRY", "GPS_RAW_INT")
+    message_layout(name)
+    for name in ("HIL_SENSOR", "HIL_GPS", "GPS_INPUT", "ODOMETRY", "GPS_RAW_INT")
 ]
 
 
@@ -169,7 +172,7 @@ def test_whatever_the_payload_holds_a_fault_goes_on(name: str, data: st.DataObje
     for step in range(3):
         layout = data.draw(st.sampled_from(LAYOUTS))
         payload = data.draw(st.binary(min_size=1, max_size=layout.length))
-        frame = Frame(build(layout, {}, component=51), layout).with_payload(payload)
+        frame = Frame(build_frame(layout, {}, component=51), layout).with_payload(payload)
         for out in engine.apply(frame, "to-vehicle", START_US + step * 100_000):
             assert out.due_us >= START_US + step * 100_000
             if isinstance(out.frame, Frame):
@@ -177,7 +180,9 @@ def test_whatever_the_payload_holds_a_fault_goes_on(name: str, data: st.DataObje
 
 
 def test_another_package_adds_a_fault_by_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("double", "mavproxy_fault.faults.driven:Scale", "mavproxy_fault.faults")
+    point = EntryPoint(
+        "double", "mavproxy_fault.faults.profile_faults:Scale", "mavproxy_fault.faults"
+    )
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point])
     registry.known_faults.cache_clear()
     try:

@@ -8,10 +8,10 @@ import pytest
 
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-LAYOUT = known("HIL_SENSOR")
+LAYOUT = message_layout("HIL_SENSOR")
 STEP_US = 10_000
 
 
@@ -21,7 +21,7 @@ def run(fault: dict[str, Any], count: int) -> list[tuple[int, int, Any]]:
     found = []
     for i in range(count):
         values = {"time_usec": 1_000_000 + i * STEP_US, "zacc": -9.81, "id": 1}
-        frame = Frame(build(LAYOUT, values, seq=i % 256, component=51), LAYOUT)
+        frame = Frame(build_frame(LAYOUT, values, seq=i % 256, component=51), LAYOUT)
         t_us = 1_000_000 + i * STEP_US
         found += [(i, o.due_us - t_us, o.frame) for o in engine.apply(frame, "to-vehicle", t_us)]
     return found
@@ -133,8 +133,8 @@ def test_stamps_are_off_and_the_rest_stays(fault: dict[str, Any], off_us: list[i
 
 def test_stamps_in_milliseconds_are_off_alike() -> None:
     engine = Engine(parse_schedule({"faults": [{"fault": "time-jump", "value": 2.5}]}))
-    layout = known("ATTITUDE")
-    frame = Frame(build(layout, {"time_boot_ms": 1000, "yaw": 1.0}), layout)
+    layout = message_layout("ATTITUDE")
+    frame = Frame(build_frame(layout, {"time_boot_ms": 1000, "yaw": 1.0}), layout)
     (out,) = engine.apply(frame, "from-vehicle", 1_000_000)
     assert isinstance(out.frame, Frame)
     assert out.frame.number("time_boot_ms") == 3500

@@ -8,12 +8,12 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
 from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 NAMES = tuple(f"G{n:02d}" for n in range(2, 22, 2))
-TUNNEL = known("TUNNEL")
+TUNNEL = message_layout("TUNNEL")
 
 
 def message(tow_s: float) -> bytes:
@@ -166,15 +166,15 @@ def test_other_tunnels_pass() -> None:
 
 
 def test_by_the_control_path_the_simulated_receiver_carries_it_out() -> None:
-    from mavproxy_fault.wire.frame import build
+    from mavproxy_fault.wire.frame import build_frame
 
     it = engine(
         {"fault": "drift", "target": "PSEUDORANGE.G12", "value": 2, "via": "simulator", "for_s": 1}
     )
-    layout = known("HIL_SENSOR")
+    layout = message_layout("HIL_SENSOR")
     told = []
     for t_us in range(0, 1_200_000, 100_000):
-        frame = Frame(build(layout, {"time_usec": t_us}, component=51), layout)
+        frame = Frame(build_frame(layout, {"time_usec": t_us}, component=51), layout)
         outs = it.apply(frame, "to-vehicle", t_us)
         assert frame in [out.frame for out in outs]
         told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]

@@ -4,8 +4,8 @@ import pytest
 
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 METRE_DEG = 1 / 111_200  # north, near 47 degrees, to one part in a thousand
 LAT, LON = 473_977_418, 85_455_939
@@ -14,7 +14,7 @@ LAT, LON = 473_977_418, 85_455_939
 def spoofed(name: str, t_s: float, values: dict[str, object], **spoof: object) -> Frame:
     engine = Engine(parse_schedule({"faults": [{"fault": "gps-spoof", **spoof}]}))
     engine.start_at(0)
-    frame = Frame(build(known(name), values), known(name))
+    frame = Frame(build_frame(message_layout(name), values), message_layout(name))
     (out,) = engine.apply(frame, "to-vehicle", round(t_s * 1e6))
     assert isinstance(out.frame, Frame)
     return out.frame
@@ -100,8 +100,8 @@ def test_a_position_beyond_the_date_line_comes_in_on_the_other_side() -> None:
 
 def test_the_label_tells_metres() -> None:
     engine = Engine(parse_schedule({"faults": [{"preset": "gps-spoof", "for_s": 60}]}))
-    layout = known("HIL_GPS")
+    layout = message_layout("HIL_GPS")
     for i in range(700):
-        engine.apply(Frame(build(layout, GPS), layout), "to-vehicle", i * 100_000)
+        engine.apply(Frame(build_frame(layout, GPS), layout), "to-vehicle", i * 100_000)
     label = engine.drain_labels()[-1]
     assert (label.preset, label.magnitude) == ("gps-spoof", pytest.approx(200))

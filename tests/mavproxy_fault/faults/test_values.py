@@ -8,8 +8,8 @@ import pytest
 
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 X = "HIL_SENSOR.xgyro"
 XYZ = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
@@ -19,11 +19,11 @@ def run(fault: dict[str, Any], rows: list[tuple[float, ...]], step_s: float = 0.
     """The gyro of each frame as sent; plain numbers where the rows have one each."""
     entry = {"target": X if len(rows[0]) == 1 else XYZ, **fault}
     engine = Engine(parse_schedule({"seed": 5, "faults": [entry]}))
-    layout = known("HIL_SENSOR")
+    layout = message_layout("HIL_SENSOR")
     found: list[Any] = []
     for i, row in enumerate(rows):
         values = dict(zip(("xgyro", "ygyro", "zgyro"), row, strict=False))
-        frame = Frame(build(layout, values, component=51), layout)
+        frame = Frame(build_frame(layout, values, component=51), layout)
         (out,) = engine.apply(frame, "to-vehicle", round(1e6 * step_s * i))
         assert isinstance(out.frame, Frame)
         sent = [float(out.frame.number(n)) for n in ("xgyro", "ygyro", "zgyro")]
@@ -95,8 +95,8 @@ def test_a_flipped_bit_is_one_bit() -> None:
 def test_a_second_flip_of_a_chosen_bit_gives_the_value_back() -> None:
     entry = {"fault": "bit-flip", "target": X, "bit": 3}
     engine = Engine(parse_schedule({"faults": [{"id": "a", **entry}, {"id": "b", **entry}]}))
-    layout = known("HIL_SENSOR")
-    frame = Frame(build(layout, {"xgyro": 1.5, "id": 1}), layout)
+    layout = message_layout("HIL_SENSOR")
+    frame = Frame(build_frame(layout, {"xgyro": 1.5, "id": 1}), layout)
     (out,) = engine.apply(frame, "to-vehicle", 0)
     assert isinstance(out.frame, Frame)
     assert out.frame.raw == frame.raw
@@ -124,8 +124,8 @@ def test_the_variance_of_a_random_walk_grows_with_time() -> None:
                 {"seed": seed, "faults": [{"fault": "random-walk", "target": X, "value": 0.5}]}
             )
         )
-        layout = known("HIL_SENSOR")
-        frame = Frame(build(layout, {"id": 1}), layout)
+        layout = message_layout("HIL_SENSOR")
+        frame = Frame(build_frame(layout, {"id": 1}), layout)
         for i in range(17):
             (out,) = engine.apply(frame, "to-vehicle", i * 1_000_000)
         assert isinstance(out.frame, Frame)
@@ -135,8 +135,8 @@ def test_the_variance_of_a_random_walk_grows_with_time() -> None:
 
 
 def test_flags_are_cleared_by_group_and_by_mask() -> None:
-    layout = known("HIL_SENSOR")
-    frame = Frame(build(layout, {"fields_updated": 0x1FFF}), layout)
+    layout = message_layout("HIL_SENSOR")
+    frame = Frame(build_frame(layout, {"fields_updated": 0x1FFF}), layout)
     for keys, left in [({"groups": ["baro", "gyro"]}, 0x5C7), ({"value": 0x7}, 0x1FF8)]:
         entry = {"fault": "clear-bits", "target": "HIL_SENSOR.fields_updated", **keys}
         engine = Engine(parse_schedule({"faults": [entry]}))
@@ -149,18 +149,20 @@ def test_flags_are_cleared_by_group_and_by_mask() -> None:
     ("value", "sent"), [(40_000, 32767), (-1e9, -32768), (0.6, 101), (float("1e308"), 32767)]
 )
 def test_integers_saturate_and_round_and_never_wrap(value: float, sent: int) -> None:
-    layout = known("HIL_GPS")
+    layout = message_layout("HIL_GPS")
     entry = {"id": "it", "fault": "bias", "target": "HIL_GPS.vn", "value": value}
     engine = Engine(parse_schedule({"faults": [entry]}))
-    (out,) = engine.apply(Frame(build(layout, {"vn": 100, "yaw": 1}), layout), "to-vehicle", 0)
+    (out,) = engine.apply(
+        Frame(build_frame(layout, {"vn": 100, "yaw": 1}), layout), "to-vehicle", 0
+    )
     assert isinstance(out.frame, Frame)
     assert out.frame.number("vn") == sent
     assert engine.state()["faults"][0]["saturated"] == (abs(value) > 1)
 
 
 def test_a_fault_in_zeros_that_were_cut_reads_back() -> None:
-    layout = known("HIL_SENSOR")
-    short = Frame(build(layout, {"time_usec": 5}), layout)
+    layout = message_layout("HIL_SENSOR")
+    short = Frame(build_frame(layout, {"time_usec": 5}), layout)
     entry = {"fault": "bias", "target": "HIL_SENSOR.temperature", "value": 21.5}
     engine = Engine(parse_schedule({"faults": [entry]}))
     (out,) = engine.apply(short, "to-vehicle", 0)

@@ -9,15 +9,17 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 PX4, ARDUPILOT = 12, 3
 QUAD, PLANE = 2, 1
 
 
 def message(name: str, component: int = 1, **values: object) -> Frame:
-    return Frame(build(known(name), values, component=component), known(name))
+    return Frame(
+        build_frame(message_layout(name), values, component=component), message_layout(name)
+    )
 
 
 def heard(

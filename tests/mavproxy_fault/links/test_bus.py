@@ -12,7 +12,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import bus
-from mavproxy_fault.links.bus import Bus, check_run, open_bus, open_run_bus
+from mavproxy_fault.links.bus import Bus, check_run_name, open_bus, open_run_bus
 
 
 def router() -> Bus:
@@ -105,7 +105,7 @@ def test_a_bug_is_told_without_its_text() -> None:
 @pytest.mark.parametrize("name", ["a/b", "@ctl", "", "a b", "$*", "*"])
 def test_a_name_that_no_key_can_hold_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="--run"):
-        check_run(name)
+        check_run_name(name)
 
 
 def test_an_empty_address_is_not_the_default_one(monkeypatch: pytest.MonkeyPatch) -> None:

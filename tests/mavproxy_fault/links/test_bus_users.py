@@ -8,7 +8,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
-from mavproxy_fault.links.bus_users import CONFIG, USERS, own_folder
+from mavproxy_fault.links.bus_users import CONFIG, USERS, credentials_folder
 
 ANY_PORT = "tcp/127.0.0.1:0"
 
@@ -35,7 +35,7 @@ def test_a_plain_zenoh_program_joins_with_the_file_of_the_user() -> None:
 
     with open_bus(ANY_PORT, run="test", router=True) as hub:
         hub.answer("@ctl/x", lambda key, payload: "in")
-        config = zenoh.Config.from_file(str(own_folder() / CONFIG))
+        config = zenoh.Config.from_file(str(credentials_folder() / CONFIG))
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([hub.url]))
         with zenoh.open(config) as session:
@@ -64,7 +64,7 @@ def test_only_the_user_can_read_the_password_and_it_is_made_once(
     found: list[bytes] = []
 
     def read() -> None:
-        found.append((own_folder() / CONFIG).read_bytes())
+        found.append((credentials_folder() / CONFIG).read_bytes())
 
     threads = [threading.Thread(target=read) for _ in range(8)]
     for thread in threads:
@@ -73,7 +73,7 @@ def test_only_the_user_can_read_the_password_and_it_is_made_once(
         thread.join()
     assert len(found) == 8
     assert len(set(found)) == 1
-    folder = own_folder()
+    folder = credentials_folder()
     assert sorted(path.name for path in folder.parent.iterdir()) == [folder.name]
     assert [(folder / name).stat().st_mode & 0o777 for name in (CONFIG, USERS)] == [0o600] * 2
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -84,7 +84,7 @@ def test_without_a_home_the_password_lies_among_temporary_files(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "/proc/no-such-home")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert own_folder().is_relative_to(tmp_path)
+    assert credentials_folder().is_relative_to(tmp_path)
     monkeypatch.setenv("TMPDIR", "/proc/neither")
     with pytest.raises(ConfigError, match="XDG_STATE_HOME"):
-        own_folder()
+        credentials_folder()

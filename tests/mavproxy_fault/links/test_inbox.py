@@ -2,10 +2,10 @@ from contextlib import closing
 
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
-HEARTBEAT = known("HEARTBEAT")
+HEARTBEAT = message_layout("HEARTBEAT")
 
 
 class Script:
@@ -29,7 +29,7 @@ def frames(*reads: list[Chunk]) -> list[int]:
 
 
 def beat(seq: int) -> bytes:
-    return build(HEARTBEAT, {"type": 6}, seq=seq)
+    return build_frame(HEARTBEAT, {"type": 6}, seq=seq)
 
 
 def test_a_frame_cut_across_reads_comes_whole() -> None:

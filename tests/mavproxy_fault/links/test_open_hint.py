@@ -28,7 +28,9 @@ def test_the_holder_stays_unnamed_where_the_system_does_not_show_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(open_hint, "PROC", tmp_path)
-    assert open_hint.holder(14550, tcp=False) == "port 14550 is held by another process"
+    assert (
+        open_hint.describe_port_owner(14550, tcp=False) == "port 14550 is held by another process"
+    )
 
 
 def test_listening_on_a_remote_address_points_to_sending() -> None:

@@ -1,7 +1,7 @@
 import socket
 import struct
 
-from mavproxy_fault.links.peers import FORGET_S, MOST_PEERS, Admission, Peers, networks
+from mavproxy_fault.links.peers import MAX_PEERS, PEER_EXPIRY_S, Admission, Peers, parse_networks
 
 FRAME = b"a frame"
 
@@ -12,7 +12,7 @@ def address(host: str, port: int = 14550) -> bytes:
 
 def peers(*allowed: str, lock: bool = False) -> Peers:
     found = Peers()
-    found.admission = Admission(networks(allowed), lock, lambda data: data == FRAME)
+    found.admission = Admission(parse_networks(allowed), lock, lambda data: data == FRAME)
     return found
 
 
@@ -20,15 +20,15 @@ def test_strangers_do_not_cut_off_a_vehicle_that_is_silent() -> None:
     it = peers()
     vehicle = address("10.0.0.1")
     it.hear(vehicle, FRAME, 0.0)
-    for n in range(2 * MOST_PEERS):
-        it.hear(address("10.0.1.1", n), b"x", 10 * FORGET_S + n)
+    for n in range(2 * MAX_PEERS):
+        it.hear(address("10.0.1.1", n), b"x", 10 * PEER_EXPIRY_S + n)
     assert vehicle in it.known
-    assert len(it.known) == MOST_PEERS
+    assert len(it.known) == MAX_PEERS
 
 
 def test_a_proven_newcomer_displaces_the_unproven_first() -> None:
     it = peers()
-    for n in range(MOST_PEERS):
+    for n in range(MAX_PEERS):
         it.hear(address("10.0.1.1", n), FRAME if n else b"x", 0.01 * n)
     it.hear(address("10.0.0.1"), FRAME, 2.0)
     assert address("10.0.1.1", 0) not in it.known

@@ -11,7 +11,7 @@ import pytest
 
 from mavproxy_fault.links import tcp
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
-from mavproxy_fault.links.peers import MOST_PEERS
+from mavproxy_fault.links.peers import MAX_PEERS
 from mavproxy_fault.links.stream import READ_SIZE
 from mavproxy_fault.links.tcp import TcpClient, TcpServer
 
@@ -59,7 +59,7 @@ def test_a_server_tells_its_peers_apart_and_reports_their_end(server: TcpServer)
 
 def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog) -> None:
     with contextlib.ExitStack() as opened:
-        peers = [opened.enter_context(connect(server)) for _ in range(MOST_PEERS)]
+        peers = [opened.enter_context(connect(server)) for _ in range(MAX_PEERS)]
         late = [
             opened.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5))
             for _ in range(2)
@@ -70,7 +70,7 @@ def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog
         assert {peer.recv(9) for peer in peers} == {b"to all"}
         assert caplog.text.count("a further one is turned away") == 1
         peers[0].close()
-        read_until(server, lambda _: server.peer_count < MOST_PEERS)
+        read_until(server, lambda _: server.peer_count < MAX_PEERS)
         opened.enter_context(connect(server))
 
 
@@ -87,7 +87,7 @@ def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
             for _ in range(3):
                 server.read()
                 assert not select.select(server.filenos(), (), (), 0)[0], "the loop spins"
-                now_s[0] += tcp.REST_S
+                now_s[0] += tcp.ACCEPT_PAUSE_S
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         server.read()
@@ -128,9 +128,9 @@ def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpSer
         assert one.recv(99) == two.recv(99) == b"onetwothree"
         assert server.counters.chunks_out == 6
         # What would be dropped as a whole if it did not fit goes one by one.
-        large = [bytes(tcp.TOGETHER)] * (QUEUE_LIMIT // tcp.TOGETHER * 100)
+        large = [bytes(tcp.MAX_JOINED_BYTES)] * (QUEUE_LIMIT // tcp.MAX_JOINED_BYTES * 100)
         server.write_all(large)
-        assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.TOGETHER
+        assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.MAX_JOINED_BYTES
         assert 3 < server.counters.drops < 3 + 2 * len(large)
 
 

@@ -15,12 +15,12 @@ import jsonschema
 import msgspec
 
 from analysis.results import AttitudeError, encode
-from mavproxy_fault.links.bus import open_bus, with_port
+from mavproxy_fault.links.bus import choose_free_port, open_bus
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import LinkRole
-from mavproxy_fault.proxy.statistics import figures
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.proxy.statistics import link_statistics
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 DOCS = Path(__file__).parents[3] / "docs"
 FAULT = b'{"fault": "bias", "target": "SYSTEM_TIME.time_unix_usec", "value": 1}'
@@ -56,11 +56,11 @@ def test_a_number_that_is_not_finite_is_null_and_valid() -> None:
 def test_what_a_run_counts_without_sockets_is_valid() -> None:
     core = Core([LinkRole("simulator", "to-vehicle")])
     # As `ProxiedFlight.stats` tells it.
-    valid("proxy/stats", msgspec.json.encode([{**figures(core, 0), "chunks_out": 0}]))
+    valid("proxy/stats", msgspec.json.encode([{**link_statistics(core, 0), "chunks_out": 0}]))
 
 
 def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
-    url = with_port("tcp/127.0.0.1:0")
+    url = choose_free_port("tcp/127.0.0.1:0")
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
     wanted = {key for key in WRITTEN["KEYS"] if key.startswith(("proxy/", "schedule/"))}
     told: queue.Queue[tuple[str, bytes]] = queue.Queue()
@@ -78,7 +78,9 @@ def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
                 found = {}
                 while wanted - set(found):
                     values = {"time_unix_usec": 0, "time_boot_ms": 1000 + len(found)}
-                    frame = build(known("SYSTEM_TIME"), values, system=1, component=1)
+                    frame = build_frame(
+                        message_layout("SYSTEM_TIME"), values, system=1, component=1
+                    )
                     vehicle.sendto(frame, ("127.0.0.1", port))
                     key, data = told.get(timeout=20)
                     found[key.split("/", 3)[3]] = data

@@ -7,19 +7,19 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.live.control import Control
-from mavproxy_fault.live.failure_command import TYPES, UNITS, WHAT
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.live.failure_command import FAILURE_UNITS, TYPES, UNITS
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 
 
 def frame(name: str, **values: object) -> Frame:
-    return Frame(build(known(name), values, component=51), known(name))
+    return Frame(build_frame(message_layout(name), values, component=51), message_layout(name))
 
 
 def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_LONG") -> Frame:
@@ -27,7 +27,9 @@ def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_
         "command": 420, "param1": unit, "param2": kind, "param3": instance,
         "target_system": 1, "target_component": 1,
     }  # fmt: skip
-    return Frame(build(known(name), values, system=255, component=190), known(name))
+    return Frame(
+        build_frame(message_layout(name), values, system=255, component=190), message_layout(name)
+    )
 
 
 def failure_with(*params: float, unit: int = 0, kind: int = 4) -> Frame:
@@ -36,20 +38,21 @@ def failure_with(*params: float, unit: int = 0, kind: int = 4) -> Frame:
     values = {"command": 420, "param1": unit, "param2": kind, "target_system": 1}
     values |= {"target_component": 1, **extra}
     return Frame(
-        build(known("COMMAND_LONG"), values, system=255, component=190), known("COMMAND_LONG")
+        build_frame(message_layout("COMMAND_LONG"), values, system=255, component=190),
+        message_layout("COMMAND_LONG"),
     )
 
 
-def control(*passed: str, **options: bool) -> Control:
+def control(*passed: str, **options: bool) -> LiveControl:
     engine = Engine(Schedule(1))
     engine.start_at(1_000_000)
-    it = Control(engine, **options)
+    it = LiveControl(engine, **options)
     for name in passed:
         assert it.consume(frame(name), 1_000_000) is None
     return it
 
 
-def result(it: Control, command: Frame, t_us: int = 2_000_000) -> int:
+def result(it: LiveControl, command: Frame, t_us: int = 2_000_000) -> int:
     replies = it.consume(command, t_us)
     assert replies is not None
     (ack,) = replies
@@ -58,7 +61,7 @@ def result(it: Control, command: Frame, t_us: int = 2_000_000) -> int:
     return int(ack.number("result"))
 
 
-def through(it: Control, one: Frame, t_us: int) -> list[Outgoing]:
+def through(it: LiveControl, one: Frame, t_us: int) -> list[Outgoing]:
     return it.engine.apply(one, "to-vehicle", t_us)
 
 
@@ -76,8 +79,8 @@ def test_a_unit_is_unsupported_until_its_message_has_passed() -> None:
 
 def test_a_message_is_looked_at_only_until_it_is_known() -> None:
     it = control("HIL_SENSOR")
-    assert known("HIL_SENSOR").id not in it.wanted
-    assert known("COMMAND_LONG").id in it.wanted
+    assert message_layout("HIL_SENSOR").id not in it.wanted
+    assert message_layout("COMMAND_LONG").id in it.wanted
 
 
 def test_failures_are_denied_when_switched_off() -> None:
@@ -96,18 +99,18 @@ def test_both_kinds_of_command_are_answered(name: str) -> None:
 def test_every_unit_and_type_is_carried_out(unit: int, kind: int) -> None:
     """On each message of the unit something happens within two seconds."""
     name = UNITS[unit]
-    for part in WHAT[name].parts or [None]:
+    for part in FAILURE_UNITS[name].parts or [None]:
         message = "ATTITUDE" if part is None else part.message
         passed = "HIL_SENSOR" if part is None else message
         it = control(passed)
         assert result(it, failure(unit, kind)) == ACCEPTED
         acted = False
-        fields = known(message).fields
+        fields = message_layout(message).fields
         for i in range(40):
             varying = {
                 n: [1 + i % 50] * f.count if f.count else 1 + i % 50
                 for n, f in fields.items()
-                if f.type != "char" and n not in ("id", known(message).instance)
+                if f.type != "char" and n not in ("id", message_layout(message).instance)
             }
             if "fields_updated" in fields:
                 varying["fields_updated"] = 0x1FFF
@@ -217,7 +220,7 @@ def test_other_datagrams_on_rflysim_s_port_do_nothing(data: bytes) -> None:
     assert it.packet(data, 2_000_000) == []
 
 
-def ask(it: Control, what: str, payload: object = None) -> object:
+def ask(it: LiveControl, what: str, payload: object = None) -> object:
     data = payload.encode() if isinstance(payload, str) else json.dumps(payload).encode()
     return it.answer(f"mavfault/v1/live/@ctl/{what}", data, 5_000_000)
 

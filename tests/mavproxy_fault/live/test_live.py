@@ -14,9 +14,9 @@ import pytest
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import bus
-from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.rflysim import read_map
-from mavproxy_fault.live.session import Live
+from mavproxy_fault.live.session import LiveSession
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule
 
@@ -27,7 +27,7 @@ class Loop:
     def __init__(self) -> None:
         self.engine = Engine(Schedule(1))
         self.engine.start_at(1_000_000)
-        self.live = Live(Control(self.engine, rflysim=read_map()), lambda: 5_000_000)
+        self.live = LiveSession(LiveControl(self.engine, rflysim=read_map()), lambda: 5_000_000)
         self.live.open_bus("tcp/127.0.0.1:0")
         self.port = self.live.open_rflysim(0)
         self._stop, self._stopped = socket.socketpair()
@@ -166,7 +166,7 @@ def test_auto_is_the_default_address_for_those_who_ask_too(
 
 
 def test_a_port_that_is_none_is_refused() -> None:
-    live = Live(Control(Engine(Schedule(1))), lambda: 0)
+    live = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     with pytest.raises(ConfigError, match="--rflysim 99999"):
         live.open_rflysim(99_999)
     live.close()
@@ -212,7 +212,7 @@ def test_a_request_names_no_file_that_was_not_allowed(loop: Loop, tmp_path: Path
 def test_proxies_of_one_router_have_names_of_their_own(
     loop: Loop, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    second = Live(Control(Engine(Schedule(1))), lambda: 0)
+    second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     with pytest.raises(ConfigError, match="--run live is another"):
         second.open_bus(loop.live.url or "", "live")
     second.open_bus(loop.live.url or "")
@@ -223,10 +223,10 @@ def test_proxies_of_one_router_have_names_of_their_own(
 
 
 def test_a_proxy_takes_over_when_the_router_ends() -> None:
-    first = Live(Control(Engine(Schedule(1))), lambda: 0)
+    first = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     first.open_bus("tcp/127.0.0.1:0", "first")
     url = first.url or ""
-    second = Live(Control(Engine(Schedule(1))), lambda: 0)
+    second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     second.open_bus(url, "second")
     assert not second.is_router
     first.close()
@@ -251,7 +251,7 @@ def test_a_proxy_takes_over_when_the_router_ends() -> None:
 
 
 def test_who_asks_a_proxy_that_ends_is_told_so_at_once() -> None:
-    live = Live(Control(Engine(Schedule(1))), lambda: 0)
+    live = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     told: list[str] = []
 
     def ask() -> None:

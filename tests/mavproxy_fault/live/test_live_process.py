@@ -12,15 +12,15 @@ from typing import Any
 from pymavlink import mavutil
 
 from mavproxy_fault.cli import main
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 
 def meet(vehicle: socket.socket, proxy: tuple[str, int], station: Any) -> None:
     """Have both ends heard by the proxy: a heartbeat passes only once the other end is known."""
     vehicle.settimeout(1)
     for _ in range(30):
-        vehicle.sendto(build(known("HEARTBEAT"), {"type": 2}), proxy)
+        vehicle.sendto(build_frame(message_layout("HEARTBEAT"), {"type": 2}), proxy)
         station.mav.heartbeat_send(6, 8, 0, 0, 4)
         with contextlib.suppress(TimeoutError):
             vehicle.recv(300)
@@ -49,8 +49,8 @@ def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Pa
         master, out = (int(words[i].rsplit(":", 1)[1]) for i in (1, 3))
         station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{out}", source_system=255)
         try:
-            layout = known("SCALED_IMU")
-            healthy = build(layout, {"time_boot_ms": 1000, "xgyro": 100})
+            layout = message_layout("SCALED_IMU")
+            healthy = build_frame(layout, {"time_boot_ms": 1000, "xgyro": 100})
             meet(vehicle, ("127.0.0.1", master), station)
             vehicle.sendto(healthy, ("127.0.0.1", master))
             assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 100

@@ -19,13 +19,13 @@ from pymavlink.dialects.v20 import all as pymavlink
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import read_labels
-from mavproxy_fault.wire.signing import key_of, signed
+from mavproxy_fault.wire.signing import derive_key, sign_frame
 
 PHRASE = "open sesame"
-KEY = key_of(PHRASE)
+KEY = derive_key(PHRASE)
 SCHEDULE = """
 seed: 3
 faults:
@@ -71,11 +71,11 @@ class Vehicle:
 
     def send(self, name: str, **values: object) -> None:
         self.steps += 1
-        layout = known(name)
+        layout = message_layout(name)
         stamp = {"time_boot_ms" if "time_boot_ms" in layout.fields else "time_usec": 1000}
         stamp = {key: value + self.steps for key, value in stamp.items()}
-        raw = build(layout, {**stamp, **values}, seq=self.steps & 255)
-        self.sock.send(signed(Frame(raw, layout), KEY, 1, 10**12 + self.steps).raw)
+        raw = build_frame(layout, {**stamp, **values}, seq=self.steps & 255)
+        self.sock.send(sign_frame(Frame(raw, layout), KEY, 1, 10**12 + self.steps).raw)
 
 
 class Station:
@@ -94,7 +94,9 @@ class Station:
 
     def meet(self, vehicle: Vehicle) -> bytes:
         """The first frame that passes: only once the proxy has heard of this end."""
-        self.sock.send(build(known("HEARTBEAT"), {"type": 6}, system=255, component=190))
+        self.sock.send(
+            build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255, component=190)
+        )
         self.sock.settimeout(0.5)
         for _ in range(40):
             vehicle.send("SCALED_IMU", xgyro=100)
@@ -113,7 +115,9 @@ class Station:
     def command(self, *parameters: float) -> int:
         values = {f"param{n}": one for n, one in enumerate(parameters, 1)}
         values |= {"command": 420, "target_system": 1, "target_component": 1}
-        self.sock.send(build(known("COMMAND_LONG"), values, system=255, component=190))
+        self.sock.send(
+            build_frame(message_layout("COMMAND_LONG"), values, system=255, component=190)
+        )
         return int(self.next("COMMAND_ACK").result)
 
 

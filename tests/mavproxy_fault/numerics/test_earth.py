@@ -42,7 +42,7 @@ def test_gravity_falls_by_three_microgal_per_centimetre() -> None:
 
 def test_local_axes_are_the_derivatives_of_position() -> None:
     lat, lon, height, step = 0.8, 0.2, 500.0, 1e-7
-    meridian, prime = earth.radii(lat)
+    meridian, prime = earth.curvature_radii(lat)
     origin = earth.ecef_from_geodetic(lat, lon, height)
     north = (earth.ecef_from_geodetic(lat + step, lon, height) - origin) / step
     east = (earth.ecef_from_geodetic(lat, lon + step, height) - origin) / step

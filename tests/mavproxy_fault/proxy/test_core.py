@@ -3,15 +3,15 @@ from collections.abc import Mapping
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.patience import BEGUN_US, HOLDING_US
-from mavproxy_fault.proxy.tape import Tape
+from mavproxy_fault.proxy.resync_deadline import MAX_BLOCKING_US, MAX_FRAME_US
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.signing import Signing, Verifier, key_of, signed
+from mavproxy_fault.wire.signing import Signing, Verifier, derive_key, sign_frame
 
 SIM, AUTOPILOT, GCS = 0, 1, 2
 ROLES = (
@@ -25,7 +25,7 @@ WALL_US = 1_700_000_000_000_000
 def message(
     name: str, *, seq: int = 0, system: int = 1, component: int = 51, **values: object
 ) -> bytes:
-    return build(known(name), values, seq=seq, system=system, component=component)
+    return build_frame(message_layout(name), values, seq=seq, system=system, component=component)
 
 
 def sensor(t_s: float, seq: int = 0) -> bytes:
@@ -36,7 +36,9 @@ def heartbeat(system: int = 1, component: int = 1, seq: int = 0) -> bytes:
     return message("HEARTBEAT", system=system, component=component, seq=seq, type=2)
 
 
-def core_with(schedule: str, tape: Tape | None = None, signing: Signing | None = None) -> Core:
+def core_with(
+    schedule: str, tape: CaptureBuffer | None = None, signing: Signing | None = None
+) -> Core:
     engine = Engine(parse_schedule(schedule))
     return Core(ROLES[:2], engine, tape=tape, signing=signing)
 
@@ -96,7 +98,7 @@ def test_a_foreign_byte_holds_no_frame_of_a_slow_stream_back_for_long() -> None:
             assert due_us is not None
             left = core.due(due_us)
             late_us.append(due_us - came_us)
-    assert max(late_us) <= HOLDING_US
+    assert max(late_us) <= MAX_BLOCKING_US
 
 
 @given(
@@ -118,9 +120,9 @@ def test_no_byte_of_a_stream_waits_for_more_than_a_second(chunks: list[tuple[int
     def leave(sends: list[Send], when_us: int) -> None:
         nonlocal left
         left += b"".join(send.data for send in sends if send.link == AUTOPILOT)
-        assert all(when_us - us <= BEGUN_US for us in came_us[len(left) :])
+        assert all(when_us - us <= MAX_FRAME_US for us in came_us[len(left) :])
 
-    for pause_us, data in [*chunks, (2 * BEGUN_US, b"")]:
+    for pause_us, data in [*chunks, (2 * MAX_FRAME_US, b"")]:
         now_us += pause_us
         while (due_us := core.next_due_us) is not None and due_us <= now_us:
             leave(core.due(due_us), due_us)
@@ -206,7 +208,7 @@ def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:
     schedule = """
         seed: 1
         faults: [{id: g, fault: bias, target: HIL_SENSOR.xgyro, value: 0.5, at_s: 1, for_s: 1}]"""
-    tape = Tape()
+    tape = CaptureBuffer()
     core = core_with(schedule, tape)
     seen = []
     for step in range(40):
@@ -238,7 +240,7 @@ def leaping() -> bytes:
 
 
 def test_the_labels_that_the_first_stamp_ends_leave_with_it_whatever_follows() -> None:
-    tape = Tape()
+    tape = CaptureBuffer()
     core = core_with("faults: [{id: b, fault: bias, target: VFR_HUD.alt, value: 1}]", tape)
     core.received(AUTOPILOT, message("VFR_HUD"), WALL_US)
     sends = core.received(AUTOPILOT, leaping(), WALL_US + 1000)
@@ -248,7 +250,7 @@ def test_the_labels_that_the_first_stamp_ends_leave_with_it_whatever_follows() -
 
 
 def test_a_fragment_that_is_kept_back_leaves_though_the_clock_leaps() -> None:
-    tape = Tape()
+    tape = CaptureBuffer()
     core = core_with("faults: [{id: s, fault: bias, target: PSEUDORANGE.G12, value: 9}]", tape)
     core.received(AUTOPILOT, message("HIL_GPS", time_usec=10**15), WALL_US)
     first = bytes([1]) + bytes(127)  # of several
@@ -283,9 +285,9 @@ def test_a_schedule_begun_on_the_wall_clock_begins_anew_with_the_first_stamp() -
 
 
 def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it() -> None:
-    key = key_of("secret")
+    key = derive_key("secret")
     schedule = "faults: [{id: g, fault: bias, target: HIL_SENSOR.xgyro, value: 0.5}]"
-    frame = signed(Frame(sensor(1.0), known("HIL_SENSOR")), key, 1, 1000)
+    frame = sign_frame(Frame(sensor(1.0), message_layout("HIL_SENSOR")), key, 1, 1000)
     (send,) = core_with(schedule).received(SIM, frame.raw, WALL_US)
     assert send.data == frame.raw
     keyed = core_with(schedule, signing=Signing(key))
@@ -299,13 +301,15 @@ def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it
 
 
 def test_signatures_are_stripped_on_request() -> None:
-    frame = signed(Frame(sensor(1.0), known("HIL_SENSOR")), key_of("secret"), 1, 1000)
+    frame = sign_frame(
+        Frame(sensor(1.0), message_layout("HIL_SENSOR")), derive_key("secret"), 1, 1000
+    )
     core = Core(ROLES[:2], signing=Signing(strip=True))
     assert [s.data for s in core.received(SIM, frame.raw, WALL_US)] == [sensor(1.0)]
 
 
 def test_the_tape_holds_what_came_and_what_left() -> None:
-    tape = Tape()
+    tape = CaptureBuffer()
     core = Core(ROLES[:2], tape=tape)
     core.received(SIM, sensor(1.0) + b"noise", WALL_US)
     taken = tape.drain()
@@ -322,8 +326,11 @@ def test_a_command_reaches_the_vehicle_though_another_signs_as_the_proxy_does_on
         "faults: [{fault: command, number: 218, params: [65, 2], afterwards: [65, 0], for_s: 1}]"
     )
     beside = heartbeat(component=191)
-    vehicle = Frame(build(known("HEARTBEAT"), {"autopilot": 3, "type": 2}), known("HEARTBEAT")).raw
-    granted = build(known("COMMAND_ACK"), {"command": 218, "result": 0})
+    vehicle = Frame(
+        build_frame(message_layout("HEARTBEAT"), {"autopilot": 3, "type": 2}),
+        message_layout("HEARTBEAT"),
+    ).raw
+    granted = build_frame(message_layout("COMMAND_ACK"), {"command": 218, "result": 0})
     heard: list[list[float]] = []
     for now_us, data in ((0, beside), (1000, vehicle), (2000, granted), (2_000_000, beside)):
         for send in core.received(0, data, now_us) + core.due(now_us):

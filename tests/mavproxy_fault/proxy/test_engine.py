@@ -4,20 +4,20 @@ import msgspec
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.faults.driven import Bias
+from mavproxy_fault.faults.profile_faults import Bias
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 DT_US = 4000
 
 
 def sensor(t_us: int, **values: float) -> Frame:
-    layout = known("HIL_SENSOR")
+    layout = message_layout("HIL_SENSOR")
     fields = {"time_usec": t_us, "xgyro": 0.5, "zacc": -9.81, "fields_updated": 0x1FFF, **values}
-    return Frame(build(layout, fields, component=51), layout)
+    return Frame(build_frame(layout, fields, component=51), layout)
 
 
 def engine(text: str) -> Engine:
@@ -101,7 +101,7 @@ def test_only_messages_of_the_schedule_are_wanted():
     it = engine(BIAS)
     assert it.wanted is None  # until the first frame has set the time
     it.start_at(0)
-    assert it.wanted == {known("HIL_SENSOR").id}
+    assert it.wanted == {message_layout("HIL_SENSOR").id}
     it.arm({"id": "all", "fault": "drop"})
     assert it.wanted is None
 

@@ -6,12 +6,12 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega
 
-from mavproxy_fault.live.control import Control
+from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 SIM, GCS = 0, 1
 WALL_US = 1_700_000_000_000_000
@@ -29,7 +29,7 @@ class Station:
     def __init__(self, schedule: Schedule, roles: tuple[str, str], component: int = 1) -> None:
         engine = Engine(schedule)
         links = LinkRole("sim", roles[0]), LinkRole("gcs", roles[1])  # type: ignore[arg-type]
-        self.core = Core(links, engine, control=Control(engine))
+        self.core = Core(links, engine, control=LiveControl(engine))
         self.component = component
         self.frames = 0
         self.counter = mavutil.mavfile(None, "station")
@@ -46,15 +46,17 @@ class Station:
     def vehicle_speaks(self, frames: int) -> None:
         for _ in range(frames):
             values = {"time_usec": 1_000_000 + 100_000 * self.frames, "fields_updated": 63}
-            layout, seq = known("HIL_SENSOR"), (250 + self.frames) & 0xFF
-            raw = build(layout, values, seq=seq, component=self.component)
+            layout, seq = message_layout("HIL_SENSOR"), (250 + self.frames) & 0xFF
+            raw = build_frame(layout, values, seq=seq, component=self.component)
             self.hears(self.core.received(SIM, raw, WALL_US + 100_000 * self.frames))
             self.frames += 1
 
     def commands(self, times: int) -> None:
         for seq in range(times):
             values = {"command": 420, "param1": 0, "param2": 4, "target_system": 1}
-            raw = build(known("COMMAND_LONG"), values, seq=seq, system=255, component=190)
+            raw = build_frame(
+                message_layout("COMMAND_LONG"), values, seq=seq, system=255, component=190
+            )
             self.hears(self.core.received(GCS, raw, WALL_US + 100_000 * self.frames))
 
 

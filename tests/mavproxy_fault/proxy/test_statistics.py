@@ -1,11 +1,11 @@
 import random
 
-from mavproxy_fault.proxy.statistics import Latencies, table
+from mavproxy_fault.proxy.statistics import LatencyHistogram, format_endpoints
 
 
 def test_percentiles_are_right_to_a_tenth() -> None:
     rng = random.Random(1)
-    latencies = Latencies()
+    latencies = LatencyHistogram()
     values = sorted(rng.lognormvariate(10, 1) for _ in range(10_000))
     for value in values:
         latencies.add(round(value))
@@ -18,10 +18,10 @@ def test_percentiles_are_right_to_a_tenth() -> None:
 
 
 def test_without_frames_there_is_no_percentile() -> None:
-    assert Latencies().summary() == {"p50_us": None, "p99_us": None, "p99.9_us": None}
+    assert LatencyHistogram().summary() == {"p50_us": None, "p99_us": None, "p99.9_us": None}
 
 
 def test_the_table_has_a_line_per_endpoint() -> None:
-    lines = table([{"name": "udpin:1", "frames_in": 12, "p50_us": None}]).splitlines()
+    lines = format_endpoints([{"name": "udpin:1", "frames_in": 12, "p50_us": None}]).splitlines()
     assert len(lines) == 2
     assert lines[1].split()[:3] == ["udpin:1", "-", "12"]

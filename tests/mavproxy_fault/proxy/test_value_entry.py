@@ -7,18 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.fault_parts.draft import Draft
-from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS, ROWS_MAX
-from mavproxy_fault.faults.driven import Bias
+from mavproxy_fault.fault_parts.value_fault import MOST_ROWS, MOST_SENDERS
+from mavproxy_fault.faults.delayed_values import Lag
 from mavproxy_fault.faults.freeze import Replay
-from mavproxy_fault.faults.late import Lag
+from mavproxy_fault.faults.profile_faults import Bias
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.value_entry import NOWHERE, RunningValueFault
+from mavproxy_fault.proxy.value_entry import NO_FLOAT_INDEX, ActiveValueEntry
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, build_frame
 
-SENSOR = known("HIL_SENSOR")
+SENSOR = message_layout("HIL_SENSOR")
 # Every float that an edge may come from: zeros of two signs, subnormal, the limits, no numbers.
 EDGES = [0.0, -0.0, 1e-45, -1e-45, 1e-300, FLOAT_MAX, -FLOAT_MAX, 1e300, float("inf"), float("nan")]
 singles = st.binary(min_size=4, max_size=4) | st.sampled_from(EDGES[:7]).map(
@@ -27,12 +27,12 @@ singles = st.binary(min_size=4, max_size=4) | st.sampled_from(EDGES[:7]).map(
 numbers = st.floats() | st.sampled_from(EDGES) | st.floats(width=32)
 
 
-def at_work(fault: str, value: float, *, short: bool) -> RunningValueFault:
+def at_work(fault: str, value: float, *, short: bool) -> ActiveValueEntry:
     entry = {"fault": fault, "target": "HIL_SENSOR.ygyro", "value": value}
-    running = RunningValueFault(parse_schedule({"faults": [entry]}).faults[0], 1, 0, 0)
-    assert running._floats[SENSOR.id] < NOWHERE
+    running = ActiveValueEntry(parse_schedule({"faults": [entry]}).faults[0], 1, 0, 0)
+    assert running._floats[SENSOR.id] < NO_FLOAT_INDEX
     if not short:
-        running._floats = {SENSOR.id: NOWHERE}
+        running._floats = {SENSOR.id: NO_FLOAT_INDEX}
     running.begin()
     return running
 
@@ -43,7 +43,7 @@ def test_the_short_way_gives_the_bytes_and_counts_of_the_general_one(
 ) -> None:
     if not abs(value) <= FLOAT_MAX or fault not in ("bias", "scale", "constant"):
         value = abs(value) if abs(value) < 1e308 else 1e39
-    frame = Frame(build(SENSOR, {"time_usec": 1, "id": 1}), SENSOR)
+    frame = Frame(build_frame(SENSOR, {"time_usec": 1, "id": 1}), SENSOR)
     payload = bytearray(frame.payload)
     start = SENSOR.fields["ygyro"].offset
     payload[start : start + 4] = healthy
@@ -62,7 +62,7 @@ def test_the_short_way_gives_the_bytes_and_counts_of_the_general_one(
 def test_a_live_value_acts_on_the_next_frame() -> None:
     running = at_work("bias", 1.0, short=True)
     running.feed(3.0, 1, None)
-    draft = Draft(Frame(build(SENSOR, {"id": 1}), SENSOR))
+    draft = Draft(Frame(build_frame(SENSOR, {"id": 1}), SENSOR))
     running.edit(draft, "from-vehicle", 2)
     assert draft.sealed().number("ygyro") == 3.0
 
@@ -80,7 +80,7 @@ def test_a_rule_of_its_own_is_asked_whatever_it_derives_from() -> None:
 def test_a_rule_that_fails_lets_the_frame_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     running = at_work("bias", 1.0, short=True)
     monkeypatch.setattr(running, "_of", lambda healthy, t_s: "text")
-    frame = Frame(build(SENSOR, {"id": 1}), SENSOR)
+    frame = Frame(build_frame(SENSOR, {"id": 1}), SENSOR)
     draft = Draft(frame)
     running.edit(draft, "from-vehicle", 2)
     assert draft.sealed() is frame
@@ -95,7 +95,7 @@ def test_of_senders_that_somebody_makes_up_a_fault_remembers_the_first(name: str
     entry = {"fault": name, **known_faults()[name].example, "target": "HIL_SENSOR.xgyro"}
     engine = Engine(parse_schedule({"faults": [entry]}))
     for sender in range(2 * MOST_SENDERS):
-        data = build(SENSOR, {"id": 1}, system=1 + sender // 200, component=sender % 200)
+        data = build_frame(SENSOR, {"id": 1}, system=1 + sender // 200, component=sender % 200)
         [out] = engine.apply(Frame(data, SENSOR), "from-vehicle", 1)
         assert isinstance(out.frame, Frame)
     [running] = engine._all
@@ -106,14 +106,14 @@ def test_of_senders_that_somebody_makes_up_a_fault_remembers_the_first(name: str
 @pytest.mark.parametrize("fault", [Lag(value=60.0), Replay(value=60.0)])
 def test_values_of_the_past_cost_no_more_the_more_they_are(fault: Lag | Replay) -> None:
     state = None
-    for n in range(ROWS_MAX + 9):  # the clock stands still
+    for n in range(MOST_ROWS + 9):  # the clock stands still
         _, state = fault.after([n], (1, 1), 0.0, state, None)
         if n == 9:
             began = state[1, 1][0]
     assert state is not None
     rows = state[1, 1][0]
     assert rows is began  # never copied
-    assert ROWS_MAX <= len(rows) < ROWS_MAX + 10
+    assert MOST_ROWS <= len(rows) < MOST_ROWS + 10
 
 
 def test_a_lag_lets_go_of_what_is_older() -> None:

@@ -1,12 +1,15 @@
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock, stamp_us
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 UNIX_US = 1_700_000_000_000_000
 
 
 def frame(name: str, system: int = 1, component: int = 1, **values: object) -> Frame:
-    return Frame(build(known(name), values, system=system, component=component), known(name))
+    return Frame(
+        build_frame(message_layout(name), values, system=system, component=component),
+        message_layout(name),
+    )
 
 
 def test_stamps_are_read_in_microseconds_even_where_their_zeros_were_cut() -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
 from mavproxy_fault.rinex.signal_change import signal_changes
-from mavproxy_fault.rinex.signal_fields import FIELD, VALUE, Observation, write_change
+from mavproxy_fault.rinex.signal_fields import FIELD, VALUE, ObservationField, write_change
 
 L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
 KINDS = ("C1C", "L1C", "D1C", "S1C")
@@ -35,7 +35,7 @@ def faulted(settings, seed=1):
     epoch = RangeEpoch(SATELLITES).with_settings(settings)
     for name, change in signal_changes(epoch, 0, None):
         at = SATELLITES.index(name)
-        observations = [Observation(kind, at, 3 + FIELD * i) for i, kind in enumerate(KINDS)]
+        observations = [ObservationField(kind, at, 3 + FIELD * i) for i, kind in enumerate(KINDS)]
         write_change(lines, observations, name, change, rng)
     rows = [line.ljust(3 + FIELD * len(KINDS)) for line in lines]
     return {

@@ -13,7 +13,7 @@ import pytest
 from pyrtcm import RTCMReader
 
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
-from mavproxy_fault.rtcm.transport import message_number, wrap
+from mavproxy_fault.rtcm.transport import message_number, wrap_message
 
 G03 = Ephemeris(
     satellite="G03", week=2149, toe_s=475200.0, toc_s=475200.0,
@@ -104,9 +104,9 @@ def test_what_does_not_fit_or_belong_is_refused() -> None:
     with pytest.raises(KeyError):
         encode_ephemeris(replace(G03, satellite="R03"))
     with pytest.raises(ValueError, match="RTCM 1020"):
-        decode_ephemeris(wrap((1020 << 4).to_bytes(2, "big") + bytes(60)))
+        decode_ephemeris(wrap_message((1020 << 4).to_bytes(2, "big") + bytes(60)))
     with pytest.raises(ValueError, match="inside a field"):
-        decode_ephemeris(wrap((1019 << 4).to_bytes(2, "big") + bytes(20)))
+        decode_ephemeris(wrap_message((1019 << 4).to_bytes(2, "big") + bytes(20)))
 
 
 def test_the_messages_have_the_numbers_and_lengths_of_the_standard() -> None:

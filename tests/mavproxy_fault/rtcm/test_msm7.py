@@ -20,7 +20,7 @@ from mavproxy_fault.rtcm.msm7 import (
     msm7_satellites,
     patch_msm7,
 )
-from mavproxy_fault.rtcm.transport import wrap
+from mavproxy_fault.rtcm.transport import wrap_message
 
 COUNT_M = MS_M * 2**-29
 PHASE_COUNT_M = MS_M * 2**-31
@@ -102,9 +102,9 @@ def test_an_epoch_of_two_systems_says_that_more_follows_except_at_its_end() -> N
 
 def test_another_message_is_refused() -> None:
     with pytest.raises(ValueError, match="RTCM 1074"):
-        decode_msm7(wrap((1074 << 4).to_bytes(2, "big") + bytes(30)))
+        decode_msm7(wrap_message((1074 << 4).to_bytes(2, "big") + bytes(30)))
     with pytest.raises(ValueError, match="inside a field"):
-        decode_msm7(wrap((1077 << 4).to_bytes(2, "big") + b"\xff" * 30))
+        decode_msm7(wrap_message((1077 << 4).to_bytes(2, "big") + b"\xff" * 30))
 
 
 def changed(change_m: float) -> tuple[Msm7, Msm7]:

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.rtcm.msm7 import decode_msm7
-from mavproxy_fault.rtcm.range_columns import NAMES, NO_MSM7, Ranges, read_ranges
-from mavproxy_fault.rtcm.transport import unwrap, wrap
+from mavproxy_fault.rtcm.range_columns import NAMES, NO_MSM7, RangeColumns, read_ranges
+from mavproxy_fault.rtcm.transport import unwrap_message, wrap_message
 from mavproxy_fault.rtcm.tunnel_columns import Messages
 
 
@@ -29,10 +29,10 @@ def messages(draw) -> bytes:
     for value, length in (*parts, (noise, width)):
         bits += f"{int(value):0{length}b}" if length else ""
     bits += "0" * (-len(bits) % 8)
-    return wrap(int(bits, 2).to_bytes(len(bits) // 8, "big"))
+    return wrap_message(int(bits, 2).to_bytes(len(bits) // 8, "big"))
 
 
-def read(*found: bytes) -> Ranges:
+def read(*found: bytes) -> RangeColumns:
     """What some messages in a row say."""
     ends = np.cumsum([len(message) for message in found])
     return read_ranges(Messages(np.frombuffer(b"".join(found), np.uint8), ends, 0 * ends))
@@ -52,8 +52,8 @@ def test_the_compiled_reading_gives_the_same_values(found: list[bytes]):
 
 @given(messages(), st.data())
 def test_a_message_that_ends_early_is_no_epoch(message: bytes, data):
-    body = unwrap(message)
-    short = wrap(body[: data.draw(st.integers(0, len(body) - 1))])
+    body = unwrap_message(message)
+    short = wrap_message(body[: data.draw(st.integers(0, len(body) - 1))])
     found = read(short, message)
     assert found.tow_ms[0] == NO_MSM7
     assert found.ends[0] == 0

@@ -13,15 +13,15 @@ from mavproxy_fault.rtcm.transport import (
     PAYLOAD_TYPE,
     Reassembler,
     crc24q,
-    fragments,
     message_number,
+    split_fragments,
     split_messages,
     tunnel_frames,
     tunnel_payload,
-    unwrap,
-    wrap,
+    unwrap_message,
+    wrap_message,
 )
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
 # RTCM 10403.3 section 4.3: the standard's own example of a whole message (1005)
@@ -29,32 +29,32 @@ EXAMPLE = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")
 
 
 def message_of(length: int) -> bytes:
-    return wrap(bytes(range(256))[: length - 6] + bytes(max(length - 262, 0)))
+    return wrap_message(bytes(range(256))[: length - 6] + bytes(max(length - 262, 0)))
 
 
 def test_the_example_of_the_standard_has_a_right_crc() -> None:
     assert crc24q(EXAMPLE[:-3]) == int.from_bytes(EXAMPLE[-3:], "big")
-    assert wrap(unwrap(EXAMPLE)) == EXAMPLE
+    assert wrap_message(unwrap_message(EXAMPLE)) == EXAMPLE
     assert message_number(EXAMPLE) == 1005
 
 
 @given(st.binary(min_size=2, max_size=300))
 def test_pyrtcm_accepts_our_crc(body: bytes) -> None:
-    message = wrap(body)
+    message = wrap_message(body)
     assert calc_crc24q(message) == 0
-    assert unwrap(message) == body
+    assert unwrap_message(message) == body
 
 
 def test_a_flipped_bit_is_refused() -> None:
     broken = EXAMPLE[:8] + bytes((EXAMPLE[8] ^ 4,)) + EXAMPLE[9:]
     with pytest.raises(ValueError, match="CRC"):
-        unwrap(broken)
+        unwrap_message(broken)
     assert list(split_messages(broken)) == []
 
 
 def test_a_body_that_does_not_fit_ten_bits_is_refused() -> None:
     with pytest.raises(ValueError, match="1023"):
-        wrap(bytes(1024))
+        wrap_message(bytes(1024))
 
 
 def test_foreign_bytes_between_messages_are_passed_over() -> None:
@@ -76,7 +76,7 @@ def test_foreign_bytes_between_messages_are_passed_over() -> None:
     ],
 )
 def test_a_message_is_cut_as_gps_rtcm_data_would_be(length: int, sizes: list[int]) -> None:
-    payloads = fragments(message_of(length), 37)
+    payloads = split_fragments(message_of(length), 37)
     assert [len(p) - 1 for p in payloads] == sizes
     assert [p[0] & 1 for p in payloads] == [int(len(sizes) > 1)] * len(sizes)
     assert [p[0] >> 1 & 3 for p in payloads] == list(range(len(sizes)))
@@ -88,35 +88,35 @@ def test_fragments_in_any_order_make_the_message_again(length: int) -> None:
     message = message_of(length)
     for order in (1, -1):
         box = Reassembler()
-        found = [m for payload in fragments(message, 3)[::order] for m in box.add(payload)]
+        found = [m for payload in split_fragments(message, 3)[::order] for m in box.add(payload)]
         assert found == [message]
 
 
 def test_a_message_longer_than_four_fragments_is_refused() -> None:
     with pytest.raises(ValueError, match="508"):
-        fragments(message_of(MESSAGE_MAX + 1), 0)
+        split_fragments(message_of(MESSAGE_MAX + 1), 0)
 
 
 def test_a_lost_fragment_costs_its_message_and_no_other() -> None:
     first, second = message_of(200), message_of(300)
     box = Reassembler()
-    assert box.add(fragments(first, 0)[0]) == []
-    assert [m for p in fragments(second, 1) for m in box.add(p)] == [second]
+    assert box.add(split_fragments(first, 0)[0]) == []
+    assert [m for p in split_fragments(second, 1) for m in box.add(p)] == [second]
 
 
 def test_interleaved_messages_are_kept_apart() -> None:
     first, second = message_of(200), message_of(201)
-    pairs = zip(fragments(first, 0), fragments(second, 1), strict=True)
+    pairs = zip(split_fragments(first, 0), split_fragments(second, 1), strict=True)
     box = Reassembler()
     assert [m for pair in pairs for p in pair for m in box.add(p)] == [first, second]
 
 
 def test_fragments_of_a_sequence_long_past_do_not_mix_with_new_ones() -> None:
-    old, new = fragments(message_of(300), 0), fragments(message_of(310), 32)
+    old, new = split_fragments(message_of(300), 0), split_fragments(message_of(310), 32)
     box = Reassembler()
     box.add(old[1])
     for sequence in range(1, 32):
-        box.add(fragments(message_of(200), sequence)[0])
+        box.add(split_fragments(message_of(200), sequence)[0])
     assert box.add(new[0]) == []
     assert box.add(new[2]) == []
     assert box.add(new[1]) == [message_of(310)]
@@ -146,21 +146,23 @@ def test_pymavlink_reads_the_tunnel_frames() -> None:
 
 
 def test_a_tunnel_frame_gives_its_payload_back_when_it_ends_with_zeros() -> None:
-    message = wrap(b"\x43\x50" + bytes(20))
-    payloads = [tunnel_payload(Frame(raw, known("TUNNEL"))) for raw in tunnel_frames(message, 0)]
-    assert payloads == fragments(message, 0)
-    (raw,) = tunnel_frames(wrap(bytes(60))[:-3] + bytes(3), 0)
-    payload = tunnel_payload(Frame(raw, known("TUNNEL")))
+    message = wrap_message(b"\x43\x50" + bytes(20))
+    payloads = [
+        tunnel_payload(Frame(raw, message_layout("TUNNEL"))) for raw in tunnel_frames(message, 0)
+    ]
+    assert payloads == split_fragments(message, 0)
+    (raw,) = tunnel_frames(wrap_message(bytes(60))[:-3] + bytes(3), 0)
+    payload = tunnel_payload(Frame(raw, message_layout("TUNNEL")))
     assert payload is not None
     assert len(payload) == 1 + 66
 
 
 def test_another_tunnel_payload_is_none_of_ours() -> None:
-    frame = Frame(tunnel_frames(EXAMPLE, 0)[0], known("TUNNEL"))
+    frame = Frame(tunnel_frames(EXAMPLE, 0)[0], message_layout("TUNNEL"))
     assert tunnel_payload(frame.patched({("payload_type", 0): 200})) is None
 
 
 def test_twelve_satellites_of_two_systems_fit_two_frames_each() -> None:
     names = [f"G{i:02d}" for i in range(1, 13)] + [f"E{i:02d}" for i in range(1, 13)]
     messages = encode_epoch(1.0, names, [2.2e7] * 24, [100.0] * 24, [45.0] * 24)
-    assert [len(fragments(m, 0)) for m in messages] == [2, 2]
+    assert [len(split_fragments(m, 0)) for m in messages] == [2, 2]

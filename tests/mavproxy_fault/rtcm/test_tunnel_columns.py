@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.rtcm.transport import Reassembler, fragments, message_number, wrap
+from mavproxy_fault.rtcm.transport import Reassembler, message_number, split_fragments, wrap_message
 from mavproxy_fault.rtcm.tunnel_columns import SENDERS_MAX, Assembler, Messages
 
 WIDTH = 128
@@ -19,7 +19,7 @@ def payloads(draw) -> list[tuple[int, bytes]]:
     found: list[tuple[int, bytes]] = []
     for sequence, body in enumerate(draw(st.lists(bodies, max_size=14))):
         sender = draw(st.integers(0, 2))
-        parts = [(sender, part) for part in fragments(wrap(body), sequence % 7)]
+        parts = [(sender, part) for part in split_fragments(wrap_message(body), sequence % 7)]
         found += parts[1:] if draw(st.integers(0, 9)) == 0 else parts
     found += [(0, garbage) for garbage in draw(st.lists(st.binary(max_size=WIDTH), max_size=3))]
     return draw(st.permutations(found)) if draw(st.booleans()) else found
@@ -59,6 +59,6 @@ def test_a_length_beyond_the_payload_is_passed_over():
 
 
 def test_more_senders_than_there_is_room_for_lose_nothing_while_they_do_not_mix():
-    assembler, message = Assembler(), wrap(bytes(200))
-    rows = [(n, part) for n in range(3 * SENDERS_MAX) for part in fragments(message, 1)]
+    assembler, message = Assembler(), wrap_message(bytes(200))
+    rows = [(n, part) for n in range(3 * SENDERS_MAX) for part in split_fragments(message, 1)]
     assert [found for _, found in added(assembler, rows)] == [message] * (3 * SENDERS_MAX)

@@ -4,7 +4,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, never_acted, parse_schedule, read_schedule
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 
 GOOD = """\
 seed: 1
@@ -35,7 +35,10 @@ def test_the_design_s_example_is_read() -> None:
     assert (schedule.seed, step.id, step.at_s, step.for_s) == (1, "gyro-step", 20, 15)
     assert (step.where.component, step.where.direction) == (51, "to-vehicle")
     assert other.id == "constant-2"
-    assert other.ids == {known("HIL_ACTUATOR_CONTROLS").id, known("HIL_SENSOR").id}
+    assert other.ids == {
+        message_layout("HIL_ACTUATOR_CONTROLS").id,
+        message_layout("HIL_SENSOR").id,
+    }
     assert other.fault.profile.segments[0].rate == 0.5  # type: ignore[attr-defined]
 
 

@@ -5,16 +5,16 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 STEP_US = 100_000
 HEARTBEAT = {"type": 2, "autopilot": 3}
 
 
 def frame(name: str, **values: float) -> Frame:
-    layout = known(name)
-    return Frame(build(layout, values), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values), layout)
 
 
 def flight(number: int) -> list[Frame]:

@@ -5,14 +5,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as pymavlink
 
-from mavproxy_fault.app.preview import epoch, sample
-from mavproxy_fault.faults.satellite import Satellites
+from mavproxy_fault.app.preview import encode_test_epoch, healthy_frame
+from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rtcm.msm7 import msm7_satellites
 from mavproxy_fault.rtcm.transport import tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
@@ -35,7 +35,7 @@ def messages(entries: list[Entry]) -> set[str]:
         for name in entry.targets or getattr(entry.fault, "messages", ("HIL_SENSOR",)):
             head = name.split(".")[0]
             found.add("HIL_SENSOR" if head == "PLANT" else head)
-    return found - {"PSEUDORANGE"}  # which `epoch` makes
+    return found - {"PSEUDORANGE"}  # which `encode_test_epoch` makes
 
 
 def targets(name: str) -> set[str]:
@@ -63,7 +63,7 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
         for message in sorted(messages(list(schedule.faults))):
-            healthy = sample(message, t_us * 1e-6)
+            healthy = healthy_frame(message, t_us * 1e-6)
             outs = engine.apply(healthy, "to-vehicle", t_us)
             told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
             outs = [out for out in outs if not out.back]
@@ -148,7 +148,7 @@ def test_a_coherent_preset_moves_every_message_of_its_kind(name: str) -> None:
 @pytest.mark.parametrize("name", of_kind("satellites"))
 def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
     (entry,) = parse_schedule({"seed": 1, "faults": [{"preset": name}]}).faults
-    assert isinstance(entry.fault, Satellites)
+    assert isinstance(entry.fault, SatelliteFault)
     engine = Engine(parse_schedule({"seed": 1, "faults": [{"preset": name}]}))
     engine.start_at(0)
     touched = 0
@@ -156,8 +156,8 @@ def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
         for system in {satellite[0] for satellite in entry.fault.names}:
             names = sorted({s for s in entry.fault.names if s[0] == system} | {f"{system}30"})
             frames = [
-                Frame(raw, known("TUNNEL"))
-                for raw in tunnel_frames(epoch(system, names, second), second)
+                Frame(raw, message_layout("TUNNEL"))
+                for raw in tunnel_frames(encode_test_epoch(system, names, second), second)
             ]
             outs = [
                 out for one in frames for out in engine.apply(one, "to-vehicle", second * 1_000_000)
@@ -203,7 +203,7 @@ def test_one_event_reaches_every_message_of_the_sensor_in_its_own_unit(
     engine.start_at(0)
     steps = {}
     for message in IMU:
-        healthy = sample(message, 1.0)
+        healthy = healthy_frame(message, 1.0)
         (out,) = engine.apply(healthy, "to-vehicle", 1_000_000)
         assert isinstance(out.frame, Frame)
         counts = out.frame.number(field) - healthy.number(field)
@@ -216,7 +216,10 @@ def test_a_receiver_that_finds_nothing_has_no_ranges_either() -> None:
     engine = Engine(parse_schedule({"faults": [{"preset": "gps-search-failure"}]}))
     engine.start_at(0)
     names = ["G05", "G12", "G30"]
-    frames = [Frame(raw, known("TUNNEL")) for raw in tunnel_frames(epoch("G", names, 1), 1)]
+    frames = [
+        Frame(raw, message_layout("TUNNEL"))
+        for raw in tunnel_frames(encode_test_epoch("G", names, 1), 1)
+    ]
     outs = [out for one in frames for out in engine.apply(one, "to-vehicle", 1_000_000)]
     payloads = [tunnel_payload(out.frame) for out in outs if isinstance(out.frame, Frame)]
     (payload,) = [payload for payload in payloads if payload is not None]

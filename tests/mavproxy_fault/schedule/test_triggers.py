@@ -4,12 +4,12 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.schedule.triggers import Condition, Telemetry
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 
 def frame(name: str, **values: object) -> Frame:
-    return Frame(build(known(name), values), known(name))
+    return Frame(build_frame(message_layout(name), values), message_layout(name))
 
 
 def telemetry(*frames: Frame) -> Telemetry:
@@ -119,4 +119,4 @@ def test_the_messages_of_a_condition_are_wanted() -> None:
         )
     )
     engine.start_at(0)
-    assert engine.wanted == {known("HIL_GPS").id, known("HEARTBEAT").id}
+    assert engine.wanted == {message_layout("HIL_GPS").id, message_layout("HEARTBEAT").id}

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.wire import parser
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.parser import Junk, Parser, span
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.parser import Junk, Parser, frame_span
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -44,7 +44,9 @@ def pymavlink_frames() -> dict[str, bytes]:
 
 
 FRAMES = pymavlink_frames()
-HEARTBEAT = build(known("HEARTBEAT"), {"type": 2, "autopilot": 12, "mavlink_version": 3}, seq=9)
+HEARTBEAT = build_frame(
+    message_layout("HEARTBEAT"), {"type": 2, "autopilot": 12, "mavlink_version": 3}, seq=9
+)
 
 
 def unknown_frame(payload: bytes = b"payload", number: int = 0xABCDE) -> bytes:
@@ -115,14 +117,16 @@ def test_a_start_byte_in_foreign_text_does_not_hide_the_frame_behind_it() -> Non
 def test_an_unknown_flag_keeps_faults_away_but_passes() -> None:
     raw = bytearray(HEARTBEAT[:-2])
     raw[2] = 0x02
-    raw += mavlink2.x25crc(bytes(raw[1:]) + bytes((known("HEARTBEAT").crc_extra,))).crc.to_bytes(
-        2, "little"
-    )
+    raw += mavlink2.x25crc(
+        bytes(raw[1:]) + bytes((message_layout("HEARTBEAT").crc_extra,))
+    ).crc.to_bytes(2, "little")
     assert shape(Parser().push(bytes(raw) + HEARTBEAT)) == ["unknown", "HEARTBEAT"]
 
 
 def test_a_payload_longer_than_the_layout_is_kept() -> None:
-    frame = Frame(HEARTBEAT, known("HEARTBEAT")).with_payload(b"\1\2\3\4\5\6\7\x08\x09\x0a\x0b")
+    frame = Frame(HEARTBEAT, message_layout("HEARTBEAT")).with_payload(
+        b"\1\2\3\4\5\6\7\x08\x09\x0a\x0b"
+    )
     (item,) = Parser().push(frame.raw)
     assert isinstance(item, Frame)
     assert item.raw == frame.raw
@@ -194,10 +198,12 @@ def test_bytes_that_all_seem_to_begin_a_frame_cost_time_in_their_number(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Bytes can be found whose every start has a possible CRC: here all of them pass for such.
-    monkeypatch.setattr(parser, "_possible", lambda body, crc: True)
+    monkeypatch.setattr(parser, "_crc_is_possible", lambda body, crc: True)
     looked = []
-    monkeypatch.setattr(parser, "span", lambda data, at: looked.append(at) or span(data, at))
-    heartbeat = build(known("HEARTBEAT"), {"type": 1})
+    monkeypatch.setattr(
+        parser, "frame_span", lambda data, at: looked.append(at) or frame_span(data, at)
+    )
+    heartbeat = build_frame(message_layout("HEARTBEAT"), {"type": 1})
     data = (b"\xfd" * 240 + heartbeat) * 20
     found = Parser().push(data, datagram=True)
     assert b"".join(item.raw for item in found) == data

@@ -1,16 +1,22 @@
 import warnings
 from typing import Any
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
-from mavproxy_fault.wire.signing import Verifier, key_of, resigned, signed, stripped
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.signing import (
+    Verifier,
+    derive_key,
+    resign_frame,
+    sign_frame,
+    strip_signature,
+)
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     from pymavlink.dialects.v20 import all as mavlink2
 
-KEY = key_of("correct horse")
-LAYOUT = known("HIL_GPS")
+KEY = derive_key("correct horse")
+LAYOUT = message_layout("HIL_GPS")
 
 
 def pymavlink_link() -> Any:
@@ -45,17 +51,17 @@ def test_pymavlinks_signature_verifies_once() -> None:
 def test_a_changed_payload_or_another_key_is_refused() -> None:
     frame = frame_of_pymavlink(pymavlink_link())
     assert not Verifier(KEY).verify(frame.patched({("lat", 0): 1}))
-    assert not Verifier(key_of("wrong")).verify(frame)
+    assert not Verifier(derive_key("wrong")).verify(frame)
 
 
 def test_pymavlink_accepts_a_patched_frame_signed_again_and_refuses_it_otherwise() -> None:
     changed = frame_of_pymavlink(pymavlink_link()).patched({("lat", 0): 1})
-    assert pymavlink_accepts(resigned(changed, KEY))
+    assert pymavlink_accepts(resign_frame(changed, KEY))
     assert not pymavlink_accepts(changed)
 
 
 def test_a_stripped_frame_equals_the_frame_never_signed() -> None:
-    plain = Frame(build(LAYOUT, {"lat": 5, "fix_type": 3}, system=1, component=51), LAYOUT)
-    frame = signed(plain, KEY, 3, 10**12)
+    plain = Frame(build_frame(LAYOUT, {"lat": 5, "fix_type": 3}, system=1, component=51), LAYOUT)
+    frame = sign_frame(plain, KEY, 3, 10**12)
     assert pymavlink_accepts(frame)
-    assert stripped(frame).raw == plain.raw
+    assert strip_signature(frame).raw == plain.raw

@@ -11,18 +11,20 @@ from pymavlink.dialects.v20 import all as dialect
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import frame as frames
 from mavproxy_fault.wire import tlog
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 
 NOON_US = 1_700_000_000_000_000
 
 
 def hil_sensor(seq: int, system: int = 1) -> bytes:
     values = {"time_usec": 4000 * seq, "xgyro": 0.5 * seq, "id": seq % 3}
-    return frames.build(known("HIL_SENSOR"), values, seq=seq % 256, system=system, component=51)
+    return frames.build_frame(
+        message_layout("HIL_SENSOR"), values, seq=seq % 256, system=system, component=51
+    )
 
 
 def text(seq: int, words: bytes) -> bytes:
-    return frames.build(known("STATUSTEXT"), {"severity": 4, "text": words}, seq=seq)
+    return frames.build_frame(message_layout("STATUSTEXT"), {"severity": 4, "text": words}, seq=seq)
 
 
 def stamped(raw_frames: list[bytes], first_us: int = NOON_US) -> list[tuple[int, bytes]]:
@@ -31,14 +33,14 @@ def stamped(raw_frames: list[bytes], first_us: int = NOON_US) -> list[tuple[int,
 
 def written(path: Path, data: bytes | list[tuple[int, bytes]]) -> Path:
     if isinstance(data, list):
-        tlog.write(path, data)
+        tlog.write_log(path, data)
     else:
         path.write_bytes(data)
     return path
 
 
 def joined(records: list[tuple[int, bytes]]) -> bytes:
-    return b"".join(tlog.record(t_us, raw) for t_us, raw in records)
+    return b"".join(tlog.log_record(t_us, raw) for t_us, raw in records)
 
 
 def test_columns_hold_stamp_sender_sequence_and_fields(tmp_path: Path) -> None:
@@ -187,7 +189,7 @@ def mutated(records: list[tuple[int, bytes]], seed: int, drop: bool) -> tuple[by
     data = bytearray()
     intact = 0
     for t_us, raw in records:
-        whole = bytearray(tlog.record(t_us, raw))
+        whole = bytearray(tlog.log_record(t_us, raw))
         hit = [i for i in range(len(whole)) if rng.random() < 0.001]
         intact += all(i < 8 for i in hit)
         for i in reversed(hit):

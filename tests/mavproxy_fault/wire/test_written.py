@@ -6,8 +6,8 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from mavproxy_fault.wire.written import written_bytes
 
 HOLE = 1 << 32
@@ -39,8 +39,8 @@ def test_a_file_without_a_hole_is_taken_whole(tmp_path: Path) -> None:
 
 
 def test_a_log_in_reserved_space_is_read_as_far_as_it_was_written(tmp_path: Path) -> None:
-    frame = build(known("HEARTBEAT"), {"type": 2})
-    path = with_hole(tmp_path / "a.tlog", tlog.record(1_000_000, frame))
+    frame = build_frame(message_layout("HEARTBEAT"), {"type": 2})
+    path = with_hole(tmp_path / "a.tlog", tlog.log_record(1_000_000, frame))
     log = tlog.read_log(path)
     assert len(log.frames) == 1
     assert log.size < 1 << 17

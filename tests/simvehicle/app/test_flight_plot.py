@@ -6,20 +6,20 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from simvehicle.app.flight_plot import fly, plot_scenario
-from simvehicle.scenario.scenario_file import Leg, Scenario, Sensors, Start, read_scenario
-from simvehicle.sensors.imu import Imu
+from simvehicle.app.flight_plot import plot_scenario, trace_flight
+from simvehicle.scenario.scenario_file import Leg, Scenario, SensorSuite, StartConfig, read_scenario
+from simvehicle.sensors.imu import ImuSensor
 
 SHORT = Scenario(
     duration_s=4.0,
-    start=Start(height_m=100.0),
+    start=StartConfig(height_m=100.0),
     mission=[Leg(shape="line", size_m=500.0)],
-    sensors=Sensors(imu=Imu(rate_hz=50.0)),
+    sensors=SensorSuite(imu=ImuSensor(rate_hz=50.0)),
 )
 
 
 def test_a_flight_is_kept_at_ten_hertz() -> None:
-    flight = fly(SHORT)
+    flight = trace_flight(SHORT)
     assert len(flight.t_s) == 40
     assert flight.r_ned_m[-1, 0] == pytest.approx(100.0, abs=5.0)
     assert flight.plan_m[-1, 0] == pytest.approx(500.0, abs=5.0)
@@ -49,4 +49,6 @@ def test_the_documented_scenario_reads(tmp_path: Path) -> None:
     path.write_text(found[1], encoding="utf-8")
     scenario = read_scenario(path)
     assert scenario.name == "night"
-    assert all(getattr(scenario.sensors, kind) is not None for kind in Sensors.__struct_fields__)
+    assert all(
+        getattr(scenario.sensors, kind) is not None for kind in SensorSuite.__struct_fields__
+    )

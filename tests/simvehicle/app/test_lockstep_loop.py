@@ -18,10 +18,10 @@ from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import ImuReading, Reading
-from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.actuators import motor_mix
 from simvehicle.vehicles.body import Controls, Truth
 
 
@@ -90,7 +90,7 @@ def served(
     assert isinstance(link, TcpServer)
     said, codes = io.StringIO(), list[int]()
     progress = Progress(0.0, said)
-    loop = LockstepLoop(vehicle, Hil(), Inbox(link), motors(4), math.inf, progress)
+    loop = LockstepLoop(vehicle, HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
     loop.lockstep = Lockstep(timeout_s, silence_s=20.0 * timeout_s)
 
     def serve() -> None:
@@ -235,7 +235,7 @@ def test_an_autopilot_that_flew_before_is_told_to_be_started_anew() -> None:
 
 
 def test_that_no_first_answer_comes_is_told_once(monkeypatch) -> None:
-    monkeypatch.setattr("simvehicle.app.lockstep_loop.FIRST_ANSWER_S", 0.05)
+    monkeypatch.setattr("simvehicle.app.lockstep_loop.FIRST_ANSWER_TIMEOUT_S", 0.05)
     with served(Lift(), until_us=200_000) as (autopilot, _, said, _):
         for _ in autopilot.messages():
             pass

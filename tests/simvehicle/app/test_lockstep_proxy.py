@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavproxy_fault.app.proxy_command import roles
+from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
@@ -24,11 +24,11 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.actuators import motor_mix
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}
@@ -52,7 +52,7 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
     loop = LockstepLoop(
-        Simulation(read_scenario(path)), Hil(), Inbox(link), motors(4), math.inf, progress
+        Simulation(read_scenario(path)), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress
     )
     loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # a busy machine changes no byte
     sim = threading.Thread(target=lambda: serve_autopilot(loop, progress, None))
@@ -60,7 +60,7 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     master = open_link("tcpin:127.0.0.1:0")
     assert isinstance(master, TcpServer)
     links = [master, open_link(f"tcp:127.0.0.1:{link.port}")]
-    proxy = Server(links, Core(roles(links), Engine(parse_schedule(schedule))))
+    proxy = Server(links, Core(link_roles(links), Engine(parse_schedule(schedule))))
     forwarding = threading.Thread(target=proxy.run)
     forwarding.start()
     try:

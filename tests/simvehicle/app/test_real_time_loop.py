@@ -17,18 +17,18 @@ import pytest
 
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.app import lockstep_loop
 from simvehicle.app.pace import Pace
 from simvehicle.app.real_time_loop import FreeRunning, Overruns, RealTimeLoop
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import AutopilotSilentError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.actuators import motor_mix
 
 RECORDED = Path(__file__).resolve().parents[2] / "data" / "px4" / "hil.bin"
 SCENARIO = """
@@ -98,9 +98,11 @@ def recorded() -> Iterator[bytes]:
 
 
 def full_throttle() -> Iterator[bytes]:
-    controls = known("HIL_ACTUATOR_CONTROLS")
+    controls = message_layout("HIL_ACTUATOR_CONTROLS")
     while True:
-        yield build(controls, {"time_usec": 1, "controls": [0.9] * 4 + [0.0] * 12, "mode": 129})
+        yield build_frame(
+            controls, {"time_usec": 1, "controls": [0.9] * 4 + [0.0] * 12, "mode": 129}
+        )
 
 
 def test_a_board_that_answers_at_its_own_rate_flies_the_vehicle_in_real_time(tmp_path):
@@ -121,13 +123,15 @@ def test_a_board_that_answers_at_its_own_rate_flies_the_vehicle_in_real_time(tmp
 
 @pytest.mark.parametrize("answers", [True, False])
 def test_only_a_board_that_never_answers_is_told_of(tmp_path, monkeypatch, answers):
-    monkeypatch.setattr(lockstep_loop, "FIRST_ANSWER_S", 0.02)
+    monkeypatch.setattr(lockstep_loop, "FIRST_ANSWER_TIMEOUT_S", 0.02)
     (tmp_path / "bench.yaml").write_text(SCENARIO)
     simulation, said = Simulation(read_scenario(tmp_path / "bench.yaml")), StringIO()
     with closing(TcpServer("127.0.0.1", 0)) as link:
-        loop = RealTimeLoop(simulation, Hil(), Inbox(link), motors(4), Progress(0.0, said))
+        loop = RealTimeLoop(simulation, HilPacker(), Inbox(link), motor_mix(4), Progress(0.0, said))
         with socket.create_connection(("127.0.0.1", link.port), timeout=5) as board:
-            first = next(full_throttle()) if answers else build(known("HEARTBEAT"), {})
+            first = (
+                next(full_throttle()) if answers else build_frame(message_layout("HEARTBEAT"), {})
+            )
             board.sendall(first)
             loop.run(until_us=100_000)
     assert ("no answer for 0.02 s; a board answers in its HIL mode" in said.getvalue()) != answers

@@ -108,7 +108,7 @@ def test_a_ground_station_sees_a_vehicle_that_starts_in_the_air_hold_its_height(
 
 def test_datagrams_hold_whole_frames_and_fit_an_ethernet() -> None:
     frames = [bytes([i]) * 300 for i in range(10)]
-    chunks = server.datagrams(frames)
+    chunks = server.join_datagrams(frames)
     assert b"".join(chunks) == b"".join(frames)
     assert [len(c) for c in chunks] == [1200, 1200, 600]
 

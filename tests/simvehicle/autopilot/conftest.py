@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.autopilot.autopilot_link import AutopilotLink
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mission_service import Missions
 from simvehicle.autopilot.parameter_service import Parameters
-from simvehicle.autopilot.telemetry import Home
+from simvehicle.autopilot.telemetry import HomePosition
 from simvehicle.vehicles.body import Truth
 
-HOME = Home(47.397742, 8.545594, 488.0)
+HOME = HomePosition(47.397742, 8.545594, 488.0)
 M_PER_DEG = 111_320.0
 
 
@@ -33,7 +33,7 @@ class Station:
     def __init__(self) -> None:
         self.parameters = Parameters()
         self.missions = Missions()
-        self.flight = Flight(self.parameters, self.missions, HOME, locate)
+        self.flight = CommandedFlight(self.parameters, self.missions, HOME, locate)
         self.failed: list[tuple[int, bool]] = []
         self.link = AutopilotLink(self.flight, self.parameters, self.missions, self.fail_motor)
         self.mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
@@ -79,7 +79,7 @@ class Station:
     def send(self, name: str, *values: Any) -> list[Any]:
         """One message by its pymavlink encoder; what the vehicle answers."""
         message = getattr(self.mav, name + "_encode")(*values)
-        frame = Frame(message.pack(self.mav), known(message.get_type()))
+        frame = Frame(message.pack(self.mav), message_layout(message.get_type()))
         return self.read(self.link.received(frame, self.t_us))
 
     def command(self, number: int, *params: float) -> list[Any]:

@@ -5,21 +5,21 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.autopilot.autopilot_link import AutopilotLink
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mission_service import Missions
 from simvehicle.autopilot.parameter_service import Parameters
-from simvehicle.autopilot.telemetry import Home
+from simvehicle.autopilot.telemetry import HomePosition
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
 
 def make_link() -> AutopilotLink:
     parameters, missions = Parameters(), Missions()
-    home = Home(47.0, 8.0, 500.0)
-    flight = Flight(parameters, missions, home, lambda lat, lon, alt: np.zeros(3))
+    home = HomePosition(47.0, 8.0, 500.0)
+    flight = CommandedFlight(parameters, missions, home, lambda lat, lon, alt: np.zeros(3))
     return AutopilotLink(flight, parameters, missions, lambda motor, off: False)
 
 
@@ -49,7 +49,7 @@ def run(link: AutopilotLink, seconds: float) -> list[dialect.MAVLink_message]:
 def send(link: AutopilotLink, name: str, *values: object) -> list[dialect.MAVLink_message]:
     mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
     message = getattr(mav, name + "_encode")(*values)
-    answers = link.received(Frame(message.pack(mav), known(message.get_type())), 4000)
+    answers = link.received(Frame(message.pack(mav), message_layout(message.get_type())), 4000)
     return dialect.MAVLink(None).parse_buffer(b"".join(answers)) or []
 
 

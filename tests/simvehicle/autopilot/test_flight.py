@@ -2,8 +2,8 @@ from typing import Any
 
 import pytest
 
-from simvehicle.autopilot.enums import LandedState, Mode
-from simvehicle.autopilot.flight_goals import Kind
+from simvehicle.autopilot.enums import FlightMode, LandedState
+from simvehicle.autopilot.flight_goals import GoalKind
 
 
 def names(messages: list[Any]) -> list[str]:
@@ -12,7 +12,7 @@ def names(messages: list[Any]) -> list[str]:
 
 def test_an_armed_vehicle_on_the_ground_waits(station: Any) -> None:
     station.command(400, 1)
-    assert station.flight.goal.kind is Kind.IDLE
+    assert station.flight.goal.kind is GoalKind.IDLE
 
 
 def test_take_off_climbs_to_the_parameter_and_holds(station: Any) -> None:
@@ -22,7 +22,7 @@ def test_take_off_climbs_to_the_parameter_and_holds(station: Any) -> None:
     station.at([0, 0, -4])
     assert station.flight.landed is LandedState.TAKEOFF
     station.at([0, 0, -9.5])
-    assert station.flight.mode is Mode.HOLD
+    assert station.flight.mode is FlightMode.HOLD
     assert station.flight.goal.r_ned_m.tolist() == pytest.approx([0, 0, -10])
 
 
@@ -34,9 +34,9 @@ def test_the_height_of_a_take_off_command_is_above_sea_level(station: Any) -> No
 
 def test_a_take_off_commanded_before_arming_starts_with_arming(station: Any) -> None:
     station.command(22)
-    assert station.flight.goal.kind is Kind.IDLE
+    assert station.flight.goal.kind is GoalKind.IDLE
     station.command(400, 1)
-    assert station.flight.goal.kind is Kind.FLY
+    assert station.flight.goal.kind is GoalKind.FLY
 
 
 def test_a_mission_is_flown_item_by_item_and_then_held(station: Any, upload: Any) -> None:
@@ -48,7 +48,7 @@ def test_a_mission_is_flown_item_by_item_and_then_held(station: Any, upload: Any
         said = station.at(place, 0.1) + station.at(place, 0.1)
         reached += [m.seq for m in said if m.get_type() == "MISSION_ITEM_REACHED"]
     assert reached == [0, 1, 2]
-    assert station.flight.mode is Mode.HOLD
+    assert station.flight.mode is FlightMode.HOLD
     assert station.flight.goal.r_ned_m.tolist() == pytest.approx([30, 40, -12], abs=0.05)
 
 
@@ -56,7 +56,7 @@ def test_landing_disarms_after_two_seconds_on_the_ground(station: Any) -> None:
     station.command(400, 1)
     station.at([0, 0, -5])
     station.command(21)
-    assert station.flight.goal.kind is Kind.LAND
+    assert station.flight.goal.kind is GoalKind.LAND
     station.at([0, 0, -1], 1.0)
     assert station.flight.landed is LandedState.LANDING
     station.at([0, 0, 0], 1.0)
@@ -64,7 +64,7 @@ def test_landing_disarms_after_two_seconds_on_the_ground(station: Any) -> None:
     assert station.flight.armed
     station.at([0, 0, 0], 0.2)
     assert not station.flight.armed
-    assert station.flight.goal.kind is Kind.IDLE
+    assert station.flight.goal.kind is GoalKind.IDLE
 
 
 def test_return_goes_home_at_its_height_and_lands(station: Any) -> None:
@@ -73,7 +73,7 @@ def test_return_goes_home_at_its_height_and_lands(station: Any) -> None:
     station.command(20)
     assert station.flight.goal.r_ned_m.tolist() == pytest.approx([0, 0, -30], abs=0.05)
     station.at([0, 0, -30], 1.0)
-    assert station.flight.mode is Mode.LAND
+    assert station.flight.mode is FlightMode.LAND
 
 
 def test_a_mission_that_ends_in_a_landing_reports_its_last_item(station: Any, upload: Any) -> None:
@@ -81,7 +81,7 @@ def test_a_mission_that_ends_in_a_landing_reports_its_last_item(station: Any, up
     station.command(400, 1)
     station.at([0, 0, -5])
     station.command(300)
-    assert station.flight.mode is Mode.MISSION
+    assert station.flight.mode is FlightMode.MISSION
     said = [m for _ in range(5) for m in station.at([0, 0, 0], 0.6)]
     assert "MISSION_ITEM_REACHED" in names(said)
     assert not station.flight.armed
@@ -94,7 +94,7 @@ def test_a_pause_holds_and_the_mission_goes_on(station: Any, upload: Any) -> Non
     station.command(300)
     station.at([30, 0, -10], 0.1)
     station.command(193, 0)
-    assert station.flight.mode is Mode.HOLD
+    assert station.flight.mode is FlightMode.HOLD
     station.command(193, 1)
     station.at([31, 0, -10], 0.1)
     assert station.flight.goal.r_ned_m[0] == pytest.approx(60, abs=0.05)
@@ -123,7 +123,7 @@ def test_clearing_the_mission_in_flight_holds(station: Any, upload: Any) -> None
     station.command(300)
     station.send("mission_clear_all", 1, 1, 0)
     station.at([5, 0, -10], 0.1)
-    assert station.flight.mode is Mode.HOLD
+    assert station.flight.mode is FlightMode.HOLD
 
 
 def test_speeds_that_make_no_sense_are_denied(station: Any) -> None:

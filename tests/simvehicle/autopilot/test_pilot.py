@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from simvehicle.app.sim_server import services
-from simvehicle.autopilot.enums import Mode
-from simvehicle.autopilot.flight_goals import Flight
+from simvehicle.app.sim_server import create_services
+from simvehicle.autopilot.enums import FlightMode
+from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.pilot import Pilot
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
@@ -24,8 +24,8 @@ class Flown:
         path = folder / "vehicle.yaml"
         path.write_text(f"vehicle: {vehicle}\nsensors: {{imu: {{rate_hz: 100}}}}\n{more}")
         self.simulation = Simulation(read_scenario(path))
-        self.pilot: Pilot = services(self.simulation)[1]
-        self.flight: Flight = self.pilot.flight
+        self.pilot: Pilot = create_services(self.simulation)[1]
+        self.flight: CommandedFlight = self.pilot.flight
         self.flight.advance(self.simulation.truth)
 
     def until(self, holds: Holds, limit_s: float) -> Truth:
@@ -62,11 +62,11 @@ def test_the_multirotor_takes_off_goes_there_returns_and_lands(quad: Flown) -> N
     flight = quad.flight
     flight.arm()
     flight.take_off(math.nan)
-    quad.until(lambda truth: flight.mode is Mode.HOLD, 20)
+    quad.until(lambda truth: flight.mode is FlightMode.HOLD, 20)
     assert flight.go_to(*place(quad, 25.0), math.nan, math.nan)
     there = quad.until(lambda truth: away(truth, 25.0, 0.0) < 0.5, 30)
     assert there.height_agl_m == pytest.approx(10.0, abs=1.5)
-    flight.set_mode(Mode.RETURN)
+    flight.set_mode(FlightMode.RETURN)
     quad.until(lambda truth: not flight.armed, 120)
     assert away(quad.simulation.truth, 0.0, 0.0) < 2.0
     assert quad.simulation.truth.on_ground
@@ -75,7 +75,7 @@ def test_the_multirotor_takes_off_goes_there_returns_and_lands(quad: Flown) -> N
 def test_the_multirotor_turns_to_the_heading_it_is_given(quad: Flown) -> None:
     quad.flight.arm()
     quad.flight.take_off(math.nan)
-    quad.until(lambda truth: quad.flight.mode is Mode.HOLD, 20)
+    quad.until(lambda truth: quad.flight.mode is FlightMode.HOLD, 20)
     quad.flight.go_to(*place(quad, 3.0), math.nan, math.radians(90.0))
     quad.until(lambda truth: abs(truth.q_nb[3] - math.sqrt(0.5)) < 0.03, 20)
 
@@ -84,14 +84,14 @@ def test_the_fixed_wing_takes_off_circles_a_place_and_lands(wing: Flown) -> None
     flight = wing.flight
     flight.arm()
     flight.take_off(math.nan)
-    wing.until(lambda truth: flight.mode is Mode.HOLD, 60)
+    wing.until(lambda truth: flight.mode is FlightMode.HOLD, 60)
     assert flight.go_to(*place(wing, 800.0), flight.home.alt_m + 80.0, math.nan)
     wing.until(lambda truth: away(truth, 800.0, 0.0) < 160.0, 90)
     start_us = wing.simulation.truth.t_us
     wing.until(lambda truth: truth.t_us > start_us + 30_000_000, 31)
     assert away(wing.simulation.truth, 800.0, 0.0) < 160.0
     assert wing.simulation.truth.height_agl_m == pytest.approx(80.0, abs=8.0)
-    flight.set_mode(Mode.LAND)
+    flight.set_mode(FlightMode.LAND)
     wing.until(lambda truth: not flight.armed, 180)
     assert wing.simulation.truth.on_ground
 
@@ -100,13 +100,13 @@ def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path:
     mission = "mission: [{shape: circle, size_m: 400, height_m: 100}]\nstart: {height_m: 100}\n"
     wing = Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}", mission)
     flight = wing.flight
-    assert (flight.mode, flight.armed, flight.flown) == (Mode.MISSION, True, False)
+    assert (flight.mode, flight.armed, flight.flown) == (FlightMode.MISSION, True, False)
     track = wing.simulation.controller.track
     for _ in range(200):
         _, truth, _ = wing.simulation.step(wing.pilot.controls() if flight.flown else None)
         flight.advance(truth)
     assert wing.simulation.controller.track is track
-    flight.set_mode(Mode.HOLD)
+    flight.set_mode(FlightMode.HOLD)
     assert flight.flown
     wing.pilot.controls()
     assert wing.simulation.controller.track is not track

@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
 ACCEPTED, UNSUPPORTED = 0, 3
@@ -81,7 +81,7 @@ def test_one_mode_of_the_list_is_told_by_its_index_and_none_beyond_it(station: A
 def test_the_protocol_version_is_two(station: Any) -> None:
     for number, param in ((519, 1.0), (REQUEST_MESSAGE, 300.0)):
         command = station.mav.command_long_encode(1, 1, number, 0, param, 0, 0, 0, 0, 0, 0)
-        frame = Frame(command.pack(station.mav), known("COMMAND_LONG"))
+        frame = Frame(command.pack(station.mav), message_layout("COMMAND_LONG"))
         ack, version = station.link.received(frame, station.t_us)  # pymavlink does not know it
         assert station.read([ack])[0].result == ACCEPTED
         assert int.from_bytes(version[7:10], "little") == 300

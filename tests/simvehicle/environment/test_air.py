@@ -8,10 +8,10 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.compile import compiled
-from simvehicle.environment.air import GUSTS, pressure_altitude, standard_air, wind_step
-from simvehicle.environment.geolocation import Home, locate
+from simvehicle.environment.air import GUST_LEVELS, pressure_altitude, standard_air, step_wind
+from simvehicle.environment.geolocation import HomeFrame, locate_state
 from simvehicle.environment.geomagnetism import field_ned_gauss
-from simvehicle.environment.terrain import read_grid
+from simvehicle.environment.terrain import read_terrain_grid
 
 LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # a state of which the attitude counts
 
@@ -47,19 +47,19 @@ def gusts(level: str, airspeed: float, dt: float, count: int) -> np.ndarray:
     rng = np.random.default_rng(2)
     filters = np.zeros(5)
     out = np.empty((count, 3))
-    spectrum = GUSTS[level]
+    spectrum = GUST_LEVELS[level]
     draws = rng.standard_normal((count, 5))
     weather = np.array([*spectrum.sigma_mps, *spectrum.length_m, 1.0, 0.0, 0.0, 0.0, 0.0])
     ahead = np.array([airspeed, 0.0, 0.0])
     for k in range(count):
-        wind_step(filters, draws[k], weather, LEVEL, ahead, 1.0, dt, out[k])
+        step_wind(filters, draws[k], weather, LEVEL, ahead, 1.0, dt, out[k])
     return out
 
 
 def test_gusts_have_the_deviations_of_their_level() -> None:
     # 8000 s at 25 m/s over 200 m and 50 m: 500 and 2000 independent samples.
     out = gusts("light", 25.0, 0.4, 20_000)[100:]
-    expected = GUSTS["light"].sigma_mps
+    expected = GUST_LEVELS["light"].sigma_mps
     assert out.std(axis=0) == pytest.approx(expected, rel=4.0 / np.sqrt(2.0 * 500.0))
 
 
@@ -79,7 +79,7 @@ def test_shear_is_a_power_law_above_the_ground() -> None:
         still, out = np.zeros(5), np.empty(3)
         weather = np.array([0.0, 0.0, 0.0, 200.0, 200.0, 50.0, 10.0, 0.2, 10.0, 0.0, 0.0])
         ahead = np.array([20.0, 0.0, 0.0])
-        wind_step(np.zeros(5), still, weather, LEVEL, ahead, height, 0.01, out)
+        step_wind(np.zeros(5), still, weather, LEVEL, ahead, height, 0.01, out)
         return float(out[0])
 
     assert wind(10.0) == pytest.approx(10.0)
@@ -88,12 +88,12 @@ def test_shear_is_a_power_law_above_the_ground() -> None:
 
 
 def test_a_place_far_from_home_has_its_own_vertical() -> None:
-    home = Home.at(47.0, 8.0, 400.0, 48.0)
+    home = HomeFrame.at(47.0, 8.0, 400.0, 48.0)
     x = np.zeros(13)
     x[6] = 1.0
     x[:3] = home.ned(47.1, 8.2, 1400.0)
     place = np.empty(19)
-    locate(x, np.zeros(3), home.packed, place)
+    locate_state(x, np.zeros(3), home.packed, place)
     assert np.degrees(place[:2]) == pytest.approx([47.1, 8.2], abs=1e-12)
     assert place[2] == pytest.approx(1448.0, abs=1e-7)
     # The vertical turns by 0.1 degrees of latitude and 0.2 of longitude (times the cosine).
@@ -136,7 +136,7 @@ ASC = "ncols 3\nnrows 2\nxllcorner 8.0\nyllcorner 47.0\ncellsize 0.1\n"
 def test_a_terrain_grid_is_bilinear_between_cell_centres(tmp_path: Path) -> None:
     path = tmp_path / "hill.asc"
     path.write_text(ASC + "NODATA_value -9999\n10 20 30\n40 50 60\n")
-    grid = read_grid(path)
+    grid = read_terrain_grid(path)
     assert grid.ground(np.radians(47.05), np.radians(8.05)) == pytest.approx(40.0)
     assert grid.ground(np.radians(47.15), np.radians(8.25)) == pytest.approx(30.0)
     assert grid.ground(np.radians(47.10), np.radians(8.10)) == pytest.approx(30.0)
@@ -156,4 +156,4 @@ def test_a_wrong_terrain_grid_is_refused(tmp_path: Path, text: str, message: str
     path = tmp_path / "hill.asc"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
-        read_grid(path)
+        read_terrain_grid(path)

@@ -12,11 +12,11 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris, encode_ephemeris
-from simvehicle.gnss.constellation import Constellation, constellation_of
+from simvehicle.gnss.constellation import Constellation, build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig, ReceiverConfig
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, sight
-from simvehicle.gnss.satellite_orbits import orbits_of
+from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
+from simvehicle.gnss.satellite_orbits import tabulate_orbits
 
 PLACES = [(47.4, 8.5), (-35.4, 149.2), (40.2, -111.7), (0.0, 0.0), (-33.0, -70.0), (60.0, 179.9)]
 
@@ -25,8 +25,8 @@ def elevations(constellation: Constellation, lat_deg: float, lon_deg: float, at_
     chosen = constellation.choose(constellation.start_s + at_s, [None] * 24)
     sets = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
     place = ecef_from_geodetic(math.radians(lat_deg), math.radians(lon_deg), 100.0)
-    seen = sight(
-        orbits_of(sets, constellation.week),
+    seen = signal_geometry(
+        tabulate_orbits(sets, constellation.week),
         constellation.start_s + at_s,
         place,
         np.zeros(3),
@@ -40,14 +40,14 @@ def elevations(constellation: Constellation, lat_deg: float, lon_deg: float, at_
 def test_the_shipped_sky_has_enough_satellites_over_any_home_for_an_hour(
     lat_deg: float, lon_deg: float, at_s: float
 ) -> None:
-    constellation = constellation_of(GnssConfig(), math.radians(lat_deg), math.radians(lon_deg))
+    constellation = build_constellation(GnssConfig(), math.radians(lat_deg), math.radians(lon_deg))
     up = [n for n, el in elevations(constellation, lat_deg, lon_deg, at_s).items() if el > 10.0]
     assert sum(n[0] == "G" for n in up) >= 6
     assert len(up) >= 12
 
 
 def test_every_satellite_of_the_shipped_sky_is_valid_for_an_hour() -> None:
-    constellation = constellation_of(GnssConfig(), 0.6, 2.4)
+    constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     chosen: tuple[int | None, ...] = (None,) * 24
     for at_s in range(0, 3601, 60):
         chosen = constellation.choose(constellation.start_s + at_s, chosen)
@@ -58,13 +58,13 @@ def test_every_satellite_of_the_shipped_sky_is_valid_for_an_hour() -> None:
 
 def test_at_the_site_itself_nothing_is_turned() -> None:
     real = read_navigation(SHIPPED).ephemerides
-    near = constellation_of(GnssConfig(), math.radians(35.3), math.radians(139.5))
+    near = build_constellation(GnssConfig(), math.radians(35.3), math.radians(139.5))
     assert dict(zip(near.satellites, near.ephemerides, strict=True)) == real
 
 
 def test_a_turned_sky_is_the_same_sky_and_its_messages_say_so() -> None:
-    there = constellation_of(GnssConfig(), math.radians(35.339), math.radians(139.522))
-    here = constellation_of(GnssConfig(), math.radians(-35.339), math.radians(-50.478))
+    there = build_constellation(GnssConfig(), math.radians(35.339), math.radians(139.522))
+    here = build_constellation(GnssConfig(), math.radians(-35.339), math.radians(-50.478))
     north = elevations(there, 35.339, 139.522, 0.0)
     south = elevations(here, -35.339, -50.478, 0.0)
     assert north == pytest.approx(south, abs=0.2)
@@ -74,7 +74,7 @@ def test_a_turned_sky_is_the_same_sky_and_its_messages_say_so() -> None:
 
 
 def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
-    constellation = constellation_of(GnssConfig(), 0.6, 2.4)
+    constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     at = constellation.satellites.index("G03")  # 12:00 and 14:00, each two hours either way
     present: tuple[int | None, ...] = (None,) * 24
     seen = []
@@ -85,7 +85,7 @@ def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
 
 
 def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> None:
-    constellation = constellation_of(GnssConfig(), 0.6, 2.4)
+    constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     start_s = constellation.start_s
     chosen = constellation.choose(start_s, [None] * 24)
     used = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
@@ -101,13 +101,13 @@ def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> 
 
 
 def test_systems_not_asked_for_are_left_out() -> None:
-    gps = constellation_of(GnssConfig(systems=("GPS",)), 0.6, 2.4)
+    gps = build_constellation(GnssConfig(systems=("GPS",)), 0.6, 2.4)
     assert {name[0] for name in gps.satellites} == {"G"}
 
 
 def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Path) -> None:
     (tmp_path / "own.nav").write_text(SHIPPED.read_text())
-    own = constellation_of(GnssConfig(navigation="own.nav"), 0.0, 0.0, tmp_path)
+    own = build_constellation(GnssConfig(navigation="own.nav"), 0.0, 0.0, tmp_path)
     assert own.week == 2149
     assert all(k is not None for k in own.choose(own.start_s, [None] * 24))
     assert own.ephemerides == tuple(read_navigation(SHIPPED).ephemerides.values())
@@ -115,7 +115,7 @@ def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Pa
 
 def test_a_start_at_which_nothing_is_valid_is_refused() -> None:
     with pytest.raises(ConfigError, match="no satellite of GPS and Galileo is valid at GPS week"):
-        constellation_of(GnssConfig(time=datetime(2021, 3, 19, 23)), 0.6, 2.4)
+        build_constellation(GnssConfig(time=datetime(2021, 3, 19, 23)), 0.6, 2.4)
 
 
 @pytest.mark.parametrize(
@@ -140,6 +140,6 @@ def test_a_time_to_read_messages_that_is_no_span_is_refused(span: tuple[float, f
 
 
 def test_times_of_another_week_are_weeks_away() -> None:
-    constellation = constellation_of(GnssConfig(), 0.6, 2.4)
+    constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     wrong = replace(constellation, week=2150)
     assert set(wrong.choose(constellation.start_s, [None] * 24)) == {None}

@@ -9,9 +9,9 @@ import pytest
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from simvehicle.gnss.navigation_file import SHIPPED, gps_time, read_navigation
 from simvehicle.gnss.satellite_orbits import (
-    orbits_at,
-    orbits_of,
     satellite_states,
+    select_orbits,
+    tabulate_orbits,
 )
 
 PRECISE = Path(__file__).parents[2] / "authorities" / "code_orbits" / "orbits.sp3"
@@ -37,7 +37,7 @@ def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
 ) -> None:
     name, tow_s, position, clock_s = row
     ephemeris = min(NAVIGATION.ephemerides[name], key=lambda e: abs(e.toe_s - tow_s))
-    r, v, clock, _ = satellite_states(orbits_of([ephemeris], 2149), np.array([tow_s]))
+    r, v, clock, _ = satellite_states(tabulate_orbits([ephemeris], 2149), np.array([tow_s]))
     assert np.linalg.norm(r[0] - position) < 2.5  # broadcast: 1 m, and the antenna's offset
     inertial = v[0] + np.cross([0.0, 0.0, GNSS_EARTH_RATE_RPS], r[0])
     relativity_s = -2.0 * (r[0] @ inertial) / SPEED_OF_LIGHT_MPS**2  # IS-GPS-200N 20.3.3.3.3.1
@@ -46,7 +46,7 @@ def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
 
 
 def test_velocities_and_clock_rates_are_the_derivatives() -> None:
-    orbits = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    orbits = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
     t = np.full(len(orbits.table), 476000.0)
     r, v, _, clock_rate = satellite_states(orbits, t)
     ahead, behind = satellite_states(orbits, t + 0.5), satellite_states(orbits, t - 0.5)
@@ -58,14 +58,14 @@ def test_velocities_and_clock_rates_are_the_derivatives() -> None:
 def test_another_week_shifts_the_times_and_nothing_else() -> None:
     sets = [NAVIGATION.ephemerides["G17"][0], NAVIGATION.ephemerides["E08"][0]]
     tow = np.array([475300.0, 475300.0])
-    here = satellite_states(orbits_of(sets, 2149), tow)
-    there = satellite_states(orbits_of(sets, 2148), tow + 604800.0)
+    here = satellite_states(tabulate_orbits(sets, 2149), tow)
+    there = satellite_states(tabulate_orbits(sets, 2148), tow + 604800.0)
     for a, b in zip(here, there, strict=True):
         assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
 
 
 def test_some_rows_are_the_orbits_of_some_satellites() -> None:
-    every = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
-    some = orbits_at(every, np.array([3, 1]))
+    every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    some = select_orbits(every, np.array([3, 1]))
     assert some.satellites == (every.satellites[3], every.satellites[1])
     assert np.array_equal(some.table, every.table[[3, 1]])

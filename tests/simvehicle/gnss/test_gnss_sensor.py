@@ -16,7 +16,7 @@ from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig, ReceiverConfig
 from simvehicle.gnss.gnss_sensor import GnssSensor, gnss_sensor
 from simvehicle.gnss.gnss_state import GnssState
-from simvehicle.gnss.satellite_orbits import orbits_of, satellite_states
+from simvehicle.gnss.satellite_orbits import satellite_states, tabulate_orbits
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth
 
@@ -61,7 +61,7 @@ def test_without_errors_pseudoranges_are_geometry_and_satellite_clocks(
     place = ecef_from_geodetic(*home, 535.0)
     assert set(raw.satellites) == set(sent)
     for k, name in enumerate(raw.satellites):
-        orbits = orbits_of([sent[name]], raw.week)
+        orbits = tabulate_orbits([sent[name]], raw.week)
         flight_s = 0.07
         for _ in range(8):
             r, _, clock, _ = satellite_states(orbits, np.array([raw.tow_s - flight_s]))

@@ -9,11 +9,11 @@ import pytest
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_from_ecef
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, sight
+from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
 from simvehicle.gnss.satellite_orbits import (
     Orbits,
-    orbits_of,
     satellite_states,
+    tabulate_orbits,
 )
 
 VACUUM = Atmosphere(None, False)
@@ -23,7 +23,9 @@ REST = np.zeros(3)
 
 
 def orbits() -> Orbits:
-    return orbits_of([sets[0] for sets in read_navigation(SHIPPED).ephemerides.values()], 2149)
+    return tabulate_orbits(
+        [sets[0] for sets in read_navigation(SHIPPED).ephemerides.values()], 2149
+    )
 
 
 def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
@@ -34,7 +36,7 @@ def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
 
 
 def test_ranges_solve_the_light_time_equation_in_an_inertial_frame() -> None:
-    seen = sight(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    seen = signal_geometry(orbits(), TOW_S, SITE_M, REST, VACUUM)
     sent_s = TOW_S - seen.range_m / SPEED_OF_LIGHT_MPS
     positions, _, clocks, _ = satellite_states(orbits(), sent_s)
     for k, position in enumerate(positions):
@@ -45,14 +47,14 @@ def test_ranges_solve_the_light_time_equation_in_an_inertial_frame() -> None:
 
 def test_rates_are_the_derivatives_of_ranges_for_a_moving_receiver() -> None:
     v = np.array([50.0, -120.0, 30.0])
-    ahead = sight(orbits(), TOW_S + 0.1, SITE_M + 0.1 * v, v, VACUUM)
-    behind = sight(orbits(), TOW_S - 0.1, SITE_M - 0.1 * v, v, VACUUM)
-    seen = sight(orbits(), TOW_S, SITE_M, v, VACUUM)
+    ahead = signal_geometry(orbits(), TOW_S + 0.1, SITE_M + 0.1 * v, v, VACUUM)
+    behind = signal_geometry(orbits(), TOW_S - 0.1, SITE_M - 0.1 * v, v, VACUUM)
+    seen = signal_geometry(orbits(), TOW_S, SITE_M, v, VACUUM)
     assert seen.rate_mps == pytest.approx((ahead.range_m - behind.range_m) / 0.2, abs=3e-5)
 
 
 def test_directions_are_those_of_the_local_horizon() -> None:
-    seen = sight(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    seen = signal_geometry(orbits(), TOW_S, SITE_M, REST, VACUUM)
     lat, lon, height = geodetic_from_ecef(SITE_M)
     for k, (elevation, azimuth) in enumerate(
         zip(seen.elevation_rad, seen.azimuth_rad, strict=True)
@@ -69,7 +71,7 @@ def test_directions_are_those_of_the_local_horizon() -> None:
 
 
 def test_satellites_below_the_horizon_are_told_apart() -> None:
-    other_side = sight(orbits(), TOW_S, -SITE_M, REST, VACUUM)
+    other_side = signal_geometry(orbits(), TOW_S, -SITE_M, REST, VACUUM)
     assert other_side.elevation_rad.max() < 0.0
     assert np.isfinite(other_side.range_m).all()
 
@@ -94,11 +96,11 @@ def test_a_real_receiver_at_a_known_place_measures_what_the_models_say(shared_da
         names = [n for n in ranges if n in navigation.ephemerides]
         measured = np.array([ranges[n] for n in names])
         galileo = np.array([n[0] == "E" for n in names])
-        table = orbits_of([navigation.ephemerides[n][0] for n in names], 2149)
+        table = tabulate_orbits([navigation.ephemerides[n][0] for n in names], 2149)
         offset_m = 0.0
         for _ in range(3):  # the receiver's clock comes out of the ranges themselves
             true_s = tow_s - offset_m / SPEED_OF_LIGHT_MPS
-            seen = sight(table, true_s, SITE_M, REST, air)
+            seen = signal_geometry(table, true_s, SITE_M, REST, air)
             residual = measured - seen.range_m + SPEED_OF_LIGHT_MPS * seen.clock_s - seen.delay_m
             offset_m = float(np.median(residual[~galileo]))
         residual -= np.where(galileo, np.median(residual[galileo]), offset_m)

@@ -8,9 +8,9 @@ import pytest
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, sight
-from simvehicle.gnss.receiver import Fix, solve
-from simvehicle.gnss.satellite_orbits import Orbits, orbits_at, orbits_of
+from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
+from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
+from simvehicle.gnss.satellite_orbits import Orbits, select_orbits, tabulate_orbits
 
 TOW_S = 475200.0
 PLACE_M = ecef_from_geodetic(math.radians(35.3), math.radians(139.5), 300.0)
@@ -22,16 +22,16 @@ GALILEO_M = 4.0
 
 
 def in_view(letters: str = "GE") -> Orbits:
-    every = orbits_of([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
-    seen = sight(every, TOW_S, PLACE_M, MOTION, AIR)
+    every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    seen = signal_geometry(every, TOW_S, PLACE_M, MOTION, AIR)
     pick = [k for k in range(24)
             if seen.elevation_rad[k] > 0.2 and every.satellites[k][0] in letters]  # fmt: skip
-    return orbits_at(every, np.array(pick))
+    return select_orbits(every, np.array(pick))
 
 
 def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
     """Pseudoranges and range rates when the receiver's clock shows TOW_S."""
-    seen = sight(orbits, TOW_S - OFFSET_S, PLACE_M, MOTION, AIR)
+    seen = signal_geometry(orbits, TOW_S - OFFSET_S, PLACE_M, MOTION, AIR)
     code = seen.range_m + SPEED_OF_LIGHT_MPS * (OFFSET_S - seen.clock_s) + seen.delay_m
     code += np.array([GALILEO_M * (name[0] == "E") for name in orbits.satellites])
     return code, seen.rate_mps + SPEED_OF_LIGHT_MPS * (DRIFT - seen.clock_rate)
@@ -40,7 +40,7 @@ def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("letters", ["G", "E", "GE"])
 def test_without_errors_position_velocity_and_clock_come_out_exactly(letters: str) -> None:
     orbits = in_view(letters)
-    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     assert (fix.fix_type, fix.satellites, fix.reason) == (3, len(orbits.satellites), "")
     assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-4)
     assert fix.v_ecef_mps == pytest.approx(MOTION, abs=1e-4)
@@ -53,9 +53,9 @@ def test_without_errors_position_velocity_and_clock_come_out_exactly(letters: st
 
 def test_it_follows_from_the_last_fix_in_the_same_way() -> None:
     orbits = in_view()
-    first = solve(orbits, TOW_S, *observed(orbits), AIR)
+    first = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     code, rate = observed(orbits)
-    moved = solve(orbits, TOW_S, code, rate, AIR, first)
+    moved = solve_receiver_fix(orbits, TOW_S, code, rate, AIR, first)
     assert moved.r_ecef_m == pytest.approx(PLACE_M, abs=1e-4)
     assert moved.fix_type == 3
 
@@ -64,7 +64,7 @@ def test_a_faulty_satellite_moves_the_position() -> None:
     orbits = in_view()
     code, rate = observed(orbits)
     code[3] += 100.0
-    fix = solve(orbits, TOW_S, code, rate, AIR)
+    fix = solve_receiver_fix(orbits, TOW_S, code, rate, AIR)
     assert fix.fix_type == 3
     assert np.linalg.norm(fix.r_ecef_m - PLACE_M) > 5.0
 
@@ -74,8 +74,8 @@ def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> 
     every = in_view(letters)
     names = every.satellites
     pick = [0, 1, -1, -2][:count] if letters == "GE" else list(range(count))
-    orbits = orbits_at(every, np.array(pick, dtype=int))
-    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    orbits = select_orbits(every, np.array(pick, dtype=int))
+    fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     systems = len({names[k][0] for k in pick})
     assert fix.fix_type == (1 if count else 0)
     assert fix.reason == f"{count} satellites of {systems} systems"
@@ -84,9 +84,9 @@ def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> 
 
 def test_one_satellite_too_few_gives_a_flat_fix_at_the_last_height() -> None:
     every = in_view()
-    last = solve(every, TOW_S, *observed(every), AIR)
-    few = orbits_at(every, np.array([0, 2, -1, -5]))
-    fix = solve(few, TOW_S, *observed(few), AIR, last)
+    last = solve_receiver_fix(every, TOW_S, *observed(every), AIR)
+    few = select_orbits(every, np.array([0, 2, -1, -5]))
+    fix = solve_receiver_fix(few, TOW_S, *observed(few), AIR, last)
     assert (fix.fix_type, fix.satellites) == (2, 4)
     assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-3)  # the height held is the right one
     assert fix.sigma_ned_m[2] == pytest.approx(50.0, rel=0.01)
@@ -95,8 +95,8 @@ def test_one_satellite_too_few_gives_a_flat_fix_at_the_last_height() -> None:
 @pytest.mark.parametrize("letters", ["G", "E"])
 def test_a_flat_fix_without_a_height_is_as_wrong_as_it_says(letters: str) -> None:
     every = in_view(letters)
-    few = orbits_at(every, np.arange(3))
-    fix = solve(few, TOW_S, *observed(few), AIR)
+    few = select_orbits(every, np.arange(3))
+    fix = solve_receiver_fix(few, TOW_S, *observed(few), AIR)
     assert fix.fix_type == 2
     assert fix.height_m == pytest.approx(0.0, abs=0.01)
     error_m = np.linalg.norm(fix.r_ecef_m - PLACE_M)
@@ -105,22 +105,22 @@ def test_a_flat_fix_without_a_height_is_as_wrong_as_it_says(letters: str) -> Non
 
 def test_five_satellites_of_two_systems_are_enough() -> None:
     every = in_view()
-    orbits = orbits_at(every, np.array([0, 2, -1, -5, -9]))
-    assert solve(orbits, TOW_S, *observed(orbits), AIR).fix_type == 3
+    orbits = select_orbits(every, np.array([0, 2, -1, -5, -9]))
+    assert solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR).fix_type == 3
 
 
 def test_the_same_satellite_five_times_is_no_geometry() -> None:
-    orbits = orbits_at(in_view("G"), np.array([0, 0, 0, 0, 0]))
-    fix = solve(orbits, TOW_S, *observed(orbits), AIR)
+    orbits = select_orbits(in_view("G"), np.array([0, 0, 0, 0, 0]))
+    fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     assert fix.fix_type == 1
     assert fix.reason in ("satellites in one plane", "geometry too poor", "no convergence")
 
 
 def test_without_a_fix_the_place_stays_the_last_one() -> None:
     orbits = in_view("G")
-    last = solve(orbits, TOW_S, *observed(orbits), AIR)
-    few = orbits_at(orbits, np.array([0, 1]))
-    fix = solve(few, TOW_S, *observed(few), AIR, last)
+    last = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
+    few = select_orbits(orbits, np.array([0, 1]))
+    fix = solve_receiver_fix(few, TOW_S, *observed(few), AIR, last)
     assert fix.fix_type == 1
     assert np.array_equal(fix.r_ecef_m, last.r_ecef_m)
 
@@ -128,13 +128,15 @@ def test_without_a_fix_the_place_stays_the_last_one() -> None:
 def test_the_error_divided_by_its_own_sigma_has_unit_variance_for_its_noise_model() -> None:
     orbits = in_view()
     code, rate = observed(orbits)
-    seen = sight(orbits, TOW_S, PLACE_M, MOTION, AIR)
+    seen = signal_geometry(orbits, TOW_S, PLACE_M, MOTION, AIR)
     sigma = 0.5 / np.sin(seen.elevation_rad)  # what the receiver takes pseudoranges to have
     rng = np.random.default_rng(5)
-    fix: Fix | None = None
+    fix: ReceiverFix | None = None
     ratios = []
     for _ in range(600):
-        fix = solve(orbits, TOW_S, code + sigma * rng.standard_normal(len(code)), rate, AIR, fix)
+        fix = solve_receiver_fix(
+            orbits, TOW_S, code + sigma * rng.standard_normal(len(code)), rate, AIR, fix
+        )
         error = np.linalg.norm(fix.r_ecef_m - PLACE_M) ** 2
         ratios.append(error / np.sum(fix.sigma_ned_m**2))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)

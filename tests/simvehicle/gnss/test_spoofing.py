@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mavproxy_fault.numerics.earth import radii
+from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.gnss.gnss_sensor import GnssSensor, gnss_sensor
 from simvehicle.gnss.gnss_state import GnssState
-from simvehicle.gnss.spoofing import spoofs
+from simvehicle.gnss.spoofing import spoofed_places
 from simvehicle.sensors.readings import GpsReading, PseudorangeReading
 
 
@@ -21,7 +21,7 @@ def epoch(sensor: GnssSensor, state: GnssState, truth_at, t_s: float):
 
 
 def north_m(fix: GpsReading, clean: GpsReading) -> float:
-    meridian_m, _ = radii(np.radians(clean.lat_deg))
+    meridian_m, _ = curvature_radii(np.radians(clean.lat_deg))
     return float(np.radians(fix.lat_deg - clean.lat_deg) * meridian_m)
 
 
@@ -73,7 +73,7 @@ def test_a_false_time_delays_every_range_and_leaves_the_position(flown) -> None:
 def test_a_jump_has_no_doppler() -> None:
     spoof = np.zeros((4, 3))
     spoof[0, 1:] = 200.0
-    (found,) = spoofs(spoof, np.zeros((4, 3)), 0.2)
+    (found,) = spoofed_places(spoof, np.zeros((4, 3)), 0.2)
     assert found.rate.tolist() == [0.0] * 4
     assert found.satellites.tolist() == [False, True, True]
 

@@ -15,11 +15,11 @@ from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
     Scenario,
-    Sensors,
-    Start,
+    SensorSuite,
+    StartConfig,
     VehicleChoice,
 )
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 
@@ -29,11 +29,11 @@ WIND = Environment(wind_ned_mps=(3.0, 3.0, 0.0), gusts="light")
 def zagi(leg: Leg, weather: Environment, height_m: float = 80.0) -> Simulation:
     return Simulation(
         Scenario(
-            start=Start(height_m=height_m),
+            start=StartConfig(height_m=height_m),
             vehicle=VehicleChoice(kind="fixedwing", parameters="zagi-2012"),
             environment=weather,
             mission=[leg],
-            sensors=Sensors(imu=Imu(rate_hz=50.0)),
+            sensors=SensorSuite(imu=ImuSensor(rate_hz=50.0)),
         )
     )
 
@@ -86,6 +86,6 @@ def test_only_airframes_without_a_rudder_are_flown_so() -> None:
     assert has_rudder(FixedWing.read("aerosonde-2025"))
     line = Leg(shape="line", size_m=500.0)
     assert type(zagi(line, WIND).controller) is RudderlessController
-    plain = Simulation(Scenario(start=Start(height_m=80.0), mission=[line]))
+    plain = Simulation(Scenario(start=StartConfig(height_m=80.0), mission=[line]))
     assert type(plain.controller) is FixedWingController
     assert math.degrees(plain.controller.bank_limit) > 45.0

@@ -9,17 +9,17 @@ import math
 import numpy as np
 import pytest
 
-from simvehicle.guidance.mission import lap_of, plan, smallest_size
+from simvehicle.guidance.mission import lap_arcs, plan_path, smallest_size
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
     Scenario,
-    Sensors,
-    Start,
+    SensorSuite,
+    StartConfig,
     VehicleChoice,
 )
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.simulation.simulation import Simulation
 
 SHAPES = ["triangle", "diamond", "trapezoid", "s", "eight", "circle", "line"]
@@ -50,11 +50,11 @@ def test_a_shape_is_flown_within_its_limits(
         speed_mps=speed,
     )
     flight = Scenario(
-        start=Start(height_m=80.0),
+        start=StartConfig(height_m=80.0),
         vehicle=choice,
         environment=WIND,
         mission=[leg],
-        sensors=Sensors(imu=Imu(rate_hz=rate)),
+        sensors=SensorSuite(imu=ImuSensor(rate_hz=rate)),
     )
     simulation = Simulation(flight)
     track = simulation.controller.track
@@ -75,9 +75,9 @@ def test_a_shape_is_flown_within_its_limits(
 
 @pytest.mark.parametrize("shape", ["triangle", "diamond", "trapezoid", "eight", "circle"])
 def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
-    path = plan([Leg(shape=shape, size_m=400.0)], (3.0, 4.0, 0.5), 10.0, 0.0, 5.0)  # type: ignore[arg-type]
+    path = plan_path([Leg(shape=shape, size_m=400.0)], (3.0, 4.0, 0.5), 10.0, 0.0, 5.0)  # type: ignore[arg-type]
     run = len(path.north_m) * path.spacing_m
-    length = sum(arc[0] for arc in lap_of(shape, 400.0, 20.0))
+    length = sum(arc[0] for arc in lap_arcs(shape, 400.0, 20.0))
     assert run == pytest.approx(length, abs=2.0 * path.spacing_m)
     assert math.hypot(path.north_m[-1] - 3.0, path.east_m[-1] - 4.0) < 2.0 * path.spacing_m
     assert math.cos(path.course_rad[-1] - 0.5) > 0.99
@@ -86,14 +86,14 @@ def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_smallest_size_leaves_no_piece_negative_and_a_smaller_one_does(shape: str) -> None:
     least = smallest_size(shape, 20.0)
-    assert min(length for length, _ in lap_of(shape, least + 1e-6, 20.0)) > -1e-9
+    assert min(length for length, _ in lap_arcs(shape, least + 1e-6, 20.0)) > -1e-9
     if shape in ("triangle", "diamond", "trapezoid"):
-        assert min(length for length, _ in lap_of(shape, 0.99 * least, 20.0)) < 0.0
+        assert min(length for length, _ in lap_arcs(shape, 0.99 * least, 20.0)) < 0.0
 
 
 def test_legs_follow_one_another_without_a_jump() -> None:
     legs = [Leg(shape="s", size_m=100.0, laps=2), Leg(shape="eight", size_m=300.0, height_m=50.0)]
-    path = plan(legs, (0.0, 0.0, 1.0), 10.0, 0.0, 5.0)
+    path = plan_path(legs, (0.0, 0.0, 1.0), 10.0, 0.0, 5.0)
     steps = np.hypot(np.diff(path.north_m), np.diff(path.east_m))
     assert np.all(np.abs(steps - path.spacing_m) < 0.01 * path.spacing_m)
     turned = np.abs(np.diff(path.course_rad))

@@ -6,7 +6,7 @@ import pytest
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
-from simvehicle.simulation.kinds import KINDS
+from simvehicle.simulation.vehicle_kinds import VEHICLE_KINDS
 
 VALUES = {
     ("fixedwing", "aerosonde-2025"): [0.25, -0.5, 0.125, 0.75],
@@ -17,7 +17,7 @@ VALUES = {
 
 @pytest.mark.parametrize("vehicle", VALUES)
 def test_commands_come_back_as_they_went(vehicle: tuple[str, str]) -> None:
-    kind = KINDS[vehicle[0]]
+    kind = VEHICLE_KINDS[vehicle[0]]
     read = kind.read(vehicle[1])
     commands = ActuatorCommands(kind.actuators(read), kind.mix(read))
     assert commands.driven is None

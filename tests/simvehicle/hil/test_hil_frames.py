@@ -5,11 +5,11 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.rtcm.msm7 import decode_msm7
-from mavproxy_fault.rtcm.transport import Reassembler, message_number, tunnel_payload, wrap
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.rtcm.transport import Reassembler, message_number, tunnel_payload, wrap_message
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.hil import hil_frames as hil
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.state_kernel import TruthPayload
 from simvehicle.sensors.readings import (
     AirspeedReading,
@@ -72,7 +72,7 @@ def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
         PressureReading(0, 95600.0, 488.0, 25.0),
         AirspeedReading(0, 60.0),
     ]
-    sensor = one(Hil().frames(0, make_truth(), readings), "HIL_SENSOR")
+    sensor = one(HilPacker().frames(0, make_truth(), readings), "HIL_SENSOR")
     assert sensor.fields_updated == 0x1FFF
     assert sensor.time_usec == 1_000_000
     assert (sensor.get_srcSystem(), sensor.get_srcComponent()) == (1, 51)
@@ -95,12 +95,12 @@ def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
     ],
 )
 def test_each_reading_marks_its_own_group_only(reading: object, bits: int) -> None:
-    frames = Hil().frames(0, make_truth(), [reading])  # type: ignore[list-item]
+    frames = HilPacker().frames(0, make_truth(), [reading])  # type: ignore[list-item]
     assert one(frames, "HIL_SENSOR").fields_updated == bits
 
 
 def test_values_that_are_not_new_stay_at_their_last_reading() -> None:
-    link = Hil()
+    link = HilPacker()
     link.frames(0, make_truth(), [imu(), PressureReading(0, 95600.0, 488.0, 25.0)])
     sensor = one(link.frames(4000, make_truth(), [imu(4000)]), "HIL_SENSOR")
     assert sensor.fields_updated == 0x3F
@@ -108,7 +108,7 @@ def test_values_that_are_not_new_stay_at_their_last_reading() -> None:
 
 
 def test_several_imus_travel_in_messages_of_their_own_after_that_of_id_0() -> None:
-    frames = Hil().frames(0, make_truth(), [imu(number=2), imu(number=0), imu(number=1)])
+    frames = HilPacker().frames(0, make_truth(), [imu(number=2), imu(number=0), imu(number=1)])
     assert [m.id for m in decode(frames) if m.get_type() == "HIL_SENSOR"] == [0, 1, 2]
 
 
@@ -116,7 +116,7 @@ def test_gps_scales_to_wire_units_and_centimetres_of_error() -> None:
     reading = GpsReading(
         0, -33.8688197, 151.2092955, 58.25, np.array([3.0, -4.0, 0.5]), 3, 11, 0.9, 1.5
     )
-    gps = one(Hil().frames(0, make_truth(), [reading]), "HIL_GPS")
+    gps = one(HilPacker().frames(0, make_truth(), [reading]), "HIL_GPS")
     assert (gps.lat, gps.lon, gps.alt) == (-338688197, 1512092955, 58250)
     assert (gps.vel, gps.vn, gps.ve, gps.vd) == (500, 300, -400, 50)
     assert gps.cog == round((math.degrees(math.atan2(-4, 3)) % 360) * 100)
@@ -125,12 +125,12 @@ def test_gps_scales_to_wire_units_and_centimetres_of_error() -> None:
 
 def test_course_is_unknown_at_rest() -> None:
     reading = GpsReading(0, 1.0, 2.0, 3.0, np.array([0.1, 0.1, 0.0]), 3, 11, 0.9, 1.5)
-    assert one(Hil().frames(0, make_truth(), [reading]), "HIL_GPS").cog == 65535
+    assert one(HilPacker().frames(0, make_truth(), [reading]), "HIL_GPS").cog == 65535
 
 
 def test_a_late_reading_keeps_the_stamp_of_its_measurement() -> None:
     reading = GpsReading(100_000, 1.0, 2.0, 3.0, np.zeros(3), 3, 11, 0.9, 1.5)
-    frames = Hil().frames(220_000, make_truth(), [imu(220_000), reading])
+    frames = HilPacker().frames(220_000, make_truth(), [imu(220_000), reading])
     assert one(frames, "HIL_GPS").time_usec == 1_100_000
     assert one(frames, "HIL_SENSOR").time_usec == 1_220_000
 
@@ -145,7 +145,7 @@ def test_truth_travels_with_attitude_velocity_and_airspeed() -> None:
         v_air_b_mps=np.array([3.0, 4.0, 0.0]),
         density_kgpm3=1.225 / 4,
     )
-    state = one(Hil().frames(8000, truth, []), "HIL_STATE_QUATERNION")
+    state = one(HilPacker().frames(8000, truth, []), "HIL_STATE_QUATERNION")
     assert state.time_usec == 1_008_000
     assert state.attitude_quaternion == pytest.approx(q.tolist(), abs=1e-7)
     assert (state.vx, state.vy, state.vz) == (150, -250, 25)
@@ -161,7 +161,7 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
         VisionReading(0, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), turned, 0.1, 0.2),
         BatteryReading(0, 15.8, 12.34, 0.876),
     ]
-    frames = Hil().frames(0, make_truth(), readings)
+    frames = HilPacker().frames(0, make_truth(), readings)
     distance = one(frames, "DISTANCE_SENSOR")
     assert (distance.min_distance, distance.current_distance, distance.max_distance) == (
         20,
@@ -189,7 +189,7 @@ def test_vision_may_travel_as_a_pose_alone() -> None:
     reading = VisionReading(
         40_000, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), leaning, 0.1, 0.2, odometry=False
     )
-    frames = Hil().frames(40_000, make_truth(), [reading])
+    frames = HilPacker().frames(40_000, make_truth(), [reading])
     pose = one(frames, "VISION_POSITION_ESTIMATE")
     assert (pose.usec, pose.x, pose.y, pose.z) == (1_040_000, 1.0, 2.0, -3.0)
     assert [pose.roll, pose.pitch, pose.yaw] == pytest.approx([math.radians(30.0), 0.0, 0.0])
@@ -202,11 +202,11 @@ def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_num
         0, 2200, 345600.0, ("G05", "G12", "E07"), np.array([2.1e7, 2.2e7, 2.5e7]),
         np.array([100.0, -200.0, 50.0]), np.array([45.0, 40.0, 42.0]),
     )  # fmt: skip
-    ephemeris = EphemerisReading(0, "G05", wrap(bytes.fromhex("3fb0") + bytes(59)))
-    frames = Hil().frames(0, make_truth(), [imu(), epoch, ephemeris])
+    ephemeris = EphemerisReading(0, "G05", wrap_message(bytes.fromhex("3fb0") + bytes(59)))
+    frames = HilPacker().frames(0, make_truth(), [imu(), epoch, ephemeris])
     assert [f[4] for f in frames] == list(range(len(frames)))
     reassembler = Reassembler()
-    tunnel = known("TUNNEL")
+    tunnel = message_layout("TUNNEL")
     messages = [
         message
         for raw in frames
@@ -221,14 +221,14 @@ def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_num
 
 
 def test_charge_drawn_adds_up() -> None:
-    link = Hil()
+    link = HilPacker()
     link.frames(0, make_truth(), [BatteryReading(0, 16.0, 36.0, 1.0)])
     second = link.frames(1_000_000, make_truth(), [BatteryReading(1_000_000, 16.0, 36.0, 1.0)])
     assert one(second, "BATTERY_STATUS").current_consumed == 10
 
 
 def test_a_heartbeat_leaves_once_a_second() -> None:
-    link = Hil()
+    link = HilPacker()
     beats = [
         t
         for t in range(0, 3_000_000, 4000)
@@ -238,7 +238,7 @@ def test_a_heartbeat_leaves_once_a_second() -> None:
 
 
 def test_sequence_numbers_run_through_all_messages() -> None:
-    link = Hil()
+    link = HilPacker()
     frames = [f for t in range(0, 1_200_000, 4000) for f in link.frames(t, make_truth(t), [imu(t)])]
     assert [f[4] for f in frames] == [i % 256 for i in range(len(frames))]
 
@@ -252,8 +252,8 @@ def test_velocities_beyond_the_wire_saturate() -> None:
     truth = make_truth(
         v_ned_mps=np.array([400.0, -400.0, 0.0]), v_air_b_mps=np.array([500.0, 0.0, 0.0])
     )
-    state = one(Hil().frames(0, truth, []), "HIL_STATE_QUATERNION")
+    state = one(HilPacker().frames(0, truth, []), "HIL_STATE_QUATERNION")
     assert (state.vx, state.vy) == (32767, -32768)
     assert (state.true_airspeed, state.ind_airspeed) == (50_000, 50_000)
     truth = make_truth(v_air_b_mps=np.array([900.0, 0.0, 0.0]))
-    assert one(Hil().frames(0, truth, []), "HIL_STATE_QUATERNION").true_airspeed == 65_535
+    assert one(HilPacker().frames(0, truth, []), "HIL_STATE_QUATERNION").true_airspeed == 65_535

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.plant_messages import PlantChange, plant_frame
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import read_scenario
@@ -18,7 +18,7 @@ def simulation(tmp_path: Path) -> Simulation:
 
 
 def frame(name: str, value: float | None) -> Frame:
-    return Frame(plant_frame(PlantChange(name, value)), known("TUNNEL"))
+    return Frame(plant_frame(PlantChange(name, value)), message_layout("TUNNEL"))
 
 
 def test_a_change_acts_until_it_is_taken_back(simulation: Simulation) -> None:
@@ -41,5 +41,5 @@ def test_what_cannot_be_changed_is_told_once_and_the_flight_goes_on(
 
 
 def test_other_frames_are_none_of_its_business(simulation: Simulation) -> None:
-    layout = known("HEARTBEAT")
-    PlantChanges(simulation, print).carry_out(Frame(build(layout, {"type": 6}), layout))
+    layout = message_layout("HEARTBEAT")
+    PlantChanges(simulation, print).carry_out(Frame(build_frame(layout, {"type": 6}), layout))

@@ -22,15 +22,15 @@ import pytest
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
-from mavproxy_fault.wire.dialect import known
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.actuators import motors, read_controls
+from simvehicle.vehicles.actuators import motor_mix, read_controls
 from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
@@ -47,8 +47,8 @@ sensors:
   gps: {preset: ideal, rate_hz: 5}
 """
 SIMULATOR, HEAD, CRC = 51, 10, 2
-IDS = {name: known(name).id for name in ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")}
-ACTUATORS = known("HIL_ACTUATOR_CONTROLS")
+IDS = {name: message_layout(name).id for name in ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")}
+ACTUATORS = message_layout("HIL_ACTUATOR_CONTROLS")
 
 
 def split(data: bytes, gap: int) -> tuple[list[bytes], bytes]:
@@ -93,7 +93,7 @@ def vehicle(folder: Path) -> Simulation:
 
 def play(answers: dict[int, bytes], folder: Path) -> list[bytes]:
     """What the simulator sends to a PX4 that answers as recorded, to the log's end, in process."""
-    simulation, hil, mix = vehicle(folder), Hil(), motors(4)
+    simulation, hil, mix = vehicle(folder), HilPacker(), motor_mix(4)
     controls = Controls(mix([0.0] * 16), armed=False)
     got: list[bytes] = []
     last_us = max(answers)
@@ -111,7 +111,7 @@ def play_over_tcp(answers: dict[int, bytes], folder: Path) -> list[bytes]:
     link = open_link("tcpin:127.0.0.1:0")
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
-    loop = LockstepLoop(vehicle(folder), Hil(), Inbox(link), motors(4), math.inf, progress)
+    loop = LockstepLoop(vehicle(folder), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
     loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # a busy machine changes no byte
     thread = threading.Thread(target=lambda: serve_autopilot(loop, progress, LINK_US - 1_000_000))
     thread.start()
@@ -148,7 +148,7 @@ def both(
 
 def rows(frames: list[bytes], name: str, until_us: float = math.inf) -> np.ndarray:
     """The messages of a kind as a structured array."""
-    layout = known(name)
+    layout = message_layout(name)
     fields = layout.fields.values()
     kind = np.dtype(
         {

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, framed
-from simvehicle.hil.hil_frames import Hil
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, frame_payload
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.plain import plain_arrays as k
 from simvehicle.plain.plain_steps import PlainSteps, can_be_plain
 from simvehicle.plain.step_kernel import command, look_ahead, step
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.actuators import ARMED, CHANNELS, read_controls
+from simvehicle.vehicles.actuators import ARMED_FLAG, CHANNEL_COUNT, read_controls
 from simvehicle.vehicles.body import Controls
 
-ANSWER = known("HIL_ACTUATOR_CONTROLS")
+ANSWER = message_layout("HIL_ACTUATOR_CONTROLS")
 QUAD = """
 name: plain
 vehicle: {kind: multirotor, parameters: iris}
@@ -55,7 +55,7 @@ STEPS = 1600  # over three blocks of drawn numbers
 def channels(number: int, kind: str) -> list[float]:
     """What an autopilot might command at a step, some of it nonsense."""
     draw = np.random.default_rng([7, number])
-    values = [0.0] * CHANNELS
+    values = [0.0] * CHANNEL_COUNT
     if kind == "quad":
         # Up, and around its axes a little.
         values[:4] = (0.72 + 0.02 * draw.standard_normal(4)).tolist()
@@ -70,7 +70,7 @@ def channels(number: int, kind: str) -> list[float]:
 def answers(kind: str) -> Iterator[tuple[list[float], int]]:
     """The channels of each step and the mode: armed from the hundredth on."""
     for number in range(STEPS):
-        yield channels(number, kind), ARMED | 1 if number > 100 else 1
+        yield channels(number, kind), ARMED_FLAG | 1 if number > 100 else 1
 
 
 def flight(kind: str, folder: Path) -> Simulation:
@@ -83,14 +83,14 @@ def flight(kind: str, folder: Path) -> Simulation:
 def read(simulation: Simulation, values: list[float], mode: int) -> Controls:
     """The ordinary way of an answer to controls."""
     payload = struct.pack("<QQ16fB", 1, 0, *values, mode)
-    raw = framed(ANSWER, payload, seq=0, system=1, component=1)
+    raw = frame_payload(ANSWER, payload, seq=0, system=1, component=1)
     mix = simulation.kind.mix(simulation.vehicle)
     return read_controls(Frame(raw, ANSWER), mix)[1]
 
 
 def ordinary(kind: str, folder: Path) -> tuple[list[bytes], Simulation]:
     """The frames of each step by the simulation and the packer."""
-    simulation, hil, out = flight(kind, folder), Hil(), []
+    simulation, hil, out = flight(kind, folder), HilPacker(), []
     for number, (values, mode) in enumerate(answers(kind)):
         if number == 700:
             simulation.plant(simulation.vehicle.plant_names[0], 0.1)
@@ -102,7 +102,7 @@ def ordinary(kind: str, folder: Path) -> tuple[list[bytes], Simulation]:
 
 def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
     """The same by plain steps wherever there is one; how many were."""
-    simulation, hil, out = flight(kind, folder), Hil(), []
+    simulation, hil, out = flight(kind, folder), HilPacker(), []
     assert can_be_plain(simulation)
     steps = PlainSteps(simulation, hil)
     count, left, until_us, taken = 0, 0, 0, False
@@ -117,7 +117,7 @@ def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
             taken = left > 0 and steps.arrays.words[k.NEXT_US] < until_us
         if taken:
             arrays = steps.arrays
-            arrays.words[k.ARMED] = mode & ARMED
+            arrays.words[k.ARMED] = mode & ARMED_FLAG
             command(arrays, np.array(values, dtype=np.float32))
             assert step(arrays)
             out.append(arrays.out[: arrays.words[k.LENGTH]].tobytes())
@@ -147,7 +147,7 @@ def test_plain_steps_give_the_bytes_of_the_ordinary_way(kind: str, tmp_path: Pat
 
 def test_a_state_that_leaves_the_numbers_is_told(tmp_path: Path) -> None:
     simulation = flight("plane", tmp_path)
-    steps = PlainSteps(simulation, Hil())
+    steps = PlainSteps(simulation, HilPacker())
     steps.take()
     steps.arrays.x[3] = math.nan
     assert not step(steps.arrays)

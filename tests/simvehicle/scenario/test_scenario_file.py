@@ -6,7 +6,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 
 
 def read(tmp_path: Path, text: str) -> Scenario:
@@ -20,7 +20,7 @@ def test_the_demo_is_a_fixed_wing_with_its_sensors() -> None:
     demo = read_scenario(None)
     assert demo.vehicle.kind == "fixedwing"
     assert demo.duration_s == 120.0
-    assert isinstance(demo.sensors.imu, Imu)
+    assert isinstance(demo.sensors.imu, ImuSensor)
     assert demo.sensors.imu.rate_hz == 250.0
 
 
@@ -31,7 +31,7 @@ def test_an_empty_mapping_is_a_scenario_of_defaults(tmp_path: Path) -> None:
 def test_a_preset_fills_in_what_is_not_given(tmp_path: Path) -> None:
     text = "sensors:\n  imu: {preset: beard-mclain, rate_hz: 100, gyro: {sigma: 0.5}}\n"
     imu = read(tmp_path, text).sensors.imu
-    assert isinstance(imu, Imu)
+    assert isinstance(imu, ImuSensor)
     assert imu.gyro.sigma == 0.5
     assert imu.accel.sigma == pytest.approx(0.0025 * 9.80665)
 

@@ -11,10 +11,10 @@ from simvehicle.environment.air import pressure_altitude
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.battery import BatteryMonitor
-from simvehicle.sensors.error_model import Noise
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps, GpsError
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.readings import (
@@ -73,7 +73,7 @@ def many(sensor: Any, count: int, seed: int = 1) -> list[Any]:
 
 
 def test_a_perfect_imu_reads_the_truth() -> None:
-    reading = read(Imu())
+    reading = read(ImuSensor())
     assert isinstance(reading, ImuReading)
     assert np.array_equal(reading.gyro_b_rps, TRUTH.omega_b_rps)
     assert np.array_equal(reading.accel_b_mps2, TRUTH.specific_force_b_mps2)
@@ -158,16 +158,16 @@ def test_a_perfect_battery_monitor_reads_the_pack() -> None:
 
 def test_an_imu_is_cut_off_at_its_range() -> None:
     fast = replace(TRUTH, omega_b_rps=np.array([50.0, -50.0, 0.0]))
-    assert np.array_equal(read(Imu(gyro_range_rps=5.0), fast).gyro_b_rps, [5.0, -5.0, 0.0])
+    assert np.array_equal(read(ImuSensor(gyro_range_rps=5.0), fast).gyro_b_rps, [5.0, -5.0, 0.0])
 
 
 def test_scale_and_bias_act_on_their_axis() -> None:
-    reading = read(Imu(gyro=Noise(scale=0.1, bias=[0.0, 0.5, 0.0])))
+    reading = read(ImuSensor(gyro=NoiseModel(scale=0.1, bias=[0.0, 0.5, 0.0])))
     assert np.allclose(reading.gyro_b_rps, 1.1 * TRUTH.omega_b_rps + [0.0, 0.5, 0.0])
 
 
 def test_white_noise_has_the_deviation_asked_for() -> None:
-    readings = many(Imu(gyro=Noise(sigma=0.2)), 4000)
+    readings = many(ImuSensor(gyro=NoiseModel(sigma=0.2)), 4000)
     errors = np.array([r.gyro_b_rps - TRUTH.omega_b_rps for r in readings])
     # 12,000 samples: the relative deviation of a standard deviation is 1/sqrt(2 n) = 0.65 %.
     assert errors.std() == pytest.approx(0.2, rel=0.03)
@@ -181,7 +181,7 @@ def allan_deviation(values: np.ndarray, rate_hz: float, tau_s: float) -> float:
     return float(np.sqrt(0.5 * np.mean(np.diff(means, axis=0) ** 2)))
 
 
-def errors_of(noise: Noise, rate_hz: float, count: int, channels: int = 8) -> np.ndarray:
+def errors_of(noise: NoiseModel, rate_hz: float, count: int, channels: int = 8) -> np.ndarray:
     """The first errors (count, channels) that a noise model makes."""
     rng = np.random.default_rng(5)
     state = noise.new_state(rng, channels, rate_hz)
@@ -193,7 +193,7 @@ def errors_of(noise: Noise, rate_hz: float, count: int, channels: int = 8) -> np
 
 @pytest.mark.parametrize("tau_s", [0.1, 1.0, 4.0])
 def test_allan_deviation_of_white_noise_falls_with_the_root_of_time(tau_s: float) -> None:
-    errors = errors_of(Noise(density=0.01), 50.0, 20_000)
+    errors = errors_of(NoiseModel(density=0.01), 50.0, 20_000)
     pairs = 8 * 400.0 / tau_s
     expected = 0.01 / np.sqrt(tau_s)
     assert allan_deviation(errors, 50.0, tau_s) == pytest.approx(expected, rel=4.0 / np.sqrt(pairs))
@@ -201,14 +201,14 @@ def test_allan_deviation_of_white_noise_falls_with_the_root_of_time(tau_s: float
 
 @pytest.mark.parametrize("tau_s", [1.0, 4.0])
 def test_allan_deviation_of_a_random_walk_grows_with_the_root_of_time(tau_s: float) -> None:
-    errors = errors_of(Noise(walk=0.02), 50.0, 20_000)
+    errors = errors_of(NoiseModel(walk=0.02), 50.0, 20_000)
     pairs = 8 * 400.0 / tau_s
     expected = 0.02 * np.sqrt(tau_s / 3.0)  # IEEE Std 952, annex C: rate random walk
     assert allan_deviation(errors, 50.0, tau_s) == pytest.approx(expected, rel=4.0 / np.sqrt(pairs))
 
 
 def test_a_drift_is_stationary_with_its_deviation_and_time_constant() -> None:
-    errors = errors_of(Noise(drift_sigma=3.0, drift_time_s=0.5), 20.0, 40_000)
+    errors = errors_of(NoiseModel(drift_sigma=3.0, drift_time_s=0.5), 20.0, 40_000)
     # About 8 * 2000 s / (2 * 0.5 s) independent samples.
     assert errors.std() == pytest.approx(3.0, rel=4.0 / np.sqrt(2.0 * 8 * 2000.0))
     lag = np.mean(errors[10:] * errors[:-10]) / errors.var()
@@ -216,7 +216,7 @@ def test_a_drift_is_stationary_with_its_deviation_and_time_constant() -> None:
 
 
 def test_a_drift_starts_from_its_stationary_distribution() -> None:
-    noise = Noise(drift_sigma=2.0, drift_time_s=1e6)
+    noise = NoiseModel(drift_sigma=2.0, drift_time_s=1e6)
     first = errors_of(noise, 1.0, 1, channels=4000)
     assert first.std() == pytest.approx(2.0, rel=0.05)
 
@@ -239,4 +239,4 @@ def test_a_gps_error_in_metres_is_metres_on_the_ground() -> None:
 @pytest.mark.parametrize("name", ["sigma", "density", "bias_sigma", "drift_sigma", "walk"])
 def test_negative_noise_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} = -1.0 is negative"):
-        Noise(**{name: -1.0})
+        NoiseModel(**{name: -1.0})

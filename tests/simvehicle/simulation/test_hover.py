@@ -13,10 +13,10 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.tcp import TcpServer
 from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.hil_frames import Hil
+from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.vehicles.actuators import motors
+from simvehicle.vehicles.actuators import motor_mix
 
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}
@@ -35,7 +35,7 @@ def test_the_multirotor_hovers_in_wind_on_controls_that_come_over_the_link(
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
     simulation = Simulation(read_scenario(path))
-    loop = LockstepLoop(simulation, Hil(), Inbox(link), motors(4), math.inf, progress)
+    loop = LockstepLoop(simulation, HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
     codes: list[int] = []
     thread = threading.Thread(
         target=lambda: codes.append(serve_autopilot(loop, progress, UNTIL_US))

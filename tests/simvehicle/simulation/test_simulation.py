@@ -12,20 +12,20 @@ from simvehicle.scenario.scenario_file import (
     Environment,
     Leg,
     Scenario,
-    Sensors,
-    Start,
+    SensorSuite,
+    StartConfig,
     read_scenario,
 )
 from simvehicle.sensors.barometer import Barometer
-from simvehicle.sensors.error_model import Noise
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.gps import Gps
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.readings import GpsReading, ImuReading, PressureReading
-from simvehicle.simulation.simulation import Simulation, simulate
+from simvehicle.simulation.simulation import Simulation, simulate_flight
 from simvehicle.vehicles.body import Controls
 
-IN_THE_AIR = Start(height_m=100.0)
-NOISY = Imu(rate_hz=100.0, gyro=Noise(sigma=0.01), accel=Noise(sigma=0.1))
+IN_THE_AIR = StartConfig(height_m=100.0)
+NOISY = ImuSensor(rate_hz=100.0, gyro=NoiseModel(sigma=0.01), accel=NoiseModel(sigma=0.1))
 
 
 def scenario(**changes: Any) -> Scenario:
@@ -33,7 +33,9 @@ def scenario(**changes: Any) -> Scenario:
     plain: dict[str, Any] = {
         "start": IN_THE_AIR,
         "mission": [Leg(shape="line", size_m=1000.0, speed_mps=25.0)],
-        "sensors": Sensors(imu=NOISY, baro=Barometer(rate_hz=20.0, noise=Noise(sigma=2.0))),
+        "sensors": SensorSuite(
+            imu=NOISY, baro=Barometer(rate_hz=20.0, noise=NoiseModel(sigma=2.0))
+        ),
         "environment": Environment(wind_ned_mps=(1.0, 2.0, 0.0), gusts="light"),
     }
     return Scenario(**{**plain, **changes})
@@ -41,7 +43,7 @@ def scenario(**changes: Any) -> Scenario:
 
 def imu_of(flight: Scenario, count: int = 300, seed: int | None = None) -> np.ndarray:
     """Gyro samples of the first steps."""
-    steps = islice(simulate(flight, seed), count)
+    steps = islice(simulate_flight(flight, seed), count)
     return np.array([r[0].gyro_b_rps for _, _, r in steps if isinstance(r[0], ImuReading)])
 
 
@@ -63,25 +65,27 @@ def test_another_seed_gives_other_readings() -> None:
 
 
 def test_another_sensor_on_board_leaves_the_noise_of_the_others_as_it_was() -> None:
-    more = scenario(sensors=Sensors(imu=NOISY, gps=Gps(rate_hz=5.0)))
+    more = scenario(sensors=SensorSuite(imu=NOISY, gps=Gps(rate_hz=5.0)))
     assert np.array_equal(imu_of(scenario()), imu_of(more))
 
 
 def test_stamps_start_above_zero_and_follow_the_rate_of_the_inertial_unit() -> None:
-    stamps = [t_us for t_us, _, _ in islice(simulate(scenario()), 3)]
+    stamps = [t_us for t_us, _, _ in islice(simulate_flight(scenario()), 3)]
     assert stamps == [10_000, 20_000, 30_000]
 
 
 def test_each_sensor_speaks_at_its_own_rate() -> None:
-    kinds = [type(r) for _, _, readings in islice(simulate(scenario()), 100) for r in readings]
+    kinds = [
+        type(r) for _, _, readings in islice(simulate_flight(scenario()), 100) for r in readings
+    ]
     assert kinds.count(ImuReading) == 100
     assert kinds.count(PressureReading) == 20
 
 
 def test_a_late_sensor_delivers_the_past() -> None:
-    late = scenario(sensors=Sensors(imu=NOISY, gps=Gps(rate_hz=10.0, latency_s=0.1)))
+    late = scenario(sensors=SensorSuite(imu=NOISY, gps=Gps(rate_hz=10.0, latency_s=0.1)))
     truths, fixes = {}, []
-    for t_us, truth, readings in islice(simulate(late), 50):
+    for t_us, truth, readings in islice(simulate_flight(late), 50):
         truths[t_us] = truth
         fixes += [r for r in readings if isinstance(r, GpsReading)]
     assert len(fixes) >= 3

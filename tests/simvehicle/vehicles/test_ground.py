@@ -9,11 +9,11 @@ import pytest
 from simvehicle.scenario.scenario_file import (
     Environment,
     Scenario,
-    Sensors,
+    SensorSuite,
     VehicleChoice,
     read_scenario,
 )
-from simvehicle.sensors.imu import Imu
+from simvehicle.sensors.imu import ImuSensor
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls
 
@@ -28,7 +28,7 @@ def standing(choice: VehicleChoice, wind: float = 0.0) -> Simulation:
         Scenario(
             vehicle=choice,
             environment=Environment(wind_ned_mps=(wind, 0.0, 0.0)),
-            sensors=Sensors(imu=Imu(rate_hz=125.0)),
+            sensors=SensorSuite(imu=ImuSensor(rate_hz=125.0)),
         )
     )
     idle = Controls(np.zeros(simulation.vehicle.controls_count), armed=False)

@@ -8,8 +8,8 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import Scenario, VehicleChoice, read_scenario
-from simvehicle.simulation.kinds import kind_of
 from simvehicle.simulation.simulation import Simulation
+from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import read_fixedwing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
@@ -38,14 +38,14 @@ def test_every_shipped_multirotor_can_hover_and_turn_both_ways(name: str, motors
 
 def test_an_unknown_set_names_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"vehicle.parameters: cessna is unknown; known: aeros"):
-        kind_of("fixedwing").read("cessna")
+        find_vehicle_kind("fixedwing").read("cessna")
 
 
 def test_a_set_of_another_kind_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"aerosonde-2025.yaml:[0-9]+: [a-z_]+ is unknown; known: "
     ):
-        kind_of("multirotor").read("aerosonde-2025")
+        find_vehicle_kind("multirotor").read("aerosonde-2025")
 
 
 def edited(tmp_path: Path, name: str, old: str, new: str) -> Path:
@@ -86,7 +86,7 @@ def test_a_wrong_file_is_refused(
 ) -> None:
     kind = "multirotor" if name == "iris" else "fixedwing"
     with pytest.raises(ConfigError, match=message):
-        kind_of(kind).read(str(edited(tmp_path, name, old, new)))
+        find_vehicle_kind(kind).read(str(edited(tmp_path, name, old, new)))
 
 
 def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
 def test_a_multirotor_needs_four_rotors(tmp_path: Path) -> None:
     path = edited(tmp_path, "iris", "  - {x_m: -0.13, y_m: 0.20, turns: cw}\n", "")
     with pytest.raises(ConfigError, match="3 rotors are not supported; 4 to 8 are"):
-        kind_of("multirotor").read(str(path))
+        find_vehicle_kind("multirotor").read(str(path))
 
 
 @pytest.mark.parametrize("kind", ["fixedwing", "multirotor"])

@@ -7,15 +7,15 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, step
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
-from simvehicle.vehicles.fixedwing.trim import trim
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.fixedwing.trim import find_trim
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
-from simvehicle.vehicles.parameter_file import body_of
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia
-from simvehicle.vehicles.vehicle import surroundings
+from simvehicle.vehicles.parameter_file import body_inertia
+from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia_coefficients
+from simvehicle.vehicles.vehicle import pack_surroundings
 
 PARAMETERS = read_fixedwing("aerosonde-2025")
-BODY, AERO = body_of(PARAMETERS, {}), aero_of(PARAMETERS, {})
+BODY, AERO = body_inertia(PARAMETERS, {}), aero_coefficients(PARAMETERS, {})
 JX, JY, JZ, JXZ = 0.8244, 1.135, 1.759, 0.1204
 J = np.array([[JX, 0.0, -JXZ], [0.0, JY, 0.0], [-JXZ, 0.0, JZ]])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -95,7 +95,7 @@ def test_a_body_without_air_falls_by_half_g_t_squared() -> None:
 def test_a_multirotor_without_air_and_motors_falls_and_keeps_what_it_has() -> None:
     iris = Multirotor.read("iris")
     start = iris.start(np.array([0.0, 0.0, -100.0]), np.array([3.0, 1.0, 0.0]), UPRIGHT)
-    around = surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0)
+    around = pack_surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0)
     end, load = iris.advance(start, np.zeros(4), around, 600, 0.005)
     assert end[:3] == pytest.approx([9.0, 3.0, -100.0 + 0.5 * 9.81 * 9.0], abs=1e-9)
     assert end[3:6] == pytest.approx([3.0, 1.0, 9.81 * 3.0], abs=1e-9)
@@ -103,7 +103,7 @@ def test_a_multirotor_without_air_and_motors_falls_and_keeps_what_it_has() -> No
 
 
 def test_rotation_about_the_middle_axis_is_unstable_and_about_the_largest_is_not() -> None:
-    body = inertia(1.0, 1.0, 2.0, 2.5, 0.0)
+    body = inertia_coefficients(1.0, 1.0, 2.0, 2.5, 0.0)
     rest = (0.0,) * 3 + (0.0,) * 3 + (1.0, 0.0, 0.0, 0.0)
 
     def wobble(state: State13) -> float:
@@ -129,7 +129,7 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
 def test_one_vehicle_is_flown_by_the_same_equations_as_many() -> None:
     vehicle = FixedWing.read("aerosonde-2025")
     throw = np.array([*vehicle.throw_rad, 1.0])
-    around = surroundings(np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0)
+    around = pack_surroundings(np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0)
     end, _ = vehicle.advance(np.append(START, 0.0), np.array(CONTROLS) / throw, around, 200, 0.005)
     assert end[:13] == pytest.approx(flown(START, 1.0, 0.005, density=1.2), rel=1e-11, abs=1e-11)
 
@@ -140,7 +140,7 @@ def test_the_quaternion_keeps_its_length() -> None:
 
 
 def test_trimmed_flight_stays_trimmed() -> None:
-    point = trim(25.0, BODY, AERO)
+    point = find_trim(25.0, BODY, AERO)
     s, c = np.sin(point.pitch_rad / 2), np.cos(point.pitch_rad / 2)
     u, w = 25.0 * np.cos(point.alpha_rad), 25.0 * np.sin(point.alpha_rad)
     state = (0.0, 0.0, -100.0, u, 0.0, w, c, 0.0, s, 0.0, 0.0, 0.0, 0.0)
@@ -152,11 +152,11 @@ def test_trimmed_flight_stays_trimmed() -> None:
 
 
 def test_thrust_of_the_dc_motor_falls_with_airspeed() -> None:
-    from simvehicle.vehicles.fixedwing.fixedwing_kernel import propulsion
+    from simvehicle.vehicles.fixedwing.fixedwing_kernel import propulsion_output
 
     @compiled
     def at(airspeed: float) -> tuple[float, float, float]:
-        return propulsion(airspeed, 0.8, 1.2682, AERO)
+        return propulsion_output(airspeed, 0.8, 1.2682, AERO)
 
     thrusts = [at(speed)[0] for speed in (0.0, 10.0, 20.0, 30.0)]
     assert thrusts == sorted(thrusts, reverse=True)
@@ -166,4 +166,4 @@ def test_thrust_of_the_dc_motor_falls_with_airspeed() -> None:
 @pytest.mark.parametrize("moments", [(0.0, 1.0, 1.0, 0.0), (1.0, 1.0, 3.0, 0.0), (1, 1, 1, 1.5)])
 def test_moments_of_no_real_body_are_refused(moments: tuple[float, float, float, float]) -> None:
     with pytest.raises(ValueError, match="is no rigid body"):
-        inertia(1.0, *moments)
+        inertia_coefficients(1.0, *moments)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from analysis.autopilots.px4.px4_parameters import parameters, rotors
+from analysis.autopilots.px4.px4_parameters import rotor_parameters, run_parameters
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 
@@ -16,7 +16,7 @@ def simulation(tmp_path, kind, name):
 
 
 def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
-    found = rotors(simulation(tmp_path, "multirotor", "iris").vehicle)
+    found = rotor_parameters(simulation(tmp_path, "multirotor", "iris").vehicle)
     signs = [
         tuple(found[f"CA_ROTOR{number}_{name}"] > 0 for name in ("PX", "PY", "KM"))
         for number in range(4)
@@ -32,14 +32,14 @@ def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
 
 
 def test_every_rotor_of_a_hexa_is_told(tmp_path):
-    found = rotors(simulation(tmp_path, "multirotor", "hexa").vehicle)
+    found = rotor_parameters(simulation(tmp_path, "multirotor", "hexa").vehicle)
     assert found["CA_ROTOR_COUNT"] == 6
     assert found["CA_ROTOR1_PY"] == pytest.approx(-0.3)
     assert found["CA_ROTOR5_KM"] == pytest.approx(-0.06)
 
 
 def test_a_plane_takes_off_to_the_plans_height_with_its_own_speeds(tmp_path):
-    found = parameters(simulation(tmp_path, "fixedwing", "aerosonde-2025"), 50.0)
+    found = run_parameters(simulation(tmp_path, "fixedwing", "aerosonde-2025"), 50.0)
     assert found["MIS_TAKEOFF_ALT"] == 50.0
     assert found["FW_AIRSPD_TRIM"] == 25
     assert "CA_ROTOR_COUNT" not in found
@@ -52,5 +52,5 @@ def test_a_planes_pitot_tube_is_calibrated_before_the_flight(tmp_path, bias_pa, 
         "name: it\nvehicle: {kind: fixedwing, parameters: aerosonde-2025}\n"
         f"sensors: {{imu: {{}}, airspeed: {{noise: {{bias: {bias_pa}}}}}}}"
     )
-    found = parameters(Simulation(read_scenario(str(file))), 50.0)
+    found = run_parameters(Simulation(read_scenario(str(file))), 50.0)
     assert found["SENS_DPRES_OFF"] == pytest.approx(offset)

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from analysis.campaign.cell import Evidence, Verdict
+from analysis.campaign.cell import CellVerdict, Evidence
 from analysis.campaign.flying import autopilot_cell
-from analysis.campaign.flying.autopilot_cell import TRIES, fly_autopilot
+from analysis.campaign.flying.autopilot_cell import MAX_TRIES, run_autopilot_cell
 from mavproxy_fault.documents.errors import ConfigError
 
 FAULT = {"verdict": "isolated", "isolated": ["imu"], "wrongly": [], "delay_s": 0.5}
@@ -30,8 +30,8 @@ def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]])
         (folder / "run" / "summary.json").write_text(json.dumps(summary))
         return folder / "run"
 
-    monkeypatch.setattr(autopilot_cell, "fly_in_process", fly)
-    monkeypatch.setattr(autopilot_cell, "evidence_of", lambda _: (Evidence(), 20.0))
+    monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
+    monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
     return flown
 
 
@@ -39,14 +39,14 @@ def test_a_fault_that_never_acted_is_flown_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     flown = flights(monkeypatch, [(False, False), (True, False), (True, True)])
-    found = fly_autopilot("px4", [], ONE, tmp_path, kept=True)
+    found = run_autopilot_cell("px4", [], ONE, tmp_path, kept=True)
     assert len(flown) == 3
-    assert found.verdict == Verdict("isolated", "imu", 0.5)
+    assert found.verdict == CellVerdict("isolated", "imu", 0.5)
 
 
 def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     flown = flights(monkeypatch, [(False, False), (True, False)])
-    assert fly_autopilot("px4", [], NONE, tmp_path, kept=True).verdict == Verdict()
+    assert run_autopilot_cell("px4", [], NONE, tmp_path, kept=True).verdict == CellVerdict()
     assert len(flown) == 2
 
 
@@ -57,6 +57,6 @@ def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_pat
 def test_in_the_end_there_is_no_outcome(
     took_off: bool, error: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    flights(monkeypatch, [(took_off, False)] * TRIES)
+    flights(monkeypatch, [(took_off, False)] * MAX_TRIES)
     with pytest.raises(ConfigError, match=error):
-        fly_autopilot("px4", [], ONE, tmp_path, kept=True)
+        run_autopilot_cell("px4", [], ONE, tmp_path, kept=True)

@@ -1,13 +1,13 @@
 import numpy as np
 
-from analysis.campaign.cell import ATTITUDE, PATH, Cell, Curve, Evidence, Mark
+from analysis.campaign.cell import ATTITUDE, PATH, Cell, Evidence, EvidenceCurve, FlightMark
 from analysis.campaign.flying.autopilot_evidence import (
-    counts,
+    belongs_to_flight,
     ground_marks,
     mode_marks,
     text_marks,
 )
-from analysis.campaign.outcomes import Limits, judged
+from analysis.campaign.outcomes import OutcomeLimits, classify_flight
 from mavproxy_fault.wire.tlog import row_dtype
 
 T_US = np.arange(0, 20_000_000, 100_000)
@@ -71,20 +71,23 @@ def test_changes_of_mode_and_warnings_are_marks() -> None:
 def test_a_vehicle_off_its_twins_path_is_degraded() -> None:
     def flown(offset_m: float) -> Evidence:
         times = [float(t) for t in range(20)]
-        path = {name: Curve(times, [0.0] * 20) for name in PATH}
-        path[PATH[1]] = Curve(times, [offset_m if t > 8 else 0.0 for t in times])
-        return Evidence({ATTITUDE: Curve(times, [1.0] * 20), **path})
+        path = {name: EvidenceCurve(times, [0.0] * 20) for name in PATH}
+        path[PATH[1]] = EvidenceCurve(times, [offset_m if t > 8 else 0.0 for t in times])
+        return Evidence({ATTITUDE: EvidenceCurve(times, [1.0] * 20), **path})
 
     cell = Cell(subject="copter", scenario="x", fault="f", onset=5.0, duration_s=5.0)
-    result = judged(cell, 5.0, flown(12.0), flown(0.0), Limits())
+    result = classify_flight(cell, 5.0, flown(12.0), flown(0.0), OutcomeLimits())
     assert (result.outcome, result.excursion_m) == ("degraded", 12.0)
 
 
 def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
     told_s = 40.0
-    failsafe = Mark(20.0, "failsafe", "LAND")
-    on_the_ground = [Mark(55.0, "failsafe", "LOITER"), Mark(54.0, "landed", "on the ground")]
-    crash = Mark(54.0, "crashed", "at 5.0 m/s")
-    before_take_off = Mark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
+    failsafe = FlightMark(20.0, "failsafe", "LAND")
+    on_the_ground = [
+        FlightMark(55.0, "failsafe", "LOITER"),
+        FlightMark(54.0, "landed", "on the ground"),
+    ]
+    crash = FlightMark(54.0, "crashed", "at 5.0 m/s")
+    before_take_off = FlightMark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
     marks = [before_take_off, failsafe, *on_the_ground, crash]
-    assert [mark for mark in marks if counts(mark, told_s)] == [failsafe, crash]
+    assert [mark for mark in marks if belongs_to_flight(mark, told_s)] == [failsafe, crash]

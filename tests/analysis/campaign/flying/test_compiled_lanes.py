@@ -3,7 +3,7 @@ import pytest
 
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import Cell
-from analysis.campaign.flying.compiled_lanes import fly_lanes
+from analysis.campaign.flying.compiled_lanes import run_lanes
 from mavproxy_fault.documents.errors import ConfigError
 
 GYRO = {"id": "gyro", "fault": "bias", "target": "HIL_SENSOR.xgyro", "magnitudes": [0.1]}
@@ -24,7 +24,7 @@ def cells(*magnitudes: float) -> list[Cell]:
 
 
 def test_a_larger_fault_makes_a_larger_excursion_and_none_makes_none() -> None:
-    none, small, large = fly_lanes(campaign(), cells(0.0, 0.05, 2.0))
+    none, small, large = run_lanes(campaign(), cells(0.0, 0.05, 2.0))
     assert none.excursion_deg == 0.0
     assert none.outcome == "unaffected"
     assert 0.0 < small.excursion_deg < large.excursion_deg
@@ -32,11 +32,11 @@ def test_a_larger_fault_makes_a_larger_excursion_and_none_makes_none() -> None:
 
 
 def test_a_cell_is_the_same_alone_and_among_others() -> None:
-    (alone,) = fly_lanes(campaign(), cells(0.3))
-    among = fly_lanes(campaign(), cells(*[0.1] * 40, 0.3))[-1]
+    (alone,) = run_lanes(campaign(), cells(0.3))
+    among = run_lanes(campaign(), cells(*[0.1] * 40, 0.3))[-1]
     assert alone.excursion_deg == among.excursion_deg
 
 
 def test_a_fault_that_is_not_compiled_is_told() -> None:
     with pytest.raises(ConfigError, match="not compiled"):
-        fly_lanes(campaign(fault="saturate"), cells(0.3))
+        run_lanes(campaign(fault="saturate"), cells(0.3))

@@ -5,8 +5,14 @@ import pytest
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.cell import Cell, CellResult
-from analysis.campaign.ledger import Ledger
-from analysis.campaign.results.campaign_comparison import ALL, changes, compare_folders, holm, sign
+from analysis.campaign.results.campaign_comparison import (
+    ALL_FAULTS,
+    compare_folders,
+    compare_pair,
+    compare_results,
+    holm_correction,
+)
+from analysis.campaign.results_store import ResultsStore
 from mavproxy_fault.documents.errors import ConfigError
 
 SMALL = read_campaign(Path(__file__).parents[1] / "small.yaml")
@@ -22,10 +28,10 @@ def by_key(results: list[CellResult]) -> dict[str, CellResult]:
 
 
 def test_worse_is_a_worse_outcome_or_a_clearly_larger_excursion() -> None:
-    assert sign(result("unaffected"), result("degraded")) == 1
-    assert sign(result("lost"), result("degraded")) == -1
-    assert sign(result("degraded", beyond=10.0), result("degraded", beyond=11.0)) == 0
-    assert sign(result("degraded", beyond=10.0), result("degraded", beyond=13.0)) == 1
+    assert compare_pair(result("unaffected"), result("degraded")) == 1
+    assert compare_pair(result("lost"), result("degraded")) == -1
+    assert compare_pair(result("degraded", beyond=10.0), result("degraded", beyond=11.0)) == 0
+    assert compare_pair(result("degraded", beyond=10.0), result("degraded", beyond=13.0)) == 1
 
 
 def test_a_planted_regression_is_found_and_the_rest_is_not_blamed() -> None:
@@ -34,9 +40,9 @@ def test_a_planted_regression_is_found_and_the_rest_is_not_blamed() -> None:
         result("degraded" if r.cell.fault == "gyro" else "unaffected", r.cell.fault, r.cell.seed)
         for r in old
     ]
-    found = {change.fault: change for change in changes(by_key(old), by_key(new))}
+    found = {change.fault: change for change in compare_results(by_key(old), by_key(new))}
     assert found["gyro"].regressed
-    assert found[ALL].regressed
+    assert found[ALL_FAULTS].regressed
     assert not found["mag"].regressed
     assert found["gyro"].p_value == pytest.approx(3 * 0.5**12)
 
@@ -44,7 +50,7 @@ def test_a_planted_regression_is_found_and_the_rest_is_not_blamed() -> None:
 def test_a_single_fault_is_one_test_and_not_two() -> None:
     old = [result("detected", seed=seed) for seed in range(11)]
     new = [result("degraded" if s < 9 else "unaffected", seed=s) for s in range(11)]
-    (change,) = changes(by_key(old), by_key(new))
+    (change,) = compare_results(by_key(old), by_key(new))
     assert change.fault == "gyro"
     assert change.p_value == pytest.approx((1 + 11 + 55) * 0.5**11)
     assert change.regressed
@@ -53,21 +59,21 @@ def test_a_single_fault_is_one_test_and_not_two() -> None:
 def test_as_many_better_as_worse_is_chance() -> None:
     old = [result("degraded", seed=seed) for seed in range(20)]
     new = [result("lost" if s % 2 else "unaffected", seed=s) for s in range(20)]
-    assert not any(change.regressed for change in changes(by_key(old), by_key(new)))
+    assert not any(change.regressed for change in compare_results(by_key(old), by_key(new)))
 
 
 def test_a_flight_that_was_not_made_is_not_compared() -> None:
-    found = changes(by_key([result("unaffected")]), by_key([result("aborted")]))
+    found = compare_results(by_key([result("unaffected")]), by_key([result("aborted")]))
     assert found == []
 
 
 def test_holms_correction_is_that_of_its_paper() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm_correction([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
 def test_the_exit_code_tells_whether_something_got_worse(tmp_path: Path, capsys) -> None:
     for name, outcome in (("before", "unaffected"), ("after", "lost")):
-        ledger = Ledger(tmp_path / name, SMALL)
+        ledger = ResultsStore(tmp_path / name, SMALL)
         ledger.add([result(outcome, seed=seed) for seed in range(12)], None)
         ledger.close()
     before, after = tmp_path / "before", tmp_path / "after"
@@ -80,6 +86,6 @@ def test_the_exit_code_tells_whether_something_got_worse(tmp_path: Path, capsys)
 def test_campaigns_without_a_common_cell_are_refused(tmp_path: Path) -> None:
     other = msgspec.structs.replace(SMALL, name="other")
     for name, campaign in (("a", SMALL), ("b", other)):
-        Ledger(tmp_path / name, campaign).close()
+        ResultsStore(tmp_path / name, campaign).close()
     with pytest.raises(ConfigError, match="no cell in common"):
         compare_folders(tmp_path / "a", tmp_path / "b")

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import Cell, CellResult
-from analysis.campaign.ledger import Ledger
-from analysis.campaign.plan import Plan
 from analysis.campaign.results.campaign_report import write_page, write_report
-from analysis.campaign.results.live_heat_map import EVERY_S, LiveHeatMap
+from analysis.campaign.results.live_heat_map import RELOAD_S, LiveHeatMap
+from analysis.campaign.results_store import ResultsStore
 
 SMALL = Path(__file__).parents[1] / "small.yaml"
 
@@ -25,8 +25,8 @@ class Clock:
         return self.now_s
 
 
-def plan_of() -> Plan:
-    return Plan(read_campaign(SMALL))
+def plan_of() -> CampaignPlan:
+    return CampaignPlan(read_campaign(SMALL))
 
 
 def result(subject: str, magnitude: float, outcome: str) -> CellResult:
@@ -41,7 +41,7 @@ def test_the_page_is_written_while_the_campaign_flies_but_not_for_every_result(
     tmp_path: Path,
 ) -> None:
     plan, clock, page = plan_of(), Clock(), tmp_path / "campaign.html"
-    ledger = Ledger(tmp_path, plan.campaign)
+    ledger = ResultsStore(tmp_path, plan.campaign)
     heat_map = LiveHeatMap(tmp_path, plan, clock)
 
     def fly(subject: str) -> str:
@@ -52,7 +52,7 @@ def test_the_page_is_written_while_the_campaign_flies_but_not_for_every_result(
 
     assert "1 of 4 cells are flown" in fly("ekf")
     assert "1 of 4 cells are flown" in fly("mahony")
-    clock.now_s += EVERY_S
+    clock.now_s += RELOAD_S
     assert "2 of 4 cells are flown" in fly("mahony")
     write_report(tmp_path, plan)
     assert "cells are flown" not in page.read_text()  # it is over
@@ -64,7 +64,7 @@ def test_an_open_heat_map_follows_and_keeps_the_cell_that_is_looked_at(
     tmp_path: Path, browser: Any
 ) -> None:
     plan = plan_of()
-    ledger = Ledger(tmp_path, plan.campaign)
+    ledger = ResultsStore(tmp_path, plan.campaign)
     ledger.add([result("ekf", 0.001, "unaffected"), result("ekf", 2.0, "degraded")], None)
     write_page(tmp_path, plan, reload_s=0.2)
     shown = browser.new_page()

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from analysis.detection.actuators.actuator_watch import ActuatorWatch
+from analysis.detection.actuators.actuator_detector import ActuatorDetector
 from analysis.detection.actuators.effects import unknown_effects
 from analysis.results import SensorDecision
 from analysis.samples.block import COMMAND, Block, block_of
@@ -33,7 +33,7 @@ def flight(after: Mapping[int, float], source: str = "OUTPUTS") -> Block:
 
 
 def told(block: Block) -> list[SensorDecision]:
-    watch = ActuatorWatch(unknown_effects())
+    watch = ActuatorDetector(unknown_effects())
     return [result for _, result in watch.step(block, watch.new_state())[0]]
 
 
@@ -82,7 +82,7 @@ def test_controls_say_nothing_of_being_off() -> None:
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight({2: GROUND})
-    watch = ActuatorWatch(unknown_effects())
+    watch = ActuatorDetector(unknown_effects())
     state, one_by_one = watch.new_state(), []
     for row in range(len(whole.kind)):
         found, state = watch.step(whole.between(row, row + 1), state)

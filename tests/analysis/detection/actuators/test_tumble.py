@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from analysis.detection.actuators.mutual_judgement import TUMBLES, judged
-from analysis.detection.actuators.tumble_kernel import follow, no_tumble
+from analysis.detection.actuators.alarm_precedence import TUMBLING, apply_precedence
+from analysis.detection.actuators.tumble_kernel import new_tumble, track_tumble
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample
@@ -35,7 +35,7 @@ def flight(*, turns: bool = True, jumps: bool = False, blow_s: float = np.inf) -
 
 
 def lost_s(block: Block) -> np.ndarray:
-    lost = follow(block.kind, block.t_us, block.values, no_tumble())
+    lost = track_tumble(block.kind, block.t_us, block.values, new_tumble())
     return block.t_us[lost] * 1e-6
 
 
@@ -55,10 +55,10 @@ def test_a_gyro_that_stands_while_the_compass_does_too_is_the_gyros_fault() -> N
 
 def test_how_the_stream_is_cut_changes_nothing() -> None:
     block = flight(blow_s=4.0)
-    whole = follow(block.kind, block.t_us, block.values, no_tumble())
-    kept, edges = no_tumble(), [0, 1, 450, 451, 3000, len(block.kind)]
+    whole = track_tumble(block.kind, block.t_us, block.values, new_tumble())
+    kept, edges = new_tumble(), [0, 1, 450, 451, 3000, len(block.kind)]
     parts = [
-        follow(block.kind[a:b], block.t_us[a:b], block.values[a:b], kept)
+        track_tumble(block.kind[a:b], block.t_us[a:b], block.values[a:b], kept)
         for a, b in pairwise(edges)
     ]
     assert (np.concatenate(parts) == whole).all()
@@ -68,5 +68,7 @@ def test_what_is_held_against_a_lost_attitude_is_not_judged() -> None:
     alarm = SensorDecision(
         t_us=5, sensor="imu", statistic=None, threshold=None, dof=0, alarm=True, isolated=True
     )
-    found, _ = judged([(0, alarm), (1, alarm)], 1 << 62, np.array([False, True]), -(1 << 62))
-    assert [(one.alarm, one.reason) for _, one in found] == [(True, ""), (False, TUMBLES)]
+    found, _ = apply_precedence(
+        [(0, alarm), (1, alarm)], 1 << 62, np.array([False, True]), -(1 << 62)
+    )
+    assert [(one.alarm, one.reason) for _, one in found] == [(True, ""), (False, TUMBLING)]

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import PSI
 from analysis.detection.filter.initial_fix import GYRO_BIAS_SIGMA_RPS
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.block import block_of
 from analysis.samples.sample import Epoch, GpsFix, ImuSample, MagSample, Sample
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 EPOCHS, IMU_US = 60, 20_000
 ROLL_RAD, HEADING_RAD = 0.1, 0.7
@@ -69,8 +69,8 @@ def test_an_imu_at_rest_is_aligned_with_the_magnetometer_s_heading(static: list[
     assert not any(decision.alarm for decision in decisions)
     motion = state.core.motion
     assert motion is not None
-    lat, lon, _ = geodetic(motion.x[:3])
-    rot_nb = ned_axes(lat, lon) @ matrix(motion.x[6:10])
+    lat, lon, _ = geodetic_position(motion.x[:3])
+    rot_nb = ned_axes(lat, lon) @ rotation_matrix(motion.x[6:10])
     sigma_rad = np.sqrt(np.diag(motion.p)[6:9]).max()
     roll_rad = math.atan2(rot_nb[2, 1], rot_nb[2, 2])
     heading_rad = math.atan2(rot_nb[1, 0], rot_nb[0, 0])
@@ -106,11 +106,11 @@ def shaken(seconds: float, rate_hz: int, shaking_rps: float, seed: int) -> list[
     return found
 
 
-def tilt(motion: Motion) -> tuple[float, float]:
+def tilt(motion: MotionEstimate) -> tuple[float, float]:
     """How far the filter's vertical is off that of a level vehicle, and its sigma, in rad."""
-    lat, lon, _ = geodetic(motion.x[:3])
+    lat, lon, _ = geodetic_position(motion.x[:3])
     axes = ned_axes(lat, lon)
-    rot_nb = axes @ matrix(motion.x[6:10])
+    rot_nb = axes @ rotation_matrix(motion.x[6:10])
     variances = np.diag(axes @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ axes.T)
     return math.acos(min(float(rot_nb[2, 2]), 1.0)), math.sqrt(variances[:2].max())
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from analysis.detection import DetectorConfig
-from analysis.detection.filter.antenna import moved_along
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import ERRORS, X_SIZE, gravity_ecef
-from analysis.detection.filter.propagation import Segment, advance
+from analysis.detection.filter.antenna import shift_by_lever_arm
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, gravity_ecef
+from analysis.detection.filter.propagation import ImuSegment, propagate_filter
 from analysis.monitor.pipeline import monitor_config
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix, turned_in_reference
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference, rotation_matrix
 
 ARM_M = np.array([1.5, -0.5, -0.3])
 RATE_RPS = 0.8
@@ -30,20 +30,20 @@ def turning_body(at_s: float) -> np.ndarray:
     x[:3] = POLE_M
     half = 0.5 * RATE_RPS * at_s
     spun = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])  # about down
-    x[6:10] = turned_in_reference(spun, math.pi, 0.0, 0.0)  # down is against the axis
+    x[6:10] = rotate_in_reference(spun, math.pi, 0.0, 0.0)  # down is against the axis
     return x
 
 
-def segment(until_s: float, dt_s: float = 0.005) -> Segment:
+def segment(until_s: float, dt_s: float = 0.005) -> ImuSegment:
     """What the IMU reads: its own turn and the earth's, and what holds it up."""
     steps = round(until_s / dt_s)
     row = [dt_s, 0.0, 0.0, RATE_RPS - GNSS_EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
-    return Segment(np.tile(row, (steps, 1)), dt_s, True)
+    return ImuSegment(np.tile(row, (steps, 1)), dt_s, True)
 
 
 def antenna_at(at_s: float) -> np.ndarray:
     x = turning_body(at_s)
-    return x[:3] + matrix(x[6:10]) @ ARM_M
+    return x[:3] + rotation_matrix(x[6:10]) @ ARM_M
 
 
 def test_the_antenna_goes_round_while_the_imu_stands():
@@ -51,11 +51,11 @@ def test_the_antenna_goes_round_while_the_imu_stands():
     x = turning_body(0.0)
     x[:3] = antenna_at(0.0)
     x[3:6] = (antenna_at(1e-4) - antenna_at(-1e-4)) / 2e-4
-    start = Motion(0, x, 1e-4 * np.eye(ERRORS), True)
-    end, _ = advance(start, segment(2.0), 2_000_000, config)
+    start = MotionEstimate(0, x, 1e-4 * np.eye(ERROR_SIZE), True)
+    end, _ = propagate_filter(start, segment(2.0), 2_000_000, config)
     assert end.x[:3] == pytest.approx(antenna_at(2.0), abs=0.01)
     assert end.x[3:6] == pytest.approx((antenna_at(2.0001) - antenna_at(1.9999)) / 2e-4, abs=0.01)
-    straight, _ = advance(start, segment(2.0), 2_000_000, DetectorConfig())
+    straight, _ = propagate_filter(start, segment(2.0), 2_000_000, DetectorConfig())
     assert np.linalg.norm(straight.x[:3] - antenna_at(2.0)) > 1.0
 
 
@@ -63,27 +63,27 @@ def changed(x: np.ndarray, error: np.ndarray) -> np.ndarray:
     """The state that is true where x is believed and wrong by `error` (20,)."""
     out = x.copy()
     out[:6] += error[:6]
-    out[6:10] = turned_in_reference(x[6:10], *error[6:9])
+    out[6:10] = rotate_in_reference(x[6:10], *error[6:9])
     out[10:] += error[9:]
     return out
 
 
 def test_errors_move_along_as_states_do():
     gyro = np.array([0.1, -0.2, RATE_RPS])
-    x, p = turning_body(0.7), np.eye(ERRORS)
-    here, _, turn = moved_along(x, p, gyro, ARM_M, 1.0)
+    x, p = turning_body(0.7), np.eye(ERROR_SIZE)
+    here, _, turn = shift_by_lever_arm(x, p, gyro, ARM_M, 1.0)
     for i in range(12):
-        error = np.zeros(ERRORS)
+        error = np.zeros(ERROR_SIZE)
         error[i] = 1e-5
-        there = moved_along(changed(x, error), p, gyro, ARM_M, 1.0)[0]
+        there = shift_by_lever_arm(changed(x, error), p, gyro, ARM_M, 1.0)[0]
         assert (there[:6] - here[:6]) / 1e-5 == pytest.approx(turn[:6, i], abs=1e-3), i
 
 
 def test_there_and_back_is_where_one_was():
     gyro = np.array([0.1, -0.2, RATE_RPS])
-    x, p = turning_body(0.7), np.diag(np.linspace(1.0, 2.0, ERRORS))
-    there, wide, _ = moved_along(x, p, gyro, ARM_M, 1.0)
-    back, narrow, _ = moved_along(there, wide, gyro, ARM_M, -1.0)
+    x, p = turning_body(0.7), np.diag(np.linspace(1.0, 2.0, ERROR_SIZE))
+    there, wide, _ = shift_by_lever_arm(x, p, gyro, ARM_M, 1.0)
+    back, narrow, _ = shift_by_lever_arm(there, wide, gyro, ARM_M, -1.0)
     assert back == pytest.approx(x, abs=1e-8)
     assert narrow == pytest.approx(p, abs=1e-8)
 

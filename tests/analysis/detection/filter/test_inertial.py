@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.detection.detection_config import NoiseDensities
-from analysis.detection.filter.inertial import ERRORS, X_SIZE, propagate_inertial
+from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, propagate_inertial
 
 RNG = np.random.default_rng(8)
 START_M = np.array([4.2e6, 6.0e5, 4.7e6])
@@ -17,7 +17,7 @@ def moving() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A state, a covariance with every correlation, and a second of a lively IMU."""
     x = np.zeros(X_SIZE)
     x[:3], x[3:6], x[6] = START_M, (20.0, -3.0, 5.0), 1.0
-    root = RNG.standard_normal((ERRORS, ERRORS))
+    root = RNG.standard_normal((ERROR_SIZE, ERROR_SIZE))
     samples = np.hstack(
         [
             np.full((100, 1), 0.01),
@@ -46,8 +46,8 @@ def test_what_a_slow_imu_does_not_see_is_in_the_velocitys_sigma(rate_hz: int):
         forces = fast[::step][1:]
         samples = np.hstack([np.full((rate_hz, 1), 1 / rate_hz), np.zeros((rate_hz, 3)), forces])
         exact = np.hstack([np.full((400, 1), 1 / 400), np.zeros((400, 3)), fast[1:]])
-        seen, p, _ = propagate_inertial(x, np.zeros((ERRORS, ERRORS)), samples, NO_NOISE)
-        true, none, _ = propagate_inertial(x, np.zeros((ERRORS, ERRORS)), exact, NO_NOISE)
+        seen, p, _ = propagate_inertial(x, np.zeros((ERROR_SIZE, ERROR_SIZE)), samples, NO_NOISE)
+        true, none, _ = propagate_inertial(x, np.zeros((ERROR_SIZE, ERROR_SIZE)), exact, NO_NOISE)
         assert not none.any()
         errors.append(seen[3:6] - true[3:6])
         variances.append(np.diag(p)[3:6])

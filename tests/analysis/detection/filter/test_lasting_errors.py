@@ -7,17 +7,21 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.calibrate import calibrate
+from analysis.detection.calibrate import calibrate_sigma
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.lasting_errors import (
     IONOSPHERE_SHARE,
-    SIGNAL_M,
+    LASTING_SIGNAL_M,
     TROPOSPHERE_M,
-    Misfit,
+    VarianceFactor,
 )
-from analysis.detection.filter.measurement import choose, model, observe
-from analysis.detection.protection import bounds
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.filter.measurement import (
+    observe_epoch,
+    predict_innovations,
+    select_ephemerides,
+)
+from analysis.detection.protection_levels import bound_position
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.block import block_of
 from analysis.samples.sample import Epoch, IonosphereSample
@@ -52,7 +56,7 @@ def test_errors_over_sigma_are_honest_by_default_and_calibrated_on_the_half_befo
     middle_us = (stamps[0] + stamps[-1]) // 2
     first = [s for s in static if not isinstance(s, Epoch) or s.t_us < middle_us]
     second = [s for s in static if not isinstance(s, Epoch) or s.t_us >= middle_us]
-    calibrated = msgspec.structs.replace(config, sigma=calibrate(first, config).sigma)
+    calibrated = msgspec.structs.replace(config, sigma=calibrate_sigma(first, config).sigma)
     for samples, judged_with in ((static, config), (second, calibrated)):
         half, most = over_sigma(samples, judged_with)
         assert 0.7 <= half <= 1.5
@@ -93,7 +97,7 @@ def test_calibration_works_on_epochs_of_every_thirty_seconds(static):
     sparse = [
         s for s in static if not isinstance(s, Epoch) or (s.t_us - first_us) % 30_000_000 == 0
     ]
-    found = calibrate(sparse, DetectorConfig())
+    found = calibrate_sigma(sparse, DetectorConfig())
     assert found.epochs == 28
     assert found.chi_square_per_dof == pytest.approx(1.0, abs=0.3)
 
@@ -103,18 +107,18 @@ def test_what_lasts_is_mapped_by_the_snapshot(static):
     detector = Detector()
     _, state = detector.step(static[: first + 1], detector.new_state())
     epoch, ionosphere = static[first], state.core.ionosphere
-    observed = observe(epoch, choose(epoch, state.core.ephemerides, "GE"))
+    observed = observe_epoch(epoch, select_ephemerides(epoch, state.core.ephemerides, "GE"))
     x = np.zeros(X_SIZE)
     x[:3] = ANTENNA_M
-    used = model(observed, x, DetectorConfig().sigma, ionosphere)
-    misfit = Misfit(total=30.0, dof=10.0)
-    found = bounds(used, np.zeros(3), np.zeros(len(used.v_m)), ANTENNA_M, misfit, 1.0)
+    used = predict_innovations(observed, x, DetectorConfig().sigma, ionosphere)
+    misfit = VarianceFactor(total=30.0, dof=10.0)
+    found = bound_position(used, np.zeros(3), np.zeros(len(used.v_m)), ANTENNA_M, misfit, 1.0)
     gps = np.array([name[0] == "G" for name in observed.satellites], dtype=float)
     design = np.column_stack([used.h[:, :3], gps, 1.0 - gps])
     weight = 1.0 / used.variance
     response = np.linalg.inv(design.T * weight @ design) @ (design.T * weight)
     wet_m = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(used.elevation_rad) ** 2)
-    lasts = SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m) ** 2 + wet_m**2
+    lasts = LASTING_SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m) ** 2 + wet_m**2
     lasts += (3.0 - 1.0) * used.variance
     expected = (response[:3] ** 2 * lasts).sum(axis=1)
     assert found.factor == 3.0
@@ -122,7 +126,7 @@ def test_what_lasts_is_mapped_by_the_snapshot(static):
 
 
 def test_the_variance_factor_forgets_in_a_minute_and_counts_no_second_twice():
-    misfit = Misfit()
+    misfit = VarianceFactor()
     assert misfit.factor == 1.0
     slow = fast = misfit
     for _ in range(60):
@@ -134,4 +138,4 @@ def test_the_variance_factor_forgets_in_a_minute_and_counts_no_second_twice():
     for _ in range(300):
         slow = slow.with_epoch(parity=10.0, dof=10, dt_s=1.0)
     assert slow.factor == pytest.approx(1.0, abs=0.05)
-    assert math.isclose(Misfit(1.0, 100.0).factor, 0.25)
+    assert math.isclose(VarianceFactor(1.0, 100.0).factor, 0.25)

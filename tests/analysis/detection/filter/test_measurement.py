@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.detection.filter.filter_state import Stored
-from analysis.detection.filter.measurement import CHOSEN_S, Chosen, choose
+from analysis.detection.filter.filter_state import StoredOrbit
+from analysis.detection.filter.measurement import RESELECT_S, EphemerisSelection, select_ephemerides
 from analysis.orbits.broadcast import PACKED
 from analysis.samples.sample import Epoch
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
@@ -23,9 +23,9 @@ AT_S = st.integers(0, 20).map(lambda steps: 100_000.0 + 1800.0 * steps)
 KNOWN = st.lists(st.tuples(st.sampled_from(["G05", "E11"]), AT_S, st.sampled_from([0, 0, 0, 1])))
 
 
-def stored(known: list[tuple[str, float, int]]) -> dict[str, tuple[Stored, ...]]:
+def stored(known: list[tuple[str, float, int]]) -> dict[str, tuple[StoredOrbit, ...]]:
     """Ephemerides by satellite in the order of their times, each with numbers of its own."""
-    found: dict[str, tuple[Stored, ...]] = {}
+    found: dict[str, tuple[StoredOrbit, ...]] = {}
     for number, (name, toe_s, health) in enumerate(sorted(known, key=lambda one: one[1])):
         orbit = replace(ORBIT, satellite=name, toe_s=toe_s, health=health)
         found[name] = (*found.get(name, ()), (orbit, np.full(PACKED, float(number))))
@@ -37,33 +37,33 @@ def epoch_at(tow_s: float) -> Epoch:
     return Epoch(round(tow_s * 1e6), WEEK, tow_s, ("G05", "E11"), ranges, ranges, ranges)
 
 
-def same(one: Chosen, other: Chosen) -> bool:
+def same(one: EphemerisSelection, other: EphemerisSelection) -> bool:
     return one.names == other.names and np.array_equal(one.packed, other.packed)
 
 
-@given(known=KNOWN, tow_s=AT_S, later_s=st.floats(0.0, CHOSEN_S), on_a_boundary=st.booleans())
+@given(known=KNOWN, tow_s=AT_S, later_s=st.floats(0.0, RESELECT_S), on_a_boundary=st.booleans())
 def test_a_choice_that_serves_is_the_one_that_would_be_made(
     known: list[tuple[str, float, int]], tow_s: float, later_s: float, on_a_boundary: bool
 ) -> None:
     orbits = stored(known)
     tow_s += 0.0 if on_a_boundary else 851.0
-    chosen, later = choose(epoch_at(tow_s), orbits), epoch_at(tow_s + later_s)
+    chosen, later = select_ephemerides(epoch_at(tow_s), orbits), epoch_at(tow_s + later_s)
     if chosen.serves(later):
-        assert same(chosen, choose(later, orbits))
+        assert same(chosen, select_ephemerides(later, orbits))
 
 
 def test_an_ephemeris_serves_to_the_end_of_its_time_and_no_longer() -> None:
     orbits = stored([("G05", 100_000.0, 0)])
-    chosen = choose(epoch_at(107_000.0), orbits)
+    chosen = select_ephemerides(epoch_at(107_000.0), orbits)
     assert chosen.names == ("G05",)
     assert chosen.serves(epoch_at(107_200.0))
     assert not chosen.serves(epoch_at(107_200.1))
-    at_the_end = choose(epoch_at(107_200.0), orbits)
+    at_the_end = select_ephemerides(epoch_at(107_200.0), orbits)
     assert at_the_end.names == ("G05",)
     assert not at_the_end.serves(epoch_at(107_200.1))
 
 
 def test_names_stay_the_same_object_while_nobody_comes_or_goes() -> None:
     orbits = stored([("G05", 100_000.0, 0), ("E11", 100_000.0, 0)])
-    before = choose(epoch_at(100_000.0), orbits)
-    assert choose(epoch_at(101_000.0), orbits, before=before).names is before.names
+    before = select_ephemerides(epoch_at(100_000.0), orbits)
+    assert select_ephemerides(epoch_at(101_000.0), orbits, before=before).names is before.names

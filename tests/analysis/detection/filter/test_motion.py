@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis.detection.filter import propagation as motion
-from analysis.detection.filter.filter_state import Motion, Pending
-from analysis.detection.filter.propagation import keep_pending, segment, split_pending
+from analysis.detection.filter.filter_state import MotionEstimate, PendingImu
+from analysis.detection.filter.propagation import add_pending, imu_segment, split_pending
 from analysis.samples.block import ImuRun
 
-NOWHERE = Motion(0, np.empty(0), np.empty(0))
+NOWHERE = MotionEstimate(0, np.empty(0), np.empty(0))
 
 
 def run_at(stamps_us: list[int]) -> ImuRun:
@@ -19,10 +19,10 @@ def run_at(stamps_us: list[int]) -> ImuRun:
     return ImuRun(t_us, np.outer(t_us * 1e-6, np.arange(1.0, 7.0)))
 
 
-def kept(stamps_us: list[int], cuts: list[int]) -> Pending | None:
-    pending: Pending | None = None
+def kept(stamps_us: list[int], cuts: list[int]) -> PendingImu | None:
+    pending: PendingImu | None = None
     for begin, end in pairwise([0, *cuts, len(stamps_us)]):
-        pending = keep_pending(run_at(stamps_us[begin:end]), pending)
+        pending = add_pending(run_at(stamps_us[begin:end]), pending)
     return pending
 
 
@@ -34,7 +34,7 @@ def test_runs_cut_anywhere_make_the_same_segment(stamps, data):
     for pending in (kept(stamps, []), kept(stamps, cuts)):
         run, rest = split_pending(pending, until_us)
         assert rest is None or rest.run.t_us[0] > until_us
-        segments.append(segment(run, NOWHERE, until_us))
+        segments.append(imu_segment(run, NOWHERE, until_us))
     assert (segments[0].samples == segments[1].samples).all()
     assert segments[0][1:] == segments[1][1:]
 
@@ -45,7 +45,7 @@ def test_a_sample_from_the_past_is_left_out():
 
 
 def test_a_segment_holds_the_last_sample_to_the_end():
-    part = segment(run_at([1_000_000, 1_500_000]), NOWHERE, 1_600_000)
+    part = imu_segment(run_at([1_000_000, 1_500_000]), NOWHERE, 1_600_000)
     assert np.allclose(part.samples[:, 0], [1.0, 0.5, 0.1])
     assert (part.samples[2, 1:] == part.samples[1, 1:]).all()
     assert part.gap_s == 1.0

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from analysis.detection import DetectorConfig, SigmaModel
-from analysis.detection.detector import Detector, run
-from analysis.detection.detector_state import Core
-from analysis.detection.filter.information import normal_of
-from analysis.detection.filter.offsets import freeze, frozen_m, learnt
+from analysis.detection.detector import Detector, run_detector
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.information import normal_equations_over
+from analysis.detection.filter.offsets import freeze_offsets, frozen_offsets_m, learned_offsets_m
 from analysis.detection.isolation.ramp_test import new_ramps
-from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, Windows, learn_offsets
+from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, RampWindows, learn_offsets
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
@@ -21,7 +21,7 @@ FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).ramp_numbers
 NAMES = ("E05", "G12")
 
 
-def core_that_knows(offsets_m: list[float]) -> Core:
+def core_that_knows(offsets_m: list[float]) -> DetectorCore:
     ramps = new_ramps(0)
     windows = ramps.windows._replace(
         offset=np.array(offsets_m),
@@ -29,29 +29,34 @@ def core_that_knows(offsets_m: list[float]) -> Core:
         offsets=np.full((WINDOW_COUNT, 2), 0.5),
         spreads=np.ones((WINDOW_COUNT, 2)),
     )
-    return Core(None, {}, np.zeros(8), ramps=ramps._replace(names=NAMES, windows=windows))
+    return DetectorCore(None, {}, np.zeros(8), ramps=ramps._replace(names=NAMES, windows=windows))
 
 
 def test_what_was_learnt_is_frozen_and_learnt_anew_from_nothing():
-    core = freeze(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
-    assert frozen_m(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
-    assert learnt(core, NAMES).tolist() == [0.0, 0.0]
+    core = freeze_offsets(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
+    assert frozen_offsets_m(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
+    assert learned_offsets_m(core, NAMES).tolist() == [0.0, 0.0]
     assert core.ramps is not None
     assert core.ramps.windows.offsets.tolist() == [[-0.5, 2.5]] * WINDOW_COUNT
 
 
 def test_freezing_again_adds_to_what_is_frozen():
-    core = freeze(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    core = freeze_offsets(core_that_knows([1.0, -2.0]), 0, CONFIG)
     assert core.ramps is not None
     windows = core.ramps.windows._replace(offset=np.array([0.25, 0.0]))
     core = core._replace(ramps=core.ramps._replace(windows=windows))
-    assert frozen_m(freeze(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [1.25, -2.0]
+    assert frozen_offsets_m(freeze_offsets(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [
+        1.25,
+        -2.0,
+    ]
 
 
 def test_frozen_offsets_fade_with_their_correlation_time():
-    core = freeze(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    core = freeze_offsets(core_that_knows([1.0, -2.0]), 0, CONFIG)
     later_us = round(CONFIG.sigma.slow_s * 1e6)
-    assert frozen_m(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx([-2.0 / math.e, 0.0])
+    assert frozen_offsets_m(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx(
+        [-2.0 / math.e, 0.0]
+    )
 
 
 def test_an_offset_is_learnt_as_kalman_s_filter_does():
@@ -61,8 +66,8 @@ def test_an_offset_is_learnt_as_kalman_s_filter_does():
     h, p = np.zeros((1, 20)), np.zeros((20, 20))
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
-        windows = Windows(none.astype(np.int64), table, table, mean, spread, table, table)
-        ranges = normal_of(np.arange(20), h, np.ones(1), v)
+        windows = RampWindows(none.astype(np.int64), table, table, mean, spread, table, table)
+        ranges = normal_equations_over(np.arange(20), h, np.ones(1), v)
         mean, spread = learn_offsets(windows, p, ranges, 1.0, FOR_EVER)
     assert spread[0] == pytest.approx(1.0 / 51.0)
     assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(spread[0])
@@ -105,7 +110,7 @@ def moved_m(samples: list[Sample], config: DetectorConfig) -> float:
     names = next(s.satellites for s in samples if isinstance(s, Epoch))[1:4:2]
     ends = []
     for part in (samples, without(samples, names, 40_000_000)):
-        found = [r for r in run(Detector(config), part) if isinstance(r, Decision)]
+        found = [r for r in run_detector(Detector(config), part) if isinstance(r, Decision)]
         last = [d.position_ecef_m for d in found if d.t_us >= 50_000_000]
         ends.append(np.mean([r for r in last if r is not None], axis=0))
     return float(np.linalg.norm(ends[1] - ends[0]))

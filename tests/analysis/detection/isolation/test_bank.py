@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from analysis.detection.isolation.bank import best_subset, freed, normalised, projected_weights
-from analysis.detection.isolation.chi_square import chi_square
-from analysis.detection.isolation.hypotheses import judge
+from analysis.detection.isolation.bank import (
+    best_subset,
+    freed_statistic,
+    normalised_by_weights,
+    projected_weights,
+)
+from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.isolation.hypotheses import select_hypothesis
 
 RNG = np.random.default_rng(5)
 
@@ -56,7 +61,9 @@ def test_freeing_position_and_clock_gives_the_least_squares_residual():
     projected = projected_weights(design, np.ones(9))
     residual = v - design @ np.linalg.lstsq(design, v, rcond=None)[0]
     assert v @ projected @ v == pytest.approx(residual @ residual, rel=1e-9)
-    assert freed(s, v, float(v @ v), design) == pytest.approx(residual @ residual, rel=1e-9)
+    assert freed_statistic(s, v, float(v @ v), design) == pytest.approx(
+        residual @ residual, rel=1e-9
+    )
 
 
 def test_normalised_innovations_are_standard_normal():
@@ -65,7 +72,7 @@ def test_normalised_innovations_are_standard_normal():
     for _ in range(2000):
         _, s, v = innovations(8, rng)
         m = np.linalg.inv(s)
-        draws.append(normalised(m, m @ v))
+        draws.append(normalised_by_weights(m, m @ v))
     z = np.concatenate(draws)
     # 16000 values, correlated within an epoch: at least 2000 independent ones
     assert abs(z.std() - 1.0) < 4.0 / np.sqrt(2.0 * 2000)
@@ -86,8 +93,10 @@ def verdicts(kind: str, bias: float, trials: int, rule: str = "explicit") -> dic
             v[list(bad)] += bias * rng.choice([-1.0, 1.0], len(bad))
         m = np.linalg.inv(s)
         name = "none"
-        if v @ m @ v > chi_square(10, 1e-4):
-            found = judge(m, v, design[:, :3].copy(), design[:, 3:].copy(), 1e-4, 3, rule)
+        if v @ m @ v > chi_square_threshold(10, 1e-4):
+            found = select_hypothesis(
+                m, v, design[:, :3].copy(), design[:, 3:].copy(), 1e-4, 3, rule
+            )
             name = found.hypothesis
             if name == "satellites":
                 name = "right" if found.subset == bad else "wrong"
@@ -121,6 +130,8 @@ def test_the_main_test_alarms_as_often_as_asked():
         s = design @ design.T + np.eye(10)
         v = rng.standard_normal((5000, 10)) @ np.linalg.cholesky(s).T
         alarms += int(
-            (np.einsum("ni,ij,nj->n", v, np.linalg.inv(s), v) > chi_square(10, 1e-3)).sum()
+            (
+                np.einsum("ni,ij,nj->n", v, np.linalg.inv(s), v) > chi_square_threshold(10, 1e-3)
+            ).sum()
         )
     assert 162 <= alarms <= 239  # 99 % binomial interval of 200 000 trials at 1e-3

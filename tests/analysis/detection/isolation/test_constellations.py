@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector
-from analysis.detection.filter.measurement import choose, observe
-from analysis.detection.isolation.constellations import SYSTEM_CLOCK, groups_of
-from analysis.detection.isolation.hypotheses import judge
-from analysis.orbits.broadcast import SIGHT, predict_ranges
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
+from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.orbits.broadcast import LINE_OF_SIGHT, predict_ranges
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
-NORTH_M = ned_axes(*geodetic(ANTENNA_M)[:2])[0]
+NORTH_M = ned_axes(*geodetic_position(ANTENNA_M)[:2])[0]
 BEGIN_S, FOR_S = 60.0, 60.0
 GPS, GALILEO = 8, 7  # satellites of the algebra's epochs
 
@@ -33,9 +33,11 @@ def judged(change, seed, galileo=GALILEO, known_m=1.0):
     design = np.column_stack([sight, np.ones(count), offset[:, :1]])
     covariance = known_m**2 * design @ design.T + np.eye(count)
     v = np.linalg.cholesky(covariance) @ rng.standard_normal(count) + change(sight)
-    systems = groups_of(sight, offset)
+    systems = group_by_system(sight, offset)
     clock = design[:, 3:4].copy()
-    return judge(np.linalg.inv(covariance), v, sight, clock, 1e-4, 3, "explicit", systems)
+    return select_hypothesis(
+        np.linalg.inv(covariance), v, sight, clock, 1e-4, 3, "explicit", systems
+    )
 
 
 def of_galileo(values):
@@ -95,7 +97,7 @@ def test_one_of_few_satellites_of_a_system_is_still_told():
 
 
 def test_one_system_alone_is_no_hypothesis():
-    assert groups_of(np.ones((6, 3)), np.zeros((6, 3))).rows == ()
+    assert group_by_system(np.ones((6, 3)), np.zeros((6, 3))).rows == ()
 
 
 @pytest.fixture(scope="module")
@@ -129,9 +131,11 @@ def spoofed(samples, system, shift_m, clock_m=lambda _: 0.0):
 
 def moved(epoch, ephemerides, system, shift_m, clock_m):
     """An epoch as received 'shift_m' further north by one system."""
-    observed = observe(epoch, choose(epoch, ephemerides, "GE"))
+    observed = observe_epoch(epoch, select_ephemerides(epoch, ephemerides, "GE"))
     seen = predict_ranges(observed.states, ANTENNA_M, np.zeros(3), observed.tow_s, np.zeros(8))
-    along = dict(zip(observed.satellites, seen[:, SIGHT : SIGHT + 3] @ NORTH_M, strict=True))
+    along = dict(
+        zip(observed.satellites, seen[:, LINE_OF_SIGHT : LINE_OF_SIGHT + 3] @ NORTH_M, strict=True)
+    )
     change = [
         clock_m - along[name] * shift_m if name[0] == system and name in along else 0.0
         for name in epoch.satellites

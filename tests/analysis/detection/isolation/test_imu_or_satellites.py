@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
-from analysis.detection.isolation.whole_receiver import FOLLOWED
-from analysis.recordings.recordings import read_rinex, read_rinex_samples
+from analysis.detection.detector import run_detector
+from analysis.detection.isolation.all_satellites import FOLLOWED_REASON
+from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import ImuSample, Sample, TruthSample
 from mavproxy_fault.app.rinex_faults import faulted_lines
@@ -23,7 +23,7 @@ Flights = Callable[..., list[Sample]]
 
 def told(samples: list[Sample]) -> tuple[list[Decision], list[float], list[SensorDecision]]:
     """Decisions, the errors of their positions in m, and the IMU's own results."""
-    results = run(Detector(DetectorConfig()), samples)
+    results = run_detector(Detector(DetectorConfig()), samples)
     truth = {
         s.t_us: ecef_from_geodetic(*np.radians([s.lat_deg, s.lon_deg]), s.alt_m)
         for s in samples
@@ -151,10 +151,12 @@ def test_an_imu_that_is_told_apart_later_gives_the_position_its_bound_back(
         else s
         for s in samples
     ]
-    decisions = [r for r in run(Detector(DetectorConfig()), wrong) if isinstance(r, Decision)]
+    decisions = [
+        r for r in run_detector(Detector(DetectorConfig()), wrong) if isinstance(r, Decision)
+    ]
     blamed = [d for d in decisions if d.alarm and d.hypothesis in ("imu", "GPS-or-imu")]
     assert {d.hypothesis for d in blamed} == {"imu", "GPS-or-imu"}
-    unbounded = [d for d in decisions if d.reason == FOLLOWED]
+    unbounded = [d for d in decisions if d.reason == FOLLOWED_REASON]
     assert unbounded[0].t_us == blamed[0].t_us
     assert unbounded[-1].t_us < blamed[-1].t_us
     assert decisions[-1].position_sigma_m is not None

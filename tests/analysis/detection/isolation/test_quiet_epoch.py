@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
+from analysis.detection.detector import run_detector
 from analysis.detection.isolation import epoch_test
 from analysis.detection.isolation.quiet_epoch import quiet_epoch
 from analysis.results import Result, encode_lines
@@ -14,7 +14,7 @@ from analysis.samples.sample import Epoch, ImuSample, Sample
 
 
 def results(samples: list[Sample]) -> list[Result]:
-    return run(Detector(DetectorConfig()), samples)
+    return run_detector(Detector(DetectorConfig()), samples)
 
 
 def with_step(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:

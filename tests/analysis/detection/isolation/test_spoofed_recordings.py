@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector
-from analysis.detection.isolation.whole_receiver import after_leap
-from analysis.recordings.recordings import read_rinex
+from analysis.detection.isolation.all_satellites import accumulated_jump_m
+from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.rinex.rinex_text import read_rinex_text
@@ -71,11 +71,11 @@ def test_who_left_with_its_system_is_back_with_it(spoofed: Spoofed) -> None:
 
 def test_leaps_add_up_to_where_the_satellites_belong() -> None:
     north, east = np.array([0.0, 0.0, 150.0]), np.array([0.0, 200.0, 0.0])
-    assert after_leap(None, None) is None
-    first = after_leap(None, north)
+    assert accumulated_jump_m(None, None) is None
+    first = accumulated_jump_m(None, north)
     assert first is not None
-    assert after_leap(first, None) is first
-    assert after_leap(first, -1.1 * north) is None
-    both = after_leap(first, east)
+    assert accumulated_jump_m(first, None) is first
+    assert accumulated_jump_m(first, -1.1 * north) is None
+    both = accumulated_jump_m(first, east)
     assert both is not None
-    assert after_leap(both, -(north + east)) is None
+    assert accumulated_jump_m(both, -(north + east)) is None

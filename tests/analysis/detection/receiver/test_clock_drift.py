@@ -3,30 +3,30 @@
 import numpy as np
 import pytest
 
-from analysis.detection.detector_state import Core, Record
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import DRIFT, ERRORS, X_DRIFT, X_SIZE
+from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import DRIFT, ERROR_SIZE, X_DRIFT, X_SIZE
 from analysis.detection.receiver.clock_drift import clock_results
 from analysis.samples.sample import Vector
 
 
-def motion(t_s: float, drift_mps: float, sigma_mps: float) -> Motion:
-    x, p = np.zeros(X_SIZE), np.zeros((ERRORS, ERRORS))
+def motion(t_s: float, drift_mps: float, sigma_mps: float) -> MotionEstimate:
+    x, p = np.zeros(X_SIZE), np.zeros((ERROR_SIZE, ERROR_SIZE))
     x[X_DRIFT], p[DRIFT, DRIFT] = drift_mps, sigma_mps**2
-    return Motion(round(t_s * 1e6), x, p)
+    return MotionEstimate(round(t_s * 1e6), x, p)
 
 
 def told(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
     """The epochs, by number, at which a filter with these drifts tells of its clock."""
-    history: tuple[Record, ...] = ()
+    history: tuple[EpochRecord, ...] = ()
     numbers = []
     for number, drift in enumerate(drifts_mps):
         now = motion(number * every_s, drift, sigma_mps)
         if clock_results(now, history):
             numbers.append(number)
-        core = Core(now, {}, np.zeros(9))
+        core = DetectorCore(now, {}, np.zeros(9))
         # Neither ranges nor IMU are asked for.
-        history = (*history, Record(now.t_us, core, None, None))  # type: ignore[arg-type]
+        history = (*history, EpochRecord(now.t_us, core, None, None))  # type: ignore[arg-type]
     return numbers
 
 

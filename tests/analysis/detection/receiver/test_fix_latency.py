@@ -4,46 +4,46 @@ import numpy as np
 import pytest
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Motion
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.receiver.fix_latency import (
     SIGMA_S,
     USUAL_S,
     Latency,
-    accelerated,
-    lasted,
-    latency_of,
-    learnt,
-    on_time,
+    append_interval,
+    compensate_latency,
+    initial_latency,
+    mean_acceleration,
+    update_latency,
 )
-from analysis.detection.receiver.position_test import Measured, check, start_at
+from analysis.detection.receiver.position_test import FixMeasurement, run_fix_tests, start_at_fix
 from analysis.samples.sample import Vector
 
 TRUE_S = 0.4
 AXES = np.eye(3)
 
 
-def fix(place_m: Vector, velocity_mps: Vector) -> Measured:
-    return Measured(place_m, AXES, np.ones(3), velocity_mps, np.array([0.09, 0.09, 0.16]))
+def fix(place_m: Vector, velocity_mps: Vector) -> FixMeasurement:
+    return FixMeasurement(place_m, AXES, np.ones(3), velocity_mps, np.array([0.09, 0.09, 0.16]))
 
 
 def flown(seconds: float) -> tuple[list[bool], Latency]:
     """A vehicle that weaves with 4 m/s^2; the filter knows its motion, the fixes are late."""
-    latency, passed = latency_of("GPS_RAW_INT"), []
-    before: Motion | None = None
+    latency, passed = initial_latency("GPS_RAW_INT"), []
+    before: MotionEstimate | None = None
     for t_s in np.arange(0.0, seconds, 0.2):
         place, velocity = np.zeros(3), np.zeros(3)
         place[0], velocity[0] = -4.0 * np.cos(t_s), 4.0 * np.sin(t_s)
         told = np.array([4.0 * np.sin(t_s - TRUE_S), 0.0, 0.0])
-        now = start_at(round(t_s * 1e6), fix(place, velocity))._replace(inertial=True)
+        now = start_at_fix(round(t_s * 1e6), fix(place, velocity))._replace(inertial=True)
         now = now._replace(p=now.p * 1e-3)
         if before is not None:
-            acceleration = accelerated(before, now, AXES)
-            latency = lasted(latency, 0.2, acceleration)
-            measured = on_time(fix(place, told), now, latency)
-            _, tested = check(measured, now, DetectorConfig())
+            acceleration = mean_acceleration(before, now, AXES)
+            latency = append_interval(latency, 0.2, acceleration)
+            measured = compensate_latency(fix(place, told), now, latency)
+            _, tested = run_fix_tests(measured, now, DetectorConfig())
             assert tested is not None
             passed.append(tested.passes)
-            latency = learnt(latency, tested, now.p)
+            latency = update_latency(latency, tested, now.p)
         before = now
     return passed, latency
 
@@ -56,10 +56,12 @@ def test_a_late_receiver_is_not_blamed_and_its_latency_is_learnt() -> None:
 
 
 def test_before_it_is_known_a_latency_widens_the_test_by_what_it_may_do() -> None:
-    now = start_at(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(inertial=True)
+    now = start_at_fix(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(
+        inertial=True
+    )
     measured = fix(np.zeros(3), np.zeros(3))
-    latency = lasted(latency_of("GPS_RAW_INT"), 0.2, np.array([3.0, 0.0, 0.0]))
-    late = on_time(measured, now, latency)
+    latency = append_interval(initial_latency("GPS_RAW_INT"), 0.2, np.array([3.0, 0.0, 0.0]))
+    late = compensate_latency(measured, now, latency)
     assert late.r_ecef_m == pytest.approx([(10.0 - 3.0 * USUAL_S / 2) * USUAL_S, 0, 0])
     assert late.variance_m2 - measured.variance_m2 == pytest.approx([(10 * SIGMA_S) ** 2, 0, 0])
     assert late.v_ned_mps == pytest.approx([3.0 * USUAL_S, 0, 0])
@@ -67,32 +69,42 @@ def test_before_it_is_known_a_latency_widens_the_test_by_what_it_may_do() -> Non
 
 
 def test_a_simulators_fix_is_taken_as_it_is_stamped() -> None:
-    now = start_at(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(inertial=True)
+    now = start_at_fix(200_000, fix(np.zeros(3), np.array([10.0, 0.0, 0.0])))._replace(
+        inertial=True
+    )
     measured = fix(np.zeros(3), np.zeros(3))
-    assert on_time(measured, now, lasted(latency_of("HIL_GPS"), 0.2, np.ones(3))) is measured
+    assert (
+        compensate_latency(
+            measured, now, append_interval(initial_latency("HIL_GPS"), 0.2, np.ones(3))
+        )
+        is measured
+    )
 
 
 def test_a_blow_since_a_late_fix_counts_as_long_as_it_lasted() -> None:
     """0.5 s late, ten fixes a second: 20 m/s^2 for 0.1 s are 2 m/s, not 10."""
     latency = Latency(0.5, 0.05**2)
     for acceleration in (0.0, 0.0, 20.0, 0.0):
-        latency = lasted(latency, 0.1, np.array([acceleration, 0.0, 0.0]))
-    now = start_at(400_000, fix(np.zeros(3), np.zeros(3)))._replace(inertial=True)
-    late = on_time(fix(np.zeros(3), np.zeros(3)), now, latency)
+        latency = append_interval(latency, 0.1, np.array([acceleration, 0.0, 0.0]))
+    now = start_at_fix(400_000, fix(np.zeros(3), np.zeros(3)))._replace(inertial=True)
+    late = compensate_latency(fix(np.zeros(3), np.zeros(3)), now, latency)
     assert late.v_ned_mps == pytest.approx([2.0, 0, 0])
 
 
 def test_what_is_wrong_for_a_second_hardly_moves_a_latency_known_for_long() -> None:
     """An IMU 2 m/s^2 off makes the velocities err by up to 1.3 m/s before it is found."""
     _, known = flown(60.0)
-    latency, now = known, start_at(400_000, fix(np.zeros(3), np.zeros(3)))._replace(inertial=True)
+    latency, now = (
+        known,
+        start_at_fix(400_000, fix(np.zeros(3), np.zeros(3)))._replace(inertial=True),
+    )
     now = now._replace(p=now.p * 1e-3)
     for error_mps in (0.3, 0.5, 0.7, 0.9, 1.1, 1.3):
-        latency = lasted(latency, 0.2, np.array([2.0, 0.0, 0.0]))
-        told = on_time(fix(np.zeros(3), np.array([-error_mps, 0.0, 0.0])), now, latency)
+        latency = append_interval(latency, 0.2, np.array([2.0, 0.0, 0.0]))
+        told = compensate_latency(fix(np.zeros(3), np.array([-error_mps, 0.0, 0.0])), now, latency)
         assert told.v_ned_mps is not None
         told = told._replace(v_ned_mps=np.array([-error_mps, 0.0, 0.0]))
-        tested = check(told, now, DetectorConfig())[1]
+        tested = run_fix_tests(told, now, DetectorConfig())[1]
         assert tested is not None
-        latency = learnt(latency, tested, now.p)
+        latency = update_latency(latency, tested, now.p)
     assert abs(latency.seconds - known.seconds) < 0.02

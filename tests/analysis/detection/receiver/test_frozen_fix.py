@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
-from analysis.detection.receiver.frozen_fix import FrozenFix
+from analysis.detection.detector import run_detector
+from analysis.detection.receiver.frozen_fix import FrozenFixDetector
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import GpsFix, ImuSample, MagSample, Sample
@@ -31,7 +31,7 @@ def hover(noise_m: float = 0.1, every_s: float = 0.2, twice: bool = False) -> Bl
 
 
 def told(*blocks: Block) -> list[SensorDecision]:
-    watch = FrozenFix()
+    watch = FrozenFixDetector()
     state, found = watch.new_state(), []
     for block in blocks:
         results, state = watch.step(block, state)
@@ -69,7 +69,9 @@ def test_a_receiver_that_stood_is_followed_again_where_the_vehicle_went_meanwhil
             place = 47.0 + held[0] / 111_200.0, 8.0 + held[1] / 75_000.0, 500.0 + held[2]
             told = (*place, np.array(held[3:]), 3, 10, 1.0, 1.5, "HIL_GPS")
             samples.append(GpsFix(round(t_s * 1e6), *told))
-    found = [r for r in run(Detector(DetectorConfig()), samples) if isinstance(r, Decision)]
+    found = [
+        r for r in run_detector(Detector(DetectorConfig()), samples) if isinstance(r, Decision)
+    ]
     assert all(d.excluded for d in found if 43.0 < d.t_s < 60.0)
     assert not any(d.excluded or d.alarm for d in found if d.t_s > 73.0)
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.filter.filter_state import Motion
-from analysis.detection.filter.inertial import ERRORS, PSI, X_Q, X_SIZE
-from analysis.detection.receiver.heading import with_honest_heading
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import ERROR_SIZE, PSI, X_Q, X_SIZE
+from analysis.detection.receiver.heading import limit_heading_update
 from analysis.samples.sample import GpsFix, ImuSample, MagSample, Sample
-from mavproxy_fault.numerics.earth_kernel import geodetic, ned_axes
-from mavproxy_fault.numerics.rotations.rotation_kernel import matrix
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 PLACE = (47.0, 8.0, 500.0)
 METRES_PER_DEGREE = 111_200.0
@@ -35,11 +35,11 @@ def hovering(seconds: float) -> list[Sample]:
     return samples
 
 
-def heading(motion: Motion) -> tuple[float, float]:
+def heading(motion: MotionEstimate) -> tuple[float, float]:
     """Of a vehicle that points north: how far the heading is off, and its sigma, in rad."""
-    lat, lon, _ = geodetic(motion.x[0:3])
+    lat, lon, _ = geodetic_position(motion.x[0:3])
     axes = ned_axes(lat, lon)
-    rotation = axes @ matrix(motion.x[X_Q : X_Q + 4])
+    rotation = axes @ rotation_matrix(motion.x[X_Q : X_Q + 4])
     variance = axes[2] @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ axes[2]
     return float(np.arctan2(rotation[1, 0], rotation[0, 0])), float(np.sqrt(variance))
 
@@ -64,12 +64,13 @@ def test_an_update_leaves_as_much_doubt_as_the_acceleration_does(
     """Before it 0.6 rad, after it 0.05: what it may have learnt lies between, at 0.2 / 0.5."""
     x = np.zeros(X_SIZE)
     x[0:3], x[X_Q] = (4.2e6, 6.0e5, 4.7e6), 1.0
-    lat, lon, _ = geodetic(x[0:3])
+    lat, lon, _ = geodetic_position(x[0:3])
     axes = ned_axes(lat, lon)
     before, after = (
-        Motion(0, x, variance**2 * np.eye(ERRORS), inertial=True) for variance in (0.6, 0.05)
+        MotionEstimate(0, x, variance**2 * np.eye(ERROR_SIZE), inertial=True)
+        for variance in (0.6, 0.05)
     )
-    kept = with_honest_heading(before, after, np.array([0.0, level_mps2, 3.0]), axes)
+    kept = limit_heading_update(before, after, np.array([0.0, level_mps2, 3.0]), axes)
     block = axes @ kept.p[PSI : PSI + 3, PSI : PSI + 3] @ axes.T
     assert np.sqrt(np.diag(block)) == pytest.approx([0.05, 0.05, sigma])
     assert np.linalg.eigvalsh(kept.p)[0] > 0.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.detection.sensors.instance_vote import InstanceVote
+from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.results import SensorDecision
 from analysis.samples.block import BARO, FIX, MAG, Block, block_of
 from analysis.samples.sample import (
@@ -38,7 +38,7 @@ def flight(count: int, wrong: int | None = None, bias: np.ndarray = HEAVY) -> Bl
 
 
 def told(block: Block) -> list[SensorDecision]:
-    vote = InstanceVote()
+    vote = InstanceVoteDetector()
     return [result for _, result in vote.step(block, vote.new_state())[0]]
 
 
@@ -75,7 +75,7 @@ def test_imus_that_are_shaken_do_not_disagree() -> None:
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight(3, wrong=1)
-    vote = InstanceVote()
+    vote = InstanceVoteDetector()
     state, one_by_one = vote.new_state(), []
     for row in range(len(whole.kind)):
         found, state = vote.step(whole.between(row, row + 1), state)

@@ -37,17 +37,17 @@ def judged(rows: list[tuple[int, int, np.ndarray]], rolls: list[float]) -> list[
     noise = SensorNoise()
     counts = np.zeros((count, 4), np.int64)
     counts[:, [kernel.SLOW_US, kernel.HEALTHY_US]] = kernel.NEVER_US
-    kept = kernel.Kept(
+    kept = kernel.SensorStates(
         np.full(count, kernel.NEVER_US), np.zeros((count, kinds.WIDTH)), counts,
         np.zeros((count, 12)), noise.quiet() ** 2, np.full(4, kernel.UNTESTED), np.zeros(1),
     )  # fmt: skip
-    found = kernel.judge(
-        kernel.Rows(
+    found = kernel.run_sensor_tests(
+        kernel.BlockRows(
             np.array([kind for kind, _, _ in rows]), np.array([t for _, t, _ in rows]), values
         ),
-        kernel.Decisions(numbers, x, p, np.ones(1 + len(at), np.int64)),
+        kernel.EpochDecisions(numbers, x, p, np.ones(1 + len(at), np.int64)),
         kept,
-        kernel.Limits(
+        kernel.SensorLimits(
             np.stack([noise.sigmas(), noise.walks(), noise.quiet()]), np.full(4, 26.0), 1e6
         ),
     )

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
-from analysis.detection.sensors.sensor_tests import References
-from analysis.recordings.recordings import read_log
+from analysis.detection.detector import run_detector
+from analysis.detection.sensors.sensor_tests import NavigationDetector
+from analysis.recordings.read_recordings import read_log
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import block_of
 from analysis.samples.sample import (
@@ -83,7 +83,7 @@ def with_sensors(flight: list[Sample], fault: str) -> list[Sample]:
 
 
 def judged(samples: list[Sample]) -> list[SensorDecision]:
-    references = References(DetectorConfig())
+    references = NavigationDetector(DetectorConfig())
     results, _ = references.step(block_of(samples), references.new_state())
     return [r for r in results if isinstance(r, SensorDecision)]
 
@@ -108,7 +108,9 @@ def test_a_faulty_sensor_alone_is_isolated(flight, sensor: str):
 def test_a_receiver_that_jumps_is_told_from_the_imu_without_raw_ranges(shared_data: Path):
     path = next((shared_data / "px4_hil").glob("*_hil.tlog"))
     samples = [sample for block in read_log(path) for sample in block.samples()]
-    found = [r for r in run(Detector(DetectorConfig()), samples) if isinstance(r, Decision)]
+    found = [
+        r for r in run_detector(Detector(DetectorConfig()), samples) if isinstance(r, Decision)
+    ]
     alarms = [d for d in found if d.alarm]
     assert alarms[0].t_s == pytest.approx(41.0, abs=0.2)
     assert {d.hypothesis for d in alarms} == {"gps"}
@@ -124,7 +126,7 @@ def test_a_faulty_imu_is_told_from_the_receiver_without_raw_ranges(flights):
         else s
         for s in samples
     ]
-    found = [r for r in run(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
+    found = [r for r in run_detector(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
     first = next(d for d in found if d.alarm)
     assert first.hypothesis == "imu"
     assert 30.0 <= first.t_s < 31.0
@@ -143,7 +145,7 @@ def spoofed(sample: Sample, speed_mps: float) -> Sample:
 def test_a_spoofer_that_moves_position_and_velocity_together_is_not_taken_for_the_imu(flights):
     samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
     spoof = [spoofed(s, 5.0) for s in samples]
-    found = [r for r in run(Detector(DetectorConfig()), spoof) if isinstance(r, Decision)]
+    found = [r for r in run_detector(Detector(DetectorConfig()), spoof) if isinstance(r, Decision)]
     alarms = [d for d in found if d.alarm]
     assert alarms[0].t_s == pytest.approx(30.0, abs=0.21)
     assert alarms[0].excluded == ("GPS", "gps-velocity")
@@ -158,7 +160,7 @@ def test_what_may_be_the_receiver_or_the_imu_is_called_so_and_bounds_no_position
         else s
         for s in samples
     ]
-    found = [r for r in run(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
+    found = [r for r in run_detector(Detector(DetectorConfig()), faulty) if isinstance(r, Decision)]
     first = next(d for d in found if d.alarm)
     assert first.hypothesis == "GPS-or-imu"
     assert first.position_sigma_m is None
@@ -186,7 +188,7 @@ def test_a_fix_that_is_none_is_untestable():
         (replace(fix, fix_type=3, lat_deg=0.0, lon_deg=0.0), "0, 0"),
     ]
     for bad, reason in cases:
-        (result,) = run(Detector(DetectorConfig()), [bad])
+        (result,) = run_detector(Detector(DetectorConfig()), [bad])
         assert result.hypothesis == "untestable"
         assert reason in result.reason
 
@@ -223,13 +225,13 @@ def falling(speed_mps: float, still_from: int) -> list[Sample]:
 
 
 def test_an_impact_with_the_ground_is_not_the_receivers_fault():
-    decisions = run(Detector(DetectorConfig()), falling(20.0, 30))
+    decisions = run_detector(Detector(DetectorConfig()), falling(20.0, 30))
     assert {r.hypothesis for r in decisions if isinstance(r, Decision)} == {"none"}
 
 
 def test_a_velocity_that_stands_still_while_the_position_moves_is_the_receivers_fault():
     fixes = falling(20.0, 60)
     lying = [replace(s, v_ned_mps=np.zeros(3)) for s in fixes[30:] if isinstance(s, GpsFix)]
-    decisions = run(Detector(DetectorConfig()), [*fixes[:30], *lying])
+    decisions = run_detector(Detector(DetectorConfig()), [*fixes[:30], *lying])
     blamed = [r for r in decisions if isinstance(r, Decision) and r.hypothesis == "gps"]
     assert blamed[0].t_us <= 200_000 * 31

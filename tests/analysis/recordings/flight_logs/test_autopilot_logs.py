@@ -8,7 +8,7 @@ import pytest
 
 from analysis.recordings.flight_logs.dataflash import read_dataflash
 from analysis.recordings.flight_logs.log_condition import LogCondition
-from analysis.recordings.recordings import read_log
+from analysis.recordings.read_recordings import read_log
 from analysis.samples.block import ATTITUDE, BARO, COMMAND, FIX, IMU, MAG, SPARE
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample, MagSample
 from mavproxy_fault.documents.errors import ConfigError

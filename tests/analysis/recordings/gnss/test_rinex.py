@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from analysis.orbits.broadcast import pack_ephemeris
-from analysis.orbits.snapshot import solve
+from analysis.orbits.snapshot import solve_position
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import gps_time, read_observations
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -168,7 +168,7 @@ def test_a_real_static_file_gives_its_position(shared_data: Path):
         epoch.doppler_mps[keep],
         epoch.cn0_dbhz[keep],
     )
-    fix = solve(
+    fix = solve_position(
         part,
         np.array([packed[n] for n in names]),
         np.array(ionosphere.alpha + ionosphere.beta),

@@ -8,7 +8,7 @@ import pytest
 
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
-from analysis.recordings.recordings import read_rinex, read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.samples.sample import EphemerisSample, ImuSample
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError

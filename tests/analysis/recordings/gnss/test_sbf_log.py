@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.detector import run
+from analysis.detection.detector import run_detector
 from analysis.orbits.broadcast import pack_ephemeris
 from analysis.recordings.gnss.receiver_logs import is_receiver_log
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.gnss.sbf_log import read_sbf
 from analysis.recordings.gnss.sbf_orbits import GPS_NAV, QZS_NAV, satellite_name
-from analysis.recordings.recordings import read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.cli import main
@@ -122,8 +122,8 @@ def test_a_real_log_gives_the_place_that_its_receiver_tells(systems: str, satell
         at += length
     lat, lon, height = told[-1]
     decisions = [
-        d for d in run(Detector(DetectorConfig(systems=systems)), read_rinex_samples(LOG, []))
-        if isinstance(d, Decision)
+        d for d in run_detector(Detector(DetectorConfig(systems=systems)), read_rinex_samples(LOG,
+        [])) if isinstance(d, Decision)
     ]  # fmt: skip
     assert len(decisions) == 12
     assert not any(d.alarm for d in decisions)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from analysis.orbits.broadcast import pack_ephemeris, satellite_states
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.ubx_log import read_ubx
-from analysis.recordings.recordings import read_rinex, read_rinex_samples
+from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.cli import main
 from mavproxy_fault.documents.errors import ConfigError

@@ -3,14 +3,14 @@ import math
 import pytest
 
 from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 
 
 def frame(name, **values):
-    layout = known(name)
-    return Frame(build(layout, values, seq=9), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values, seq=9), layout)
 
 
 def sent(one):

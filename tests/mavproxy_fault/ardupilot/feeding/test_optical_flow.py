@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.ardupilot.feeding.optical_flow import SCALER, FlowInput
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 
 PERIOD_US = 50_000
@@ -14,10 +14,12 @@ PERIOD_US = 50_000
 
 def flow(rate_rps, **values):
     """A camera's frame for one period at a rate about x, and twice that about -y."""
-    layout = known("HIL_OPTICAL_FLOW")
+    layout = message_layout("HIL_OPTICAL_FLOW")
     angle = rate_rps * PERIOD_US * 1e-6
     fields = {"integrated_x": angle, "integrated_y": -2 * angle, "quality": 255, "distance": 9.5}
-    return Frame(build(layout, {"integration_time_us": PERIOD_US, **fields, **values}), layout)
+    return Frame(
+        build_frame(layout, {"integration_time_us": PERIOD_US, **fields, **values}), layout
+    )
 
 
 def sent(raw):

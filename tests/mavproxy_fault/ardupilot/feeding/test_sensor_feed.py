@@ -6,8 +6,8 @@ import pytest
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.feeding.vectornav import BinaryOutput
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import Frame, build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 HOME = TrueState(0, (1.0, 0.0, 0.0, 0.0), 474_000_000, 85_000_000, 488_000, (0.0, 0.0, 0.0))
 IMU_BYTES, GNSS_BYTES, INS_BYTES = 82, 110, 104
@@ -19,8 +19,8 @@ OUTPUTS = (
 
 
 def frame(name, **values):
-    layout = known(name)
-    return Frame(build(layout, values), layout)
+    layout = message_layout(name)
+    return Frame(build_frame(layout, values), layout)
 
 
 def readings_of(*frames):

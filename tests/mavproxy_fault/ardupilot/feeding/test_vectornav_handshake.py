@@ -4,7 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavproxy_fault.ardupilot.feeding.vectornav_handshake import Handshake, checksum, sentence_of
+from mavproxy_fault.ardupilot.feeding.vectornav_handshake import (
+    Handshake,
+    format_sentence,
+    xor_checksum,
+)
 from mavproxy_fault.documents.errors import ConfigError
 
 
@@ -14,7 +18,7 @@ def test_a_real_driver_is_answered_line_for_line(handshake_lines):
     assert {output.pace for output in handshake.outputs} >= {"imu", "gnss"}
     echoed = [line for line in handshake_lines if b"VNRRG" not in line]
     assert [answer for answer in answers if b"VNRRG" not in answer] == echoed
-    assert b"$VNRRG,01,VN-200*%02X\r\n" % checksum(b"VNRRG,01,VN-200") in answers
+    assert b"$VNRRG,01,VN-200*%02X\r\n" % xor_checksum(b"VNRRG,01,VN-200") in answers
 
 
 def test_nothing_streams_before_the_driver_has_configured_it(handshake_lines):
@@ -44,23 +48,23 @@ def test_a_damaged_line_is_not_answered():
 
 def test_a_pause_stops_the_stream():
     handshake = Handshake()
-    handshake.received(sentence_of(b"VNWRG,75,3,2,01,0721"))
+    handshake.received(format_sentence(b"VNWRG,75,3,2,01,0721"))
     assert len(handshake.outputs) == 1
-    handshake.received(sentence_of(b"VNASY,0"))
+    handshake.received(format_sentence(b"VNASY,0"))
     assert not handshake.outputs
-    handshake.received(sentence_of(b"VNASY,1"))
+    handshake.received(format_sentence(b"VNASY,1"))
     assert len(handshake.outputs) == 1
 
 
 def test_an_output_that_is_not_served_is_told():
     with pytest.raises(ConfigError, match="field 3 of group 1"):
-        Handshake().received(sentence_of(b"VNWRG,75,3,2,01,0008"))
+        Handshake().received(format_sentence(b"VNWRG,75,3,2,01,0008"))
 
 
 def test_numbers_that_are_none_are_not_answered():
     handshake = Handshake()
     for body in (b"VNRRG,x", b"VNWRG,75,3,2,zz,0721", b"VNWRG,x,3,2,01,0721"):
-        assert handshake.received(sentence_of(body)) == b""
+        assert handshake.received(format_sentence(body)) == b""
     assert not handshake.outputs
 
 
@@ -68,4 +72,4 @@ def test_a_line_without_end_does_not_grow_for_ever():
     handshake = Handshake()
     for _ in range(100):
         handshake.received(b"x" * 1000)
-    assert handshake.received(b"\n" + sentence_of(b"VNASY,1")) == sentence_of(b"VNASY,1")
+    assert handshake.received(b"\n" + format_sentence(b"VNASY,1")) == format_sentence(b"VNASY,1")

@@ -55,7 +55,9 @@ def test_the_angle_between_attitudes_ignores_the_sign_of_the_quaternion() -> Non
 
 
 def test_angles_wrap_into_one_turn() -> None:
-    assert np.allclose(rotation.wrap([np.pi, 3.5 * np.pi, -0.1]), [-np.pi, -0.5 * np.pi, -0.1])
+    assert np.allclose(
+        rotation.wrap_angles([np.pi, 3.5 * np.pi, -0.1]), [-np.pi, -0.5 * np.pi, -0.1]
+    )
 
 
 def test_single_values_agree_with_arrays() -> None:
@@ -63,4 +65,4 @@ def test_single_values_agree_with_arrays() -> None:
     for q in QUATS:
         assert np.allclose(one_rotation.euler_angles(q), rotation.euler_from_quat(q), atol=1e-12)
         there = rotation.matrix_from_quat(q).T @ vector
-        assert np.allclose(one_rotation.into_body(q, vector), there, atol=1e-12)
+        assert np.allclose(one_rotation.rotate_to_body(q, vector), there, atol=1e-12)

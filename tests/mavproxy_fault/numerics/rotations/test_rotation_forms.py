@@ -29,8 +29,8 @@ def test_a_turned_vector_is_the_same_in_every_form(
     near = {"abs": 1e-12 * (1.0 + float(np.abs(vector).max()))}
     assert rotation_kernel.to_body(*q, *vector) == pytest.approx(expected, **near)
     assert rotation_kernel.to_ned(*q, *expected) == pytest.approx(vector, **near)
-    assert rotation_kernel.matrix(q).T @ vector == pytest.approx(expected, **near)
-    assert one_rotation.into_body(q.tolist(), vector) == pytest.approx(expected, **near)
+    assert rotation_kernel.rotation_matrix(q).T @ vector == pytest.approx(expected, **near)
+    assert one_rotation.rotate_to_body(q.tolist(), vector) == pytest.approx(expected, **near)
     assert np.array(one_rotation.body_matrix(*angles)) @ vector == pytest.approx(expected, **near)
 
 
@@ -40,16 +40,18 @@ def test_angles_and_small_turns_are_the_same_in_every_form(
     angles: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     q = rotation.quat_from_euler(*angles)
-    for found in (rotation_kernel.euler(q), one_rotation.euler_angles(q.tolist())):
+    for found in (rotation_kernel.euler_of_quaternion(q), one_rotation.euler_angles(q.tolist())):
         assert found == pytest.approx(rotation.euler_from_quat(q).tolist(), abs=1e-12)
-    assert rotation_lanes.euler(*q.tolist()) == pytest.approx(angles, abs=1e-7)
+    assert rotation_lanes.euler_of_quaternion(*q.tolist()) == pytest.approx(angles, abs=1e-7)
     assert rotation_lanes.quaternion_of_euler(*angles) == pytest.approx(q, abs=1e-7)
-    assert rotation_lanes.wrapped(angles[0] + 4.0 * math.pi) == pytest.approx(angles[0], abs=1e-12)
+    assert rotation_lanes.wrap_angle(angles[0] + 4.0 * math.pi) == pytest.approx(
+        angles[0], abs=1e-12
+    )
     expected = rotation.quat_multiply(q, rotation.quat_from_rotvec(turn))
-    assert rotation_kernel.turned(q, *turn) == pytest.approx(expected, abs=1e-12)
-    assert one_rotation.turned(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)
+    assert rotation_kernel.rotate_attitude(q, *turn) == pytest.approx(expected, abs=1e-12)
+    assert one_rotation.rotate_quaternion(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)
     outside = rotation.quat_multiply(rotation.quat_from_rotvec(turn), q)
-    assert rotation_kernel.turned_in_reference(q, *turn) == pytest.approx(outside, abs=1e-12)
-    angle = rotation_kernel.errors(q, expected)[3]
+    assert rotation_kernel.rotate_in_reference(q, *turn) == pytest.approx(outside, abs=1e-12)
+    angle = rotation_kernel.attitude_errors(q, expected)[3]
     assert angle == pytest.approx(float(rotation.angle_between(q, expected)), abs=1e-7)
     assert angle == pytest.approx(math.sqrt(sum(x * x for x in turn)), abs=1e-7)

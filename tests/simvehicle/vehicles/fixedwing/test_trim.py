@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_of, read_fixedwing
-from simvehicle.vehicles.fixedwing.trim import euler_derivative, linearise, modes, trim
-from simvehicle.vehicles.parameter_file import body_of
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.fixedwing.trim import (
+    euler_derivative,
+    find_trim,
+    linearise_trim,
+    mode_eigenvalues,
+)
+from simvehicle.vehicles.parameter_file import body_inertia
 
 # Set, airspeed [m/s], angle of attack [deg], elevator [rad], throttle, longitudinal and lateral
 # eigenvalues with non-negative imaginary part [1/s]; computed separately from the published
@@ -63,20 +68,20 @@ def test_trim_and_modes_are_those_of_the_table(
     lateral: list[complex],
 ) -> None:
     parameters = read_fixedwing(name)
-    body, aero = body_of(parameters, {}), aero_of(parameters, {})
-    point = trim(airspeed, body, aero)
+    body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
+    point = find_trim(airspeed, body, aero)
     assert np.degrees(point.alpha_rad) == pytest.approx(alpha_deg, abs=0.006)
     assert point.elevator_rad == pytest.approx(elevator, abs=2e-4)
     assert point.throttle == pytest.approx(throttle, abs=6e-4)
-    found = modes(linearise(point, body, aero)[0])
+    found = mode_eigenvalues(linearise_trim(point, body, aero)[0])
     assert _matches(found[0], longitudinal)
     assert _matches(found[1], lateral)
 
 
 def test_a_trimmed_climb_is_steady_and_climbs() -> None:
     parameters = read_fixedwing("aerosonde-2025")
-    body, aero = body_of(parameters, {}), aero_of(parameters, {})
-    point = trim(25.0, body, aero, climb_rad=0.1)
+    body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
+    point = find_trim(25.0, body, aero, climb_rad=0.1)
     rate = euler_derivative(point.state12(), point.controls(), body, aero, 1.2682, 9.81)
     assert np.allclose(rate[3:], 0.0, atol=1e-6)
     assert -rate[2] == pytest.approx(25.0 * np.sin(0.1), rel=1e-6)
@@ -85,4 +90,4 @@ def test_a_trimmed_climb_is_steady_and_climbs() -> None:
 def test_a_speed_the_airframe_cannot_fly_is_refused() -> None:
     parameters = read_fixedwing("aerosonde-2012")
     with pytest.raises(ValueError, match="no straight flight at 5"):
-        trim(5.0, body_of(parameters, {}), aero_of(parameters, {}))
+        find_trim(5.0, body_inertia(parameters, {}), aero_coefficients(parameters, {}))

@@ -1,0 +1,120 @@
+"""An operator's requests as ArduPilot takes them: plain MAVLink; no I/O."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
+from analysis.autopilots.flight_plan import Waypoint
+from analysis.autopilots.mission_items import (
+    ItemFields,
+    landing_items,
+    waypoint_item,
+    waypoint_items,
+)
+from mavproxy_fault.wire.dialect import Layout, message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
+
+COMMAND_LONG, MISSION_COUNT = message_layout("COMMAND_LONG"), message_layout("MISSION_COUNT")
+MISSION_ITEM_INT = message_layout("MISSION_ITEM_INT")
+TAKE_OFF, SET_MODE, ARM, START = 22, 176, 400, 300  # MAV_CMD_
+CUSTOM_MODE = 1  # MAV_MODE_FLAG_
+ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
+
+
+@dataclass(frozen=True, slots=True)
+class ArduPilotModes:
+    """Custom modes of a kind of ArduPilot; a plane's TAKEOFF mode needs no command to take off."""
+
+    take_off: int
+    auto: int
+    land: int
+    take_off_command: bool
+
+
+COPTER = ArduPilotModes(take_off=4, auto=3, land=9, take_off_command=True)  # GUIDED, AUTO, LAND
+PLANE = ArduPilotModes(
+    take_off=13, auto=10, land=26, take_off_command=False
+)  # TAKEOFF, AUTO, AUTOLAND
+
+
+class ArduPilotCommands:
+    """Frames for an ArduPilot of system 1.
+
+    Parameters
+    ----------
+    modes : Modes
+    landing : sequence of Waypoint
+        A plane's way to the ground, where its version has no mode that lands.
+    """
+
+    awaiting = False  # its answers are the vehicle's own
+
+    def __init__(self, modes: ArduPilotModes, landing: Sequence[Waypoint] = ()) -> None:
+        self._modes, self._landing = modes, landing
+        self._asked_mode = -1
+        self._cannot_land = self._landing_uploaded = False
+        self._items: list[ItemFields] = []
+        self._seq = 0
+        self._pending: list[bytes] = []
+
+    def pending(self) -> list[bytes]:
+        """What has to be sent now."""
+        frames, self._pending = self._pending, []
+        return frames
+
+    def heard(self, frame: Frame) -> None:
+        """Send the mission's items, each when it is asked for; learn what is refused."""
+        if frame.layout.name == "COMMAND_ACK" and frame.number("command") == SET_MODE:
+            refused = frame.number("result") not in (ACCEPTED, IN_PROGRESS)
+            # Before 4.7 a plane has no AUTOLAND.
+            self._cannot_land |= refused and self._asked_mode == self._modes.land
+        elif frame.layout.name == "MISSION_ACK" and self._cannot_land:
+            self._landing_uploaded = frame.number("type") == 0
+        if frame.layout.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
+            number = min(int(frame.number("seq")), len(self._items) - 1)
+            self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
+
+    def upload(self, waypoints: Sequence[Waypoint]) -> None:
+        """Offer the mission, whose first item is ArduPilot's own home; it asks for the items."""
+        self._items = [waypoint_item(waypoints[0]), *waypoint_items(waypoints)]
+        self._send(MISSION_COUNT, {"count": len(self._items)})
+
+    def arm(self) -> None:
+        """Arm in the mode that takes off."""
+        self._mode(self._modes.take_off)
+        self._command(ARM, 1.0)
+
+    def take_off(self, height_m: float) -> None:
+        """Climb; a plane's mode does so without a word."""
+        if self._modes.take_off_command:
+            self._command(TAKE_OFF, 0, 0, 0, 0, 0, 0, height_m)
+
+    def fly_mission(self) -> None:
+        """Start the mission."""
+        self._mode(self._modes.auto)
+        self._command(START)
+
+    def land(self) -> None:
+        """Change to the mode that lands, or fly the landing as a mission."""
+        if not (self._cannot_land and self._landing):
+            self._mode(self._modes.land)
+        elif not self._landing_uploaded:
+            self._items = [waypoint_item(self._landing[0]), *landing_items(self._landing)]
+            self._send(MISSION_COUNT, {"count": len(self._items)})
+        elif self._asked_mode != self._modes.auto:
+            self.fly_mission()
+
+    def _mode(self, number: int) -> None:
+        self._asked_mode = number
+        self._command(SET_MODE, CUSTOM_MODE, number)
+
+    def _command(self, number: int, *parameters: float) -> None:
+        values: dict[str, object] = {f"param{n}": value for n, value in enumerate(parameters, 1)}
+        self._send(COMMAND_LONG, values | {"command": number})
+
+    def _send(self, layout: Layout, values: Mapping[str, object]) -> None:
+        self._seq = (self._seq + 1) & 0xFF
+        values = {"target_system": 1, "target_component": 1, **values}
+        self._pending.append(
+            build_frame(layout, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
+        )

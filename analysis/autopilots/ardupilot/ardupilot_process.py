@@ -1,0 +1,56 @@
+"""ArduPilot in a run: the bridge, which starts the autopilot and ends it."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, PLANE, ArduPilotCommands
+from analysis.autopilots.flight_operator import AutopilotCommands
+from analysis.autopilots.flight_plan import flight_plan
+from analysis.autopilots.hil_exchange import BRIDGE_STEP
+from analysis.autopilots.running_autopilot import RunningAutopilot
+from analysis.autopilots.user_parameters import format_parameters
+from mavproxy_fault.ardupilot.autopilot_process import check_command
+from mavproxy_fault.ardupilot.bridge_command import user_parameter_files
+from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.ardupilot.parameters import VehicleKind
+from simvehicle.simulation.simulation import Simulation
+
+KINDS: dict[str, VehicleKind] = {
+    "multirotor": "copter",
+    "fixedwing": "plane",
+}  # of the bridge, by the scenario's
+BINARIES = {kind: f"ardu{name}" for kind, name in KINDS.items()}
+MODES = {"multirotor": COPTER, "fixedwing": PLANE}
+
+
+def launch_command(binary: str) -> list[str]:
+    """The words that start it; ConfigError where there is no such program."""
+    return check_command(binary)
+
+
+@contextlib.contextmanager
+def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
+    """How it is asked."""
+    kind = simulation.scenario.vehicle.kind
+    yield ArduPilotCommands(MODES[kind], flight_plan(simulation).landing)
+
+
+@contextlib.contextmanager
+def start_autopilot(
+    words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
+) -> Iterator[RunningAutopilot]:
+    """The bridge and its autopilot with the user's `own` parameters; both end with the flight."""
+    path, kind = folder / "bridge.log", KINDS[simulation.scenario.vehicle.kind]
+    files = []
+    if own:
+        file = folder / "own.parm"
+        file.write_text(format_parameters(own))
+        files = user_parameter_files(str(file))
+    with path.open("w", buffering=1) as log, contextlib.ExitStack() as stack:
+        # In this process: a process of its own would cost each step two changes between them.
+        bridged = BridgedAutopilot(
+            words, kind, folder / "autopilot", files, lambda line: print(line, file=log)
+        )
+        stack.callback(bridged.close)
+        yield RunningAutopilot("ArduPilot", bridged, [bridged], path, BRIDGE_STEP)

@@ -1,0 +1,40 @@
+"""Those who watch an autopilot's flight on Zenoh, such as the page, and arm faults in it."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from analysis.monitor.publish import Publisher
+from analysis.run.proxied_flight import ProxiedFlight
+from mavproxy_fault.links.bus import Bus
+from mavproxy_fault.live.edit_log import EditLog
+from mavproxy_fault.live.session import LiveSession
+from mavproxy_fault.wire.label import Label
+
+
+class AutopilotBusSession:
+    """One flight on the bus; what is asked for stands in its journal, so that a replay has it."""
+
+    def __init__(self, bus: Bus, flight: ProxiedFlight, journal: EditLog) -> None:
+        self._flight = flight
+        self._live = LiveSession(flight.control, lambda: journal.begin(flight.now_us), journal)
+        self._publisher = Publisher(bus)
+        self._live.offer(bus)
+
+    def serve(self) -> None:
+        """Carry out what was asked for, and show what changed; called at every step."""
+        self._live.serve()
+        # By the wall clock: it paces the page, nothing of the flight.
+        self._live.show(time.monotonic())
+
+    def tell(self, results: Sequence[Any]) -> None:
+        """Publish the monitor's results."""
+        self._publisher.publish(list(results))
+
+    def tell_labels(self, labels: Sequence[Label]) -> None:
+        """Publish how links and faults are doing."""
+        self._live.publish(self._flight.stats(), labels)
+
+    def close(self) -> None:
+        """Refuse what is asked from now on."""
+        self._live.close()

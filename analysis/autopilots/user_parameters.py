@@ -1,0 +1,45 @@
+"""A user's parameters for the autopilot of a run, over those that the run sets itself."""
+
+import math
+from pathlib import Path
+
+from mavproxy_fault.documents.errors import ConfigError
+
+QGC_COLUMNS = 5  # QGroundControl's: vehicle, component, name, value, type
+
+
+def read_parameters(file: str | None) -> dict[str, float]:
+    """Names and values, of a file as Mission Planner, MAVProxy or QGroundControl write it.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a line is no parameter.
+    """
+    if file is None:
+        return {}
+    try:
+        lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"--parameters: {file} cannot be read ({error}); give a parameter file"
+        ) from None
+    found: dict[str, float] = {}
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        name, text = words[2:4] if len(words) == QGC_COLUMNS else (*words, "")[:2]
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if len(words) not in (2, QGC_COLUMNS) or not math.isfinite(value):
+            raise ConfigError(f"{file}:{number}: {line.strip()!r} is no parameter; NAME VALUE")
+        found[name] = value
+    return found
+
+
+def format_parameters(parameters: dict[str, float]) -> str:
+    """Lines of NAME VALUE, as ArduPilot reads them."""
+    return "".join(f"{name} {value:.9g}\n" for name, value in parameters.items())

@@ -1,0 +1,202 @@
+"""What is to be flown: the cells of a campaign as threads of jobs.
+
+A thread yields a job and is sent its results; that of a grid yields one, a bisection several. Cells
+whose results are known are not flown again.
+"""
+
+from collections.abc import Generator, Iterator, Mapping
+from itertools import groupby, product
+from pathlib import Path
+
+from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
+from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
+from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, file_key
+from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
+
+MAX_BATCH_CELLS = 2048  # cells of one batch, so that progress shows and a kill loses little
+KnownResults = Mapping[str, CellResult]
+JobSequence = Generator[Job, list[CellResult], None]
+
+
+class CampaignPlan:
+    """A campaign's cells and how they are flown; `keep` is where logs go, if anywhere."""
+
+    def __init__(self, campaign: CampaignFile, keep: Path | None = None) -> None:
+        self.campaign = campaign
+        self._keep = keep
+        self.subjects = campaign.subject_names
+        self.scenarios = campaign.scenario_names
+
+    # -- size ------------------------------------------------------------------------------------
+
+    @property
+    def most_cells(self) -> int:
+        """How many cells there are; of a critical search, how many at most."""
+        campaign = self.campaign
+        if campaign.find == "critical":
+            per_fault = len(campaign.faults) * (HALVINGS + 2)
+        else:
+            per_fault = sum(len(fault.listed()) for fault in campaign.faults)
+        series = len(campaign.onsets) * len(campaign.durations_s) * len(campaign.seeds)
+        return len(self.subjects) * len(self.scenarios) * per_fault * series
+
+    @property
+    def most_flights(self) -> int:
+        """How many flights those are, without the twins."""
+        # A flight that is shared answers for all its subjects.
+        return self.most_cells // len(self.subjects) * len(self._groups())
+
+    @property
+    def flight_s(self) -> float:
+        """The mean length of a flight in simulated seconds."""
+        if self.campaign.compiled:
+            lengths = [s.compiled.get("duration_s", 60.0) for s in self.campaign.scenarios]  # type: ignore[union-attr]
+        else:
+            setups = [setup_by_name(self.campaign, name) for name in self.scenarios]
+            lengths = [setup.scenario.duration_s for setup in setups]
+        return float(sum(lengths) / len(lengths))
+
+    def _groups(self) -> list[list[str]]:
+        """Subjects that share their flights: those that the simulator's controller flies."""
+        if self.campaign.find == "critical" or self.campaign.compiled:
+            return [[name] for name in self.subjects]
+        groups: list[list[str]] = []
+        onboard: list[str] = []
+        for name, subject in zip(self.subjects, self.campaign.subjects, strict=True):
+            if isinstance(subject, SubjectChoice):
+                groups.append([name])
+            else:
+                onboard.append(name)
+        return [onboard, *groups] if onboard else groups
+
+    # -- twins -----------------------------------------------------------------------------------
+
+    def twins(self) -> dict[str, FlightJob]:
+        """The flights without a fault, by key."""
+        if self.campaign.compiled:
+            # Compiled batches fly their twin along.
+            return {}
+        found = {}
+        for group, scenario, seed in product(self._groups(), self.scenarios, self.campaign.seeds):
+            cells = tuple(
+                Cell(subject=name, scenario=scenario, fault=HEALTHY, seed=seed) for name in group
+            )
+            found[self.twin_key(cells[0])] = FlightJob(
+                self.campaign, cells, None, self._folder(cells[0])
+            )
+        return found
+
+    def twin_key(self, cell: Cell) -> str:
+        """What a cell's twin is known by; subjects that share flights share it."""
+        # The first subject stands for all that share the flight.
+        first = next(group[0] for group in self._groups() if cell.subject in group)
+        return f"{first}|{cell.scenario}|{cell.seed}"
+
+    def _folder(self, cell: Cell) -> str | None:
+        """Where the logs of a flight go."""
+        return None if self._keep is None else str(self._keep / file_key(*cell.key.split("|")))
+
+    # -- cells -----------------------------------------------------------------------------------
+
+    def threads(
+        self, known: KnownResults, twins: Mapping[str, CampaignFlight]
+    ) -> Iterator[JobSequence]:
+        """What is left to fly."""
+        if self.campaign.find == "critical":
+            for cell in self._series():
+                yield self._critical(cell, known, twins)
+        elif self.campaign.compiled:
+            yield from self._lanes(known)
+        else:
+            for cells in self._grid():
+                missing = tuple(cell for cell in cells if cell.key not in known)
+                if missing:
+                    yield _single_job(self._job(missing, twins))
+
+    def _series(self) -> Iterator[Cell]:
+        """A cell of each series, without a magnitude."""
+        campaign = self.campaign
+        for subject, scenario, fault, onset, duration_s, seed in product(
+            self.subjects, self.scenarios, campaign.faults, campaign.onsets,
+            campaign.durations_s, campaign.seeds,
+        ):  # fmt: skip
+            yield Cell(
+                subject=subject, scenario=scenario, fault=fault.name, onset=onset,
+                duration_s=duration_s, seed=seed,
+            )  # fmt: skip
+
+    def _grid(self) -> Iterator[list[Cell]]:
+        """The cells of each flight."""
+        for group in self._groups():
+            for series in self._series():
+                if series.subject != group[0]:
+                    continue
+                for magnitude in self.campaign.fault(series.fault).listed():
+                    yield [cell_at(series, magnitude, subject) for subject in group]
+
+    def _lanes(self, known: KnownResults) -> Iterator[JobSequence]:
+        """Compiled batches: cells that differ in magnitude, onset and duration."""
+        cells = (cell for group in self._grid() for cell in group if cell.key not in known)
+        # `groupby` wants equals side by side.
+        alike = sorted(cells, key=_batch_key)
+        for _, batch in groupby(alike, key=_batch_key):
+            listed = tuple(batch)
+            for start in range(0, len(listed), MAX_BATCH_CELLS):
+                yield _single_job(LaneJob(self.campaign, listed[start : start + MAX_BATCH_CELLS]))
+
+    def _job(self, cells: tuple[Cell, ...], twins: Mapping[str, CampaignFlight]) -> Job:
+        if self.campaign.compiled:
+            return LaneJob(self.campaign, cells)
+        twin = twins[self.twin_key(cells[0])]
+        return FlightJob(self.campaign, cells, twin, self._folder(cells[0]))
+
+    def _critical(
+        self, series: Cell, known: KnownResults, twins: Mapping[str, CampaignFlight]
+    ) -> JobSequence:
+        """Bisect one series; an aborted flight ends it."""
+        search = bisect_magnitude(self.campaign.fault(series.fault).interval())
+        try:
+            magnitude = next(search)
+            while True:
+                cell = cell_at(series, magnitude, series.subject)
+                result = known.get(cell.key)
+                if result is None:
+                    (result,) = yield self._job((cell,), twins)
+                if result.outcome == "aborted":
+                    # Without an answer the bisection cannot choose a side.
+                    return
+                magnitude = search.send(self.campaign.limits.worse(result.outcome))
+        except StopIteration:
+            return
+
+    def criticals(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
+        """What the bisections that are over have found, by series."""
+        found = {}
+        for series in self._series():
+            search = bisect_magnitude(self.campaign.fault(series.fault).interval())
+            try:
+                magnitude = next(search)
+                while (
+                    result := known.get(cell_at(series, magnitude, series.subject).key)
+                ) is not None:
+                    magnitude = search.send(self.campaign.limits.worse(result.outcome))
+            # The generator's return value is what it found.
+            except StopIteration as over:
+                found[series.series] = over.value
+        return found
+
+
+def cell_at(series: Cell, magnitude: float | None, subject: str) -> Cell:
+    """The cell of a series with a magnitude."""
+    return Cell(
+        subject=subject, scenario=series.scenario, fault=series.fault, magnitude=magnitude,
+        onset=series.onset, duration_s=series.duration_s, seed=series.seed,
+    )  # fmt: skip
+
+
+def _single_job(job: Job) -> JobSequence:
+    yield job
+
+
+def _batch_key(cell: Cell) -> tuple[str, str, str, int]:
+    return cell.subject, cell.scenario, cell.fault, cell.seed

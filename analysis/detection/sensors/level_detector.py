@@ -1,0 +1,97 @@
+"""Sensors that leave their own level: a step of the pipeline that needs no filter and no attitude.
+
+- The size of the magnetic field, whichever way the vehicle points.
+- Whether a receiver says that it has a fix.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.detection.sensors.level_kernel import (
+    FIELD,
+    HAS_FIX,
+    NEWEST,
+    LevelState,
+    new_levels,
+    track_levels,
+)
+from analysis.results import SensorDecision, pattern_alarm
+from analysis.samples.block import FIX, FIX_TYPE, IMU, IMU_ID, KINDS, MAG, Block, Indices
+from analysis.samples.sample import Vector
+
+FIX_3D = 3
+# A sample of a compass is a mean over the time since the one before, at most this time; turned so
+# far meanwhile it has lost 1 % of the field
+MEAN_US, TURN_RAD = 200_000, 0.5
+SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position"}
+REASONS = {
+    FIELD: "the field's size is off by {:.3f} gauss",
+    HAS_FIX: "says that it has no fix",
+}
+IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX))
+Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
+
+
+@dataclass(frozen=True)
+class LevelDetector:
+    """A step of the pipeline."""
+
+    def new_state(self) -> LevelState:
+        """Nothing came yet."""
+        return new_levels()
+
+    def step(
+        self, block: Block, state: LevelState
+    ) -> tuple[list[tuple[int, SensorDecision]], LevelState]:
+        """Who has left its level, by the row that shows it, and the next state.
+
+        The state is changed in place.
+        """
+        if not IN_LEVELS[block.kind].any():
+            return [], state
+        quantities = [_field(block, state), _has_fix(block)]
+        row = np.concatenate([rows for _, rows, _ in quantities])
+        # By row, as the kernel follows the quantities in the order in which they came.
+        order = np.argsort(row, kind="stable")
+        level = np.concatenate([np.full(len(rows), number) for number, rows, _ in quantities])
+        value = np.concatenate([values for *_, values in quantities])
+        row, level = row[order], level[order]
+        off = track_levels(level, block.t_us[row], value[order], state)
+        return [
+            (int(row[i]), _result(int(block.t_us[row[i]]), int(level[i]), float(off[i])))
+            for i in np.flatnonzero(off)
+        ], state
+
+
+def _field(block: Block, state: LevelState) -> Quantities:
+    rows = block.rows(MAG)
+    size = np.linalg.norm(block.values[rows, :3], axis=1)
+    before_us = np.concatenate([state.stamps[FIELD, [NEWEST]], block.t_us[rows]])[:-1]
+    mean_us = np.minimum(block.t_us[rows] - before_us, MEAN_US)
+    turned_rad = _rates(block, rows, state) * mean_us * 1e-6
+    known = np.isfinite(size) & ~(turned_rad > TURN_RAD)
+    return FIELD, rows[known], size[known]
+
+
+def _rates(block: Block, rows: Indices, state: LevelState) -> Vector:
+    """How fast (n,) the vehicle turned at some rows, by the newest sample of the IMU; rad/s."""
+    imu = block.rows(IMU)
+    imu = imu[block.values[imu, IMU_ID] < 0.5]
+    rates = np.linalg.norm(block.values[imu, :3], axis=1)
+    known = np.concatenate([state.rate, rates])
+    state.rate[0] = known[-1]
+    return known[np.searchsorted(imu, rows)]
+
+
+def _has_fix(block: Block) -> Quantities:
+    rows = block.rows(FIX)
+    return HAS_FIX, rows, (block.values[rows, FIX_TYPE] >= FIX_3D).astype(float)
+
+
+def _result(t_us: int, level: int, off: float) -> SensorDecision:
+    return pattern_alarm(
+        t_us,
+        SENSOR_OF[level],
+        REASONS[level].format(abs(off)),
+    )

@@ -1,0 +1,110 @@
+"""The sky of a recording's decisions: elevation, azimuth, C/N0, signals, dilution of precision.
+
+It is computed behind the detector, from the same orbits, so that no test of an epoch pays for it.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.filter_state import StoredOrbit
+from analysis.detection.filter.measurement import (
+    EphemerisSelection,
+    Indices,
+    observe_epoch,
+    select_ephemerides,
+)
+from analysis.orbits.broadcast import (
+    AZIMUTH,
+    ELEVATION,
+    LINE_OF_SIGHT,
+    pack_ephemeris,
+    predict_ranges,
+)
+from analysis.orbits.snapshot import design_matrix
+from analysis.results import Decision, Result
+from analysis.samples.block import EPHEMERIS, EPOCH, Block
+from analysis.samples.sample import EphemerisSample, Epoch, Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+
+NO_IONOSPHERE = np.zeros(8)  # directions alone are asked for
+AT_REST = np.zeros(3)
+Dilution = tuple[float | None, float | None]
+
+
+class RecordedSky:
+    """The sky of a whole recording, for its results in whatever parts they come."""
+
+    def __init__(self, block: Block, config: DetectorConfig) -> None:
+        samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
+        self._epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
+        self._orbits, self._systems = orbits_of(block), config.systems
+        self._chosen: EphemerisSelection | None = None
+
+    def above(self, results: Sequence[Result]) -> list[Result]:
+        """The results, decisions with the sky above their position."""
+        return [
+            self._seen(result) if isinstance(result, Decision) else result for result in results
+        ]
+
+    def _seen(self, decision: Decision) -> Decision:
+        epoch = self._epochs.get(decision.t_us)
+        if epoch is None or not decision.position_ecef_m:
+            return decision
+        if self._chosen is None or not self._chosen.serves(epoch):
+            self._chosen = select_ephemerides(epoch, self._orbits, self._systems)
+        return _seen(decision, epoch, self._chosen)
+
+
+def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
+    """All orbits of a recording by satellite."""
+    found: dict[str, tuple[StoredOrbit, ...]] = {}
+    for row in block.rows(EPHEMERIS).tolist():
+        sample = block.beside[row]
+        assert isinstance(sample, EphemerisSample)
+        name = sample.ephemeris.satellite
+        own = (sample.ephemeris, pack_ephemeris(sample.ephemeris))
+        found[name] = (*found.get(name, ()), own)
+    return found
+
+
+def _seen(decision: Decision, epoch: Epoch, chosen: EphemerisSelection) -> Decision:
+    observed = observe_epoch(epoch, chosen)
+    if observed is None:
+        return decision
+    r_ecef_m = np.array(decision.position_ecef_m)
+    table = predict_ranges(observed.states, r_ecef_m, AT_REST, observed.tow_s, NO_IONOSPHERE)
+    places = {name: i for i, name in enumerate(observed.satellites)}
+    if not all(name in places for name in decision.satellites):
+        return decision
+    at = [places[name] for name in decision.satellites]
+    signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
+    used = [places[name] for name in decision.satellites if name not in decision.excluded]
+    hdop, vdop = _dilution(
+        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3], observed.system[used], r_ecef_m
+    )
+    return replace(
+        decision,
+        elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
+        azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
+        cn0_dbhz=tuple(c if math.isfinite(c) else None for c in observed.cn0_dbhz[at].tolist()),
+        signals=tuple(signals.get(name, "") for name in decision.satellites),
+        hdop=hdop,
+        vdop=vdop,
+    )
+
+
+def _dilution(
+    sight: Vector, system: Indices, r_ecef_m: Vector
+) -> tuple[float | None, float | None]:
+    """Horizontal and vertical dilution of precision of satellites in the directions (n, 3)."""
+    design = design_matrix(sight, system)
+    if len(design) < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None, None
+    lat, lon, _ = geodetic_position(r_ecef_m)
+    axes = ned_axes(lat, lon)
+    north, east, down = np.diag(axes @ np.linalg.inv(design.T @ design)[:3, :3] @ axes.T)
+    return round(math.sqrt(north + east), 3), round(math.sqrt(down), 3)

@@ -1,0 +1,125 @@
+"""What the faults of a run did: its truth and its estimates less those of the twin without faults.
+
+Both flew the same scenario with the same seed, so before the first fault the curves are zero. A
+fault's effect counts from its beginning until the next one begins, or until its echo is over.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from analysis.report.recordings.recording import Signal, Vector
+from analysis.results import AttitudeError, Decision, read_results
+from analysis.scoring.outcome import RECOVERY_S
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.tlog import read_columns
+
+TRUTH = "HIL_STATE_QUATERNION"
+LAST_S = 1.0  # the end of a fault's time, whose middle value is its lasting effect
+PANELS = {"position_m": "twin-position", "speed_mps": "twin-speed", "attitude_deg": "twin-attitude"}
+
+# Of the attitude results tell the estimate's error alone, so that its change is shown
+ESTIMATE_OF = {"twin-position": "estimate", "twin-attitude": "error of the estimate"}
+
+
+class StampedValues(NamedTuple):
+    """Stamps (n,), and what was at each of them (n, k)."""
+
+    t_us: Vector
+    values: Vector
+
+
+def deviation_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
+    """How far the truth and the estimates of a run's folder are off those of its twin's."""
+    found = []
+    own, clean = _truth(folder), _truth(twin)
+    if own is not None and clean is not None:
+        t_s, ours, theirs = _common(own, clean, t0_us)
+        apart = ours - theirs
+        # A quaternion and its negative are the same attitude.
+        dot = np.abs(np.einsum("ni,ni->n", ours[:, 6:10], theirs[:, 6:10]))
+        angle = np.degrees(2 * np.arccos(np.clip(dot, 0.0, 1.0)))
+        found += [
+            Signal("twin-position", "truth", t_s, np.linalg.norm(apart[:, :3], axis=1)),
+            Signal("twin-speed", "truth", t_s, np.linalg.norm(apart[:, 3:6], axis=1)),
+            Signal("twin-attitude", "truth", t_s, angle),
+        ]
+    ours_, theirs_ = _estimates(folder), _estimates(twin)
+    for panel, track in ours_.items():
+        if panel in theirs_:
+            t_s, values, clean_values = _common(track, theirs_[panel], t0_us)
+            off = np.linalg.norm(values - clean_values, axis=1)
+            found.append(Signal(panel, ESTIMATE_OF[panel], t_s, off))
+    return found
+
+
+def measure_effects(
+    curves: Sequence[Signal], labels: Sequence[Label], t0_us: int
+) -> list[dict[str, Any]]:
+    """By fault the greatest and the lasting change of each curve, whose axis starts at `t0_us`."""
+    starts_s = [(label.start_us - t0_us) * 1e-6 for label in labels]
+    rows = []
+    for label, start_s in zip(labels, starts_s, strict=True):
+        end_s = np.inf if label.end_us is None else (label.end_us - t0_us) * 1e-6 + RECOVERY_S
+        # Until the next fault begins: what follows is not told apart.
+        end_s = min([end_s, *(other for other in starts_s if other > start_s)])
+        row: dict[str, Any] = {"id": label.id}
+        for key, panel in PANELS.items():
+            for curve in curves:
+                inside = (curve.t_s >= start_s) & (curve.t_s <= end_s)
+                if curve.panel == panel and inside.any():
+                    row.setdefault(key, {})[curve.name] = _extent(curve, inside)
+        rows.append(row)
+    return rows
+
+
+def _extent(curve: Signal, inside: np.typing.NDArray[np.bool_]) -> Mapping[str, float]:
+    t_s, value = curve.t_s[inside], curve.value[inside]
+    # The median of the last second: a single sample may be noise.
+    last = value[t_s >= t_s[-1] - LAST_S]
+    return {"most": round(float(value.max()), 3), "lasting": round(float(np.median(last)), 3)}
+
+
+def _common(own: StampedValues, clean: StampedValues, t0_us: int) -> tuple[Vector, Vector, Vector]:
+    """Time on the report's axis and the values of both where both have one."""
+    # Equal stamps: both flew the same steps, so that no value needs interpolation.
+    stamps, ours, theirs = np.intersect1d(own.t_us, clean.t_us, return_indices=True)
+    return (stamps - t0_us) * 1e-6, own.values[ours], clean.values[theirs]
+
+
+def _truth(folder: Path) -> StampedValues | None:
+    """Position in ECEF, velocity and attitude that really were; the log before the faults."""
+    # Before the faults: the truth in `sent.tlog` may be falsified itself.
+    rows = read_columns(folder / "received.tlog", only={TRUTH}).get(TRUTH)
+    if rows is None:
+        return None
+    lat, lon = np.radians(rows["lat"] * 1e-7), np.radians(rows["lon"] * 1e-7)
+    place = ecef_from_geodetic(lat, lon, rows["alt"] * 1e-3)
+    v_ned = np.stack([rows[name] * 1e-2 for name in ("vx", "vy", "vz")], axis=1)
+    values = np.hstack([place, v_ned, rows["attitude_quaternion"]])
+    return StampedValues(rows["time_usec"].astype(np.int64), values)
+
+
+def _estimates(folder: Path) -> dict[str, StampedValues]:
+    """By panel the monitor's position, and the errors of the first estimator's attitude."""
+    places: list[tuple[int, tuple[float, ...]]] = []
+    angles: list[tuple[int, tuple[float, ...]]] = []
+    first = ""
+    for result in read_results(folder / "results.jsonl"):
+        if isinstance(result, Decision) and result.position_ecef_m is not None:
+            places.append((result.t_us, result.position_ecef_m))
+        elif isinstance(result, AttitudeError):
+            first = first or result.estimator
+            if result.estimator == first:
+                angles.append((result.t_us, (result.angle,)))
+    found = {"twin-position": _track(places), "twin-attitude": _track(angles)}
+    # An estimator that gave nothing has no curve.
+    return {panel: track for panel, track in found.items() if len(track.t_us)}
+
+
+def _track(rows: Iterable[tuple[int, tuple[float, ...]]]) -> StampedValues:
+    listed = list(rows)
+    return StampedValues(np.array([t_us for t_us, _ in listed]), np.array([v for _, v in listed]))

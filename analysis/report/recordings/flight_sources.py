@@ -1,0 +1,202 @@
+"""From the paths a user gives to flights: which logs belong together, and what they hold."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.report.recordings.from_dataflash import recording_of_dataflash
+from analysis.report.recordings.from_results import axis_start, recording_of_results
+from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
+from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.reading_bar import reading_bar
+from analysis.report.recordings.recording import FlightData, join_recordings
+from analysis.report.recordings.thinning import read_contents
+from analysis.results import Result, decode, read_results
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire import tlog
+from mavproxy_fault.wire.label import Label, read_labels
+from mavproxy_fault.wire.written import written_bytes
+
+HEAD = 16
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+THINNED = (
+    "{} is large ({:.0f} MB): of messages that come often, some rows are left out, none of them a "
+    "peak; percentiles lean to the extremes"
+)
+LEAST_SHARE = 0.01  # of a file that must be frames for it to count as a log
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFlight:
+    """One flight: its recording, and what a run folder holds besides."""
+
+    recording: FlightData
+    paths: tuple[Path, ...]
+    labels: Sequence[Label] = ()
+    results: Sequence[Result] = ()
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+def group_logs(paths: Sequence[Path]) -> list[list[Path]]:
+    """Paths by flight: tlogs whose stamps overlap belong together, everything else stands alone."""
+    groups: list[list[Path]] = []
+    spans: list[tuple[int, int] | None] = []
+    for path in paths:
+        span = _span(path)
+        for i, other in enumerate(spans):
+            if span and other and span[0] <= other[1] and other[0] <= span[1]:
+                groups[i].append(path)
+                spans[i] = (min(span[0], other[0]), max(span[1], other[1]))
+                break
+        else:
+            groups.append([path])
+            spans.append(span)
+    return groups
+
+
+def _span(path: Path) -> tuple[int, int] | None:
+    if path.is_dir():
+        return None
+    head = _head(path)
+    other = is_ulog(head) or is_dataflash(head) or head.startswith(MCAP_MAGIC)
+    return None if other or path.suffix == ".jsonl" else tlog.extent_us(path)
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give the path of a log") from error
+
+
+def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFlight:
+    """The flight that a group of paths holds.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing, empty, or no log of a kind that can be read.
+    """
+    if paths[0].is_dir():
+        return _run_folder(paths[0], labels)
+    t0_us = labels[0].t0_us if labels else None
+    head = _head(paths[0])
+    name = paths[0].stem
+    if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
+        return _results_alone(paths[0], labels)
+    if is_ulog(head):
+        with reading_bar(paths[0]) as told:
+            log = read_ulog(paths[0], told)
+        recording = recording_of_ulog(log, name, t0_us)
+    elif is_dataflash(head):
+        recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
+    else:
+        recording = _tlogs(paths, t0_us)
+    if not (recording.signals or recording.spans or recording.events or recording.links):
+        raise ConfigError(
+            f"{paths[0]}: the log holds nothing that a report shows; give a whole log"
+        )
+    recording.notes.extend(filter(None, map(_unwritten, paths)))
+    return _with_labels(RecordedFlight(recording, tuple(paths), labels))
+
+
+def _unwritten(path: Path) -> str:
+    """What is said of a file with a hole at its end."""
+    hole = path.stat().st_size - written_bytes(path)
+    return f"the last {hole / 1e6:.1f} MB of {path.name} were never written" if hole else ""
+
+
+def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
+    logs = {}
+    for path in paths:
+        with reading_bar(path) as told:
+            logs[path.name] = read_contents(path, told)
+    for path in paths:
+        log = logs[path.name]
+        if log.frames == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:
+            raise ConfigError(
+                f"{path}: {log.size} bytes without MAVLink frames; give a tlog, a ULog or an "
+                "ArduPilot dataflash log"
+            )
+    links = {name if len(logs) > 1 else "": log.links for name, log in logs.items()}
+    columns = merge_logs([log.columns for log in logs.values()])
+    found = recording_of_tlog(
+        columns, name=" + ".join(Path(n).stem for n in logs), t0_us=t0_us, links=links
+    )
+    unknown = sum(log.unknown for log in logs.values())
+    notes = [f"{unknown} frames of messages the dialect does not know"] if unknown else []
+    notes += [THINNED.format(name, log.size / 1e6) for name, log in logs.items() if log.thinned]
+    return replace(
+        found,
+        notes=found.notes + notes,
+        size=sum(log.size for log in logs.values()),
+        junk_bytes=sum(log.junk_bytes for log in logs.values()),
+    )
+
+
+def _run_folder(folder: Path, labels: Sequence[Label]) -> RecordedFlight:
+    """A run's folder: the log as sent (else as received), labels, results and summary."""
+    log = next((p for p in (folder / "sent.tlog", folder / "received.tlog") if p.is_file()), None)
+    if log is None:
+        raise ConfigError(f"{folder}: neither sent.tlog nor received.tlog; give a run's folder")
+    beside = folder / "labels.jsonl"
+    labels = labels or (read_labels(beside) if beside.is_file() else [])
+    recording = _tlogs([log], labels[0].t0_us if labels else None)
+    summary_file = folder / "summary.json"
+    summary = msgspec.json.decode(summary_file.read_bytes()) if summary_file.is_file() else {}
+    results = _results(folder / "results.jsonl")
+    flight = RecordedFlight(
+        replace(recording, name=folder.name), (folder,), labels, results, summary
+    )
+    return _with_labels(flight)
+
+
+def _results(path: Path) -> list[Result]:
+    if not path.is_file():
+        return []
+    try:
+        return list(read_results(path))
+    except msgspec.DecodeError as error:
+        raise ConfigError(f"{path}: {error}; each line must be a result") from error
+
+
+def _results_alone(path: Path, labels: Sequence[Label]) -> RecordedFlight:
+    """Results without the log they came from, from `results.jsonl` or an exported MCAP file."""
+    results = _results(path) if path.suffix == ".jsonl" else _mcap_results(path)
+    if not results:
+        raise ConfigError(f"{path}: no results in the file; give results.jsonl or its MCAP export")
+    t0_us = axis_start(labels, results) or 0
+    recording = recording_of_results(labels, results, t0_us)
+    end_s = (max(result.t_us for result in results) - t0_us) * 1e-6
+    return RecordedFlight(
+        replace(recording, name=path.stem, duration_s=end_s), (path,), labels, results
+    )
+
+
+def _mcap_results(path: Path) -> list[Result]:
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            return [
+                decode(message.data)
+                for _, channel, message in make_reader(file).iter_messages()
+                if channel.topic.startswith("/results/")
+            ]
+    except (McapError, msgspec.DecodeError, OSError, ValueError, EOFError, struct.error) as error:
+        raise ConfigError(f"{path}: {error}; give a whole MCAP file of results") from error
+
+
+def _with_labels(flight: RecordedFlight) -> RecordedFlight:
+    if not flight.labels and not flight.results:
+        return flight
+    judged = recording_of_results(flight.labels, flight.results, flight.recording.t0_us)
+    return replace(flight, recording=join_recordings(flight.recording, judged))

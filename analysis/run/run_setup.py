@@ -1,0 +1,131 @@
+"""A scenario file, decoded for every part."""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from analysis.monitor.pipeline import MonitorConfig, monitor_config
+from analysis.run.vehicle_effects import vehicle_effects
+from analysis.scoring.criteria import Criteria
+from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document, Lines
+from mavproxy_fault.documents.yaml_document import Path as DocumentPath
+from mavproxy_fault.faults.plant_fault import SimulatorFault
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
+from simvehicle.scenario.changed_scenario import change_scenario, parse_change
+from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
+from simvehicle.sensors.magnetometer import Magnetometer
+from simvehicle.simulation.simulation import Simulation
+from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
+
+
+@dataclass(frozen=True, slots=True)
+class RunSetup:
+    """What a run needs; `scenario.seed` is the seed of simulator and faults alike."""
+
+    scenario: Scenario
+    schedule: Schedule
+    monitor: MonitorConfig
+    criteria: Criteria
+
+
+def read_setup(
+    path: str | None,
+    schedule: str | None = None,
+    seed: int | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> RunSetup:
+    """Read a scenario (None: the demo), with another schedule, seed or `changes` where given.
+
+    `changes` are values of the scenario by their paths, as in `changed_scenario`.
+
+    Raises
+    ------
+    ConfigError
+        If a section is wrong; nothing has been started then.
+    """
+    document = open_scenario(path)
+    scenario = change_scenario(decode_scenario(document), changes or {})
+    if seed is not None:
+        if seed < 0:
+            raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
+        scenario = msgspec.structs.replace(scenario, seed=seed)
+    # Wrong parameters are found here, before anything has started.
+    find_vehicle_kind(scenario.vehicle.kind).read(scenario.vehicle.parameters)
+    faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
+    _check_plant(scenario, faults)
+    criteria = Criteria()
+    if scenario.criteria is not None:
+        criteria = decode(document, Criteria, ("criteria",))
+    if schedule is not None:
+        criteria = _criteria_for(criteria, faults)
+    monitor = monitor_config(scenario.monitor, document.where, document.lines)
+    monitor = msgspec.structs.replace(
+        monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
+    )
+    return RunSetup(scenario, faults, monitor, criteria)
+
+
+def setup_from_args(args: argparse.Namespace) -> RunSetup:
+    """What the command line of `run` asks for; errors as `read_setup` has them."""
+    changes = dict(map(parse_change, args.set))
+    return read_setup(args.scenario, args.schedule, args.seed, changes)
+
+
+def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
+    """Refuse faults of what the simulated vehicle does not have: they would never act."""
+    asked = [
+        (entry.id, name)
+        for entry in schedule.faults
+        if isinstance(entry.fault, SimulatorFault)
+        for name in entry.fault.names
+    ]
+    simulation = Simulation(scenario) if asked else None
+    flaws = []
+    for id, name in asked:
+        assert simulation is not None
+        try:
+            simulation.check_plant(name)
+        except ConfigError as error:
+            flaws.append(f"fault {id}: {error}")
+    if flaws:
+        raise ConfigError("\n".join(flaws))
+
+
+def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:
+    """The field that a scenario gives its compass, None where it is the Earth's."""
+    mag = scenario.sensors.mag
+    first = mag[0] if isinstance(mag, list) and mag else mag
+    return first.field_ned_gauss if isinstance(first, Magnetometer) else None
+
+
+def _criteria_for(criteria: Criteria, faults: Schedule) -> Criteria:
+    """What is asked of the scenario's own faults means nothing for those of another schedule."""
+    ids = {entry.id for entry in faults.faults}
+    asked = {
+        name: tuple(id for id in getattr(criteria, name) if id in ids)
+        for name in ("must_detect", "must_isolate")
+    }
+    return msgspec.structs.replace(criteria, **asked)
+
+
+def _schedule(scenario: Scenario, document: Document) -> Schedule:
+    """The schedule that a scenario names, or the one written in it."""
+    section = scenario.schedule
+    if isinstance(section, str):
+        return read_schedule(Path(document.where).parent / section)
+    # A bare list is the faults alone, a mapping the whole schedule.
+    data = section if isinstance(section, dict) else {"faults": section or []}
+    # Lines of errors must be those of the scenario's file.
+    lines = _below(document.lines, () if isinstance(section, dict) else ("faults",))
+    return parse_schedule(Document({"seed": scenario.seed, **data}, document.where, lines))
+
+
+def _below(lines: Lines, head: DocumentPath) -> Lines:
+    """The lines of the section `schedule`, by the paths of the schedule that it becomes."""
+    return {(*head, *at[1:]): line for at, line in lines.items() if at[:1] == ("schedule",)}

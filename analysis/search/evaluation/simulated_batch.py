@@ -1,0 +1,241 @@
+"""Evaluate points of a test's space in the simulator, through the proxy, one flight at a time.
+
+For what the compiled kernels do not have: any scenario, every fault of the proxy, the project's
+own fusion, and an autopilot behind a link.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.run.proxied_flight import ProxiedFlight
+from analysis.samples.decoder import Decoder
+from analysis.scoring.attitude_scores import AXES
+from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
+from analysis.search.evaluation.autopilot_flight import measure_autopilot_error
+from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.lanes.noise_kernel import seed_of
+from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
+from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
+from analysis.search.space.point_scenario import Document, document_of
+from analysis.search.space.section import Range
+from analysis.search.space.test_file import AutopilotChoice, FlightEnvelope, TestFile
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.parser import Parser
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.vehicles.body import Truth
+
+Array = NDArray[np.float64]
+GROUND_LIMIT = 7  # the limit of the height
+
+
+class FlightScores(NamedTuple):
+    """Of one flight: `rmse_deg` and `largest_deg` (4,) as in `EvaluationOutcome`; `parts` as
+    `parted` gives.
+
+    `broken_limit` is the number of the limit that ended it, as in `rows.LIMITS`.
+    """
+
+    rmse_deg: Array
+    largest_deg: Array
+    lasted_s: float
+    broken_limit: int
+    steps: int
+    parts: dict[str, Any]
+
+
+class FlightScorer:
+    """Bytes of a flight to scores."""
+
+    def __init__(self, config: AttitudeConfig) -> None:
+        self._parser, self._decoder = Parser(), Decoder()
+        self._scorer = AttitudeScorer(config)
+        self._state = self._scorer.new_state()
+
+    def hear(self, data: bytes) -> None:
+        """Take in what left the proxy for the monitor."""
+        items = self._parser.push(data, datagram=False)
+        # Only verified frames are heard, as by the monitor itself.
+        block = self._decoder.decode(item for item in items if isinstance(item, Frame))
+        _, self._state = self._scorer.step(block, self._state)
+
+    def summary(self, labels: Sequence[Label]) -> dict[str, Any]:
+        """Scores by estimator."""
+        return self._scorer.summary(self._state, labels)
+
+
+@dataclass(frozen=True)
+class SimulatedBatch:
+    """A test to be flown in the simulator; the counterpart of `Batch`."""
+
+    test: TestFile
+
+    @cached_property
+    def space(self) -> Space:
+        """What is searched."""
+        # Numbers of the scenario that are varied, by their path.
+        entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
+        if self.test.scenario is None:
+            # The search's own airframe flies in the simulator as well.
+            airframe = read_airframe(self.test.vehicle)
+            trim = trim_values(airframe, self.test.density_kgpm3)
+            entries = flight_entries(self.test, trim)
+        return space_of(entries | fault_entries(self.test))
+
+    def evaluate(
+        self, points: Array, seed: int, first: int, draws: int | None = None
+    ) -> EvaluationOutcome:
+        """Fly points (n, d) of the unit cube, `first` being the first evaluation's number."""
+        draws = self.test.noise_draws if draws is None else draws
+        return self.of_values(self.space.values(points), seed, first, draws)
+
+    def of_values(
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+        alike: bool = False,
+    ) -> EvaluationOutcome:
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`."""
+        # All values have a row for each flight.
+        count = len(next(iter(values.values())))
+        flights = []
+        for i in range(count):
+            mine = {name: float(column[i]) for name, column in values.items()}
+            # The seed of a flight comes from its number, as in the compiled form.
+            number = first if alike else first + i
+            flights.append(
+                [self.scores(mine, seed, number * draws + draw) for draw in range(draws)]
+            )
+        return outcome_of(flights, self.test)
+
+    def scores(self, values: Mapping[str, float], seed: int, number: int) -> FlightScores:
+        """One flight with noise `number` of `seed`."""
+        return score_flight(self.test, document_of(self.test, values, seed_of(seed, number)))
+
+
+def decode_document(document: Document) -> tuple[Scenario, Schedule]:
+    """A scenario and its faults.
+
+    Raises
+    ------
+    ConfigError
+        If one of the drawn values is not allowed there.
+    """
+    where = f"the scenario {document.get('name', '')!r}"
+    try:
+        # Built by the program and not read from a file: errors have no lines.
+        scenario = msgspec.convert(document, Scenario)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {error}; vary it less far") from error
+    return scenario, parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
+
+
+def score_flight(test: TestFile, document: Document) -> FlightScores:
+    """Fly a scenario to its end or to the end of the envelope, and score the estimator."""
+    if test.autopilot is not None:
+        return score_autopilot_flight(test.autopilot, test, document)
+    scenario, schedule = decode_document(document)
+    watch = FlightScorer(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
+
+    hovers = test.scenario is None and has_rotors(test.vehicle)
+
+    def limit(truth: Truth) -> int:
+        return envelope_violation(truth, test.envelope, hovers)
+
+    flight = ProxiedFlight(scenario, schedule)
+    broken_limit = steps = 0
+    # The envelope is looked at after each step, and ends the flight.
+    while not flight.over and broken_limit == 0:
+        watch.hear(flight.advance([]).monitor)
+        broken_limit, steps = limit(flight.simulation.truth), steps + 1
+    # What the faults still keep back leaves too.
+    watch.hear(flight.finish().monitor)
+    flight.drain_labels()
+    parts = watch.summary(flight.completed_labels()).get(test.estimator, {})
+    rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
+    return FlightScores(
+        np.array([rmse.get(axis, 0.0) for axis in AXES]),
+        np.array([largest.get(axis, 0.0) for axis in AXES]),
+        flight.t_us * 1e-6,
+        broken_limit,
+        steps,
+        parts,
+    )
+
+
+def score_autopilot_flight(
+    choice: AutopilotChoice, test: TestFile, document: Document
+) -> FlightScores:
+    """The same under an autopilot; a flight that does not end by its landing counts as one that
+    met the ground."""
+    scenario, _ = decode_document(document)
+    found, error_deg = measure_autopilot_error(choice, document, test.settle_s)
+    named = dict(zip(AXES, error_deg.tolist(), strict=True))
+    rate_hz = float(getattr(first_imu(scenario), "rate_hz", 0.0))
+    return FlightScores(
+        error_deg,
+        found.largest_deg,
+        found.lasted_s,
+        GROUND_LIMIT if found.ended_early else 0,
+        round(found.lasted_s * rate_hz),
+        {"rmse_deg": named},
+    )
+
+
+def first_imu(scenario: Scenario) -> Any:
+    """The IMU whose rate is that of the steps."""
+    imu = scenario.sensors.imu
+    return imu[0] if isinstance(imu, list) else imu
+
+
+def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> int:
+    """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within.
+
+    What `hovers` needs no airspeed and has no flow angles.
+    """
+    u, v, w = truth.v_air_b_mps.tolist()
+    # In the airframe's plane of symmetry, where the angle of attack lies.
+    plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
+    low, high = limits.airspeed_mps
+    _, pitch, _ = euler_angles(truth.q_nb.tolist())
+    beyond = (
+        abs(np.degrees(pitch)) > limits.pitch_deg,
+        not hovers and abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,
+        not hovers and np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
+        not hovers and not low <= speed <= high,
+        np.degrees(np.linalg.norm(truth.omega_b_rps)) > limits.rate_dps,
+        np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * STANDARD_GRAVITY_MPS2,
+        truth.height_agl_m <= limits.height_m,
+    )
+    return next((number for number, is_beyond in enumerate(beyond, 1) if is_beyond), 0)
+
+
+def outcome_of(flights: Sequence[Sequence[FlightScores]], test: TestFile) -> EvaluationOutcome:
+    """The outcome of n evaluations of some draws each."""
+    rmse = np.array([[scores.rmse_deg for scores in draws] for draws in flights])
+    largest = np.array([[scores.largest_deg for scores in draws] for draws in flights])
+    worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)
+    limit = np.array([max(scores.broken_limit for scores in draws) for draws in flights])
+    lasted = np.array([min(scores.lasted_s for scores in draws) for draws in flights])
+    return EvaluationOutcome(
+        np.where(limit > 0, np.minimum(lasted / test.duration_s, 1.0) - 1.0, worst.mean(axis=1)),
+        worst.std(axis=1),
+        rmse.mean(axis=1),
+        largest.mean(axis=1),
+        lasted,
+        limit,
+        sum(scores.steps for draws in flights for scores in draws),
+        np.zeros((len(flights), 3)),
+    )

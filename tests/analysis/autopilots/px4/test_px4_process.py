@@ -1,0 +1,114 @@
+"""How a run starts PX4: its command, ports, streams and variables."""
+
+import os
+from contextlib import closing
+
+import pytest
+
+from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
+from analysis.autopilots.px4 import px4_process
+from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
+from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.simulation.simulation import Simulation
+
+
+@pytest.fixture
+def binary(tmp_path):
+    """Where a build of PX4 has its program, without its scripts yet."""
+    program = tmp_path / "build" / "bin" / "px4"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    return program
+
+
+@pytest.fixture
+def simulation(tmp_path):
+    file = tmp_path / "hexa.yaml"
+    file.write_text(
+        "name: hexa\nvehicle: {kind: multirotor, parameters: hexa}\nsensors: {imu: {rate_hz: 250}}"
+    )
+    return Simulation(read_scenario(str(file)))
+
+
+def test_a_missing_program_is_told_with_what_to_do():
+    with pytest.raises(ConfigError, match=r"--binary: 'no-px4' is no program; give PX4's SITL"):
+        px4_process.launch_command("no-px4")
+
+
+def test_a_program_without_its_start_scripts_is_refused(binary):
+    with pytest.raises(ConfigError, match=r"stands without .*/build/etc/init\.d-posix/rcS"):
+        px4_process.launch_command(str(binary))
+
+
+def test_the_scripts_are_found_beside_the_program(binary):
+    scripts = binary.parent.parent / "etc"
+    (scripts / "init.d-posix").mkdir(parents=True)
+    (scripts / "init.d-posix" / "rcS").touch()
+    assert px4_process.launch_command(str(binary)) == [str(binary), "-d", str(scripts)]
+
+
+@pytest.mark.parametrize(("told_s", "held_s"), [(3.0, 3.0), (None, 60.0)])
+def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
+    tmp_path, monkeypatch, told_s, held_s
+):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    log = tmp_path / "px4.log"
+    log.write_text("INFO  [px4] startup script: rcS 0\n")
+    start = StartupPacer(RunningAutopilot("PX4", None, [], log, PX4_STEP, px4_process.STARTUP_TEXT))
+    told = told_s is None
+    for tick in range(80_000):  # 320 s of a vehicle that needs no time of its own
+        start.hold(1_000_000 + 4000 * tick)
+        if not told and now[0] >= 100.0 + told_s:
+            told = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
+    assert now[0] - 100.0 == pytest.approx(held_s, abs=0.2)
+
+
+def test_a_program_without_such_words_is_not_held(tmp_path, monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("slept"))
+    start = StartupPacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
+    start.hold(0)
+    start.hold(10_000_000)
+
+
+def test_a_flight_does_not_outrun_an_operator_that_lives_on_the_wall_clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    unhurried = RealTimePacer()
+    for tick in range(5000):  # 20 s of a vehicle that needs no time of its own
+        # For 3 s and, later, for 5 s an answer is awaited.
+        unhurried.hold(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
+    assert now[0] - 100.0 == pytest.approx(8.0, abs=0.1)
+
+
+def test_two_runs_at_once_are_two_instances():
+    first, one = px4_process.open_free_instance()
+    with closing(one):
+        second, other = px4_process.open_free_instance()
+        with closing(other):
+            assert second > first
+            assert (one.port, other.port) == (4560 + first, 4560 + second)
+
+
+def test_the_streams_go_to_the_run_on_the_loopback_address():
+    lines = px4_process.stream_script(18_000, 14_000).splitlines()
+    assert lines[0].startswith("mavlink start -x -u 18000 -o 14000 -t 127.0.0.1 ")
+    assert "mavlink stream -u 18000 -s ATTITUDE -r 20" in lines
+
+
+def test_the_folder_comes_first_and_other_simulators_are_forgotten(
+    simulation, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PX4_SIMULATOR", "gz")
+    own = {"EKF2_GPS_P_GATE": 100.0, "MIS_TAKEOFF_ALT": 7.25}
+    variables = px4_process.process_environment(simulation, tmp_path, own)
+    assert "PX4_SIMULATOR" not in variables
+    assert variables["PATH"].split(os.pathsep)[0] == str(tmp_path)
+    assert variables["PX4_SIM_MODEL"] == "none_iris"
+    assert variables["PX4_PARAM_CA_ROTOR_COUNT"] == "6"
+    assert variables["PX4_PARAM_EKF2_GPS_P_GATE"] == "100"
+    assert variables["PX4_PARAM_MIS_TAKEOFF_ALT"] == "7.25"  # the user's over the run's

@@ -1,0 +1,94 @@
+from pathlib import Path
+
+import msgspec
+
+from analysis.campaign.campaign_file import CampaignFile, SubjectChoice, read_campaign
+from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.cell import CampaignFlight, CellResult
+
+SMALL = read_campaign(Path(__file__).parent / "small.yaml")
+LANES = read_campaign(Path(__file__).resolve().parents[3] / "examples" / "campaign_lanes.yaml")
+TWINS = {"ekf|short.yaml|1": CampaignFlight({}), "mahony|short.yaml|1": CampaignFlight({})}
+
+
+def answered(cells, outcome: str) -> dict[str, CellResult]:
+    return {cell.key: CellResult(cell=cell, outcome=outcome) for cell in cells}
+
+
+def test_the_size_of_a_campaign_is_its_product() -> None:
+    twice = msgspec.structs.replace(SMALL, seeds=(1, 2, 3), onsets=(1.0, 2.0))
+    plan = CampaignPlan(twice)
+    assert (plan.most_cells, plan.most_flights, len(plan.twins())) == (24, 12, 3)
+    assert plan.flight_s == 6.0
+    assert CampaignPlan(LANES).most_cells == 100_000
+
+
+def test_subjects_of_the_simulator_share_their_flights() -> None:
+    jobs = [next(thread) for thread in CampaignPlan(SMALL).threads({}, TWINS)]
+    assert [[cell.subject for cell in job.cells] for job in jobs] == [["ekf", "mahony"]] * 2
+    assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
+
+
+def test_an_autopilot_beside_them_flies_alone() -> None:
+    px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
+    mixed = CampaignPlan(msgspec.structs.replace(SMALL, subjects=("ekf", px4, "mahony")))
+    twins = {key: CampaignFlight({}) for key in mixed.twins()}
+    jobs = [next(thread) for thread in mixed.threads({}, twins)]
+    assert list(twins) == ["ekf|short.yaml|1", "px4|short.yaml|1"]
+    assert [[cell.subject for cell in job.cells] for job in jobs] == (
+        [["ekf", "mahony"]] * 2 + [["px4"]] * 2
+    )
+    assert (mixed.most_cells, mixed.most_flights) == (6, 4)
+
+
+def test_what_is_known_is_not_flown_again() -> None:
+    first = next(next(CampaignPlan(SMALL).threads({}, TWINS)))
+    known = answered(first.cells, "unaffected")
+    (left,) = CampaignPlan(SMALL).threads(known, TWINS)
+    assert next(left).cells[0].magnitude == 2.0
+
+
+def test_a_half_written_flight_is_flown_for_the_missing_subject() -> None:
+    first = next(next(CampaignPlan(SMALL).threads({}, TWINS)))
+    known = answered(first.cells[:1], "unaffected")
+    job = next(next(CampaignPlan(SMALL).threads(known, TWINS)))
+    assert [cell.subject for cell in job.cells] == ["mahony"]
+
+
+def test_lanes_hold_cells_of_one_subject_fault_and_seed() -> None:
+    jobs = [next(thread) for thread in CampaignPlan(LANES).threads({}, {})]
+    assert sum(len(job.cells) for job in jobs) == 100_000
+    for job in jobs:
+        assert len({(c.subject, c.scenario, c.fault, c.seed) for c in job.cells}) == 1
+
+
+def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResult]) -> int:
+    """Fly a critical search of a subject that breaks from a threshold on; the flights made."""
+    flights = 0
+    for thread in CampaignPlan(campaign).threads(known, TWINS):
+        job = next(thread, None)
+        while job is not None:
+            flights += 1
+            (cell,) = job.cells
+            outcome = "lost" if cell.magnitude >= threshold else "unaffected"
+            results = answered([cell], outcome)
+            known |= results
+            try:
+                job = thread.send(list(results.values()))
+            except StopIteration:
+                job = None
+    return flights
+
+
+def test_a_critical_search_goes_on_where_it_was_killed() -> None:
+    campaign = msgspec.structs.replace(SMALL, find="critical", subjects=("ekf",))
+    known: dict[str, CellResult] = {}
+    assert bisected(campaign, 0.1, known) == 8
+    whole = CampaignPlan(campaign).criticals(known)
+    for key in list(known)[5:]:
+        del known[key]
+    assert CampaignPlan(campaign).criticals(known) == {}
+    assert bisected(campaign, 0.1, known) == 3
+    assert CampaignPlan(campaign).criticals(known) == whole
+    (critical,) = whole.values()
+    assert critical.harmless < 0.1 <= critical.magnitude

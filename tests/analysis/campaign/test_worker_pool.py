@@ -1,0 +1,49 @@
+import multiprocessing
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.worker_pool import LocalWorkerPool, RayWorkerPool
+from mavproxy_fault.documents.errors import ConfigError
+
+SMALL = read_campaign(Path(__file__).parent / "small.yaml")
+LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent))
+
+
+def test_a_hung_flight_is_ended_and_told() -> None:
+    fleet = LocalWorkerPool(1, 0.01)
+    (job,) = CampaignPlan(LONG).twins().values()
+    try:
+        fleet.start(7, job)
+        number, answer = fleet.finished()
+    finally:
+        fleet.close()
+    assert number == 7
+    assert {(r.outcome, r.note) for r in answer.results} == {
+        ("aborted", "hung: not over after 0.01 s")
+    }
+
+
+def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "short.yaml")
+    campaign = msgspec.structs.replace(SMALL, folder=str(tmp_path))
+    (job,) = CampaignPlan(campaign).twins().values()
+    fleet = LocalWorkerPool(1, 60.0)
+    try:
+        fleet.start(1, job)
+        with (tmp_path / "short.yaml").open("w"):  # opens once the worker reads the scenario
+            multiprocessing.active_children()[0].kill()
+            _, answer = fleet.finished()
+    finally:
+        fleet.close()
+    assert "died with code" in answer.results[0].note
+
+
+def test_without_ray_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(ConfigError, match="Ray is not installed"):
+        RayWorkerPool("local", 60.0)

@@ -1,0 +1,90 @@
+"""Texts and events of a ULog in one list, and what the system printed."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.recordings.flight_logs.ulog_texts import MAX_CHARACTERS, logged_texts, printed_texts
+
+
+def log(texts: list[tuple[int, str]], events: list[tuple[int, str, str]], monkeypatch: Any) -> Any:
+    """A log with these texts, whose events pyulog reads as given."""
+    from pyulog.px4_events import PX4Events
+
+    monkeypatch.setattr(PX4Events, "get_logged_events", lambda self, log: events)
+    said = [SimpleNamespace(timestamp=t, log_level=ord("4"), message=text) for t, text in texts]
+    return SimpleNamespace(logged_messages=said)
+
+
+def test_what_comes_as_text_and_as_event_comes_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = logged_texts(
+        log(
+            [(5_000_000, "[commander] Takeoff detected"), (9_000_000, "[x] bye")],
+            [
+                (5_400_000, "INFO", "Takeoff detected"),
+                (7_000_000, "EMERGENCY", "Accelerometer sensor #0 failure: Timeout"),
+                (7_100_000, "WARNING", "Failsafe warning:\t"),
+                (8_000_000, "INFO", "Takeoff detected"),
+                (8_100_000, "INFO", "[Unknown event with ID 7]"),
+                (8_200_000, "UNKNOWN", "?"),
+            ],
+            monkeypatch,
+        )
+    )
+    assert found == [
+        (5_000_000, 4, "[commander] Takeoff detected"),
+        (7_000_000, 0, "Accelerometer sensor #0 failure: Timeout"),
+        (7_100_000, 4, "Failsafe warning"),
+        (8_000_000, 6, "Takeoff detected"),
+        (9_000_000, 4, "[x] bye"),
+    ]
+
+
+def test_a_damaged_log_has_its_texts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pyulog.px4_events import PX4Events
+
+    def broken(self: PX4Events, log: Any) -> None:
+        raise TypeError("damaged")
+
+    text = log([(1, "[x] a")], [], monkeypatch)
+    monkeypatch.setattr(PX4Events, "get_logged_events", broken)
+    assert logged_texts(text) == [(1, 4, "[x] a")]
+
+
+def test_printed_texts_are_cut_and_joined() -> None:
+    parts = {"boot_console_output": [["HW ar", "ch: X\n"]], "perf_top_preflight": [["a", "b"]],
+             "perf_top_postflight": [[" "]], "hardfault_plain": [["x" * 10**6]],
+             "metadata_events": [[b"\xfd"]]}  # fmt: skip
+    found = printed_texts(SimpleNamespace(msg_info_multiple_dict=parts))
+    assert found["Console"] == "HW arch: X\n"
+    assert found["Processes before the flight"] == "a\nb"
+    assert len(found["Hard fault"]) == MAX_CHARACTERS
+    assert len(found) == 3
+
+
+def test_a_real_log_tells_what_flight_review_shows_of_it(shared_data: Path) -> None:
+    found = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
+    said = [text for _, _, text in found.messages]
+    # Five of its events are texts too, or say what a text says in other words.
+    assert sum("Takeoff detected" in text for text in said) == 1
+    assert "HW arch: CUAV_7_NANO" in found.printed["Console"]
+    assert "wq:rate_ctrl" in found.printed["Processes after the flight"]
+    assert "ekf2: IMU message missed: 0 events" in found.printed[
+        "Performance counters after the flight"
+    ]  # fmt: skip
+
+
+def test_a_log_in_reserved_space_is_read_as_far_as_it_was_written(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    data = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
+    with (tmp_path / "a.ulg").open("wb") as file:
+        file.write(data)
+        file.truncate(1 << 33)
+    shares: list[float] = []
+    found = read_ulog(tmp_path / "a.ulg", shares.append)
+    assert len(found.topics) == len(read_ulog(shared_data / "ulog" / "gps_interference.ulg").topics)
+    assert 0.7 < shares[-1] <= 1.0

@@ -1,0 +1,83 @@
+"""`run --against-clean`: what a fault did, against the same flight without it."""
+
+import argparse
+import json
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.report.curves.fault_effects import measure_effects
+from analysis.report.recordings.recording import Signal
+from analysis.run.reference_flight import ReferenceRun, run_reference_flight
+from analysis.run.run_command import main
+from analysis.run.run_setup import read_setup
+from mavproxy_fault.wire.label import Label
+
+SHORT = Path(__file__).with_name("short.yaml")
+SCHEDULE = """
+faults:
+  - {id: gust, fault: plant, target: PLANT.wind_e_mps, value: 8, at_s: 3, for_s: 2}
+"""
+
+
+def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
+    schedule = tmp_path / "gust.yaml"
+    schedule.write_text(SCHEDULE)
+    out = tmp_path / "out"
+    args = argparse.Namespace(
+        set=[],
+        scenario=str(SHORT), schedule=str(schedule), seed=None, speed="max", out=str(out),
+        gcs="off", ui=False, zenoh="off", zenoh_config="", against_clean=True, report=True,
+    )  # fmt: skip
+    main(args)
+    summary = json.loads((out / "summary.json").read_text())
+    (row,) = summary["effects"]
+    assert row["id"] == "gust"
+    assert row["position_m"]["truth"]["most"] > 1.0
+    assert row["speed_mps"]["truth"]["most"] > 0.5
+    assert row["position_m"]["estimate"]["most"] > 1.0
+    assert set(row["attitude_deg"]) == {"truth", "error of the estimate"}
+    assert (out / "clean" / "sent.tlog").stat().st_size > 100_000
+    assert "What the faults did" in (out / "report.html").read_text()
+
+
+def test_the_twin_flies_no_further_than_a_run_that_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # it is this process, not one of its own
+    run_reference_flight(read_setup(str(SHORT)), tmp_path, SimpleNamespace(value=0))
+    assert (tmp_path / "sent.tlog").stat().st_size < 10_000
+
+
+@pytest.mark.parametrize(("exitcode", "flown"), [(0, True), (1, False), (-9, False)])
+def test_a_twin_that_fails_is_told_and_costs_the_effects_alone(
+    exitcode: int, flown: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process: Any = SimpleNamespace(exitcode=exitcode, join=lambda: None)
+    twin = ReferenceRun(process, SimpleNamespace(value=1 << 62))
+    assert twin.flown(5_000_000) is flown
+    assert twin.until_us.value == 5_000_000
+    assert bool(capsys.readouterr().err) is not flown
+
+
+def label(id: str, start_s: float, end_s: float, t0_us: int = 0) -> Label:
+    stamps = {"t0_us": t0_us, "start_us": round(start_s * 1e6), "end_us": round(end_s * 1e6)}
+    return Label(id=id, fault="bias", **stamps)
+
+
+def test_an_effect_counts_until_the_next_fault_or_the_end_of_its_echo() -> None:
+    t_s = np.arange(0.0, 60.0, 0.1)
+    curve = Signal("twin-position", "truth", t_s, t_s)
+    # The second came with a schedule that was loaded on the way and has a zero of its own.
+    labels = [label("a", 10, 20), label("b", 25, 30, t0_us=22_000_000)]
+    rows = measure_effects([curve], labels, t0_us=0)
+    extents = [row["position_m"]["truth"] for row in rows]
+    assert extents[0]["most"] == pytest.approx(25.0, abs=0.11)
+    assert extents[1] == {
+        "most": pytest.approx(40.0, abs=0.11),
+        "lasting": pytest.approx(39.5, abs=0.11),
+    }

@@ -1,0 +1,28 @@
+"""What a run says at its end, word by word."""
+
+import pytest
+
+from analysis.run.terminal_summary import print_summary
+
+
+def test_brackets_in_what_an_autopilot_or_a_user_said_are_shown(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said = "PX4 said: ERROR [px4] Startup script returned [/etc/init.d-posix/rcS]"
+    fault = {
+        "id": "bias[0]", "target": "ATTITUDE.roll", "start_s": 1.0, "end_s": None, "frames": 3,
+        "delay_s": None, "isolated": (), "verdict": "missed", "reason": "", "wrongly": (),
+    }  # fmt: skip
+    criterion = {"name": "whole flight", "value": said, "limit": "landed", "passed": False}
+    summary = {
+        "faults": [fault], "never_acted": ["jump[1]"], "edited": ["bias[0] was cleared"],
+        "attitude_rmse_deg": None, "position_rmse_m": None, "epochs": 0, "untestable_epochs": 0,
+        "alarms": 0, "false_alarms": 0, "watched": (), "untestable_reasons": {},
+        "epochs_without_imu": 0, "unbounded_epochs": 0, "false_by_channel": (), "sim_s": 1.0,
+        "wall_s": 1.0, "criteria": [criterion], "verdict": "FAIL",
+    }  # fmt: skip
+    print_summary(summary, None)
+    printed = capsys.readouterr().out
+    for words in (f"{said} (limit landed) FAILED", "bias[0]  ", "jump[1]: it met", "verdict  "):
+        assert words in printed
+    assert printed.endswith(" FAIL\n")
