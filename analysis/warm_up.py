@@ -179,7 +179,7 @@ def _make_plain_steps(scenario: Path) -> None:
 
     flight = ProxiedFlight(read_scenario(scenario), Schedule(0, ()))
     # Made, not flown: for that an autopilot would have to answer.
-    plain_flight(flight.simulation, HilPacker(), new_passage(flight.core, flight.tape))
+    plain_flight(flight.simulation, HilPacker(), new_passage(flight.core, flight.capture))
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:

@@ -404,7 +404,7 @@ def demo_flight(seed: int) -> tuple[list[Sample], DetectorConfig]:
     flown = ProxiedFlight(msgspec.structs.replace(setup.scenario, duration_s=NEES_S), Schedule())
     parser, decoder = Parser(), Decoder()
     samples: list[Sample] = []
-    while not flown.over:
+    while not flown.finished:
         items = parser.push(flown.advance([]).monitor)
         samples += decoder.decode(i for i in items if isinstance(i, Frame)).samples()
     return samples, setup.monitor.detector

@@ -81,7 +81,7 @@ def told(folder: Path, row: dict[str, str]) -> dict[str, Any]:
         )
     monitor, condition = Monitor(MonitorConfig(link=False)), LogCondition()
     for block in read_log(folder / row["file"], condition):
-        monitor.excuse(condition.lost_us)
+        monitor.set_log_gaps(condition.lost_us)
         monitor.push(block)
     return monitor.summary(labels, Criteria(), 0.0)
 

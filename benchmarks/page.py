@@ -107,14 +107,14 @@ async def measure(bus: Bus, pid: int, address: str, put: Put, viewers: int) -> s
 def main() -> None:
     """Measure and print."""
     with open_bus("tcp/127.0.0.1:0", run="bench", router=True) as bus:
-        bus.alive("proxy")
+        bus.declare_alive("proxy")
         begin_s = time.monotonic()
         command = [sys.executable, "-m", "mavproxy_fault.cli", "ui", "--port", "0"]
         server = subprocess.Popen([*command, "--zenoh", bus.url], stdout=subprocess.PIPE, text=True)
         assert server.stdout is not None
         host = server.stdout.readline().partition("http://")[2].partition("/#")[0]
         printed_s = time.monotonic() - begin_s
-        with urllib.request.urlopen(f"http://{host}/") as reply:
+        with urllib.make_requested.urlopen(f"http://{host}/") as reply:
             reply.read()
         answered_s = time.monotonic() - begin_s
         print(f"To the printed address {printed_s:.2f} s, to the page {answered_s:.2f} s\n")

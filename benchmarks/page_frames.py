@@ -56,7 +56,7 @@ def main() -> None:
     """Measure and print."""
     over = threading.Event()
     with open_bus("tcp/127.0.0.1:0", run="bench", router=True) as bus:
-        bus.alive("proxy")
+        bus.declare_alive("proxy")
         thread = threading.Thread(target=publish, args=(bus, over))
         thread.start()
         try:

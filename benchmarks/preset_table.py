@@ -103,7 +103,7 @@ def flown(vehicle: str, schedule: Schedule) -> Flown:
     scenario, config = setting(vehicle)
     flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
     places, batch = [], bytearray()
-    while not flight.over:
+    while not flight.finished:
         batch += flight.advance([]).monitor
         places.append(flight.simulation.truth.r_ned_m.copy())
         if len(batch) >= BATCH_BYTES:

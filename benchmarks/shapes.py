@@ -69,7 +69,7 @@ def fly(kind: str, shape: str) -> tuple[Any, np.ndarray, np.ndarray]:
     while not track.finished:
         _, truth, _ = simulation.step()
         north, east, _ = truth.r_ned_m.tolist()
-        error = track.look(north, east, 0.0).cross_track_m
+        error = track.setpoint_from(north, east, 0.0).cross_track_m
         rows.append((north, east, error, truth.height_agl_m - 80.0))
     plan = np.stack([track.path.north_m, track.path.east_m], axis=-1)
     return scenario.mission[0].size_m, plan, np.array(rows)

@@ -98,7 +98,7 @@ def flown(job: tuple[str, str, int]) -> Flown:
     schedule = parse_schedule({"seed": seed, "faults": faults}) if faults else Schedule()
     flight, monitor = ProxiedFlight(scenario, schedule), Monitor(MonitorConfig())
     results, truth, batch = [], {}, bytearray()
-    while not flight.over:
+    while not flight.finished:
         batch += flight.advance([]).monitor
         now = flight.simulation.truth
         truth[round(now.t_us, -4)] = ecef_from_geodetic(now.lat_rad, now.lon_rad, now.height_m)

@@ -130,11 +130,11 @@ def main(args: argparse.Namespace) -> int:
         # At full speed nobody watches, and every message costs: only where somebody asks.
         if args.ui or args.zenoh != "auto":
             bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
-            flown.show_on(stack.enter_context(bus))
+            flown.attach_bus(stack.enter_context(bus))
         simulation = flown.flight.simulation
         requests = stack.enter_context(autopilot.requests(simulation))
         program = autopilot.started(words, simulation, folder, own)
-        reason = flown.fly(
+        reason = flown.run_flight(
             program, requests, parse_speed(args.speed or ("1" if args.ui else "max"))
         )
         columns = read_columns(folder / "sent.tlog")
@@ -145,8 +145,8 @@ def main(args: argparse.Namespace) -> int:
     report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
         report_early_end(summary, reason)
-    summary["autopilot"] = flown.account(reason)
-    summary["edited"] = flown.edited(folder)
+    summary["autopilot"] = flown.summary(reason)
+    summary["edited"] = flown.edit_lines(folder)
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns)
@@ -215,13 +215,13 @@ class AutopilotRun:
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
         self._monitor = monitor
-        self._journal = EditLog(self.flight.core, self.flight.tape)
+        self._journal = EditLog(self.flight.core, self.flight.capture)
         self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
         self._recorder = Recorder(
             folder, recorder_session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
-        self._passage = new_passage(self.flight.core, self.flight.tape)
+        self._passage = new_passage(self.flight.core, self.flight.capture)
         self._unhurried = RealTimePacer()
         self._recorded_us = self._operator_us = 0
         self._loaded: str | None = None  # the schedule as it began
@@ -229,12 +229,12 @@ class AutopilotRun:
         self._phase = ""
         self._onlookers: AutopilotBusSession | None = None
 
-    def show_on(self, bus: Bus | None) -> None:
+    def attach_bus(self, bus: Bus | None) -> None:
         """Publish the flight on a bus, and let faults be armed from there."""
         if bus is not None:
             self._onlookers = AutopilotBusSession(bus, self.flight, self._journal)
 
-    def fly(
+    def run_flight(
         self,
         program: AbstractContextManager[RunningAutopilot],
         requests: AutopilotCommands,
@@ -254,10 +254,10 @@ class AutopilotRun:
             outward = AutopilotSender(
                 self.flight,
                 hil,
-                self._hear,
+                self._deliver,
                 self._commands,
                 flying.links[-1],
-                flying.step,
+                flying.step_message,
                 self._passage,
             )
             inward = AutopilotReceiver(outward, flying.links, patience, lockstep)
@@ -278,10 +278,10 @@ class AutopilotRun:
             except FlightOverError as over:
                 reason = str(over)
             except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.last_words()}"
+                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.exit_details()}"
             except ConfigError as wrong:
-                reason = f"{wrong}{flying.last_words()}"
-        outward.hear_all()
+                reason = f"{wrong}{flying.exit_details()}"
+        outward.deliver_all()
         self._close()
         if reason and simulation.truth.battery_remaining <= 0.0:
             reason += "; the simulated battery was empty"
@@ -289,49 +289,49 @@ class AutopilotRun:
             self._progress.say(f"the flight ended early: {reason}")
         return reason
 
-    def account(self, reason: str) -> dict[str, Any]:
+    def summary(self, reason: str) -> dict[str, Any]:
         """What `summary.json` tells of the autopilot; times are the vehicle's in seconds."""
         operator = self._operator
         return {
             "landed": operator.phase == "landed",
             "ended_early": reason,
-            "moments_s": {name: t_us * 1e-6 for name, t_us in operator.moments_us.items()},
+            "moments_s": {name: t_us * 1e-6 for name, t_us in operator.events_us.items()},
             "schedule_counts_from": self._count_from,
             "texts": [[round(t_us * 1e-6, 3), text] for t_us, text in operator.texts],
         }
 
-    def edited(self, folder: Path) -> list[str]:
+    def edit_lines(self, folder: Path) -> list[str]:
         """What was asked live, for people; not that the schedule began."""
         edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
         return describe_edits(edits, self.flight.core.clock.t0_us or 0)
 
-    def _hear(self, sends: list[Send]) -> None:
+    def _deliver(self, sends: list[Send]) -> None:
         for send in sends:
             if send.link == GROUND and not is_lockstep_traffic(send.data):
                 for item in self._parser.push(send.data, datagram=True):
                     if isinstance(item, Frame):
-                        self._operator.heard(item)
+                        self._operator.receive(item)
 
-    def _take(self, results: list[Any]) -> None:
+    def _add_results(self, results: list[Any]) -> None:
         self.results += results
         if self._onlookers is not None:
-            self._onlookers.tell(results)
+            self._onlookers.publish_results(results)
 
     def _commands(self) -> list[bytes]:
         """Called before each step: what the operator sends, and what has to be written."""
         if self._onlookers is not None:
             self._onlookers.serve()
         t_us = self.flight.vehicle_us
-        self._start.hold(t_us)
-        self._unhurried.hold(t_us, awaiting=self._requests.awaiting)
+        self._start.wait_for_pace(t_us)
+        self._unhurried.wait_for_pace(t_us, awaiting=self._requests.awaiting_reply)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first stamp there is no time.
-            started = self._start.over
+            started = self._start.finished
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
-        if self._loaded is None and self._count_from in self._operator.moments_us:
+        if self._loaded is None and self._count_from in self._operator.events_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
@@ -341,8 +341,8 @@ class AutopilotRun:
             self._record()
             if self._stop():
                 raise FlightOverError("stopped")
-            if self._operator.over:
-                raise FlightOverError(self._operator.gave_up)
+            if self._operator.finished:
+                raise FlightOverError(self._operator.failure)
         return frames
 
     def _begin_schedule(self, t_us: int) -> None:
@@ -363,15 +363,15 @@ class AutopilotRun:
         labels = self.flight.drain_labels()
         if self._passage is not None:
             self._passage.count()
-        sent = bytes(self.flight.tape.sent)
-        self._recorder.write(self.flight.tape, labels, self._journal.drain())
+        sent = bytes(self.flight.capture.sent)
+        self._recorder.write(self.flight.capture, labels, self._journal.drain())
         # Somebody may watch: results must not wait for a full batch then.
-        self._take(self._monitor.feed(sent, now=self._onlookers is not None))
+        self._add_results(self._monitor.feed(sent, now=self._onlookers is not None))
         if self._onlookers is not None:
-            self._onlookers.tell_labels(labels)
+            self._onlookers.publish_labels(labels)
 
     def _close(self) -> None:
-        self._hear(self.flight.core.finish(self.flight.now_us))
+        self._deliver(self.flight.core.finish(self.flight.now_us))
         self._record()
         if self._onlookers is not None:
             self._onlookers.close()

@@ -27,11 +27,11 @@ class AutopilotBusSession:
         # By the wall clock: it paces the page, nothing of the flight.
         self._live.show(time.monotonic())
 
-    def tell(self, results: Sequence[Any]) -> None:
+    def publish_results(self, results: Sequence[Any]) -> None:
         """Publish the monitor's results."""
         self._publisher.publish(list(results))
 
-    def tell_labels(self, labels: Sequence[Label]) -> None:
+    def publish_labels(self, labels: Sequence[Label]) -> None:
         """Publish how links and faults are doing."""
         self._live.publish(self._flight.stats(), labels)
 

@@ -41,7 +41,7 @@ class AutopilotCommands(Protocol):
     """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
 
     @property
-    def awaiting(self) -> bool:
+    def awaiting_reply(self) -> bool:
         """Whether somebody is at work on a request who lives on the wall clock."""
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
@@ -59,7 +59,7 @@ class AutopilotCommands(Protocol):
     def land(self) -> None:
         """Come down."""
 
-    def heard(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
 
     def pending(self) -> list[bytes]:
@@ -103,9 +103,9 @@ class Operator:
 
     def __init__(self, plan: FlightPlan, requests: AutopilotCommands) -> None:
         self.phase = Phase.WAITING
-        self.moments_us: dict[str, int] = {}
+        self.events_us: dict[str, int] = {}
         self.texts: list[tuple[int, str]] = []
-        self.gave_up = ""
+        self.failure = ""
         self._plan, self._requests = plan, requests
         self._t_us = self._since_us = self._again_us = self._hello_us = 0
         self._positioned_us: int | None = None  # since when
@@ -115,13 +115,13 @@ class Operator:
         self._seq = 0
 
     @property
-    def over(self) -> bool:
+    def finished(self) -> bool:
         """Whether there is nothing more to do."""
-        return self.phase is Phase.LANDED or bool(self.gave_up)
+        return self.phase is Phase.LANDED or bool(self.failure)
 
-    def heard(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
-        self._requests.heard(frame)
+        self._requests.receive(frame)
         name = frame.layout.name
         if name == "HEARTBEAT" and frame.component == 1:
             self._armed = bool(int(frame.number("base_mode")) & ARMED_FLAG)
@@ -129,7 +129,7 @@ class Operator:
                 self._note("arming")
             flown = VEHICLE_KINDS.get(int(frame.number("type")), "")
             if flown and self._plan.kind not in ("", flown):
-                self.gave_up = (
+                self.failure = (
                     f"the autopilot says it flies a {flown}, the scenario's vehicle is a "
                     f"{self._plan.kind}; give another --binary"
                 )
@@ -162,10 +162,10 @@ class Operator:
         if not started:
             self._since_us = t_us  # patience is with the vehicle, not with a busy machine
         self._note("first-stamp")
-        if not on_ground or "take-off" not in self.moments_us:
+        if not on_ground or "take-off" not in self.events_us:
             self._aloft_us = t_us
         self._go_on()
-        if t_us >= self._again_us and not self.over:
+        if t_us >= self._again_us and not self.finished:
             self._again_us = t_us + RETRY_US
             self._ask()
         frames = self._requests.pending()
@@ -183,12 +183,12 @@ class Operator:
         waited_s = (self._t_us - self._since_us) * 1e-6
         lying_s = (self._t_us - self._aloft_us) * 1e-6
         if self.phase is Phase.CLIMBING and not self._armed:
-            self.gave_up = f"disarmed while {self.phase}"
+            self.failure = f"disarmed while {self.phase}"
         # Its estimator may be lost: an autopilot that has crashed would fly on for minutes.
-        elif lying_s > GROUNDED_LIMIT_S and not self.over:
-            self.gave_up = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
+        elif lying_s > GROUNDED_LIMIT_S and not self.finished:
+            self.failure = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
         elif waited_s > PHASE_TIMEOUTS_S.get(self.phase, float("inf")):
-            self.gave_up = f"still {self.phase} after {waited_s:.0f} s"
+            self.failure = f"still {self.phase} after {waited_s:.0f} s"
 
     def _done(self) -> bool:
         match self.phase:
@@ -217,7 +217,7 @@ class Operator:
             self._note(str(phase))
 
     def _flown_s(self) -> float:
-        return (self._t_us - self.moments_us.get("take-off", self._t_us)) * 1e-6
+        return (self._t_us - self.events_us.get("take-off", self._t_us)) * 1e-6
 
     def _ask(self) -> None:
         """Ask for what this phase needs."""
@@ -243,4 +243,4 @@ class Operator:
 
     def _note(self, moment: str) -> None:
         """Keep the first time of a moment."""
-        self.moments_us.setdefault(moment, self._t_us)
+        self.events_us.setdefault(moment, self._t_us)

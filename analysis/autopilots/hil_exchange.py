@@ -100,8 +100,8 @@ class AutopilotSender:
         self.start_us = packer.start_us
         self.step_us: int | None = None
         self.returned: list[Frame] = []
-        self.unheard: list[Send] = []
-        self.flight, self._hear = flight, hear
+        self.undelivered: list[Send] = []
+        self.flight, self._listener = flight, hear
         self._packer, self._commands = packer, commands
         self._telemetry, self._step, self._passage = telemetry, step, passage
         self._parser = Parser()
@@ -117,15 +117,15 @@ class AutopilotSender:
         if self._answers or self._orders:
             self._leave_orders(out)
         data = b"".join(self._packer.frames(t_us, truth, readings))
-        return self.packed(data, self._packer.step_us, out)
+        return self.send_packed(data, self._packer.step_us, out)
 
-    def packed(
+    def send_packed(
         self, data: bytes, step_us: int | None, out: list[bytes] | None = None
     ) -> list[bytes]:
         """What becomes of a step's frames, behind what leaves before them."""
         out = [] if out is None else out
         now_us, self.step_us = self.flight.now_us, None
-        if (passed := self.passed(SIMULATOR, data, now_us)) is not None:
+        if (passed := self.pass_compiled(SIMULATOR, data, now_us)) is not None:
             if passed.links >> VEHICLE & 1:
                 out.append(passed.data)
                 if passed.data == data:
@@ -137,12 +137,12 @@ class AutopilotSender:
             self._sort(self.flight.core.received_frame(SIMULATOR, trusted_frame(raw), now_us), out)
         return out
 
-    def stepped(self, step_us: int) -> None:
+    def note_step(self, step_us: int) -> None:
         """A step has left by another way, with this stamp."""
         self.step_us, self._left = step_us, True
 
     @property
-    def waiting(self) -> bool:
+    def has_pending(self) -> bool:
         """Whether something is to leave before the next step, or has come back for the plant."""
         return bool(self._answers or self._orders or self.returned)
 
@@ -156,14 +156,14 @@ class AutopilotSender:
         for raw in orders:
             self._sort(self.flight.core.received(GROUND, raw, self.flight.now_us), out)
 
-    def meanwhile(self) -> None:
+    def work_between_steps(self) -> None:
         """What need not be done before a step leaves: the logs, whoever listens, the operator."""
-        self.hear_all()
+        self.deliver_all()
         if self._left:
             self._left = False
             self._orders = self._commands()
 
-    def received(self, frame: Frame) -> list[Send]:
+    def pass_frame(self, frame: Frame) -> list[Send]:
         """What becomes of the autopilot's frame, by the core."""
         self._settle()
         return self.flight.core.received_frame(VEHICLE, frame, self.flight.now_us)
@@ -172,7 +172,7 @@ class AutopilotSender:
         if self._passage is not None:
             self._passage.settle()
 
-    def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
+    def pass_compiled(self, link: int, data: bytes, now_us: int) -> Passed | None:
         """What became of whole frames as machine code; None where the core has to take them."""
         return None if self._passage is None else self._passage.passed(link, data, now_us)
 
@@ -181,9 +181,9 @@ class AutopilotSender:
             if send.link == VEHICLE:
                 self._leave(send.data, out)
             else:
-                self.sort(send, self.returned)
+                self.route_send(send, self.returned)
 
-    def sort(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
+    def route_send(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
         """What left for the simulator is returned to it, what goes back to the autopilot leaves
         with the next step, the rest is to be heard.
 
@@ -192,18 +192,18 @@ class AutopilotSender:
         if send.link == VEHICLE:
             self._answers.append(send.data)
         elif send.link != SIMULATOR:
-            self.unheard.append(send)
+            self.undelivered.append(send)
         elif origin is None or send.data is not origin.raw:
             returned += self._decoded(send)
         elif origin.id in SIMULATOR_MESSAGES:
             returned.append(origin)
 
-    def hear_all(self) -> None:
+    def deliver_all(self) -> None:
         """Let what has left be written down and heard."""
         self._settle()
-        if self.unheard:
-            heard, self.unheard = self.unheard, []
-            self._hear(heard)
+        if self.undelivered:
+            heard, self.undelivered = self.undelivered, []
+            self._listener(heard)
 
     def _decoded(self, send: Send) -> list[Frame]:
         """What left for the simulator and means something to it."""
@@ -298,7 +298,7 @@ class AutopilotReceiver:
         """What came and left the proxy for the simulator."""
         self._patience.check()
         outward = self._outward
-        outward.meanwhile()
+        outward.work_between_steps()
         found, outward.returned = outward.returned, []
         if self._given:
             given, self._given = self._given, []
@@ -311,7 +311,7 @@ class AutopilotReceiver:
             self._read(inbox, inbox.link.read(), found)
         return found
 
-    def give(self, stream: int, data: bytes) -> None:
+    def push_bytes(self, stream: int, data: bytes) -> None:
         """Take bytes of the HIL link that somebody else has read."""
         self._given.append((stream, data))
 
@@ -319,7 +319,7 @@ class AutopilotReceiver:
         """Whether a stream of the HIL link owes the rest of a frame."""
         return self._inboxes[0].incomplete(stream)
 
-    def hear_others(self) -> None:
+    def read_telemetry(self) -> None:
         """Read the links behind the HIL link; what is for the simulator is returned to it."""
         for inbox in self._inboxes[1:]:
             self._read(inbox, inbox.link.read(), self._outward.returned)
@@ -329,14 +329,14 @@ class AutopilotReceiver:
         for stream, data in chunks:
             passed = None
             if data and not inbox.incomplete(stream):
-                passed = outward.passed(VEHICLE, data, outward.flight.now_us)
+                passed = outward.pass_compiled(VEHICLE, data, outward.flight.now_us)
             if passed is not None:
                 self._take(data, passed, found)
                 continue
             for frame in inbox.parsed(stream, data):
                 self._answered(frame)
-                for send in outward.received(frame):
-                    outward.sort(send, found, frame)
+                for send in outward.pass_frame(frame):
+                    outward.route_send(send, found, frame)
 
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Frames that came and left together: `data` is what they were before."""
@@ -356,7 +356,7 @@ class AutopilotReceiver:
                 and frame_message_id(raw) not in IGNORED_STREAMS
                 and not is_lockstep_traffic(raw)
             ):
-                self._outward.unheard.append(Send(GROUND, raw, now_us))
+                self._outward.undelivered.append(Send(GROUND, raw, now_us))
 
     def _answered(self, frame: Frame) -> None:
         if frame.layout is STEP_REPLY:

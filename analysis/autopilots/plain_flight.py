@@ -75,7 +75,7 @@ class PlainFlight:
         """Whether nothing waits that the ordinary way has to see to before the next step."""
         outward, inward, words = self._outward, self._inward, self._stretch.words
         peer = self._link.lone_peer()
-        if peer is None or outward.waiting or inward.incomplete(peer[1]):
+        if peer is None or outward.has_pending or inward.incomplete(peer[1]):
             return False
         words[s.FD], self._stream = peer
         words[s.START_US] = outward.flight.now_us - outward.flight.t_us
@@ -89,7 +89,7 @@ class PlainFlight:
         step_us, counters, steps = int(words[s.STEP_US]), self._link.counters, int(words[s.STEPS])
         self._lockstep.received(int(words[s.ANSWERED_US]), now_s)
         self._lockstep.sent(step_us, now_s)
-        self._outward.stepped(step_us)
+        self._outward.note_step(step_us)
         counters.chunks_in += steps
         counters.chunks_out += steps
         counters.bytes_in += int(words[s.BYTES_IN])
@@ -100,19 +100,19 @@ class PlainFlight:
         """Do what a stretch ended for; whether a further one may follow."""
         words, outward = self._stretch.words, self._outward
         if reason == s.CAME:
-            self._inward.give(self._stream, self._stretch.came[: words[s.GOT]].tobytes())
+            self._inward.push_bytes(self._stream, self._stretch.came[: words[s.GOT]].tobytes())
         elif reason == s.KEPT:
             arrays = self._steps.arrays
             packed = arrays.out[: arrays.words[k.LENGTH]].tobytes()
             step_us = int(arrays.words[k.T_US] + arrays.words[k.START_US])
-            self._link.write(b"".join(outward.packed(packed, step_us)))
+            self._link.write(b"".join(outward.send_packed(packed, step_us)))
             self._lockstep.sent(outward.step_us, time.monotonic())
         elif reason == s.STAYED:
             length, went = int(self._steps.arrays.words[k.LENGTH]), max(int(words[s.WENT]), 0)
             self._link.write(self._stretch.data[went:length].tobytes())
         elif reason != s.SILENT:
-            self._inward.hear_others()
-            outward.meanwhile()
+            self._inward.read_telemetry()
+            outward.work_between_steps()
             return True
         return False
 

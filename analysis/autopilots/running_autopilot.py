@@ -24,7 +24,7 @@ Process = subprocess.Popen[bytes]
 class RunningAutopilot:
     """What flies, the log of what it says on its console, and the message that steps it.
 
-    The first link is the HIL link, further ones are its telemetry. `started` are words of the
+    The first link is the HIL link, further ones are its telemetry. `startup_text` are words of the
     console that end its start, while which it already answers.
     """
 
@@ -32,10 +32,10 @@ class RunningAutopilot:
     process: WaitableProcess
     links: Sequence[Link]
     log: Path
-    step: StepMessage
-    started: str = ""
+    step_message: StepMessage
+    startup_text: str = ""
 
-    def last_words(self) -> str:
+    def exit_details(self) -> str:
         """How it ended where it was killed, else what it said last; for a message."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             if (code := self.process.wait(SHUTDOWN_TIMEOUT_S)) < 0:
@@ -53,13 +53,13 @@ class StartupPacer:
 
     def __init__(self, program: RunningAutopilot) -> None:
         self._program = program
-        self.over = not program.started
+        self.finished = not program.startup_text
         self._began_s: float | None = None
         self._first_us = 0
 
-    def hold(self, t_us: int) -> None:
+    def wait_for_pace(self, t_us: int) -> None:
         """Wait until the wall clock is as far as the pace asks."""
-        if self.over:
+        if self.finished:
             return
         if self._began_s is None:
             self._began_s, self._first_us = time.monotonic(), t_us
@@ -69,9 +69,9 @@ class StartupPacer:
         if ahead_s < MIN_WAIT_S:
             return
         time.sleep(ahead_s)
-        told = self._program.started in self._program.log.read_text(errors="replace")
+        told = self._program.startup_text in self._program.log.read_text(errors="replace")
         # Another version may use other words.
-        self.over = told or time.monotonic() - self._began_s > STARTUP_LIMIT_S
+        self.finished = told or time.monotonic() - self._began_s > STARTUP_LIMIT_S
 
 
 class RealTimePacer:
@@ -84,7 +84,7 @@ class RealTimePacer:
     def __init__(self) -> None:
         self._pace: Pace | None = None
 
-    def hold(self, t_us: int, *, awaiting: bool) -> None:
+    def wait_for_pace(self, t_us: int, *, awaiting: bool) -> None:
         """Wait until the wall clock is as far as the flight since the question."""
         if not awaiting:
             self._pace = None

@@ -36,8 +36,8 @@ def bisect_magnitude(interval: Magnitudes) -> Generator[float, bool, CriticalMag
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if (yield interval.between(middle)):
+        if (yield interval.interpolate(middle)):
             high = middle
         else:
             low = middle
-    return CriticalMagnitude(interval.between(high), interval.between(low), HALVINGS + 2)
+    return CriticalMagnitude(interval.interpolate(high), interval.interpolate(low), HALVINGS + 2)

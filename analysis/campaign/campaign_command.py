@@ -66,14 +66,14 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
     ledger = ResultsStore(folder, campaign)
     fleet = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
     try:
-        with CampaignProgress(plan.most_cells, len(ledger.results)) as progress:
+        with CampaignProgress(plan.max_cells, len(ledger.results)) as progress:
             heat_map = LiveHeatMap(folder, plan)
 
             def show(results: list[CellResult]) -> None:
                 progress.show(results)
                 heat_map.show(results)
 
-            CampaignRun(plan, fleet, ledger, show).fly()
+            CampaignRun(plan, fleet, ledger, show).run_all()
     finally:
         fleet.close()
         ledger.close()
@@ -95,7 +95,7 @@ def describe_size(plan: CampaignPlan, workers: int) -> str:
     """What is about to be flown, and how long that may take."""
     campaign: CampaignFile = plan.campaign
     # Twins are flights too, but no cells.
-    flights, cells = plan.most_flights + len(plan.twins()), plan.most_cells
+    flights, cells = plan.max_flights + len(plan.reference_jobs()), plan.max_cells
     speed = LANE_SPEED if campaign.compiled else SIMULATOR_SPEED
     if any(map(campaign.autopilot, campaign.subject_names)):
         speed = AUTOPILOT_SPEED

@@ -44,16 +44,16 @@ class Magnitudes(_Section, frozen=True):
         if self.count < 2:
             raise ValueError(f"count = {self.count} is too few; 2 or more")
 
-    def between(self, share: float) -> float:
+    def interpolate(self, share: float) -> float:
         """The magnitude at a share (0 to 1) of the way, by the spacing."""
         if self.spacing == "linear":
             return self.low + share * (self.high - self.low)
         return math.exp(math.log(self.low) + share * math.log(self.high / self.low))
 
-    def listed(self) -> list[float]:
+    def spaced_values(self) -> list[float]:
         """All of them, rounded to four digits."""
         # Four digits: names and keys stay short, and the same after a restart.
-        return [float(f"{self.between(i / (self.count - 1)):.4g}") for i in range(self.count)]
+        return [float(f"{self.interpolate(i / (self.count - 1)):.4g}") for i in range(self.count)]
 
 
 class FaultChoice(_Section, frozen=True):
@@ -77,12 +77,12 @@ class FaultChoice(_Section, frozen=True):
         target = self.target if isinstance(self.target, str) else "+".join(self.target or [])
         return self.id or " ".join(filter(None, (self.fault or self.preset, target)))
 
-    def listed(self) -> list[float | None]:
+    def magnitude_list(self) -> list[float | None]:
         """The magnitudes of a grid; one that is None for a fault without."""
         if self.magnitudes is None:
             return [None]
         if isinstance(self.magnitudes, Magnitudes):
-            return list(self.magnitudes.listed())
+            return list(self.magnitudes.spaced_values())
         return list(self.magnitudes)
 
     def interval(self) -> Magnitudes:
@@ -198,7 +198,7 @@ class CampaignFile(_Section, frozen=True):
         varied = [[f"{path}={value:g}" for value in values] for path, values in self.vary.items()]
         return [" ".join(map(str, words)) for words in product(self.scenarios, *varied)]
 
-    def scenario_words(self, name: str) -> list[str]:
+    def scenario_arguments(self, name: str) -> list[str]:
         """The words of `run` that fly a scenario by its name in results."""
         file = next(str(s) for s in self.scenarios if name == s or name.startswith(f"{s} "))
         words = [str(Path(self.folder) / file)]
@@ -251,5 +251,5 @@ def read_campaign(path: Path | str) -> CampaignFile:
     # As a schedule's entry, at the first magnitude: errors come before the first flight.
     for i, fault in enumerate(campaign.faults):
         where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
-        parse_entry(fault.entry(fault.listed()[0], 0.0, 1.0), where)
+        parse_entry(fault.entry(fault.magnitude_list()[0], 0.0, 1.0), where)
     return campaign

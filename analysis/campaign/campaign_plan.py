@@ -30,21 +30,21 @@ class CampaignPlan:
     # -- size ------------------------------------------------------------------------------------
 
     @property
-    def most_cells(self) -> int:
+    def max_cells(self) -> int:
         """How many cells there are; of a critical search, how many at most."""
         campaign = self.campaign
         if campaign.find == "critical":
             per_fault = len(campaign.faults) * (HALVINGS + 2)
         else:
-            per_fault = sum(len(fault.listed()) for fault in campaign.faults)
+            per_fault = sum(len(fault.magnitude_list()) for fault in campaign.faults)
         series = len(campaign.onsets) * len(campaign.durations_s) * len(campaign.seeds)
         return len(self.subjects) * len(self.scenarios) * per_fault * series
 
     @property
-    def most_flights(self) -> int:
+    def max_flights(self) -> int:
         """How many flights those are, without the twins."""
         # A flight that is shared answers for all its subjects.
-        return self.most_cells // len(self.subjects) * len(self._groups())
+        return self.max_cells // len(self.subjects) * len(self._groups())
 
     @property
     def flight_s(self) -> float:
@@ -71,7 +71,7 @@ class CampaignPlan:
 
     # -- twins -----------------------------------------------------------------------------------
 
-    def twins(self) -> dict[str, FlightJob]:
+    def reference_jobs(self) -> dict[str, FlightJob]:
         """The flights without a fault, by key."""
         if self.campaign.compiled:
             # Compiled batches fly their twin along.
@@ -81,12 +81,12 @@ class CampaignPlan:
             cells = tuple(
                 Cell(subject=name, scenario=scenario, fault=HEALTHY, seed=seed) for name in group
             )
-            found[self.twin_key(cells[0])] = FlightJob(
+            found[self.reference_key(cells[0])] = FlightJob(
                 self.campaign, cells, None, self._folder(cells[0])
             )
         return found
 
-    def twin_key(self, cell: Cell) -> str:
+    def reference_key(self, cell: Cell) -> str:
         """What a cell's twin is known by; subjects that share flights share it."""
         # The first subject stands for all that share the flight.
         first = next(group[0] for group in self._groups() if cell.subject in group)
@@ -98,7 +98,7 @@ class CampaignPlan:
 
     # -- cells -----------------------------------------------------------------------------------
 
-    def threads(
+    def job_sequences(
         self, known: KnownResults, twins: Mapping[str, CampaignFlight]
     ) -> Iterator[JobSequence]:
         """What is left to fly."""
@@ -131,7 +131,7 @@ class CampaignPlan:
             for series in self._series():
                 if series.subject != group[0]:
                     continue
-                for magnitude in self.campaign.fault(series.fault).listed():
+                for magnitude in self.campaign.fault(series.fault).magnitude_list():
                     yield [cell_at(series, magnitude, subject) for subject in group]
 
     def _lanes(self, known: KnownResults) -> Iterator[JobSequence]:
@@ -147,7 +147,7 @@ class CampaignPlan:
     def _job(self, cells: tuple[Cell, ...], twins: Mapping[str, CampaignFlight]) -> Job:
         if self.campaign.compiled:
             return LaneJob(self.campaign, cells)
-        twin = twins[self.twin_key(cells[0])]
+        twin = twins[self.reference_key(cells[0])]
         return FlightJob(self.campaign, cells, twin, self._folder(cells[0]))
 
     def _critical(
@@ -165,11 +165,11 @@ class CampaignPlan:
                 if result.outcome == "aborted":
                     # Without an answer the bisection cannot choose a side.
                     return
-                magnitude = search.send(self.campaign.limits.worse(result.outcome))
+                magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
         except StopIteration:
             return
 
-    def criticals(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
+    def critical_magnitudes(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
         """What the bisections that are over have found, by series."""
         found = {}
         for series in self._series():
@@ -179,7 +179,7 @@ class CampaignPlan:
                 while (
                     result := known.get(cell_at(series, magnitude, series.subject).key)
                 ) is not None:
-                    magnitude = search.send(self.campaign.limits.worse(result.outcome))
+                    magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
             # The generator's return value is what it found.
             except StopIteration as over:
                 found[series.series] = over.value

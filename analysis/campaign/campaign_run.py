@@ -18,11 +18,11 @@ class CampaignRun:
     """Flies a plan with a fleet into a ledger; `progress` is shown each job's results."""
 
     plan: CampaignPlan
-    fleet: WorkerPool
-    ledger: ResultsStore
+    pool: WorkerPool
+    store: ResultsStore
     progress: ProgressCallback
 
-    def fly(self) -> None:
+    def run_all(self) -> None:
         """Fly all that the ledger does not know yet.
 
         Raises
@@ -30,19 +30,19 @@ class CampaignRun:
         ConfigError
             If a twin cannot be flown: then nothing of the campaign can.
         """
-        self._twins()
-        todo = self.plan.threads(self.ledger.results, self.ledger.twins)
+        self._fly_references()
+        todo = self.plan.job_sequences(self.store.results, self.store.reference_flights)
         in_air: dict[int, JobSequence] = {}
         count = 0
         while True:
-            while len(in_air) < self.fleet.capacity and (thread := next(todo, None)) is not None:
+            while len(in_air) < self.pool.capacity and (thread := next(todo, None)) is not None:
                 count += self._begin(thread, count, in_air)
             if not in_air:
                 return
-            number, answer = self.fleet.finished()
+            number, answer = self.pool.finished()
             thread = in_air.pop(number)
             # Kept before anything else: a kill after this loses nothing.
-            self.ledger.add(answer.results, answer.flown)
+            self.store.add(answer.results, answer.flight)
             self.progress(answer.results)
             try:
                 job = thread.send(answer.results)
@@ -51,7 +51,7 @@ class CampaignRun:
                 continue
             count += 1
             in_air[count] = thread
-            self.fleet.start(count, job)
+            self.pool.start(count, job)
 
     def _begin(self, thread: JobSequence, count: int, in_air: dict[int, JobSequence]) -> int:
         """Start a thread's first job; how many were started (0 if all of it is known)."""
@@ -59,22 +59,26 @@ class CampaignRun:
         if job is None:
             return 0
         in_air[count + 1] = thread
-        self.fleet.start(count + 1, job)
+        self.pool.start(count + 1, job)
         return 1
 
-    def _twins(self) -> None:
-        jobs = {k: job for k, job in self.plan.twins().items() if k not in self.ledger.twins}
+    def _fly_references(self) -> None:
+        jobs = {
+            k: job
+            for k, job in self.plan.reference_jobs().items()
+            if k not in self.store.reference_flights
+        }
         waiting = list(jobs)
         in_air: dict[int, str] = {}
         while waiting or in_air:
-            while waiting and len(in_air) < self.fleet.capacity:
+            while waiting and len(in_air) < self.pool.capacity:
                 key = waiting.pop(0)
                 # Negative, so that they cannot be mistaken for numbers of jobs.
                 number = -len(jobs) + len(waiting)
                 in_air[number] = key
-                self.fleet.start(number, jobs[key])
-            number, answer = self.fleet.finished()
-            self.ledger.add_twin(in_air.pop(number), reference_flight_of(answer))
+                self.pool.start(number, jobs[key])
+            number, answer = self.pool.finished()
+            self.store.add_reference(in_air.pop(number), reference_flight_of(answer))
 
 
 def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
@@ -85,11 +89,11 @@ def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
     ConfigError
         If there was none.
     """
-    if answer.flown is None:
+    if answer.flight is None:
         # Without its twin nothing can be judged.
         first = answer.results[0]
         raise ConfigError(
             f"{first.cell.scenario}: {first.cell.subject} cannot be flown without a fault: "
             f"{first.note}"
         )
-    return answer.flown
+    return answer.flight

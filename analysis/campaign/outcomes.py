@@ -49,7 +49,7 @@ class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 f"worse_from = {self.worse_from} is unknown; known: {', '.join(RANKS[1:])}"
             )
 
-    def worse(self, outcome: str) -> bool:
+    def is_worse(self, outcome: str) -> bool:
         """Whether an outcome is at least as bad as `worse_from`."""
         return outcome_rank(outcome) >= outcome_rank(self.worse_from)
 

@@ -64,7 +64,7 @@ class ResultsStore:
             for result in read_lines(folder / CELLS, CellResult)
             if result.outcome != ABORTED
         }
-        self.twins = {
+        self.reference_flights = {
             twin.key: twin.flown
             for twin in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
         }
@@ -83,9 +83,9 @@ class ResultsStore:
                 CURVES, [CellEvidence(r.cell.key, evidence[r.cell.subject]) for r in results]
             )
 
-    def add_twin(self, key: str, flown: CampaignFlight) -> None:
+    def add_reference(self, key: str, flown: CampaignFlight) -> None:
         """Keep a flight without a fault."""
-        self.twins[key] = flown
+        self.reference_flights[key] = flown
         self._write(REFERENCE_FLIGHTS, [ReferenceFlightRecord(key, flown)])
 
     def _write(self, name: str, items: list[Any]) -> None:

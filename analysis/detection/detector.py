@@ -130,7 +130,7 @@ class Detector:
         core, pending, mag_b = state
         chosen = core.chosen
         # The choice of ephemerides holds for a while; it is made anew when the sky changes.
-        if chosen is None or not chosen.serves(epoch):
+        if chosen is None or not chosen.is_valid_for(epoch):
             chosen = select_ephemerides(epoch, core.ephemerides, self.config.systems, chosen)
             core = core._replace(chosen=chosen)
         observed = observe_epoch(epoch, chosen)

@@ -204,7 +204,7 @@ def _widen_without(
 ) -> None:
     """Widen levels (3,), in place, by the snapshot of all ranges but one."""
     w, at = weight[i], lines.clock[i]
-    x, y, z = lines.sight[i, 0], lines.sight[i, 1], lines.sight[i, 2]
+    x, y, z = lines.line_of_sight[i, 0], lines.line_of_sight[i, 1], lines.line_of_sight[i, 2]
     north = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z + cofactor[0, at]
     east = cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z + cofactor[1, at]
     down = cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z + cofactor[2, at]
@@ -234,7 +234,7 @@ def _snapshot(lines: RangeGeometry, weight: Vector, v: Vector) -> tuple[Vector, 
         seen[lines.clock[i]] |= weight[i] > 0.0
         b[lines.clock[i]] += weight[i] * v[i]
         for k in range(AXES):
-            b[k] += weight[i] * lines.sight[i, k] * v[i]
+            b[k] += weight[i] * lines.line_of_sight[i, k] * v[i]
     if remaining < AXES + seen.sum():
         return np.full(unknowns, np.nan), np.full((unknowns, unknowns), np.nan)
     normal = normal_matrix(lines, weight)

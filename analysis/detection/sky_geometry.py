@@ -44,7 +44,7 @@ class RecordedSky:
         self._orbits, self._systems = orbits_of(block), config.systems
         self._chosen: EphemerisSelection | None = None
 
-    def above(self, results: Sequence[Result]) -> list[Result]:
+    def add_sky(self, results: Sequence[Result]) -> list[Result]:
         """The results, decisions with the sky above their position."""
         return [
             self._seen(result) if isinstance(result, Decision) else result for result in results
@@ -54,7 +54,7 @@ class RecordedSky:
         epoch = self._epochs.get(decision.t_us)
         if epoch is None or not decision.position_ecef_m:
             return decision
-        if self._chosen is None or not self._chosen.serves(epoch):
+        if self._chosen is None or not self._chosen.is_valid_for(epoch):
             self._chosen = select_ephemerides(epoch, self._orbits, self._systems)
         return _seen(decision, epoch, self._chosen)
 

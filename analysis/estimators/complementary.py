@@ -161,10 +161,10 @@ class Mahony:
 
     def update(self, reading: Sample, state: FilterState) -> tuple[AttitudeEstimate, FilterState]:
         """IMU moves, field turns, airspeed is kept for the centripetal part."""
-        _, _, state = self.follow(block_of(reading), state)
+        _, _, state = self.update_block(block_of(reading), state)
         return AttitudeEstimate(state.t_us, state.x[:BIAS]), state
 
-    def follow(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
+    def update_block(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
         t_us, q_nb, x, stamps, airspeed_mps = filter_block(
             block.kind,

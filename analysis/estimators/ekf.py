@@ -69,10 +69,10 @@ class Ekf:
 
     def update(self, reading: Sample, state: EkfState) -> tuple[AttitudeEstimate, EkfState]:
         """IMU predicts; velocity, field and (where GPS is missing) gravity correct."""
-        _, _, state = self.follow(block_of(reading), state)
+        _, _, state = self.update_block(block_of(reading), state)
         return AttitudeEstimate(state.t_us, state.x[:4]), state
 
-    def follow(self, block: Block, state: EkfState) -> tuple[Stamps, Vector, EkfState]:
+    def update_block(self, block: Block, state: EkfState) -> tuple[Stamps, Vector, EkfState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
         stamps = np.array([state.t_us, state.gps_t_us, state.tilt_t_us])
         t_us, q_nb, x, stamps, airspeed_mps = ekf_kernel.filter_block(

@@ -131,11 +131,11 @@ class InverseModel:
 
     def update(self, reading: Sample, state: HeunState) -> tuple[AttitudeEstimate, HeunState]:
         """Integrate from the sample before to this one."""
-        _, _, state = self.follow(block_of(reading), state)
+        _, _, state = self.update_block(block_of(reading), state)
         q_nb = quaternion_of_euler(state.x[0], state.x[1], state.x[2])
         return AttitudeEstimate(state.t_us, q_nb), state
 
-    def follow(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
+    def update_block(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
         """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
         t_us, q_nb, x, now_us, before = integrate_block(
             block.kind, block.t_us, block.values, state.x, state.t_us, state.before

@@ -58,29 +58,29 @@ class LastGoodState(NamedTuple):
 class FusionState:
     """What moves; changed in place, as the graph in it must be.
 
-    `imu` and `waiting` are runs and samples for the next epoch.
-    `learnt` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
-    out there, `lost` says that the graph has missed the IMU since it knew its attitude,
-    `suspect_us` since when the IMU has been suspicious. `sky` are the satellites that the slow
-    covariance is of, and when; `notes` are for the next result's reason.
+    `imu` and `pending` are runs and samples for the next epoch.
+    `noise` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
+    out there, `attitude_lost` says that the graph has missed the IMU since it knew its attitude,
+    `imu_suspect_us` since when the IMU has been suspicious. `slow_key` are the satellites that the
+    slow covariance is of, and when; `notes` are for the next result's reason.
     """
 
     imu: deque[ImuRun] = field(default_factory=deque)
-    depth: int = 0  # samples in `imu`
-    waiting: dict[str, Sample] = field(default_factory=dict)
+    imu_count: int = 0  # samples in `imu`
+    pending: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
-    others: SensorFactors | None = None
-    learnt: LearnedNoise = field(default_factory=LearnedNoise)
-    good: LastGoodState | None = None
+    sensor_factors: SensorFactors | None = None
+    noise: LearnedNoise = field(default_factory=LearnedNoise)
+    last_good: LastGoodState | None = None
     excluded: frozenset[str] = frozenset()
     isolated: frozenset[str] = frozenset()
-    lost: bool = False
-    suspect_us: int | None = None
-    sky: tuple[object, ...] = ()
+    attitude_lost: bool = False
+    imu_suspect_us: int | None = None
+    slow_key: tuple[object, ...] = ()
     notes: list[str] = field(default_factory=list)
     last: FusedState | None = None
 
-    def hear(self, run: ImuRun) -> None:
+    def add_imu(self, run: ImuRun) -> None:
         """Take IMU samples: the graph those from before its newest epoch, the next epoch the rest.
 
         The oldest are forgotten where there are too many.
@@ -88,16 +88,16 @@ class FusionState:
         if self.graph is not None and _count_later(run.t_us, self.graph.node.t_us) < len(run.t_us):
             late = run.t_us <= self.graph.node.t_us
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
-                self.graph.hear_late(ImuSample(t_us, row[:3], row[3:]))
+                self.graph.add_late_imu(ImuSample(t_us, row[:3], row[3:]))
             run = ImuRun(run.t_us[~late], run.values[~late])
         if len(run.t_us):
             self.imu.append(run)
-            self.depth += len(run.t_us)
+            self.imu_count += len(run.t_us)
         # Without epochs nobody fetches them, and memory would grow for ever.
-        while self.depth > PENDING_MAX and len(self.imu) > 1:
-            self.depth -= len(self.imu.popleft().t_us)
+        while self.imu_count > PENDING_MAX and len(self.imu) > 1:
+            self.imu_count -= len(self.imu.popleft().t_us)
 
-    def heard(self, until_us: int) -> ImuRun:
+    def imu_until(self, until_us: int) -> ImuRun:
         """What has come up to a time, put together in order of time."""
         stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
         values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
@@ -106,15 +106,15 @@ class FusionState:
         end = int(np.searchsorted(stamps, until_us, side="right"))
         return ImuRun(stamps[:end], values[first[:end]])
 
-    def forget(self, until_us: int) -> None:
+    def drop_imu_until(self, until_us: int) -> None:
         """Drop what is not later than a time."""
-        runs, self.imu, self.depth = self.imu, deque(), 0
+        runs, self.imu, self.imu_count = self.imu, deque(), 0
         for run in runs:
             count = _count_later(run.t_us, until_us)
             if count:
                 later = run.t_us > until_us
                 self.imu.append(ImuRun(run.t_us[later], run.values[later]))
-                self.depth += count
+                self.imu_count += count
 
 
 @compiled

@@ -34,7 +34,7 @@ Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in bo
 @dataclass(slots=True)
 class GraphEpoch:
     """What the graph remembers of an epoch in the window: its first guess, as a node and as GTSAM's
-    values, its stamp in the window, and the pose `seen` by vision among it."""
+    values, its stamp in the window, and the pose `vision_pose` by vision among it."""
 
     first: Node
     values: Any
@@ -42,7 +42,7 @@ class GraphEpoch:
     edge: Edge | None = None
     ranges: EpochRanges | None = None
     weights: Vector = field(default_factory=lambda: np.empty(0))
-    seen: Any = None
+    vision_pose: Any = None
 
     @property
     def t_us(self) -> int:
@@ -64,13 +64,13 @@ class Graph:
         self.aligned = beginning.aligned
         self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
         self.covariance: Vector = np.zeros((9, 9))
-        self.window = FactorWindow(config.lag_s, any_scale=beginning.loose)
+        self.window = FactorWindow(config.lag_s, any_scale=beginning.uncertain)
         self.epochs: dict[int, GraphEpoch] = {}
         self._began = beginning.node
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
         self._free: list[int] = []  # numbers of epochs that are gone
-        self._late: dict[int, list[ImuSample]] = {}
+        self._late_imu: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
         self._place_m = [0.0, 0.0, 0.0]
         self._noise: ProcessNoise | None = None  # of what `_params` are
@@ -110,10 +110,10 @@ class Graph:
         after = self._track[at + 1][1] if at + 1 < len(self._track) else None
         return before, after
 
-    def seen_around(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
+    def vision_neighbours(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
         """The nearest epochs before and after one that vision has seen."""
         t_us = self.epochs[epoch].t_us
-        seen = [(at, i) for at, i in self._track if self.epochs[i].seen is not None]
+        seen = [(at, i) for at, i in self._track if self.epochs[i].vision_pose is not None]
         before = [i for at, i in seen if 0 < t_us - at <= within_us]
         after = [i for at, i in seen if 0 < at - t_us <= within_us]
         return (before[-1] if before else None), (after[0] if after else None)
@@ -144,18 +144,18 @@ class Graph:
             pose = gtsam.Pose3(attitude[0], self.node.pose.translation())
             self.node = self.node._replace(pose=pose)
         self._insert(self.node)
-        self._tie(edge, motion, self.node.epoch)
+        self._connect(edge, motion, self.node.epoch)
         if attitude is not None:
             self.aligned = True
             noise = gtsam.noiseModel.Gaussian.Covariance(attitude[1])
             x = variable_key("x", self.node.epoch)
             prior = gtsam.PoseRotationPrior3D(x, attitude[0], noise)
             self.attach("aligned", self.node.epoch, prior)
-        return self.sound(edge)
+        return self.uses_imu(edge)
 
-    def sound(self, edge: Edge) -> bool:
+    def uses_imu(self, edge: Edge) -> bool:
         """Whether the IMU ties the ends of an edge."""
-        return edge.sound(self._detector.gap_s)
+        return edge.uses_imu(self._detector.gap_s)
 
     def insert_late(self, t_us: int) -> Node | None:
         """An epoch between two of the window; None where there is no place for it."""
@@ -173,23 +173,23 @@ class Graph:
         motion = self._motion(earlier, start, t_us)
         node = self._new_node(start, t_us, motion)
         self._insert(node)
-        self._tie(earlier, motion, node.epoch)
+        self._connect(earlier, motion, node.epoch)
         # The edge that spanned the gap now begins at the new epoch.
-        self._retie(j, edge._replace(before=node.epoch, part=second), node)
+        self._reconnect(j, edge._replace(before=node.epoch, part=second), node)
         return node
 
-    def hear_late(self, sample: ImuSample) -> None:
+    def add_late_imu(self, sample: ImuSample) -> None:
         """An IMU sample from between two epochs of the window: it is used at the next commit."""
         at = bisect_left(self._track, (sample.t_us, -1))
         if 0 < at < len(self._track):
-            self._late.setdefault(self._track[at][1], []).append(sample)
+            self._late_imu.setdefault(self._track[at][1], []).append(sample)
 
-    def distrust(self, since_us: int) -> None:
+    def drop_imu_since(self, since_us: int) -> None:
         """Take back the IMU from a time on."""
         for t_us, epoch in self._track:
             edge = self._edge(epoch)
             if t_us > since_us and edge is not None and edge.trusted:
-                self._retie(epoch, edge._replace(trusted=False))
+                self._reconnect(epoch, edge._replace(trusted=False))
 
     def attach_ranges(self, epoch: int, ranges: EpochRanges, weights: Vector) -> None:
         """The pseudoranges and rates of an epoch with their weights (n,)."""
@@ -210,7 +210,7 @@ class Graph:
         self.window.insert(guess, (variable_key("r", epoch),), at.stamp_s)
         self.attach(RANGES, epoch, tie, *([] if rows is None else [rows]))
 
-    def remove(self, name: str, since_us: int) -> None:
+    def remove_satellite(self, name: str, since_us: int) -> None:
         """Take back a satellite from a time on: the epoch's other ranges are attached anew."""
         for t_us, epoch in self._track:
             at = self.epochs[epoch]
@@ -249,15 +249,15 @@ class Graph:
         RuntimeError
             By GTSAM, when the system cannot be solved; or when the estimate is not finite.
         """
-        for epoch, late in self._late.items():
+        for epoch, late in self._late_imu.items():
             edge = self._edge(epoch)
             if edge is not None and edge.trusted:
                 start_us, end_us = self.epochs[edge.before].t_us, self.epochs[epoch].t_us
                 part = add_late_samples(edge.part, start_us, end_us, late)
-                self._retie(epoch, edge._replace(part=part))
-        self._late = {}
+                self._reconnect(epoch, edge._replace(part=part))
+        self._late_imu = {}
         # Before solving, as the smoother drops these variables while it does.
-        self._forget()
+        self._drop_marginalised()
         self.window.commit()
         epoch = self.node.epoch
         self.node = self.estimate(epoch)
@@ -272,7 +272,7 @@ class Graph:
             return None
         return at.edge if at.edge.before in self.epochs else None
 
-    def _forget(self) -> None:
+    def _drop_marginalised(self) -> None:
         """Epochs that the next commit marginalises."""
         oldest_s = self.window.oldest_s
         while self._track and self.epochs[self._track[0][1]].stamp_s < oldest_s:
@@ -300,7 +300,7 @@ class Graph:
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or a model of motion in its place."""
-        if self.sound(edge):
+        if self.uses_imu(edge):
             place_m = start.pose.translation().tolist()
             # Preintegration takes gravity as constant; a new place has another one.
             far = math.dist(place_m, self._place_m) > SAME_GRAVITY_M
@@ -311,7 +311,7 @@ class Graph:
         dt_s = (t_us - start.t_us) * 1e-6
         return motion_model(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
 
-    def _tie(self, edge: Edge, motion: Any, epoch: int) -> None:
+    def _connect(self, edge: Edge, motion: Any, epoch: int) -> None:
         before, after = self.epochs[edge.before], self.epochs[epoch]
         after.edge = edge
         (x0, v0, b0), (x1, v1, b1) = (
@@ -320,15 +320,15 @@ class Graph:
         moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
         self.attach("imu", epoch, moved, since=edge.before)
         dt_s = (after.t_us - before.t_us) * 1e-6
-        walked = clock_factor(edge.before, epoch, dt_s, edge.jumped_m, self._detector.noise)
+        walked = clock_factor(edge.before, epoch, dt_s, edge.clock_jump_m, self._detector.noise)
         self.attach("clock", epoch, walked, since=edge.before)
 
-    def _retie(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
+    def _reconnect(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
         """Another edge to an epoch in place of the one it has."""
         for source in ("imu", "clock"):
             self.window.remove(source, epoch)
         start = start or self.estimate(edge.before)
-        self._tie(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
+        self._connect(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
 
 
 @compiled

@@ -72,7 +72,7 @@ class GraphStart:
     aligned: bool
 
     @property
-    def loose(self) -> bool:
+    def uncertain(self) -> bool:
         """Whether the position is so unsure that more than priors is needed."""
         return math.sqrt(np.trace(self.pose_p[3:, 3:])) > UNCERTAIN_POSITION_M
 

@@ -27,12 +27,12 @@ class Edge(Value, frozen=True):
     part: ImuSegment
     noise: ProcessNoise
     trusted: bool
-    jumped_m: float
+    clock_jump_m: float
     rate_sigma_rps: float = RATE_SIGMA_RPS
 
-    def sound(self, gap_s: float) -> bool:
+    def uses_imu(self, gap_s: float) -> bool:
         """Whether the IMU ties the two epochs; silence longer than `gap_s` is not bridged."""
-        return self.trusted and self.part.heard and 0.0 <= self.part.gap_s <= gap_s
+        return self.trusted and self.part.any_sample and 0.0 <= self.part.gap_s <= gap_s
 
 
 def segment_between(run: ImuRun, start_us: int, end_us: int) -> ImuSegment:

@@ -36,34 +36,34 @@ AGE, RATE, SLOW = 0, 1, 2
 class LearnedNoise:
     """What moves, in place: variances of the IMU's white noise per hertz, of gyros and
     accelerometers, and how long it was heard in s (3,); a table (n, 3) by satellite: age, mean
-    square of the rate's residual, mean of the range's; the noise `found` last."""
+    square of the rate's residual, mean of the range's; the noise `imu_noise` last."""
 
     imu: Vector = field(default_factory=lambda: np.zeros(3))
     satellites: tuple[str, ...] = ()
     table: Vector = field(default_factory=lambda: np.empty((0, 3)))
     t_us: int = 0
-    found: ProcessNoise | None = None
+    imu_noise: ProcessNoise | None = None
 
-    def hear_imu(self, samples: Vector) -> None:
+    def add_imu(self, samples: Vector) -> None:
         """Samples (k, 7) of a sound IMU: step in s, rates, specific force."""
         _add_imu(self.imu, samples)
 
-    def noise(self, configured: ProcessNoise) -> ProcessNoise:
+    def current_noise(self, configured: ProcessNoise) -> ProcessNoise:
         """The noise with what was learnt of the IMU."""
         gyro2, accel2, heard_s = self.imu.tolist()
         if heard_s == 0.0:
             return configured
         gyro = math.sqrt(gyro2 + GYRO_FLOOR_RPS**2)
         accel = math.sqrt(accel2 + ACCEL_FLOOR_MPS2**2)
-        known = self.found
+        known = self.imu_noise
         if known is None or not (
             1.0 / CHANGE_FACTOR < gyro / known.gyro_rps < CHANGE_FACTOR
             and 1.0 / CHANGE_FACTOR < accel / known.accel_mps2 < CHANGE_FACTOR
         ):
-            known = self.found = replace(configured, gyro_rps=gyro, accel_mps2=accel)
+            known = self.imu_noise = replace(configured, gyro_rps=gyro, accel_mps2=accel)
         return known
 
-    def hear_ranges(
+    def add_ranges(
         self, t_us: int, satellites: tuple[str, ...], weights: Vector, normalised: Vector
     ) -> None:
         """Residuals (n, 2) of ranges and rates over their configured sigmas; where the weights (n,)
@@ -73,11 +73,11 @@ class LearnedNoise:
         self._start_satellites(satellites)
         _add_residuals(self.table, weights, normalised, dt_s)
 
-    def scale(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
+    def scale_rates(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
         """Multiply the configured sigmas (n,) of rates, in place."""
-        _scale_sigmas(self._of(satellites), rate_sigma)
+        _scale_sigmas(self._rows_of(satellites), rate_sigma)
 
-    def slow(self, configured: float, unknowns: int) -> float:
+    def lasting_share(self, configured: float, unknowns: int) -> float:
         """The share of the ranges' sigmas that lasts; `unknowns` a snapshot solution takes away."""
         means = self.table[self.table[:, AGE] > SLOW_S / 2.0, SLOW]
         count = len(means)
@@ -88,9 +88,9 @@ class LearnedNoise:
         return math.sqrt((SLOW_PRIOR * configured**2 + seen) / (SLOW_PRIOR + count))
 
     def _start_satellites(self, satellites: tuple[str, ...]) -> None:
-        self.table, self.satellites = self._of(satellites), satellites
+        self.table, self.satellites = self._rows_of(satellites), satellites
 
-    def _of(self, satellites: tuple[str, ...]) -> Vector:
+    def _rows_of(self, satellites: tuple[str, ...]) -> Vector:
         """The table's rows of some satellites, new ones as configured."""
         if satellites == self.satellites:
             return self.table

@@ -65,7 +65,7 @@ class Fusion:
         self, piece: BlockSlice, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """The same as `step` for samples up to an event, with the results of that."""
-        state.hear(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
+        state.add_imu(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
         states: list[Result] = []
         for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
@@ -90,7 +90,7 @@ class Fusion:
         """
         if type(sample) is ImuSample:
             if core.imu_id is None or core.imu_id == sample.id:
-                state.hear(imu_run_of([sample]))
+                state.add_imu(imu_run_of([sample]))
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, SOURCE_NAMES.get(type(sample))
@@ -99,16 +99,16 @@ class Fusion:
             self._attach_late(graph, sample, source, core, state)
             return [], state
         if source is not None:
-            state.waiting[source] = sample
+            state.pending[source] = sample
         if decision is None or (graph is not None and decision.t_us <= graph.node.t_us):
             return [], state
         now = FusionEpoch(sample, decision, results, core)
         try:
-            fused = self._epoch(now, state)
+            fused = self._next_epoch(now, state)
         except SOLVER_ERRORS as error:
-            fused = self._again(now, state, _first_line(error))
+            fused = self._recover(now, state, _first_line(error))
         # Even where no state came of it: the next epoch begins after this one.
-        state.forget(decision.t_us)
+        state.drop_imu_until(decision.t_us)
         if fused is None:
             return [], state
         if self.config.decide:
@@ -118,14 +118,14 @@ class Fusion:
         state.last = fused
         return [fused], state
 
-    def _epoch(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
+    def _next_epoch(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
         graph, motion = state.graph, now.motion
         if now.core.motion is None:  # the detector has lost its place, and nothing else keeps one
             state.graph = None
             return None
         if graph is not None and not self._must_restart(graph, now.decision):
-            return self._go_on(graph, now, state)
+            return self._continue(graph, now, state)
         if motion is None:
             return None
         state.notes.append("the graph began")
@@ -139,50 +139,53 @@ class Fusion:
     def _begin(self, motion: MotionEstimate, now: FusionEpoch, state: FusionState) -> FusedState:
         """A new graph where the detector is."""
         beginning = start_from_filter(motion, self.config.correlation)
-        graph = self._new(beginning, state)
+        graph = self._new_graph(beginning, state)
         used = {"imu": float(motion.inertial)}
-        if beginning.loose:
+        if beginning.uncertain:
             used |= self._attach_ranges(graph, now, state)
-        return self._done(graph, used, now, state)
+        return self._commit(graph, used, now, state)
 
-    def _new(self, beginning: GraphStart, state: FusionState) -> Graph:
+    def _new_graph(self, beginning: GraphStart, state: FusionState) -> Graph:
         before = state.graph
         graph = state.graph = Graph(beginning, self.config, self.detector)
-        state.others = SensorFactors(graph, self.config)
-        state.lost = False
+        state.sensor_factors = SensorFactors(graph, self.config)
+        state.attitude_lost = False
         # The satellites are the same, and so is what averaging leaves of their errors.
         if before is not None:
             graph.slow_m2 = before.slow_m2
         return graph
 
-    def _go_on(self, graph: Graph, now: FusionEpoch, state: FusionState) -> FusedState | None:
+    def _continue(self, graph: Graph, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """One epoch more on a graph."""
         isolated = isolated_sensors(now.results, self.config)
-        attitude = self._watch_imu(graph, now, isolated, state)
+        attitude = self._update_imu_trust(graph, now, isolated, state)
         t_us, node = now.decision.t_us, graph.node
-        part = self._heard(node.t_us, now, state)
+        part = self._imu_segment(node.t_us, now, state)
         silent = part.gap_s > self.detector.gap_s  # what is missing may still come
-        trusted = silent or not ("imu" in isolated or state.lost)
+        trusted = silent or not ("imu" in isolated or state.attitude_lost)
         jumped_m = CLOCK_JUMP_M if now.decision.hypothesis == "clock" else 0.0
         edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
         sound = graph.extend(t_us, edge, attitude)
-        # Once the IMU was missed the attitude is a guess, until `_watch_imu` finds it known again.
-        state.lost = state.lost or (graph.aligned and not sound and attitude is None)
+        # Once the IMU was missed the attitude is a guess, until `_update_imu_trust` finds it known
+        # again.
+        state.attitude_lost = state.attitude_lost or (
+            graph.aligned and not sound and attitude is None
+        )
         used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
-        assert state.others is not None
-        tested = sensor_weights(now.results, isolated, self.config) if state.waiting else {}
-        for source, sample in state.waiting.items():
-            share = state.others.attach(sample, now.decision, tested.get(source, 1.0))
+        assert state.sensor_factors is not None
+        tested = sensor_weights(now.results, isolated, self.config) if state.pending else {}
+        for source, sample in state.pending.items():
+            share = state.sensor_factors.attach(sample, now.decision, tested.get(source, 1.0))
             if share is not None:
                 used[source] = share
         state.isolated = isolated
-        fused = self._done(graph, used, now, state)
+        fused = self._commit(graph, used, now, state)
         worse = filter_contradiction(graph, now.motion, self.config.correlation)
         if worse and self.config.decide:
-            return self._hand_on(worse, now, state)
+            return self._use_filter(worse, now, state)
         return fused if any(used.values()) else None  # of a guess alone nothing is told
 
-    def _hand_on(self, worse: str, now: FusionEpoch, state: FusionState) -> FusedState:
+    def _use_filter(self, worse: str, now: FusionEpoch, state: FusionState) -> FusedState:
         """The filter's answer in place of the graph's, which goes on from there."""
         motion = now.motion
         assert motion is not None
@@ -193,20 +196,20 @@ class Fusion:
         if not self.config.learn:
             return self.detector.noise
         if trusted:
-            state.learnt.hear_imu(part.samples)
-        return state.learnt.noise(self.detector.noise)
+            state.noise.add_imu(part.samples)
+        return state.noise.current_noise(self.detector.noise)
 
     @staticmethod
-    def _heard(since_us: int, now: FusionEpoch, state: FusionState) -> ImuSegment:
+    def _imu_segment(since_us: int, now: FusionEpoch, state: FusionState) -> ImuSegment:
         """The IMU since the last epoch: the detector has mostly put it together already."""
         record = now.record
         before = record.core.motion if record is not None else None
         if record is not None and before is not None and before.t_us == since_us:
             return record.part
         t_us = now.decision.t_us
-        return segment_between(state.heard(t_us), since_us, t_us)
+        return segment_between(state.imu_until(t_us), since_us, t_us)
 
-    def _done(
+    def _commit(
         self, graph: Graph, used: dict[str, float], now: FusionEpoch, state: FusionState
     ) -> FusedState:
         """Take back what was found faulty since the last epoch, solve, and say it."""
@@ -214,15 +217,15 @@ class Fusion:
         # Only those that are new: the others were taken back when they were found.
         for name in excluded - state.excluded:
             if name in now.core.excluded:
-                graph.remove(name, now.core.excluded[name].onset_us)
+                graph.remove_satellite(name, now.core.excluded[name].onset_us)
         graph.commit()
         if self.config.robust == "gnc" and graph.begins_span():
             self._drop_outliers(graph)
         state.excluded = excluded
-        state.good = LastGoodState(graph.frame, graph.node, graph.covariance, graph.aligned)
+        state.last_good = LastGoodState(graph.frame, graph.node, graph.covariance, graph.aligned)
         weights = used | dict.fromkeys(sorted(excluded), 0.0)
         fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
-        state.waiting, state.notes = {}, []
+        state.pending, state.notes = {}, []
         return fused
 
     @staticmethod
@@ -234,7 +237,7 @@ class Fusion:
         if found:
             graph.commit()
 
-    def _watch_imu(
+    def _update_imu_trust(
         self, graph: Graph, now: FusionEpoch, isolated: frozenset[str], state: FusionState
     ) -> Attitude | None:
         """Take the IMU back to where it became suspicious when it is isolated.
@@ -247,21 +250,21 @@ class Fusion:
         for test in tests:
             limit = IMU_SUSPECT_SHARE * (test.threshold or 0.0)
             calm = test.statistic is None or test.statistic <= limit
-            since_us = node.t_us if state.suspect_us is None else state.suspect_us
-            state.suspect_us = None if calm else since_us
+            since_us = node.t_us if state.imu_suspect_us is None else state.imu_suspect_us
+            state.imu_suspect_us = None if calm else since_us
         if "imu" in isolated:
-            if "imu" not in state.isolated and state.suspect_us is not None:
-                graph.distrust(state.suspect_us)
+            if "imu" not in state.isolated and state.imu_suspect_us is not None:
+                graph.drop_imu_since(state.imu_suspect_us)
             return None
         motion = now.motion
         if motion is None or not motion.inertial:
             suspended = self.config.decide and now.core.imu_bad_until_us is not None
             if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * GOOD_ATTITUDE_RAD**2:
-                state.lost = False
+                state.attitude_lost = False
             return None
-        if graph.aligned and not state.lost:
+        if graph.aligned and not state.attitude_lost:
             return None
-        state.lost = False
+        state.attitude_lost = False
         rotation, p = attitude_in_frame(graph.frame, motion)
         # Only a better attitude is put in: a worse one would draw the graph off.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
@@ -278,25 +281,27 @@ class Fusion:
         observed = record.observed if record else observe_epoch(now.sample, now.core.chosen)
         if observed is None:
             return {}
-        core, config, decision, learnt = now.core, self.config, now.decision, state.learnt
+        core, config, decision, learnt = now.core, self.config, now.decision, state.noise
         if config.decide:
             observed = observed.without_rates(faulty_rates(now.results))
         ranges = EpochRanges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in NOISE_HYPOTHESES:
-                learnt.hear_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
-            ranges.learn(learnt)
+                learnt.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
+            ranges.scale_rates(learnt)
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
         # What averaging leaves changes with the satellites, and slowly with their motion.
         sky = (*used, decision.t_us // SLOW_UPDATE_US)
-        if sky != state.sky:
-            share = learnt.slow(config.slow, ranges.unknowns) if config.learn else config.slow
+        if sky != state.slow_key:
+            share = (
+                learnt.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
+            )
             slow = ranges.slow_covariance(weights, share)
             if slow is not None:
-                graph.slow_m2, state.sky = slow, sky
+                graph.slow_m2, state.slow_key = slow, sky
         return used
 
     def _attach_late(
@@ -311,10 +316,14 @@ class Fusion:
         try:
             if isinstance(sample, Epoch):
                 self._late_epoch(graph, sample, core, state)
-            elif source is not None and source not in state.isolated and state.others is not None:
-                state.others.attach(sample, None)
+            elif (
+                source is not None
+                and source not in state.isolated
+                and state.sensor_factors is not None
+            ):
+                state.sensor_factors.attach(sample, None)
         except SOLVER_ERRORS as error:
-            self._from_good(state)
+            self._restart_from_good(state)
             state.notes.append(f"the graph failed ({_first_line(error)}) and began anew")
 
     def _late_epoch(
@@ -331,26 +340,26 @@ class Fusion:
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
         ranges = EpochRanges(observed, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
-            ranges.learn(state.learnt)
-        weights = ranges.own_weights(state.excluded)
+            ranges.scale_rates(state.noise)
+        weights = ranges.residual_weights(state.excluded)
         graph.attach_ranges(node.epoch, ranges, weights)
         graph.commit()
         late_s = (graph.node.t_us - sample.t_us) * 1e-6
         state.notes.append(f"an epoch came {late_s:.2f} s late and was put in")
 
-    def _from_good(self, state: FusionState) -> Graph | None:
+    def _restart_from_good(self, state: FusionState) -> Graph | None:
         """A new graph at the last good state, None without any."""
-        good = state.good
+        good = state.last_good
         if good is None:
             state.graph = None
             return None
         where = start_from_node(good.frame, good.node, good.covariance, good.aligned)
-        return self._new(where, state)
+        return self._new_graph(where, state)
 
-    def _again(self, now: FusionEpoch, state: FusionState, why: str) -> FusedState | None:
+    def _recover(self, now: FusionEpoch, state: FusionState, why: str) -> FusedState | None:
         """After a failure: the filter's answer where it has tested the epoch, else on from the last
         good state; where that fails too the gap is reported and the next epoch tries again."""
-        for begin in (self._again_from_detector, self._again_from_good):
+        for begin in (self._recover_from_detector, self._recover_from_good):
             state.notes = [f"the graph failed ({why}) and began anew"]
             try:
                 fused = begin(now, state)
@@ -365,14 +374,14 @@ class Fusion:
             else None
         )
 
-    def _again_from_good(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
-        good = state.good
+    def _recover_from_good(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
+        good = state.last_good
         if good is None or (now.decision.t_us - good.node.t_us) * 1e-6 > self.detector.reset_s:
             return None
-        graph = self._from_good(state)
-        return self._go_on(graph, now, state) if graph is not None else None
+        graph = self._restart_from_good(state)
+        return self._continue(graph, now, state) if graph is not None else None
 
-    def _again_from_detector(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
+    def _recover_from_detector(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         motion = now.motion
         if motion is None or now.decision.position_ecef_m is None:
             return None
@@ -389,7 +398,7 @@ def _tied(fused: FusedState, state: FusionState) -> bool:
     """Whether something measured what happened since the last epoch, or another sensor sees it."""
     graph = state.graph
     ranges = graph.epochs[graph.node.epoch].ranges if graph is not None else None
-    if ranges is None or ranges.tell_motion:
+    if ranges is None or ranges.has_rates:
         return True
     return any(
         share > 0.0 and name not in ranges.satellites for name, share in fused.weights.items()

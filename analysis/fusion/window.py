@@ -84,8 +84,8 @@ class FactorWindow:
         self._batch = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
         self._stamps: dict[Any, Any] = {}
-        self._named: list[tuple[tuple[str, int], float, int]] = []
-        self._back: list[int] = []
+        self._staged: list[tuple[tuple[str, int], float, int]] = []
+        self._removed: list[int] = []
 
     def stamp(self, t_s: float) -> float:
         """The start of the interval a time is in."""
@@ -119,22 +119,22 @@ class FactorWindow:
         """Factors of a source at an epoch, with the stamp of the oldest variable they touch."""
         for factor in factors:
             self._batch.add(factor)
-        self._named.append(((source, epoch), stamp_s, len(factors)))
+        self._staged.append(((source, epoch), stamp_s, len(factors)))
 
     def remove(self, source: str, epoch: int) -> bool:
         """Remove the factors of a source at an epoch; whether there were any."""
         entry = self._entries.pop((source, epoch), None)
         if entry is None:
             return False
-        self._back += entry.slots
+        self._removed += entry.slots
         return True
 
-    def holds(self, source: str, epoch: int) -> bool:
+    def contains(self, source: str, epoch: int) -> bool:
         """Whether there are factors of a source at an epoch, committed or not."""
         name = (source, epoch)
-        return name in self._entries or any(staged == name for staged, _, _ in self._named)
+        return name in self._entries or any(staged == name for staged, _, _ in self._staged)
 
-    def named(self) -> list[tuple[str, int]]:
+    def committed(self) -> list[tuple[str, int]]:
         """Source and epoch of what is in the window."""
         return list(self._entries)
 
@@ -160,10 +160,10 @@ class FactorWindow:
                 if entry.stamp_s >= self.oldest_s
             }
         smoother = self.smoother
-        smoother.update(self._batch, self._values, self._stamps, self._back)
+        smoother.update(self._batch, self._values, self._stamps, self._removed)
         slots = list(smoother.getISAM2Result().getNewFactorsIndices())
         start = 0
-        for name, stamp_s, count in self._named:
+        for name, stamp_s, count in self._staged:
             known = self._entries.get(name)
             before = known.slots if known is not None else ()
             if stamp_s >= self.oldest_s:  # others went with their variables in the same update
@@ -171,7 +171,7 @@ class FactorWindow:
                     stamp_s, before + tuple(slots[start : start + count])
                 )
             start += count
-        again = bool(self._back)
+        again = bool(self._removed)
         self._clear()
         if again:
             smoother.update()  # the first only takes them out

@@ -44,12 +44,12 @@ class Monitor:
         """Results of whole records of a log, found by compiled code."""
         results: list[Result] = []
         for columns, orders in read_ordered_bytes(np.frombuffer(records, np.uint8), MESSAGES):
-            results += self.push(self._decoder.columns(columns, orders))
+            results += self.push(self._decoder.decode_columns(columns, orders))
         return results
 
-    def excuse(self, lost_us: Sequence[tuple[int, int]]) -> None:
+    def set_log_gaps(self, lost_us: Sequence[tuple[int, int]]) -> None:
         """Hold silences against nobody in stretches in which a log's writer lost records."""
-        self._pipeline.excuse(lost_us)
+        self._pipeline.set_log_gaps(lost_us)
 
     def push(self, block: Block) -> list[Result]:
         """Results of samples in order."""

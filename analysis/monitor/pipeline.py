@@ -139,7 +139,7 @@ class Pipeline:
             self._feed_back = feed_back if config.fusion.feedback else None
         self._fusion_states = [fusion.new_state() for fusion in self._fusions]
 
-    def excuse(self, lost_us: Sequence[tuple[int, int]]) -> None:
+    def set_log_gaps(self, lost_us: Sequence[tuple[int, int]]) -> None:
         """Hold silences against nobody in stretches in which a log's writer lost records."""
         self._lost_us = lost_us
 

@@ -23,7 +23,7 @@ class TerminalStatus:
     def __init__(self) -> None:
         self._console = Console(markup=False)
         self._rows: dict[str, tuple[str, str, str]] = {}
-        self._told_s: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
         # Redrawn by hand: a thread of its own would cost more than the table.
         self._live = Live(console=self._console, auto_refresh=False)
         self._drawn_s = 0.0
@@ -51,7 +51,7 @@ class TerminalStatus:
             since_s = result.t_s - self._begin_s
             # Into a pipe only changes of the verdict are printed.
             before = self._rows.get(name)
-            self._rows[name], self._told_s[name] = row, since_s
+            self._rows[name], self._reported_s[name] = row, since_s
             if not self._console.is_terminal and (before is None or before[1] != row[1]):
                 self._console.print(f"{since_s:9.1f} s  {name:<14} {row[1]} {row[2]}")
         now_s = time.monotonic()
@@ -62,7 +62,7 @@ class TerminalStatus:
     def _table(self, t_s: float) -> Table:
         table = Table("source", "value", "verdict", "", box=None, title=f"{t_s:.1f} s")
         for name, (value, verdict, remark) in self._rows.items():
-            old_s = t_s - self._told_s[name]
+            old_s = t_s - self._reported_s[name]
             colour = "green" if verdict in ("sound", "none", "") else "red"
             if old_s > OLD_S:
                 colour, remark = "dim", f"{remark} ({old_s:.0f} s ago)".lstrip()

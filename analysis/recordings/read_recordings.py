@@ -39,13 +39,13 @@ def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterato
     decoder, junk = Decoder(), [0]
     sensed = False
     for columns, orders in read_ordered(path, MESSAGES, junk=junk):
-        block = decoder.columns(columns, orders)
+        block = decoder.decode_columns(columns, orders)
         sensed |= len(block.kind) > 0
         yield block
     if not sensed:
         raise ConfigError(f"{path}: holds no message of a sensor; nothing in it can be tested")
     if condition is not None:
-        condition.has_junk(junk[0], written_bytes(Path(path)))
+        condition.note_junk(junk[0], written_bytes(Path(path)))
 
 
 def read_rinex(

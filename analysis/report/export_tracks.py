@@ -41,13 +41,13 @@ def _lines(recording: FlightData) -> Iterator[tuple[str, str, GroundTrack]]:
             # A line needs two points; a fault shorter than two fixes has no stretch to draw.
             if inside.sum() > 1:
                 name = f"{span.lane.removeprefix('injected: ')} on {track.name}"
-                yield name, PALETTE[1], _thin(track.part(inside))
+                yield name, PALETTE[1], _thin(track.select(inside))
 
 
 def _thin(track: GroundTrack) -> GroundTrack:
     # Rounded up, so that the thinned track never exceeds POINTS.
     step = -(-len(track.t_s) // POINTS)
-    return track.part(slice(None, None, step))
+    return track.select(slice(None, None, step))
 
 
 def _write_kml(path: Path, name: str, lines: list[tuple[str, str, GroundTrack]]) -> None:

@@ -187,7 +187,7 @@ def _monitor_source(
         monitor_link(args.link, monitor, deliver, args.for_s, stop)
         return
     for block in read_log(args.log, condition):
-        monitor.excuse(condition.lost_us)
+        monitor.set_log_gaps(condition.lost_us)
         deliver(monitor.push(block))
         if stop():
             break
@@ -200,7 +200,7 @@ def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop:
     with RunProgress(float(spans_s[-1]), "judging") as progress:
         for begin in range(0, count, PART_ROWS):
             end = min(begin + PART_ROWS, count)
-            deliver(sky.above(monitor.push(block.between(begin, end))))
+            deliver(sky.add_sky(monitor.push(block.between(begin, end))))
             progress.show(float(spans_s[end - 1]))
             if stop():
                 break

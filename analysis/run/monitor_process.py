@@ -99,7 +99,7 @@ class MonitorProcess:
         theirs.close()
         self.pid = self._process.pid or 0
         self._batch, self._enough = bytearray(), FIRST_BYTES
-        self.owed = 0  # batches without their results yet
+        self.pending_batches = 0  # batches without their results yet
 
     def __enter__(self) -> "MonitorProcess":
         return self
@@ -136,15 +136,15 @@ class MonitorProcess:
             # each other.
             while not self._handed_on(batch):
                 results += self._receive()
-            self.owed += 1
-        while self.owed and self._answers.poll():
+            self.pending_batches += 1
+        while self.pending_batches and self._answers.poll():
             results += self._receive()
         return results
 
     def results(self) -> list[Result]:
         """The results of all that was fed; waits for them."""
         results = self.feed(b"", now=True)
-        while self.owed:
+        while self.pending_batches:
             results += self._receive()
         return results
 
@@ -164,7 +164,7 @@ class MonitorProcess:
     def _receive(self) -> list[Result]:
         """The oldest results owed."""
         results: list[Result] = self._answer()
-        self.owed -= 1
+        self.pending_batches -= 1
         return results
 
     def _answer(self) -> Any:

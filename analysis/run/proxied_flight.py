@@ -61,9 +61,9 @@ class ProxiedFlight:
         self.duration_s = scenario.duration_s
         self.simulation = Simulation(scenario)
         self.engine = Engine(schedule)
-        self.tape = CaptureBuffer()
+        self.capture = CaptureBuffer()
         self.control = LiveControl(self.engine)
-        self.core = Core(LINKS, self.engine, tape=self.tape, control=self.control)
+        self.core = Core(LINKS, self.engine, tape=self.capture, control=self.control)
         self._labels: list[Label] = []
         self._out = [0] * len(LINKS)  # datagrams that left on each link
         self._hil = HilPacker(mav_type=mav_type_and_mix(self.simulation)[0])
@@ -89,17 +89,17 @@ class ProxiedFlight:
         return self.core.clock.t_us
 
     @property
-    def over(self) -> bool:
+    def finished(self) -> bool:
         """Whether the scenario's duration has been flown."""
         return self.t_us >= self.duration_s * 1e6
 
     def advance(self, commands: list[bytes]) -> FlightOutput:
         """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
         # Until somebody commands, the scenario's own controller flies.
-        controls = self._pilot.controls() if self._pilot.flight.flown else None
+        controls = self._pilot.controls() if self._pilot.flight.goal_active else None
         sends, commanded = self._sent_commands() if controls is None else ([], b"")
         if controls is None and self._commands is not None:
-            controls = self._commands.driven
+            controls = self._commands.last_received
         t_us, truth, readings = self.simulation.step(controls)
         # Sensors before telemetry, commands last: always the same order, for the same bytes.
         for raw in self._hil.frames(t_us, truth, readings):

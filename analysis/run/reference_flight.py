@@ -30,7 +30,7 @@ class ReferenceRun(NamedTuple):
     process: BaseProcess
     until_us: Any
 
-    def flown(self, until_us: int) -> bool:
+    def wait_until(self, until_us: int) -> bool:
         """Wait until it has come as far as the run did; whether it came there."""
         self.until_us.value = until_us
         self.process.join()
@@ -61,14 +61,14 @@ def run_reference_flight(setup: RunSetup, folder: Path, until_us: Any) -> None:
     recorder = Recorder(folder, recorder_session(setup.scenario.name, schedule.seed, flight))
     batch = bytearray()
     with ResultFile(folder) as file:
-        while not flight.over and flight.now_us < until_us.value:
+        while not flight.finished and flight.now_us < until_us.value:
             batch += flight.advance([]).monitor
             if len(batch) >= BATCH_BYTES:
                 file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
-                recorder.write(flight.tape, flight.drain_labels())
+                recorder.write(flight.capture, flight.drain_labels())
                 batch.clear()
         # The last portion, and what the faults' end still sends.
         batch += flight.finish().monitor
         file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
-    recorder.write(flight.tape, flight.drain_labels())
+    recorder.write(flight.capture, flight.drain_labels())
     recorder.close(flight.core.clock.t0_us, flight.now_us)

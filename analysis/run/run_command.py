@@ -61,7 +61,7 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = ProxiedFlight(setup.scenario, setup.schedule)
-        journal = EditLog(flight.core, flight.tape)
+        journal = EditLog(flight.core, flight.capture)
         # From the first byte on, so that a replay joins live control at the same place.
         journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
@@ -88,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
     summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []
     # It flies beside the run, on the second core, and is mostly done by now.
-    if twin is not None and twin.flown(flight.now_us):
+    if twin is not None and twin.wait_until(flight.now_us):
         t0_us = flight.core.clock.t0_us or 0
         curves = deviation_curves(folder, folder / REFERENCE_FOLDER, t0_us)
         summary["effects"] = measure_effects(curves, labels, t0_us)
@@ -119,9 +119,9 @@ def run_flight(
         battery = BatteryWarnings(progress.say)
         with stop_requests() as stop:
             # A stop is looked for between two steps: logs stay whole.
-            while not (flight.over or stop()):
+            while not (flight.finished or stop()):
                 # A page that shows verdicts long after the flight would be of no use.
-                hold = together and monitor.owed > MAX_PENDING_BATCHES
+                hold = together and monitor.pending_batches > MAX_PENDING_BATCHES
                 wait_s = MONITOR_WAIT_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
@@ -139,8 +139,8 @@ def run_flight(
                 if flight.t_us - recorded_us >= RECORD_PERIOD_US:
                     recorded_us = flight.t_us
                     labels = flight.drain_labels()
-                    battery.look(flight.simulation.truth)
-                    recorder.write(flight.tape, labels, live.edits())
+                    battery.update(flight.simulation.truth)
+                    recorder.write(flight.capture, labels, live.edits())
                     live.publish(flight.stats(), labels)
                     # Somebody may watch: results must not wait for a full batch.
                     if together or math.isfinite(pace.speed):
@@ -149,7 +149,7 @@ def run_flight(
                     progress.show(flight.t_us * 1e-6, acting)
         # After the loop too: a stop ends the faults as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
-        recorder.write(flight.tape, flight.drain_labels(), live.edits())
+        recorder.write(flight.capture, flight.drain_labels(), live.edits())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

@@ -55,9 +55,11 @@ class Decoder:
 
     def decode(self, frames: Iterable[Frame]) -> Block:
         """The samples that some frames hold; none for messages that carry no measurement."""
-        return self.columns(*columns_of(frames))
+        return self.decode_columns(*columns_of(frames))
 
-    def columns(self, columns: Mapping[str, NDArray[Any]], orders: Mapping[str, Indices]) -> Block:
+    def decode_columns(
+        self, columns: Mapping[str, NDArray[Any]], orders: Mapping[str, Indices]
+    ) -> Block:
         """The samples of frames given by message, with the place (m,) of each among all frames."""
         parts = []
         stamps = _Stamps(self._stamps)
@@ -66,7 +68,7 @@ class Decoder:
             for read in READERS[name](rows) if name in READERS else ():
                 place, t_us = orders[name][read.row], read.t_us
                 if name == WRAPPED_MESSAGE:
-                    t_us = self._boot.unwrapped(t_us, place, columns, orders)
+                    t_us = self._boot.unwrap(t_us, place, columns, orders)
                 parts.append(BlockPart(read.kind, place, t_us, read.values))
             if name in STAMPED:
                 stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))

@@ -26,14 +26,14 @@ class RangeRows(NamedTuple):
     doppler_mps: Vector
     cn0_dbhz: Vector
 
-    def between(self, begin: int, end: int) -> "RangeRows":
+    def slice_rows(self, begin: int, end: int) -> "RangeRows":
         """Some in a row."""
         at = slice(begin, end)
         return RangeRows(
             self.code[at], self.pseudorange_m[at], self.doppler_mps[at], self.cn0_dbhz[at]
         )
 
-    def after(self, rows: "RangeRows") -> "RangeRows":
+    def append_to(self, rows: "RangeRows") -> "RangeRows":
         """The same (n,) behind others (m,)."""
         return RangeRows(
             np.concatenate([rows.code, self.code]),
@@ -68,7 +68,7 @@ class EpochAssembler:
         """
         ranges = read_ranges(messages)
         # The rows of an epoch that earlier messages began stand before the new ones.
-        rows = RangeRows(*ranges[3:]).after(self._rows)
+        rows = RangeRows(*ranges[3:]).append_to(self._rows)
         begin, end = 0, len(self._rows.code)
         heads = zip(
             messages.number.tolist(),
@@ -87,13 +87,13 @@ class EpochAssembler:
             if tow_ms == NO_MSM7:
                 continue
             if self._tow_ms not in (NO_MSM7, tow_ms):  # the rest of that epoch did not come
-                found.append((place, self._epoch(rows.between(begin, end), stamp_us)))
+                found.append((place, self._epoch(rows.slice_rows(begin, end), stamp_us)))
                 begin = end
             self._tow_ms, end = tow_ms, last
             if not more:
-                found.append((place, self._epoch(rows.between(begin, end), stamp_us)))
+                found.append((place, self._epoch(rows.slice_rows(begin, end), stamp_us)))
                 begin = end
-        self._rows = rows.between(begin, end).after(NO_ROWS)  # a copy
+        self._rows = rows.slice_rows(begin, end).append_to(NO_ROWS)  # a copy
         return found
 
     def _broadcast(self, message: bytes, stamp_us: int | None) -> list[Sample]:

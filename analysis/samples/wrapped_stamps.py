@@ -27,7 +27,7 @@ class BootTime:
     def __init__(self) -> None:
         self._newest_us: int | None = None
 
-    def unwrapped(
+    def unwrap(
         self,
         t_us: Stamps,
         place: Indices,

@@ -17,24 +17,24 @@ class Alarm(NamedTuple):
     """An alarm of one channel at one instant.
 
     `name` is who is suspected: a satellite, a sensor, several joined by `-or-`, or "" for nobody;
-    `blamed` says that the detector left it out.
+    `isolated` says that the detector left it out.
     """
 
     t_us: int
     channel: str
     name: str
-    blamed: bool
+    isolated: bool
 
 
 class AlarmWindow(msgspec.Struct, frozen=True):
-    """What one channel held against one name without a pause; `blamed` if it ever blamed it."""
+    """What one channel held against one name without a pause; `isolated` if it ever blamed it."""
 
     channel: str
     name: str
     start_us: int
     end_us: int
     count: int
-    blamed: bool
+    isolated: bool
 
 
 def alarms_of(result: Result) -> list[Alarm]:
@@ -87,11 +87,15 @@ def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
         if at is not None and alarm.t_us - found[at].end_us <= MERGE_GAP_US:
             window = found[at]
             found[at] = AlarmWindow(
-                *key, window.start_us, alarm.t_us, window.count + 1, window.blamed or alarm.blamed
+                *key,
+                window.start_us,
+                alarm.t_us,
+                window.count + 1,
+                window.isolated or alarm.isolated,
             )
         else:
             newest[key] = len(found)
-            found.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.blamed))
+            found.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.isolated))
     return found
 
 

@@ -23,8 +23,8 @@ class ScoredEstimates(NamedTuple):
     just after it; and the error (m, 4) of roll, pitch, yaw and the angle between, in rad, pi where
     the estimate is no number."""
 
-    which: Indices
-    came: Indices
+    estimator_index: Indices
+    row: Indices
     truth: Indices
     error: Vector
 
@@ -105,7 +105,7 @@ def score_estimates(
                         quaternion_at(truth_q, first), quaternion_at(truth_q, second), share
                     )
                     _score(scored, done, quaternion_at(q_nb, i), true)
-                    scored.which[done], scored.came[done] = i, truth_row[j]
+                    scored.estimator_index[done], scored.row[done] = i, truth_row[j]
                     scored.truth[done] = second
                     done += 1
             waits = later
@@ -117,7 +117,7 @@ def score_estimates(
         waits += 1
         come += 1
     found = ScoredEstimates(
-        scored.which[:done], scored.came[:done], scored.truth[:done], scored.error[:done]
+        scored.estimator_index[:done], scored.row[:done], scored.truth[:done], scored.error[:done]
     )
     return found, waiting[:waits], oldest
 

@@ -98,7 +98,7 @@ class ScorerState:
     truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
     truth: Vector = field(default_factory=lambda: np.empty((0, WIDTH)))
     waiting: Estimates = NO_ESTIMATES
-    cells: dict[str, list[ErrorBins]] = field(default_factory=dict)  # as blocks brought them
+    bins: dict[str, list[ErrorBins]] = field(default_factory=dict)  # as blocks brought them
 
 
 class AttitudeScorer:
@@ -153,7 +153,7 @@ class AttitudeScorer:
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
         # Copies, or a slice would keep the whole block alive.
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
-        return self._gather(state, estimates.at(scored.which), scored, truth), state
+        return self._gather(state, estimates.at(scored.estimator_index), scored, truth), state
 
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)
@@ -224,7 +224,7 @@ class AttitudeScorer:
             cell_us[opened], flight_phases(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
         )
         for number, name in enumerate(self._names):
-            known = state.cells.setdefault(name, [])
+            known = state.bins.setdefault(name, [])
             if known:
                 # The cell that was open at the end of the last block has grown in this one.
                 known[-1].sums[-1] = sums[number]
@@ -262,7 +262,7 @@ class AttitudeScorer:
             name: score_breakdown(
                 ErrorBins(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
             )
-            for name, cells in sorted(state.cells.items())
+            for name, cells in sorted(state.bins.items())
             if cells
         }
 

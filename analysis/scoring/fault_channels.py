@@ -27,21 +27,21 @@ SATELLITE = re.compile(r"[GRECJSI]\d\d")
 class FaultVisibility(NamedTuple):
     """Who can see a fault and who is to blame.
 
-    `channels` can see it; of each set in `culprits` one name must be blamed, and whoever is in
-    `suspects` is blamed rightly. Without channels `reason` says why nothing can see it.
+    `channels` can see it; of each set in `must_isolate` one name must be blamed, and whoever is in
+    `may_isolate` is blamed rightly. Without channels `reason` says why nothing can see it.
     """
 
     channels: frozenset[str]
-    culprits: tuple[frozenset[str], ...] = ()
-    suspects: frozenset[str] = frozenset()
+    must_isolate: tuple[frozenset[str], ...] = ()
+    may_isolate: frozenset[str] = frozenset()
     reason: str = ""
 
-    def suspected(self, name: str) -> bool:
+    def allows(self, name: str) -> bool:
         """Whether a name is blamed rightly."""
         # A fault of the whole sky is rightly blamed on any of them.
-        if EVERY_SATELLITE in self.suspects and SATELLITE.fullmatch(name):
+        if EVERY_SATELLITE in self.may_isolate and SATELLITE.fullmatch(name):
             return True
-        return name in self.suspects
+        return name in self.may_isolate
 
 
 def _sensor(name: str) -> FaultVisibility:
@@ -51,7 +51,7 @@ def _sensor(name: str) -> FaultVisibility:
 
 def _any_of(*sights: FaultVisibility) -> FaultVisibility:
     """One source of all of these: it is enough that one of them is blamed."""
-    names = frozenset().union(*(sight.suspects for sight in sights))
+    names = frozenset().union(*(sight.may_isolate for sight in sights))
     return FaultVisibility(
         frozenset().union(*(sight.channels for sight in sights)), (names,), names
     )
@@ -126,14 +126,14 @@ def fault_visibility(label: Label) -> FaultVisibility:
         return found[0]
     merged = FaultVisibility(
         frozenset().union(*(one.channels for one in seen)),
-        tuple(dict.fromkeys(culprit for one in seen for culprit in one.culprits)),
-        frozenset().union(*(one.suspects for one in seen)),
+        tuple(dict.fromkeys(culprit for one in seen for culprit in one.must_isolate)),
+        frozenset().union(*(one.may_isolate for one in seen)),
     )
     if (
         label.fault in LOSS_FAULTS
     ):  # the frames that are lost are missing in the link's count as well
         merged = merged._replace(
-            channels=merged.channels | {LINK}, suspects=merged.suspects | {LINK}
+            channels=merged.channels | {LINK}, may_isolate=merged.may_isolate | {LINK}
         )
     return merged
 

@@ -74,7 +74,7 @@ class _FaultPeriod(NamedTuple):
         # Nobody named: the channel alone tells.
         if not window.name:
             return window.channel in self.sight.channels | self.witnesses
-        return any(map(self.sight.suspected, window.name.split(OR_SEPARATOR)))
+        return any(map(self.sight.allows, window.name.split(OR_SEPARATOR)))
 
 
 def fault_outcomes(
@@ -112,7 +112,7 @@ def _fault_period(
     echo_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
     seen = fault_visibility(label)
     # The first sound fix after a receiver's fault shows no more than the way back.
-    of_receiver = any(culprits >= RECEIVER_NAMES for culprits in seen.culprits)
+    of_receiver = any(culprits >= RECEIVER_NAMES for culprits in seen.must_isolate)
     until_us = end_us if of_receiver else end_us + epoch_us
     asked = frozenset[str]() if label.fault in HARMLESS_FAULTS else witnesses
     return _FaultPeriod(label, seen, until_us, echo_us, asked)
@@ -128,8 +128,8 @@ def _outcome(
     # What began before the fault cannot be its doing.
     began = [w for w in windows if label.start_us <= w.start_us <= watch.until_us]
     own = [w for w in began if watch.explains(w)]
-    right = tuple(sorted({w.name for w in own if w.blamed}))
-    wrongly = [w for w in began if w.blamed and not _explained(w, watches)]
+    right = tuple(sorted({w.name for w in own if w.isolated}))
+    wrongly = [w for w in began if w.isolated and not _explained(w, watches)]
     verdict, reason = _verdict(watch, own, right, watched)
     if verdict == MISSED:
         verdict, reason = _late_verdict(watch, watches, windows)
@@ -169,9 +169,9 @@ def _verdict(
     if not own:
         return MISSED, ""
     unblamed = [
-        c for c in sight.culprits if not any(FaultVisibility(c, (), c).suspected(n) for n in right)
+        c for c in sight.must_isolate if not any(FaultVisibility(c, (), c).allows(n) for n in right)
     ]
-    if right and sight.culprits and not unblamed:
+    if right and sight.must_isolate and not unblamed:
         return ISOLATED, ""
     # The detector told that it cannot tell between two: less than isolated, more than an alarm.
     either = sorted({w.name for w in own if OR_SEPARATOR in w.name})
@@ -225,7 +225,7 @@ class FalseAlarms(msgspec.Struct, frozen=True, kw_only=True):
     """What a channel said against what nothing was wrong with.
 
     `outside` and `inside` faults (and their echo) are windows of alarm; inside, a suspicion that
-    the detector did not act on does not count. `blamed` are those who were left out wrongly, for
+    the detector did not act on does not count. `isolated` are those who were left out wrongly, for
     `seconds` together; `per_hour` is how many windows come on an hour of flight.
     """
 
@@ -251,7 +251,7 @@ def false_alarms(
         for start_us, end_us in subtract_intervals(window, explained):
             inside = any(start <= start_us <= end for start, end in acting)
             # A suspicion during a fault of somebody else does no harm.
-            if window.blamed or not inside:
+            if window.isolated or not inside:
                 row = window, inside, (end_us - start_us) * 1e-6
                 rows.setdefault(window.channel, []).append(row)
     return [_false_row(channel, found, span_s) for channel, found in sorted(rows.items())]
@@ -265,8 +265,8 @@ def _false_row(
         channel=channel,
         outside=len(found) - inside,
         inside=inside,
-        blamed=tuple(sorted({window.name for window, _, _ in found if window.blamed})),
-        seconds=round(sum(seconds for window, _, seconds in found if window.blamed), 3),
+        blamed=tuple(sorted({window.name for window, _, _ in found if window.isolated})),
+        seconds=round(sum(seconds for window, _, seconds in found if window.isolated), 3),
         # Windows, not epochs: a long false alarm is one.
         per_hour=round(3600.0 * len(found) / span_s, 2) if span_s > 0 else 0.0,
     )

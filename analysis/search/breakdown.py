@@ -51,7 +51,7 @@ def case_breakdown(
 
     `seed` and `number` choose the noise.
     """
-    if test.flown:
+    if test.simulated:
         from analysis.search.evaluation.simulated_batch import SimulatedBatch
 
         return SimulatedBatch(test).scores(values, seed, number).parts
@@ -68,7 +68,7 @@ def case_breakdown(
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
         inverted = Batch(msgspec.structs.replace(test, criterion="height"))
         columns = {name: np.array([value]) for name, value in values.items()}
-        errors = inverted.of_values(columns, seed, number, 1).inverted_rmse[0].tolist()
+        errors = inverted.evaluate_values(columns, seed, number, 1).inverted_rmse[0].tolist()
         named = dict(zip(INVERTED_STATES, errors, strict=True))
         if flight.plan.rotors:
             del named["airspeed_mps"]  # without a pitot tube

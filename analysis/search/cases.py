@@ -241,7 +241,7 @@ def without_noise(test: TestFile) -> TestFile:
 
 def noiseless_error(test: TestFile, values: Mapping[str, float]) -> float | None:
     """The error of one case without noise; None where the simulator flies."""
-    if test.flown:
+    if test.simulated:
         return None
     batch = Batch(without_noise(pin_values(test, values)))
     # A pinned test has no dimension left: one point, and draw number 0.

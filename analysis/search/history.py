@@ -45,7 +45,7 @@ class History:
         self._file = self._path.open("r+b" if data else "w+b")
 
     @property
-    def found(self) -> int:
+    def known_count(self) -> int:
         """Evaluations that were there when the history was opened."""
         return len(self._known)
 

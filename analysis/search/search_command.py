@@ -49,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
     pool = pool_of(args.workers, args.ray)
     try:
         progress = SearchProgress(test.unit)
-        cases, totals = run_search(test, pool, folder, progress, progress.say)
+        cases, totals = run_search(test, pool, folder, progress, progress.print_line)
     finally:
         pool.close()
     text = log_text(test, cases, totals)
@@ -101,7 +101,7 @@ def run_search(
     rejected: Counter[str] = Counter()
     tests, steps = search_cases(test, pool, folder, archive, rejected, progress)
     # In the simulator and under an autopilot this takes as long as many tests.
-    say = say if say is not None and test.flown else _silent
+    say = say if say is not None and test.simulated else _silent
     say(f"the worst {len(archive.cases)} on fresh noise, {test.rescore_draws} flights each")
     ranked = rescore_cases(test, pool, archive.cases)[: test.keep]
     cases = []
@@ -172,7 +172,9 @@ def evaluate_points(
     Flights in the simulator go in portions; none begins after the deadline but the first.
     """
     # Flights in the simulator are slow: a checkpoint after each portion loses little to a kill.
-    length = AUTOPILOT_BATCH if test.autopilot else SIMULATOR_BATCH if test.flown else len(points)
+    length = (
+        AUTOPILOT_BATCH if test.autopilot else SIMULATOR_BATCH if test.simulated else len(points)
+    )
     for start in range(0, len(points), length):
         # At least one portion, so that a search always has an answer.
         if start and time.monotonic() > deadline:

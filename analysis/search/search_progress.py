@@ -24,7 +24,7 @@ class SearchProgress:
             self._last_s = time.monotonic()
             print(line, file=sys.stderr, flush=True)
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """A line of its own."""
         print(f"\n{text}" if self._open else text, file=sys.stderr, flush=True)
         self._open = False

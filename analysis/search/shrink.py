@@ -82,7 +82,7 @@ def shrink_faults(
 ) -> dict[str, float]:
     """The values of the smallest fault found; `errors_deg` gives the mean error of many."""
     found = dict(values)
-    grid = SIMULATOR_GRID if test.flown else KERNEL_GRID
+    grid = SIMULATOR_GRID if test.simulated else KERNEL_GRID
     for name in fault_names(test):
         low, high = 0.0, 1.0
         for _ in range(ROUNDS):
@@ -116,5 +116,5 @@ class MeanErrors:
         # The same noise for all cases: differences are then those of the faults.
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
         flown = make_evaluator(self._test)
-        outcome = flown.of_values(columns, self._seed, 0, self._draws, True)
+        outcome = flown.evaluate_values(columns, self._seed, 0, self._draws, True)
         return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)

@@ -48,17 +48,17 @@ class FlightPage:
         return self._gate.file(request, OWN_FILES.get(name) or ASSET_FILES.get(name))
 
     async def _state(self, request: Request) -> Response:
-        return await self._gate.look(request, self._flights.state)
+        return await self._gate.get_data(request, self._flights.state)
 
     async def _flight(self, request: Request) -> Response:
-        return await self._gate.look(request, self._flights.newest)
+        return await self._gate.get_data(request, self._flights.newest)
 
     async def _next(self, request: Request) -> Response:
         def act(_: bytes) -> dict[str, object]:
             self._flights.next()
             return {}
 
-        return await self._gate.answer(request, act)
+        return await self._gate.run_action(request, act)
 
     async def _save(self, request: Request) -> Response:
-        return await self._gate.answer(request, lambda _: {"files": self._flights.save()})
+        return await self._gate.run_action(request, lambda _: {"files": self._flights.save()})

@@ -29,7 +29,7 @@ def make_flights(test: TestFile, folder: Path) -> Flights:
     ConfigError
         If the simulator flies the test, which leaves no trace to draw.
     """
-    if test.flown:
+    if test.simulated:
         raise ConfigError(
             "--interactive: shows flights of the compiled kernels; leave out scenario, and choose"
             " another estimator than autopilot or fusion"

@@ -62,7 +62,7 @@ class AccessControl(NamedTuple):
             return refusal_answer(404, "there is no such file")
         return FileResponse(path, headers=HEADERS)
 
-    async def look(self, request: Request, data: Callable[[], bytes]) -> Response:
+    async def get_data(self, request: Request, data: Callable[[], bytes]) -> Response:
         """JSON for whoever looks, made in a thread of its own."""
         refusal = self.refusal(request)
         if refusal:
@@ -70,7 +70,9 @@ class AccessControl(NamedTuple):
         found = await run_in_threadpool(data)
         return Response(found, media_type="application/json", headers=HEADERS)
 
-    async def answer(self, request: Request, act: Callable[[bytes], dict[str, Any]]) -> Response:
+    async def run_action(
+        self, request: Request, act: Callable[[bytes], dict[str, Any]]
+    ) -> Response:
         """What `act` makes of the body, in a thread of its own; its ConfigError is a refusal."""
         refusal = self.refusal(request, changes=True)
         if refusal:

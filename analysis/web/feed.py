@@ -38,7 +38,7 @@ class Viewer:
         self.queue.put_nowait(first)
         self.messages: frozenset[str] = frozenset()
 
-    def wish(self, text: str) -> None:
+    def request_messages(self, text: str) -> None:
         """Take the messages it wants to see, a JSON list; what does not exist is left out."""
         try:
             names = msgspec.json.decode(text, type=list[str])
@@ -57,11 +57,11 @@ class Feed:
         self._lock = threading.Lock()
         self._past: dict[str, deque[bytes]] = {}
         self._fresh: dict[str, deque[bytes]] = {}
-        self._listed: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
+        self._events: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._unsent: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._viewers: set[Viewer] = set()
 
-    def push(self, key: str, payload: bytes) -> None:
+    def add_sample(self, key: str, payload: bytes) -> None:
         """Note one sample; `key` is the one below the run's prefix."""
         try:
             msgspec.json.decode(payload)
@@ -69,7 +69,7 @@ class Feed:
             return  # it would spoil the whole batch
         with self._lock:
             if key in EVENT_KEYS:
-                self._listed.append((key, payload))
+                self._events.append((key, payload))
                 self._unsent.append((key, payload))
             # A run that makes up keys must not fill the memory.
             elif key in self._past or len(self._past) < MAX_KEYS:
@@ -78,19 +78,19 @@ class Feed:
                 self._past.setdefault(key, deque(maxlen=past)).append(payload)
                 self._fresh.setdefault(key, deque(maxlen=burst)).append(payload)
 
-    def status(self, state: object) -> None:
+    def set_status(self, state: object) -> None:
         """Tell the viewers how the page itself is doing."""
-        self.push(STATUS_KEY, msgspec.json.encode(state))
+        self.add_sample(STATUS_KEY, msgspec.json.encode(state))
 
-    def forget(self) -> None:
+    def clear_run(self) -> None:
         """Drop what belongs to a run that is over; the status stays."""
         with self._lock:
             self._past = {key: data for key, data in self._past.items() if key == STATUS_KEY}
             self._fresh.clear()
-            self._listed.clear()
+            self._events.clear()
             self._unsent.clear()
 
-    def join(self) -> Viewer:
+    def add_viewer(self) -> Viewer:
         """A viewer more; it is told everything that is known first.
 
         Raises
@@ -101,11 +101,11 @@ class Feed:
         if len(self._viewers) >= MAX_VIEWERS:
             raise ConfigError(f"the page has {MAX_VIEWERS} viewers already; close one")
         # The picture first: batches alone would start in the middle.
-        viewer = Viewer(self._picture())
+        viewer = Viewer(self._snapshot())
         self._viewers.add(viewer)
         return viewer
 
-    def leave(self, viewer: Viewer) -> None:
+    def remove_viewer(self, viewer: Viewer) -> None:
         """A viewer less."""
         self._viewers.discard(viewer)
 
@@ -114,7 +114,7 @@ class Feed:
         """How many pages are open."""
         return len(self._viewers)
 
-    def wishes(self) -> list[str]:
+    def requested_messages(self) -> list[str]:
         """The messages that viewers want to see, as many as a proxy will show."""
         wanted: set[str] = set()
         # A copy: viewers come and go on the loop's thread meanwhile.
@@ -137,15 +137,15 @@ class Feed:
             if viewer.queue.full():
                 while not viewer.queue.empty():
                     viewer.queue.get_nowait()
-                batch_for = self._picture()
+                batch_for = self._snapshot()
             else:
                 batch_for = batch
             viewer.queue.put_nowait(batch_for)
 
-    def _picture(self) -> str:
+    def _snapshot(self) -> str:
         with self._lock:
             return encode_batch(
-                [("page/picture", b"null"), *order_samples(self._listed, self._past)]
+                [("page/picture", b"null"), *order_samples(self._events, self._past)]
             )
 
 

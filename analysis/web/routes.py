@@ -85,7 +85,7 @@ class LivePage:
 
     async def _catalogue(self, request: Request) -> Response:
         # The first call loads the faults, which takes longer than a tick.
-        return await self._gate.look(request, load_catalogue)
+        return await self._gate.get_data(request, load_catalogue)
 
     async def _preview(self, request: Request) -> Response:
         refusal = self._gate.refusal(request, changes=True)
@@ -102,26 +102,28 @@ class LivePage:
             self._source.choose(body.decode("utf-8", "replace"))
             return {}
 
-        return await self._gate.answer(request, act)
+        return await self._gate.run_action(request, act)
 
     async def _check(self, request: Request) -> Response:
-        return await self._gate.answer(request, check_body)
+        return await self._gate.run_action(request, check_body)
 
     async def _allowed(self, request: Request) -> Response:
         """What whoever has the token may do: command the vehicle, keep sequences."""
         known = {"commands": self._commands, "sequences": self._sequences.names()}
-        return await self._gate.answer(request, lambda _: known)
+        return await self._gate.run_action(request, lambda _: known)
 
     async def _read(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return await self._gate.answer(request, lambda _: check_body(self._sequences.read(name)))
+        return await self._gate.run_action(
+            request, lambda _: check_body(self._sequences.read(name))
+        )
 
     async def _write(self, request: Request) -> Response:
         def act(body: bytes) -> dict[str, Any]:
             self._sequences.write(request.path_params["name"], check_body(body)["yaml"])
             return {"sequences": self._sequences.names()}
 
-        return await self._gate.answer(request, act)
+        return await self._gate.run_action(request, act)
 
     async def _control(self, request: Request) -> Response:
         refusal = self._gate.refusal(request, changes=True)
@@ -137,7 +139,7 @@ class LivePage:
             if not self._commands:
                 await run_in_threadpool(refuse_commands, what, body)
             # The bus waits for its answer; the page must go on meanwhile.
-            reply = await run_in_threadpool(self._source.ask, what, body)
+            reply = await run_in_threadpool(self._source.query, what, body)
         except ConfigError as error:
             return refusal_answer(400, str(error))
         return Response(reply, media_type="application/json")
@@ -149,7 +151,7 @@ class LivePage:
             return
         await socket.accept()
         try:
-            viewer = self._feed.join()
+            viewer = self._feed.add_viewer()
         except ConfigError as error:
             # 1013: try again later.
             await socket.close(1013, str(error))
@@ -157,11 +159,11 @@ class LivePage:
         sending = asyncio.create_task(send_batches(socket, viewer.queue))
         try:
             while True:
-                viewer.wish(await socket.receive_text())
+                viewer.request_messages(await socket.receive_text())
         except WebSocketDisconnect:
             pass
         finally:
-            self._feed.leave(viewer)
+            self._feed.remove_viewer(viewer)
             sending.cancel()
 
 

@@ -23,11 +23,11 @@ class RunSource:
         self._feed = feed
         self.url = url or DEFAULT_URL
         self._config_file = config_file
-        self._over = threading.Event()
+        self._stopping = threading.Event()
         self._bus: Bus | None = None
-        self._watch: Bus | None = None
+        self._listener: Bus | None = None
         self._runs: list[str] = []
-        self._coming: list[str] = []  # runs, of which some are still getting ready
+        self._starting: list[str] = []  # runs, of which some are still getting ready
         self._rows = RunSummaries()
         self._shown: dict[str, Any] = {}  # the rows that the viewers have
         self._chosen: str | None = None
@@ -36,12 +36,12 @@ class RunSource:
 
     def start(self) -> None:
         """Begin to look for a proxy or run."""
-        self._say()
+        self._publish_status()
         self._thread.start()
 
     def close(self) -> None:
         """Leave the bus, if it was joined; closing twice does nothing more."""
-        self._over.set()
+        self._stopping.set()
         if self._thread.ident is not None:  # it was started
             self._thread.join()
 
@@ -58,7 +58,7 @@ class RunSource:
             raise ConfigError(f"run {run!r} is not there; there are: {there}")
         self._chosen = run
 
-    def ask(self, what: str, payload: bytes) -> bytes:
+    def query(self, what: str, payload: bytes) -> bytes:
         """The answer of the proxy to a query below `@ctl/`.
 
         Raises
@@ -69,46 +69,46 @@ class RunSource:
         bus = self._bus
         if bus is None:
             raise ConfigError(f"{self.url}: no proxy and no run is there; start one first")
-        return bus.ask(f"@ctl/{what}", payload)[0]
+        return bus.query(f"@ctl/{what}", payload)[0]
 
     def _follow(self) -> None:
         with contextlib.ExitStack() as stack:
             stack.callback(self._leave)
-            while not self._over.is_set():
-                self._look(stack)
-                self._wish()
-                self._over.wait(POLL_S)
+            while not self._stopping.is_set():
+                self._find_runs(stack)
+                self._request_messages()
+                self._stopping.wait(POLL_S)
 
-    def _wish(self) -> None:
+    def _request_messages(self) -> None:
         """Have the proxy show what the viewers want to see; it forgets in some seconds."""
-        wishes = self._feed.wishes()
+        wishes = self._feed.requested_messages()
         if wishes and self._bus is not None:
             with contextlib.suppress(ConfigError):  # a proxy that is just going
-                self._bus.ask("@ctl/watch", msgspec.json.encode(wishes))
+                self._bus.query("@ctl/watch", msgspec.json.encode(wishes))
 
-    def _look(self, stack: contextlib.ExitStack) -> None:
+    def _find_runs(self, stack: contextlib.ExitStack) -> None:
         """Join the run that is alive, leave the one that is not."""
         try:
-            if self._watch is None:
-                self._watch = stack.enter_context(self._open("*"))
+            if self._listener is None:
+                self._listener = stack.enter_context(self._open("*"))
                 for suffix in SUBSCRIBED:
-                    self._watch.subscribe(suffix, self._rows.note)
-            there = self._watch.who()
+                    self._listener.subscribe(suffix, self._rows.add_sample)
+            there = self._listener.list_components()
             runs = [run_of(key) for key in there if key.endswith(PROXY)]
             coming = [run_of(key) for key in there if key.endswith(RUN)]
             joined = self._bus.run if self._bus is not None else None
             # The one chosen, else the one followed so far, else the newest.
             wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
             # Of one run all is on the page anyway.
-            rows = self._rows.of(runs) if len(runs) > 1 else {}
-            changed = (runs, coming, rows) != (self._runs, self._coming, self._shown)
-            self._runs, self._coming, self._shown = runs, coming, rows
+            rows = self._rows.summaries_of(runs) if len(runs) > 1 else {}
+            changed = (runs, coming, rows) != (self._runs, self._starting, self._shown)
+            self._runs, self._starting, self._shown = runs, coming, rows
             if wanted != joined:
                 self._leave()
                 if wanted is not None:
                     self._join(wanted)
             elif changed:
-                self._say()
+                self._publish_status()
         except ConfigError:
             self._leave()
 
@@ -116,14 +116,14 @@ class RunSource:
         return open_bus(self.url, run=run, config_file=self._config_file)
 
     def _join(self, run: str) -> None:
-        self._feed.forget()
+        self._feed.clear_run()
         bus = self._open(run)
         # Keys are shown without the run's prefix.
         prefix = len(bus.key(""))
         self._bus = bus
-        self._say()  # before its first sample: the page clears its plots
+        self._publish_status()  # before its first sample: the page clears its plots
         for stream in STREAMS:
-            bus.subscribe(stream, lambda key, payload: self._feed.push(key[prefix:], payload))
+            bus.subscribe(stream, lambda key, payload: self._feed.add_sample(key[prefix:], payload))
 
     def _leave(self) -> None:
         if self._bus is None:
@@ -131,13 +131,13 @@ class RunSource:
         # Cleared first: threads that ask now find none rather than a closed one.
         bus, self._bus = self._bus, None
         bus.close()
-        self._say()
+        self._publish_status()
 
-    def _say(self) -> None:
+    def _publish_status(self) -> None:
         run = None if self._bus is None else self._bus.run
-        coming = [name for name in self._coming if name not in self._runs]
+        coming = [name for name in self._starting if name not in self._runs]
         news = {"run": run, "runs": self._runs, "coming": coming, "url": self.url}
-        self._feed.status({**news, "rows": self._shown})
+        self._feed.set_status({**news, "rows": self._shown})
 
 
 def run_of(key: str) -> str:

@@ -16,12 +16,12 @@ class RunSummaries:
     def __init__(self) -> None:
         self._newest: dict[tuple[str, str], bytes] = {}
 
-    def note(self, key: str, payload: bytes) -> None:
+    def add_sample(self, key: str, payload: bytes) -> None:
         """Keep the newest; it is read when somebody wants to see it."""
         run, _, what = key.removeprefix(f"{ROOT}/").partition("/")
         self._newest[run, what] = payload
 
-    def of(self, runs: list[str]) -> dict[str, dict[str, Any]]:
+    def summaries_of(self, runs: list[str]) -> dict[str, dict[str, Any]]:
         """By run: how many faults it has, which act, and what its detector blames."""
         # What belongs to a run that is gone would be told of its successor.
         for run, what in list(self._newest):

@@ -47,7 +47,7 @@ class LocalProxy:
         logdir: Path | None = None,
         zenoh: str = "off",
     ) -> None:
-        self.observed = ProxyObserver()
+        self.observer = ProxyObserver()
         # Links first, as their addresses are asked for before anything flows.
         self._links = open_links(master, outs)
         self.addresses = [link.name for link in self._links]
@@ -59,7 +59,7 @@ class LocalProxy:
         self._server = Server(self._links, core, tape=tape, recorder=recorder)
         journal = EditLog(core, tape)
         control = LiveControl(engine, folders=None if zenoh == "off" else ())  # None: any file
-        self._live = LiveSession(control, self._server.edit_time, journal, self.observed)
+        self._live = LiveSession(control, self._server.edit_time, journal, self.observer)
         self._live.open_bus(zenoh)
         # Before the thread: nothing is shared while it is set up.
         self._server.prepare()
@@ -76,7 +76,7 @@ class LocalProxy:
         except Exception as error:  # told to whoever asks next, in their own thread
             self._failure = error
 
-    def ask(self, what: str, payload: bytes = b"") -> Any:
+    def query(self, what: str, payload: bytes = b"") -> Any:
         """The answer to a request for `@ctl/<what>`.
 
         Raises
@@ -86,7 +86,7 @@ class LocalProxy:
         """
         # A failed loop would leave the caller waiting for an answer.
         self._check()
-        return self._live.ask(f"@ctl/{what}", payload)
+        return self._live.query(f"@ctl/{what}", payload)
 
     def refresh(self) -> None:
         """Bring labels up to this moment."""

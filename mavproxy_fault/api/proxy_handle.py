@@ -18,10 +18,10 @@ from mavproxy_fault.wire.label import Label
 class ProxyAccess(Protocol):
     """Where the proxy runs: here in a thread, or in another process."""
 
-    observed: ProxyObserver
+    observer: ProxyObserver
     addresses: list[str]
 
-    def ask(self, what: str, payload: bytes = b"") -> Any:
+    def query(self, what: str, payload: bytes = b"") -> Any:
         """The answer to a request for `@ctl/<what>`."""
 
     def refresh(self) -> None:
@@ -40,14 +40,14 @@ class LiveFault:
 
     def update(self, value: float) -> None:
         """Change its magnitude [the field's unit] while it acts."""
-        self._access.ask(f"fault/{self.id}/value", msgspec.json.encode({"value": value}))
+        self._access.query(f"fault/{self.id}/value", msgspec.json.encode({"value": value}))
 
     def clear(self) -> None:
         """End it; ending one that has ended by itself does nothing."""
         # Ended by itself, by `for_s`: nothing to end.
-        state = self._access.ask("state")
+        state = self._access.query("state")
         if any(fault["id"] == self.id for fault in state["faults"]):
-            self._access.ask(f"fault/{self.id}/disarm")
+            self._access.query(f"fault/{self.id}/disarm")
 
     def __enter__(self) -> "LiveFault":
         return self
@@ -154,18 +154,18 @@ class Proxy:
         entry = live_entry(fault, target, value, {"for_s": for_s, **parameters})
         # The same default as the command's.
         id = id or fault
-        self._access.ask(f"fault/{id}/arm", msgspec.json.encode(entry))
+        self._access.query(f"fault/{id}/arm", msgspec.json.encode(entry))
         return LiveFault(self._access, id)
 
     def clear(self) -> None:
         """End every fault."""
-        self._access.ask("schedule/stop")
+        self._access.query("schedule/stop")
 
     @property
     def labels(self) -> list[Label]:
         """What every fault really did: frames, times, magnitude."""
         self._access.refresh()
-        return self._access.observed.labels
+        return self._access.observer.labels
 
     def wait_for(self, condition: str, timeout_s: float = 5.0) -> None:
         """Return once a condition holds for what leaves the proxy, such as `armed`.
@@ -191,9 +191,9 @@ class Proxy:
 
         # Asked again and again by `wait_for`: a watch is a lease.
         def watch(names: list[str]) -> object:
-            return self._access.ask("watch", msgspec.json.encode(names))
+            return self._access.query("watch", msgspec.json.encode(names))
 
-        self._access.observed.wait_for(parsed, timeout_s, watch)
+        self._access.observer.wait_for(parsed, timeout_s, watch)
 
     def close(self) -> None:
         """Close the links; an attached proxy goes on."""

@@ -16,15 +16,15 @@ class RemoteProxy:
     """A client of a running proxy; closing it leaves the proxy as it is."""
 
     def __init__(self, zenoh: str | None, run: str) -> None:
-        self.observed = ProxyObserver()
+        self.observer = ProxyObserver()
         self.addresses: list[str] = []
         self._bus = open_bus(zenoh, run=run)
-        self._bus.subscribe("proxy/watched", _decoded(list[Watched], self.observed.add_samples))
+        self._bus.subscribe("proxy/watched", _decoded(list[Watched], self.observer.add_samples))
         self._bus.subscribe(
-            "proxy/labels", _decoded(Label, lambda label: self.observed.add_labels([label]))
+            "proxy/labels", _decoded(Label, lambda label: self.observer.add_labels([label]))
         )
 
-    def ask(self, what: str, payload: bytes = b"") -> Any:
+    def query(self, what: str, payload: bytes = b"") -> Any:
         """The answer to a request for `@ctl/<what>`.
 
         Raises
@@ -32,7 +32,7 @@ class RemoteProxy:
         ConfigError
             If the request is refused, or nobody answers.
         """
-        return json.loads(self._bus.ask(f"@ctl/{what}", payload)[0])
+        return json.loads(self._bus.query(f"@ctl/{what}", payload)[0])
 
     def refresh(self) -> None:
         """Nothing to do: the proxy publishes its labels once a second."""

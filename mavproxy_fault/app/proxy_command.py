@@ -164,7 +164,7 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
         except BaseException as error:
             coming.set_exception(error)
 
-    server.coming = coming
+    server.opening_live = coming
     try:
         Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
     except RuntimeError as error:  # the system allows no further thread

@@ -101,7 +101,7 @@ class Recorder:
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
                 # New files begin with this tape: the index counts from their start.
-                before = tape.start_again(tape.count - before)
+                before = tape.resume_count(tape.count - before)
             self._append(data)
         except (OSError, MemoryError) as error:
             self._note_loss(tape, before, str(error) or "no memory")
@@ -122,7 +122,7 @@ class Recorder:
         """Count a tape that was not written; `before` are the records that are in the files."""
         # The index must fit the files: what was not written has not come.
         self.lost += tape.count - before
-        tape.start_again(before)
+        tape.resume_count(before)
         self._edits = [edit.at_record(before) for edit in self._edits]
         # Said once, not each second.
         if self.failing is None:

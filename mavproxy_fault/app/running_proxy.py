@@ -24,7 +24,7 @@ def join_run(args: argparse.Namespace) -> Iterator[Bus]:
         check_run_name(args.run)
     # A bus is opened for any run first: which ones there are is asked on it.
     with open_bus(args.zenoh, run=ANY_RUN, config_file=args.zenoh_config) as bus:
-        bus.run = only_run(bus.who()) if args.run is None else args.run
+        bus.run = only_run(bus.list_components()) if args.run is None else args.run
         yield bus
 
 
@@ -36,7 +36,7 @@ def query_run(bus: Bus, what: str, payload: bytes = b"") -> Any:
     ConfigError
         If the proxy refuses, or does not answer.
     """
-    return msgspec.json.decode(bus.ask(f"@ctl/{what}", payload)[0])
+    return msgspec.json.decode(bus.query(f"@ctl/{what}", payload)[0])
 
 
 def only_run(alive: Sequence[str]) -> str:

@@ -73,8 +73,10 @@ class Server:
         self._forwarder: Forwarder | None = None
         self._wake: int | None = None
         self.live: LiveSession | None = None
-        self.coming: Future[LiveSession] | None = None  # live control that is still being opened
-        self.sheds = 0  # how often the system gave no more memory
+        self.opening_live: Future[LiveSession] | None = (
+            None  # live control that is still being opened
+        )
+        self.memory_shortages = 0  # how often the system gave no more memory
         self._reserve: bytearray | None = bytearray(RESERVE_BYTES)
 
     def now_us(self) -> int:
@@ -115,9 +117,9 @@ class Server:
         What was in hand at that moment is lost.
         """
         self._reserve = None
-        if not self.sheds:
+        if not self.memory_shortages:
             LOG.warning("no memory: what was in hand is lost, forwarding goes on")
-        self.sheds += 1
+        self.memory_shortages += 1
         self._give_up_tape("no memory")
 
     def _give_up_tape(self, why: str) -> None:
@@ -162,7 +164,7 @@ class Server:
             number, data, came_ns = forwarder.handed_over()
             if data:
                 # It may have waited behind another of its batch while delayed frames left.
-                now_us = max((self._base_ns + came_ns) // 1000, self.core.departed_us)
+                now_us = max((self._base_ns + came_ns) // 1000, self.core.last_due_us)
                 sends = self.core.received(number, data, now_us)
                 self._carry_out(sends, hold=forwarder.pending)
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
@@ -203,8 +205,8 @@ class Server:
         from mavproxy_fault.live.edit_log import JOIN, join_live_control
 
         self.live = live
-        if live.journal is not None:
-            live.journal.note(JOIN, b"", self.edit_time())
+        if live.edit_log is not None:
+            live.edit_log.note(JOIN, b"", self.edit_time())
         join_live_control(self.core, live.control)
         gc.freeze()  # all that is loaded by now stays; to look it through would hold frames up
         # Not while frames that were handed over wait inside.
@@ -214,8 +216,8 @@ class Server:
 
     def _opened_live(self) -> "LiveSession | None":
         """Live control that was being opened; None, and a word, where the system refused it."""
-        assert self.coming is not None
-        coming, self.coming = self.coming, None
+        assert self.opening_live is not None
+        coming, self.opening_live = self.opening_live, None
         error = coming.exception()
         if error is None:
             return coming.result()
@@ -230,7 +232,7 @@ class Server:
         now_us = self.now_us()
         # Edits and frames that are due keep their order, so that a replay can repeat it.
         self._carry_out(self.core.due(now_us))
-        journal = None if self.live is None else self.live.journal
+        journal = None if self.live is None else self.live.edit_log
         return now_us if journal is None else journal.begin(now_us)
 
     def use_compiled(self) -> None:
@@ -301,7 +303,7 @@ class Server:
         due_us = self.core.next_due_us
         if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
             # The rest of a frame may wait in the kernel if this process was late.
-            for number in self.core.owing(now_us + AHEAD_US):
+            for number in self.core.links_to_resync(now_us + AHEAD_US):
                 self._serve(number)
             # What is sent does not depend on when it is asked for, so only the writing waits.
             sends = self.core.due(max(due_us, now_us))
@@ -321,7 +323,11 @@ class Server:
         if self.live is not None:
             self.live.show(now_s)
         # Here, between two steps: the core knows no locks.
-        if self.coming is not None and self.coming.done() and (live := self._opened_live()):
+        if (
+            self.opening_live is not None
+            and self.opening_live.done()
+            and (live := self._opened_live())
+        ):
             self.join(live)
 
     def _tend(self) -> None:
@@ -366,7 +372,7 @@ class Server:
             self._forwarder.count()
         # Delayed frames leave now; faults end and say what they did.
         self._carry_out(self.core.finish(now_us))
-        if self.coming is not None:
+        if self.opening_live is not None:
             # Waits for an opening that is under way: it must be closed again.
             self.live = self._opened_live()
         self.record()

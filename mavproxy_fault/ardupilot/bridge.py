@@ -64,7 +64,7 @@ class Bridge:
         self._seq = 0
         self._line: tuple[int, bytes] | None = None  # stamp and physics of a step yet to be sent
         self._sent_us: int | None = None  # the stamp of the step that ArduPilot works on
-        self._asked = False  # ArduPilot waits for a line
+        self._line_requested = False  # ArduPilot waits for a line
         self._accepted = -1
 
     def descriptors(self) -> dict[int, Callable[[], None]]:
@@ -108,9 +108,9 @@ class Bridge:
 
     def _send_step(self) -> None:
         """Answer ArduPilot's request by the step that waits, if there are both."""
-        if self._asked and self._line is not None:
+        if self._line_requested and self._line is not None:
             self._sent_us, line = self._line
-            self._line, self._asked = None, False
+            self._line, self._line_requested = None, False
             self.physics.write(line)
 
     def _serve_physics(self) -> None:
@@ -127,7 +127,7 @@ class Bridge:
             raw = actuator_frame(self._sent_us, channels, self._next(), armed=self.armed)
             self._answer(ANSWERS, raw)
         self._accepted = packet.accepted
-        self._asked = True
+        self._line_requested = True
         self._send_step()
 
     def _serve_mavlink(self) -> None:
@@ -135,9 +135,9 @@ class Bridge:
             self._answer(TELEMETRY, data)
             for item in self._parser.push(data):
                 if isinstance(item, Frame):
-                    self._heard(item)
+                    self._receive_mavlink(item)
 
-    def _heard(self, frame: Frame) -> None:
+    def _receive_mavlink(self, frame: Frame) -> None:
         if frame.layout.name == "HEARTBEAT" and frame.component == AUTOPILOT:
             self.armed = bool(int(frame.number("base_mode")) & MODE_ARMED)
         if waiting := self._preparation.pending:

@@ -154,8 +154,8 @@ class BridgedAutopilot:
     def _start(self, seen: DiscoveredVehicle) -> None:
         # Later files win: the user's stand behind the bridge's.
         file = self._folder / PARAMETER_FILE
-        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, seen.fitted)))
-        rate_hz = seen.fitted.rate_hz
+        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, seen.sensors)))
+        rate_hz = seen.sensors.rate_hz
         self._say(f"{self._words[0]}: starting in {self._folder}, {rate_hz:g} steps a second")
         ports = Ports(*(port.port for port in self._ports))
         self._process = start_process(

@@ -21,7 +21,7 @@ class DiscoveredVehicle:
 
     readings: Readings
     home: TrueState
-    fitted: AvailableSensors
+    sensors: AvailableSensors
 
 
 class SensorDiscovery:

@@ -56,7 +56,7 @@ class WiredAutopilot:
         self._inbox = Inbox(mavlink)
         self._channels, self._say = CHANNELS[vehicle], say
         self._observation = SensorDiscovery(hil)
-        self._seen: DiscoveredVehicle | None = None
+        self._discovered: DiscoveredVehicle | None = None
         self._answers: list[Chunk] = []
         # Both kinds of link have a descriptor of their own that stays while devices come and go.
         self._seq = 0
@@ -67,7 +67,7 @@ class WiredAutopilot:
     @property
     def started(self) -> bool:
         """Whether the sensors were seen, and the board is fed."""
-        return self._seen is not None
+        return self._discovered is not None
 
     @property
     def peer_count(self) -> int:
@@ -89,20 +89,20 @@ class WiredAutopilot:
         ConfigError
             If ArduPilot cannot fly on what comes.
         """
-        if self._seen is None:
+        if self._discovered is None:
             if (seen := self._observation.update(frame)) is not None:
                 self._start(seen)
-        elif self._seen.readings.update(frame):
-            self._end_step(self._seen)
+        elif self._discovered.readings.update(frame):
+            self._end_step(self._discovered)
         elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
     def _start(self, seen: DiscoveredVehicle) -> None:
-        self._seen = seen
+        self._discovered = seen
         self._feed = SensorFeed(seen.home)
         self._companion = CompanionFeed()
         self._preparation = Preparation(seen.home, stream_requests())
-        self._say(f"feeding the board, {seen.fitted.rate_hz:g} steps a second")
+        self._say(f"feeding the board, {seen.sensors.rate_hz:g} steps a second")
 
     def _end_step(self, seen: DiscoveredVehicle) -> None:
         truth = seen.readings.truth
@@ -126,11 +126,11 @@ class WiredAutopilot:
         """
         self._sensor.serve()
         for frame in self._inbox.frames():
-            self._heard(frame)
+            self._receive_mavlink(frame)
         answers, self._answers = self._answers, []
         return answers
 
-    def _heard(self, frame: Frame) -> None:
+    def _receive_mavlink(self, frame: Frame) -> None:
         name = frame.layout.name
         # Before the sensors are known there is no step that outputs could answer.
         if name == "SERVO_OUTPUT_RAW":

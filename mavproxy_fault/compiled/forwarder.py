@@ -137,7 +137,7 @@ class Forwarder(Tables):
         link = self._links[number]
         if isinstance(link, UdpServer):
             name = self._arrays["names"][row * k.NAME : row * k.NAME + k.SOCKADDR_IN]
-            if not link.hear(bytes(name), data):
+            if not link.register(bytes(name), data):
                 link.counters.refused += 1
                 return number, b"", self.loop[k.CAME]
         self._learn(data)
@@ -157,10 +157,13 @@ class Forwarder(Tables):
         """Follow the engine, the control path and the peers."""
         super()._refresh()
         for number, link in enumerate(self._links):
-            if isinstance(link, UdpServer) and [*link.peers.known] != self._known_peers[number]:
-                self._known_peers[number] = [*link.peers.known]
-                self.ports[number, k.PEER_COUNT] = len(link.peers.known)
-                for row, name in enumerate(link.peers.known):
+            if (
+                isinstance(link, UdpServer)
+                and [*link.peers.by_address] != self._known_peers[number]
+            ):
+                self._known_peers[number] = [*link.peers.by_address]
+                self.ports[number, k.PEER_COUNT] = len(link.peers.by_address)
+                for row, name in enumerate(link.peers.by_address):
                     start = (number * k.PEERS + row) * k.NAME
                     self._arrays["peers"][start : start + len(name)] = name
                     self._arrays["heard"][number, row] = 0
@@ -194,5 +197,5 @@ class Forwarder(Tables):
                     self._arrays["histogram"][start + step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
-                    link.peers.touch(name, time.monotonic())
+                    link.peers.confirm(name, time.monotonic())
                 heard[number, row] = 0

@@ -96,7 +96,9 @@ class Passage(Tables):
 
     def _way(self, number: int) -> tuple[int, int]:
         engine: Any = self._core.engine
-        acting = () if engine is None or engine.t0_us is None else engine.acting(number) or ()
+        acting = (
+            () if engine is None or engine.t0_us is None else engine.active_entries(number) or ()
+        )
         # Numbers drawn ahead for one datagram cost more than the noise of it.
         if any(isinstance(running.fault, NoiseFault) for running in acting):
             return k.INTERPRETED, -1

@@ -261,7 +261,7 @@ class Plans:
         for first, running, *_ in self._planned:
             if first >= 0 and self.hits[first, k.FRAMES_HIT]:
                 frames, saturated = self.hits[first, k.FRAMES_HIT], self.hits[first, k.SATURATED]
-                running.credit(frames, saturated, self.steps[first])
+                running.count_frames(frames, saturated, self.steps[first])
                 self._forget_hits(first)
 
     def _forget_hits(self, first: int) -> None:

@@ -102,7 +102,7 @@ class Tables:
             return k.INTERPRETED, -1
         if engine is None or (engine.wanted is not None and number not in engine.wanted):
             return k.PASS, -1
-        acting = None if engine.t0_us is None else engine.acting(number)
+        acting = None if engine.t0_us is None else engine.active_entries(number)
         if acting is None:
             return k.INTERPRETED, -1
         if not acting:

@@ -40,7 +40,7 @@ class Bus:
     def __init__(self, session: Any, url: str, run: str, *, is_router: bool = False) -> None:
         self._session = session
         self._publishers: dict[str, Any] = {}
-        self._declared: list[Any] = []
+        self._declarations: list[Any] = []
         self.url = url
         self.run = run
         self.is_router = is_router
@@ -102,9 +102,9 @@ class Bus:
             lambda sample: received(str(sample.key_expr), sample.payload.to_bytes()),
             history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
         )
-        self._declared.append(subscriber)
+        self._declarations.append(subscriber)
 
-    def answer(self, suffix: str, answer: QueryHandler) -> None:
+    def serve_queries(self, suffix: str, answer: QueryHandler) -> None:
         """Reply to queries under a suffix with the JSON of what `answer(key, payload)` returns.
 
         A ConfigError becomes an error reply with its text.
@@ -126,9 +126,9 @@ class Bus:
             finally:
                 query.drop()  # whoever asks waits until it is gone, and a traceback may hold it
 
-        self._declared.append(self._session.declare_queryable(self.key(suffix), reply))
+        self._declarations.append(self._session.declare_queryable(self.key(suffix), reply))
 
-    def ask(self, suffix: str, payload: bytes = b"", timeout_s: float = 3.0) -> list[bytes]:
+    def query(self, suffix: str, payload: bytes = b"", timeout_s: float = 3.0) -> list[bytes]:
         """The replies to one query.
 
         Raises
@@ -149,26 +149,26 @@ class Bus:
             )
         return replies
 
-    def alive(self, component: str) -> None:
+    def declare_alive(self, component: str) -> None:
         """Declare that a component is there, until this bus closes."""
         token = self._session.liveliness().declare_token(self.key(f"alive/{component}"))
-        self._declared.append(token)
+        self._declarations.append(token)
 
-    def who(self, timeout_s: float = 2.0) -> list[str]:
+    def list_components(self, timeout_s: float = 2.0) -> list[str]:
         """Keys of the components that are there, of every run."""
         replies = self._session.liveliness().get(f"{ROOT}/*/alive/**", timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     @property
-    def is_joined(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether it is the router, or has one."""
         return self.is_router or bool(self._session.info.routers_zid())
 
     def close(self) -> None:
         """End the session; late callbacks are cut off."""
-        for thing in [*self._declared, *self._publishers.values()]:
+        for thing in [*self._declarations, *self._publishers.values()]:
             thing.undeclare()
-        self._declared, self._publishers = [], {}
+        self._declarations, self._publishers = [], {}
         if not self._session.is_closed():
             self._session.close()
 
@@ -367,7 +367,7 @@ def open_run_bus(
         yield None
         return
     with bus:
-        bus.alive(component)
+        bus.declare_alive(component)
         yield bus
 
 

@@ -29,7 +29,7 @@ class Descriptors:
         """Wait for what comes on a descriptor."""
         self._selector.register(fileno, selectors.EVENT_READ)
 
-    def await_room(self, fileno: int, *, wanted: bool) -> None:
+    def watch_writable(self, fileno: int, *, wanted: bool) -> None:
         """Wait for room to write as well, or no longer."""
         room = selectors.EVENT_WRITE if wanted else 0
         self._selector.modify(fileno, selectors.EVENT_READ | room)

@@ -37,7 +37,7 @@ class Admission:
 class Peer:
     """When an address last spoke (monotonic seconds), and whether it is proven."""
 
-    spoke_s: float
+    last_heard_s: float
     proven: bool = False
 
 
@@ -46,12 +46,12 @@ class Peers:
 
     def __init__(self) -> None:
         self.admission = Admission()
-        self.known: dict[bytes, Peer] = {}
-        self._latest = b""
+        self.by_address: dict[bytes, Peer] = {}
+        self._last_heard = b""
 
-    def hear(self, address: bytes, data: bytes, now_s: float) -> bool:
+    def register(self, address: bytes, data: bytes, now_s: float) -> bool:
         """Note that an address spoke; whether it may be listened to."""
-        peer = self.known.get(address)
+        peer = self.by_address.get(address)
         proven = peer is not None and peer.proven
         if not proven and not self._admits(address):
             return False
@@ -60,23 +60,23 @@ class Peers:
         if peer is None:
             if not self._make_room(proven, now_s):
                 return True  # heard, but not answered
-            peer = self.known[address] = Peer(now_s)
-        peer.spoke_s, peer.proven = now_s, proven
-        self._latest = address
+            peer = self.by_address[address] = Peer(now_s)
+        peer.last_heard_s, peer.proven = now_s, proven
+        self._last_heard = address
         # Whoever was heard before, unproven, is a stranger now.
         if proven and self.admission.lock:
-            self.known = {address: peer}
+            self.by_address = {address: peer}
         return True
 
-    def touch(self, address: bytes, now_s: float) -> None:
+    def confirm(self, address: bytes, now_s: float) -> None:
         """Note that a peer sent verified frames."""
-        peer = self.known.get(address)
+        peer = self.by_address.get(address)
         if peer is not None:
-            peer.spoke_s, peer.proven = now_s, True
-            self._latest = address
+            peer.last_heard_s, peer.proven = now_s, True
+            self._last_heard = address
 
     def _admits(self, address: bytes) -> bool:
-        if self.admission.lock and any(peer.proven for peer in self.known.values()):
+        if self.admission.lock and any(peer.proven for peer in self.by_address.values()):
             return False
         allowed = self.admission.allowed
         return not allowed or any(host_address(address) in network for network in allowed)
@@ -84,16 +84,18 @@ class Peers:
     def _make_room(self, proven: bool, now_s: float) -> bool:
         """Forget whom a newcomer may displace; whether there is room for it."""
         # A proven newcomer may displace anybody, an unproven one only its like.
-        weaker = {a: peer for a, peer in self.known.items() if proven or not peer.proven}
+        weaker = {a: peer for a, peer in self.by_address.items() if proven or not peer.proven}
         for address, peer in weaker.items():
-            if now_s - peer.spoke_s > PEER_EXPIRY_S and address != self._latest:
-                del self.known[address]
-        if len(self.known) < MAX_PEERS:
+            if now_s - peer.last_heard_s > PEER_EXPIRY_S and address != self._last_heard:
+                del self.by_address[address]
+        if len(self.by_address) < MAX_PEERS:
             return True
-        remaining = [address for address in weaker if address in self.known]
+        remaining = [address for address in weaker if address in self.by_address]
         if not remaining:
             return False
-        del self.known[min(remaining, key=lambda one: (weaker[one].proven, weaker[one].spoke_s))]
+        del self.by_address[
+            min(remaining, key=lambda one: (weaker[one].proven, weaker[one].last_heard_s))
+        ]
         return True
 
 

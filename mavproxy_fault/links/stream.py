@@ -43,7 +43,7 @@ class Stream:
         self._await_room(wanted=True)
 
     @property
-    def waiting(self) -> bool:
+    def has_pending(self) -> bool:
         """Whether something is still to be sent."""
         return bool(self._queue)
 
@@ -107,4 +107,4 @@ class Stream:
         # A system call saved for each frame.
         if wanted != self._awaits_room:
             self._awaits_room = wanted
-            self._descriptors.await_room(self.fileno, wanted=wanted)
+            self._descriptors.watch_writable(self.fileno, wanted=wanted)

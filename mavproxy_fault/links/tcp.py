@@ -72,10 +72,10 @@ class TcpServer:
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
-        self._looked_s = 0.0  # when others than a lone peer were last asked for
+        self._accept_checked_s = 0.0  # when others than a lone peer were last asked for
         self._reserve = socket.socket()  # kept for the moment when there are no descriptors
-        self._told = False
-        self._rests_until_s: float | None = None  # the listener, unwatched so long
+        self._warned = False
+        self._accept_paused_until_s: float | None = None  # the listener, unwatched so long
         self._descriptors = Descriptors()
         self._descriptors.add(self._listener.fileno())
 
@@ -93,20 +93,20 @@ class TcpServer:
         if len(self._peers) != 1:
             return None
         _, stream, number = next(iter(self._peers.values()))
-        return None if stream.waiting else (stream.fileno, number)
+        return None if stream.has_pending else (stream.fileno, number)
 
     def read(self) -> list[Chunk]:
         """Accept, continue pending writes, and collect what the peers sent."""
         chunks: list[Chunk] = []
         now_s = time.monotonic()
-        if len(self._peers) == 1 and now_s - self._looked_s < ACCEPT_CHECK_S:
+        if len(self._peers) == 1 and now_s - self._accept_checked_s < ACCEPT_CHECK_S:
             # Nobody else to be asked for: one system call, not two.
             self._read_from(next(iter(self._peers)), READ_SIZE, chunks)
             if chunks:
                 return chunks
-        self._looked_s = now_s
-        if self._rests_until_s is not None and now_s >= self._rests_until_s:
-            self._rests_until_s = None
+        self._accept_checked_s = now_s
+        if self._accept_paused_until_s is not None and now_s >= self._accept_paused_until_s:
+            self._accept_paused_until_s = None
             self._descriptors.add(self._listener.fileno())
         # Only those with something to do: a system call for each of the others is saved.
         ready = self._descriptors.ready()
@@ -130,11 +130,11 @@ class TcpServer:
             stream.abandon()
             sock.close()
             del self._peers[descriptor]
-            self._tell_left()
+            self._warn_last_peer_left()
             # Empty bytes end the stream: its half frame will never be completed.
             chunks.append((number, b""))
 
-    def _tell_left(self) -> None:
+    def _warn_last_peer_left(self) -> None:
         # Whoever flies should know; somebody who only looked whether the port is open is not told.
         if not self._peers and self.counters.bytes_in:
             LOG.warning("%s: the other side closed the connection; nobody is left", self.name)
@@ -147,21 +147,23 @@ class TcpServer:
                 return
             except OSError as error:
                 if error.errno in (errno.EMFILE, errno.ENFILE):
-                    self._turn_away()
+                    self._reject_without_descriptor()
                 else:
                     self.counters.errors += 1
                 return
             if len(self._peers) >= MAX_PEERS:
                 # Each frame goes to each of them: a thousand would take the loop's time for good.
                 sock.close()
-                self._refused(f"{MAX_PEERS} peers are connected; a further one is turned away")
+                self._count_rejected(
+                    f"{MAX_PEERS} peers are connected; a further one is turned away"
+                )
                 continue
             _prepare(sock)
             stream = _stream(sock, self._descriptors, self.counters)
             self._peers[sock.fileno()] = (sock, stream, self._next_stream)
             self._next_stream += 1
 
-    def _turn_away(self) -> None:
+    def _reject_without_descriptor(self) -> None:
         """Close a connection for which there is no descriptor, in the place of the reserve."""
         # Left waiting it would wake the loop for ever.
         why = "no descriptor for a further peer; allow more (ulimit -n)"
@@ -172,23 +174,23 @@ class TcpServer:
             pass
         except OSError:  # its place went to another thread, or the limit was lowered
             self._descriptors.remove(self._listener.fileno())
-            self._rests_until_s = time.monotonic() + ACCEPT_PAUSE_S
-            self._tell(why)
+            self._accept_paused_until_s = time.monotonic() + ACCEPT_PAUSE_S
+            self._warn_once(why)
         else:
-            self._refused(why)
+            self._count_rejected(why)
         with contextlib.suppress(OSError):  # none to be had: the next one waits
             self._reserve = socket.socket()
 
-    def _refused(self, why: str) -> None:
+    def _count_rejected(self, why: str) -> None:
         """Count a connection that was closed at once, and tell the first."""
         self.counters.errors += 1
-        self._tell(why)
+        self._warn_once(why)
 
-    def _tell(self, why: str) -> None:
+    def _warn_once(self, why: str) -> None:
         """Say once why somebody was not let in."""
-        if not self._told:
+        if not self._warned:
             LOG.warning("%s: %s", self.name, why)
-            self._told = True
+            self._warned = True
 
     def write(self, data: bytes) -> None:
         """Send to every peer; without peers the chunk is dropped."""
@@ -233,7 +235,7 @@ class TcpClient:
         self._peer: tuple[socket.socket, Stream] | None = None
         self._number = 0
         self._retry_s = 0.0
-        self._told = False
+        self._warned = False
         self._connect()
 
     @property
@@ -251,9 +253,9 @@ class TcpClient:
             sock = socket.socket(self._family, socket.SOCK_STREAM)
         except OSError as error:  # no descriptors: there may be some at the next attempt
             self.counters.errors += 1
-            if not self._told:
+            if not self._warned:
                 LOG.warning("%s: no connection: %s", self.name, error)
-                self._told = True
+                self._warned = True
             return
         _prepare(sock)
         # It is under way when this returns; the descriptor tells when it stands or has failed.

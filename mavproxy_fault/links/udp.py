@@ -81,7 +81,7 @@ class UdpServer(_UdpSocket):
     @property
     def peer_count(self) -> int:
         """How many peers are written to."""
-        return len(self.peers.known)
+        return len(self.peers.by_address)
 
     def read(self) -> list[Chunk]:
         """The datagrams that wait; their senders become peers."""
@@ -91,22 +91,22 @@ class UdpServer(_UdpSocket):
         for address, data in self._datagrams.receive():
             counters.chunks_in += 1
             counters.bytes_in += len(data)
-            if not self.hear(address, data, now_s):
+            if not self.register(address, data, now_s):
                 counters.refused += 1
             # UDP allows empty datagrams, but empty bytes tell the reader that a stream has ended.
             elif data:
                 chunks.append((0, data))
         return chunks
 
-    def hear(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
+    def register(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
         """Note that an address spoke; whether it may be listened to."""
-        return self.peers.hear(address, data, time.monotonic() if now_s is None else now_s)
+        return self.peers.register(address, data, time.monotonic() if now_s is None else now_s)
 
     def write(self, data: bytes) -> None:
         """Send a datagram to every peer; without peers it is dropped."""
-        if not self.peers.known:
+        if not self.peers.by_address:
             self.counters.drops += 1
-        for address in self.peers.known:
+        for address in self.peers.by_address:
             self._send(data, address)
 
 

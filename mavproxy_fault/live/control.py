@@ -106,7 +106,7 @@ class LiveControl:
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
-        self.engine.tell_time(t_us)
+        self.engine.advance_time(t_us)
         if kind == "ok":
             return self._clear(unit, instance)
         try:
@@ -139,7 +139,7 @@ class LiveControl:
         # Others speak to that port too, and a proxy without a map has no use for it.
         if packet is None or self.rflysim is None or not self.allowed:
             return []
-        self.engine.tell_time(t_us)
+        self.engine.advance_time(t_us)
         wanted = self.rflysim.entries(packet)
         # A packet names all its faults; those that it no longer names are over.
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
@@ -236,7 +236,7 @@ class LiveControl:
             )
 
         def act(t_us: int) -> Any:
-            self.engine.tell_time(t_us)
+            self.engine.advance_time(t_us)
             return edit()
 
         return act
@@ -285,7 +285,7 @@ class LiveControl:
         schedule = parse_schedule(document)
         # A thousand entries would hold the loop up for milliseconds: they are made here, and those
         # that they replace are let go of here.
-        prepared = self.engine.prepared(schedule)
+        prepared = self.engine.prepare_entries(schedule)
         replaced: list[object] = []
 
         def act() -> Any:

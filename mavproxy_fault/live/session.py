@@ -83,7 +83,7 @@ class LoopCalls:
         """Readable while something waits."""
         return self._reads.fileno()
 
-    def ask(self, act: Callable[[], Any]) -> Any:
+    def call(self, act: Callable[[], Any]) -> Any:
         """Have the loop call `act`; its value, or what it raised.
 
         Raises
@@ -149,7 +149,7 @@ class LoopCalls:
 class LiveSession:
     """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
 
-    `now_us` tells the vehicle's time; `journal` takes every request that may change something;
+    `now_us` tells the vehicle's time; `edit_log` takes every request that may change something;
     `listener` is shown, in this process, what the bus is told of labels and watched messages.
     """
 
@@ -163,7 +163,7 @@ class LiveSession:
         self.control = control
         self._listener = listener
         self._now_us = now_us
-        self.journal = journal
+        self.edit_log = journal
         self._requests = LoopCalls()
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
@@ -192,7 +192,7 @@ class LiveSession:
                 raise
             LOG.warning("no live control: %s", error)
             return
-        names = [] if bus.is_router else running_proxies(bus.who())
+        names = [] if bus.is_router else running_proxies(bus.list_components())
         if run in names:
             bus.close()
             raise ConfigError(f"--run {run} is another proxy's here; known: {', '.join(names)}")
@@ -205,8 +205,8 @@ class LiveSession:
     def offer(self, bus: Bus) -> None:
         """Answer queries on a bus that is open."""
         self._bus = bus
-        bus.answer("@ctl/**", self.ask)
-        bus.alive("proxy")
+        bus.serve_queries("@ctl/**", self.query)
+        bus.declare_alive("proxy")
 
     def _become_router(self, bus: Bus) -> None:
         """Be the router where the one there was has ended; unless another was faster."""
@@ -221,7 +221,7 @@ class LiveSession:
         if self._bus is None or now_s < self._look_s or self._successor.is_alive():
             return
         self._look_s = now_s + ROUTER_CHECK_S
-        if not self._bus.is_joined:
+        if not self._bus.is_connected:
             self._successor = threading.Thread(
                 target=self._become_router, args=(self._bus,), daemon=True
             )
@@ -238,7 +238,7 @@ class LiveSession:
             raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
         return int(self._port.getsockname()[1])
 
-    def ask(self, key: str, payload: bytes) -> Any:
+    def query(self, key: str, payload: bytes) -> Any:
         """The answer to a request of another thread, whose key ends in `@ctl/<what>`.
 
         Raises
@@ -253,7 +253,7 @@ class LiveSession:
 
     def do(self, act: Callable[[], Any]) -> Any:
         """Have the loop's thread call `act`; its value, or what it raised."""
-        return self._requests.ask(act)
+        return self._requests.call(act)
 
     def _act(self, key: str, payload: bytes, act: Callable[[int], Any] | None) -> Any:
         """Carry out one request in the loop's thread."""
@@ -261,8 +261,8 @@ class LiveSession:
             return self.control.watch(payload, time.monotonic())
         # The time is taken in the loop's thread, just before the edit.
         t_us = self._now_us()
-        if self.journal is not None and not key.endswith(READ_ONLY_REQUESTS):
-            self.journal.note(key, payload, t_us)
+        if self.edit_log is not None and not key.endswith(READ_ONLY_REQUESTS):
+            self.edit_log.note(key, payload, t_us)
         return act(t_us)
 
     def filenos(self) -> list[int]:
@@ -280,8 +280,8 @@ class LiveSession:
                 # One byte more than a packet: what is longer is none.
                 data = self._port.recv(PACKED.size + 1)
                 t_us = self._now_us()
-                if self.journal is not None:
-                    self.journal.note(RFLYSIM, data, t_us)
+                if self.edit_log is not None:
+                    self.edit_log.note(RFLYSIM, data, t_us)
                 try:
                     self.control.packet(data, t_us)
                 except ConfigError as error:
@@ -289,7 +289,7 @@ class LiveSession:
 
     def edits(self) -> list[Edit]:
         """What was asked for since the last call, for a recorder."""
-        return [] if self.journal is None else self.journal.drain()
+        return [] if self.edit_log is None else self.edit_log.drain()
 
     def show(self, now_s: float) -> None:
         """Tell the bus at once of faults that begin, end or change, and what viewers watch."""

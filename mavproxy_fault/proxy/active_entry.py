@@ -66,18 +66,20 @@ class ActiveEntry:
         self.armed = True  # a condition starts the fault when it becomes true, not while it is
         self.earliest_us = add_seconds(base_us, entry.at_s)
         # With a condition too, that counts from the event or moment on.
-        self._waits = entry.after is not None or entry.moment is not None
-        self.start_us = NEVER_US if entry.when or self._waits else self.earliest_us
+        self._waits_for_event = entry.after is not None or entry.moment is not None
+        self.start_us = NEVER_US if entry.when or self._waits_for_event else self.earliest_us
         self.end_us = self._end()
         self.active = False
         self.starts = 0
         self.frames = self.sealed = self.saturated = 0
-        self._frames_before = 0  # of the stretches that have ended
+        self._earlier_frames = 0  # of the stretches that have ended
         self.failures = 0  # frames that the fault could not be applied to
         self.failure: str | None = None
         self._largest = -1.0  # change of the present stretch; negative: none that has a size
         self.first_us: int | None = None
-        self.stirred = False  # the engine has to look: a first frame, a new value, an end of itself
+        self.needs_attention = (
+            False  # the engine has to look: a first frame, a new value, an end of itself
+        )
         self.direction = ""
         self.states: dict[str, Any] = {}
         self.rng = cast("Generator", LazyGenerator(seed, entry.id))
@@ -92,7 +94,7 @@ class ActiveEntry:
         where = entry.where
         # In a tuple: read for each frame that passes.
         self._where = (where.system, where.component, where.direction, where.id)
-        self.anything = self._where == (None, None, None, None)
+        self.matches_all = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.buffers = hasattr(entry.fault, "release")  # `Buffering`; asking for that is slow
@@ -107,10 +109,10 @@ class ActiveEntry:
     @property
     def total_frames(self) -> int:
         """Frames that all its stretches have touched."""
-        return self._frames_before + self.frames
+        return self._earlier_frames + self.frames
 
     @property
-    def watches(self) -> set[int]:
+    def watched_ids(self) -> set[int]:
         """The messages that it looks at besides those it acts on."""
         conditions = (self.condition, self.entry.moment)
         return {number for one in conditions if one is not None for number in one.ids}
@@ -126,24 +128,29 @@ class ActiveEntry:
         self.start_us = t_us
         self.end_us = self._end()
 
-    def follow(self, t_us: int) -> None:
+    def start_after_event(self, t_us: int) -> None:
         """The event that it waited for has come: start at `t_us`, or look at the condition from
         then on."""
-        if not self._waits:
+        if not self._waits_for_event:
             return
-        self._waits = False
+        self._waits_for_event = False
         self.earliest_us = max(t_us, self.earliest_us)
         if self.condition is None:
             self.trigger(self.earliest_us)
 
-    def watch(self, t_us: int, telemetry: Telemetry) -> bool:
+    def check_condition(self, t_us: int, telemetry: Telemetry) -> bool:
         """Start if the condition has become true, or note the moment; whether it did."""
         moment = self.entry.moment
-        if moment is not None and self._waits and moment.holds(telemetry):
-            self.follow(add_seconds(t_us, self.entry.at_s))
+        if moment is not None and self._waits_for_event and moment.holds(telemetry):
+            self.start_after_event(add_seconds(t_us, self.entry.at_s))
             return True
         # One that acts, or waits for its end, is not started a second time.
-        if self.active or self.condition is None or self._waits or t_us < self.earliest_us:
+        if (
+            self.active
+            or self.condition is None
+            or self._waits_for_event
+            or t_us < self.earliest_us
+        ):
             return False
         if self.start_us < NEVER_US or not self._may_start_again():
             return False
@@ -171,7 +178,7 @@ class ActiveEntry:
         self.starts += 1
         self.states = {}
 
-    def rest(self, now_us: int) -> None:
+    def end_activation(self, now_us: int) -> None:
         """End a stretch; set the next start if the entry repeats, leaving out what is long past."""
         self.active = False
         repeat = self.entry.repeat
@@ -197,9 +204,9 @@ class ActiveEntry:
         """Whether it has acted and will not start again by the clock."""
         return not self.active and self.start_us == NEVER_US and self.starts > 0
 
-    def takes(self, frame: Frame, direction: str) -> bool:
+    def matches(self, frame: Frame, direction: str) -> bool:
         """Whether `where` lets the frame through to the fault."""
-        if self.anything:
+        if self.matches_all:
             return True
         system, component, way, instance = self._where
         if system is not None and frame.system != system:
@@ -216,7 +223,7 @@ class ActiveEntry:
         name = frame.layout.instance or "id"
         return frame.read(name) if name in frame.layout.fields else 0
 
-    def takes_junk(self, direction: str) -> bool:
+    def matches_junk(self, direction: str) -> bool:
         """Whether bytes that are no frame pass through the fault."""
         system, component, way, instance = self._where
         # Junk has no sender that a filter could ask for.
@@ -226,7 +233,7 @@ class ActiveEntry:
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Put a frame through the fault and count what it did."""
-        if self.spares():
+        if self.skips_by_chance():
             return [Outgoing(t_us, frame)]
         try:
             sends = self._apply(frame, direction, t_us)
@@ -239,14 +246,14 @@ class ActiveEntry:
         # What was kept back and leaves as it came was not touched; what changed has a magnitude.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
         if touched:
-            self.note_touch(direction, t_us)
+            self.note_changed_frame(direction, t_us)
             sizes = [out.magnitude for out in sends if out.magnitude is not None]
             # NaN and infinity would stick in the maximum for ever.
             largest = max((size for size in sizes if math.isfinite(size)), default=-1.0)
-            self.credit(touched, sum(out.saturated for out in sends), largest)
+            self.count_frames(touched, sum(out.saturated for out in sends), largest)
         return sends
 
-    def spares(self) -> bool:
+    def skips_by_chance(self) -> bool:
         """Whether chance lets this frame pass by the fault."""
         # No draw without a probability: the stream stays that of the fault.
         chance = self.entry.probability
@@ -259,12 +266,12 @@ class ActiveEntry:
         self.failures += 1
         self.failure = repr(error)
 
-    def note_touch(self, direction: str, t_us: int) -> None:
+    def note_changed_frame(self, direction: str, t_us: int) -> None:
         """Note that a frame of this direction was touched."""
         if self.first_us is None:
             self.first_us = t_us
             self.direction = direction
-            self.stirred = True
+            self.needs_attention = True
         elif self.direction != direction:
             self.direction = BOTH_DIRECTIONS
 
@@ -277,12 +284,12 @@ class ActiveEntry:
         sends, state = self.fault.apply(frame, t_us, state, self.rng)
         self.states[direction] = state
         if self.ends_itself and self.fault.done(state):
-            self.end_itself(t_us)
+            self.end_early(t_us)
         return sends
 
-    def end_itself(self, t_us: int) -> None:
+    def end_early(self, t_us: int) -> None:
         """End with the next frame, before its time."""
-        self.end_us, self.stirred = t_us, True
+        self.end_us, self.needs_attention = t_us, True
 
     def fresh_state(self, direction: str) -> Any:
         """The state with which a direction starts, also where the value was given live."""
@@ -292,7 +299,7 @@ class ActiveEntry:
         self.states[direction] = state
         return state
 
-    def credit(self, frames: int, saturated: int, magnitude: float) -> None:
+    def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
         """Count what was done in this fault's name; a negative magnitude is none."""
         self.frames += frames
         self.saturated += saturated
@@ -343,7 +350,7 @@ class ActiveEntry:
             changed_us=self.changed_us,
         )
 
-    def news(self, t_us: int) -> Label | None:
+    def pending_label(self, t_us: int) -> Label | None:
         """The label of a stretch that has just touched its first frame, or of a new value."""
         if self.first_us is None:
             return None
@@ -352,7 +359,7 @@ class ActiveEntry:
         # A slider moves many times a second: labels tell of it a few times.
         elif not self.unannounced or t_us - self._announced_us < VALUE_LABEL_INTERVAL_US:
             return None
-        self.unannounced = self.stirred = False
+        self.unannounced = self.needs_attention = False
         self._announced_us = t_us
         return self.label(None)
 
@@ -361,14 +368,14 @@ class ActiveEntry:
         # A stretch in which nothing was touched has no label. What ends one may bear an older
         # stamp than its first frame: an answer without a stamp of its own, say.
         label = None if self.first_us is None else self.label(max(t_us, self.first_us))
-        self._frames_before += self.frames
+        self._earlier_frames += self.frames
         self.frames = self.saturated = 0
         self._largest = -1.0
         self.first_us = self.changed_us = self._announced_us = None
         self.direction = ""
         return label
 
-    def feed(self, value: float, t_us: int, latency_us: int | None) -> None:
+    def set_value(self, value: float, t_us: int, latency_us: int | None) -> None:
         """Take a live value, or another constant one.
 
         Raises
@@ -385,7 +392,7 @@ class ActiveEntry:
         # The same value again is no news.
         if value != self.value:
             self.value, self.changed_us, self.unannounced = value, t_us, True
-            self.stirred = True
+            self.needs_attention = True
 
     def _change(self, inner: Any, value: float) -> None:
         """Take another constant value."""

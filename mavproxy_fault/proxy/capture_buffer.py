@@ -45,7 +45,7 @@ class CaptureBuffer:
         """How many records were received since the start."""
         return self.drained + len(self.index) // INDEX.size
 
-    def start_again(self, count: int) -> int:
+    def resume_count(self, count: int) -> int:
         """Let the records handed over so far be so many: those that are in the files."""
         self.drained = count
         return count

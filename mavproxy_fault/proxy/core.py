@@ -55,7 +55,7 @@ class LinkState:
     faulted: int = 0  # frames that were changed, delayed, multiplied or dropped
     gaps: int = 0  # frames missing by their sequence numbers
     loops: int = 0
-    doubted: int = 0  # stamps that leapt and were not followed
+    unconfirmed: int = 0  # stamps that leapt and were not followed
     bad_signatures: int = 0
 
 
@@ -86,18 +86,18 @@ class Core:
         self.clock = VehicleClock(self.senders)
         self.states = [LinkState() for _ in links]
         self._signing = signing
-        self._tape = tape
+        self._capture = tape
         self._routes = Routes(len(self.links), self.senders)
         self._guard = LoopGuard()
         self._numbering = Numbering(self.senders)
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
         self._ended = [ParserCounters() for _ in links]
-        self._patience: dict[tuple[int, int], ResyncDeadline] = {}
+        self._resync_deadlines: dict[tuple[int, int], ResyncDeadline] = {}
         self._give_up_us: dict[tuple[int, int], int] = {}  # streams that owe the rest of a frame
         self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
         self._order = itertools.count()
-        self.departed_us = 0  # when what left last was due; nothing may come before that any more
+        self.last_due_us = 0  # when what left last was due; nothing may come before that any more
         self._on_wall_clock = False
         self._doubted = 0  # stamps, on all links
         self._numbers: dict[int, list[int]] = {}  # links by mask, for the few masks that occur
@@ -123,7 +123,7 @@ class Core:
         """
         # What was due before leaves first: the order depends on stamps alone. No frame is given up:
         # the rest may be among what is read at the same time.
-        sends = self._leaving(now_us)
+        sends = self._release_due(now_us)
         role = self.links[link]
         key = (link, stream)
         parser = self._parsers.get(key)
@@ -135,10 +135,10 @@ class Core:
             items = parser.release()
             self._ended[link].add(parser.counters)
             del self._parsers[key]
-            self._patience.pop(key, None)
+            self._resync_deadlines.pop(key, None)
             self._give_up_us.pop(key, None)
         if data and not role.datagrams:
-            self._patience.setdefault(key, ResyncDeadline()).came(len(data), now_us)
+            self._resync_deadlines.setdefault(key, ResyncDeadline()).note_arrival(len(data), now_us)
             self._wait_for_rest(key)
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
@@ -150,20 +150,20 @@ class Core:
 
     def due(self, now_us: int) -> list[Send]:
         """What falls due by `now_us`, in order; bytes last of which no frame comes any more."""
-        sends = self._leaving(now_us)
+        sends = self._release_due(now_us)
         for key in list(self._give_up_us):
             # The rest of the frame will not come: the bytes leave as they are.
             while self._give_up_us.get(key, NEVER_US) <= now_us:
                 arrival = Arrival(key[0], self.links[key[0]].direction, now_us)
-                sends += self._process(self._parsers[key].give_up(), arrival)
+                sends += self._process(self._parsers[key].resync(), arrival)
                 self._wait_for_rest(key)
         return sends
 
-    def owing(self, now_us: int) -> set[int]:
+    def links_to_resync(self, now_us: int) -> set[int]:
         """The links with streams whose incomplete frames `due` gives up by `now_us`."""
         return {link for (link, _), due_us in self._give_up_us.items() if due_us <= now_us}
 
-    def _leaving(self, now_us: int) -> list[Send]:
+    def _release_due(self, now_us: int) -> list[Send]:
         """What was kept for a time that has come, in order."""
         sends: list[Send] = []
         while self._pending or self.engine is not None:
@@ -172,8 +172,8 @@ class Core:
             if min(engine_us, pending_us) > now_us:
                 break
             # A clock that leapt ahead would let what is kept leave long before it came.
-            when_us = max(min(engine_us, pending_us), self.departed_us)
-            self.departed_us = when_us
+            when_us = max(min(engine_us, pending_us), self.last_due_us)
+            self.last_due_us = when_us
             if pending_us <= engine_us:
                 _, _, mask, raw = heapq.heappop(self._pending)
                 self._record(raw, when_us)
@@ -184,7 +184,7 @@ class Core:
 
     def _wait_for_rest(self, key: tuple[int, int]) -> None:
         """Note until when a stream may owe the rest of a frame, if it does."""
-        due_us = self._patience[key].due_us(self._parsers[key])
+        due_us = self._resync_deadlines[key].due_us(self._parsers[key])
         self._give_up_us.pop(key, None)
         if due_us is not None:
             self._give_up_us[key] = due_us
@@ -221,7 +221,7 @@ class Core:
         labels, self._labels = self._labels, []
         return labels
 
-    def parsed(self, link: int) -> ParserCounters:
+    def parser_counters(self, link: int) -> ParserCounters:
         """What the parsers of one link have counted, of streams that ended too."""
         # A copy: the counters of streams that ended stay as they are.
         total = dataclasses.replace(self._ended[link])
@@ -236,8 +236,8 @@ class Core:
         departures: OutgoingBatch = []
         for item in items:
             is_frame = isinstance(item, Frame)
-            if self._tape is not None:
-                self._tape.receive(arrival.now_us, arrival.link, item.raw, is_frame=is_frame)
+            if self._capture is not None:
+                self._capture.receive(arrival.now_us, arrival.link, item.raw, is_frame=is_frame)
             if isinstance(item, Frame):
                 self._frame(item, arrival, departures)
             else:
@@ -259,18 +259,18 @@ class Core:
             replies = control.consume(frame, t_us)
             if replies is not None:
                 for reply in replies:
-                    raw = self._numbering.numbered(reply)
-                    self._leave(1 << arrival.link, raw, arrival.now_us, departures)
+                    raw = self._numbering.number_frame(reply)
+                    self._send_now(1 << arrival.link, raw, arrival.now_us, departures)
                 return
         sealed = frame.signed
         if sealed and self._signing is not None:
-            frame, sealed = self._signing.receive(frame)
+            frame, sealed = self._signing.verify_incoming(frame)
             state.bad_signatures += sealed
-        mask = self._routes.find(frame, arrival.link)
+        mask = self._routes.select(frame, arrival.link)
         engine = self.engine
         # Most frames are wanted by no fault and cost no more than this.
         if engine is None or (engine.wanted is not None and frame.id not in engine.wanted):
-            self._leave(mask, frame.raw, arrival.now_us, departures)
+            self._send_now(mask, frame.raw, arrival.now_us, departures)
             return
         outgoing = engine.apply(frame, arrival.direction, t_us, sealed=sealed)
         if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > t_us:
@@ -282,10 +282,10 @@ class Core:
 
     def _junk(self, junk: Junk, arrival: Arrival, departures: OutgoingBatch) -> None:
         self.states[arrival.link].junk += 1
-        mask = self._routes.everywhere & ~(1 << arrival.link)
+        mask = self._routes.all_links & ~(1 << arrival.link)
         now_us = arrival.now_us
         if self.engine is None:
-            self._leave(mask, junk.raw, now_us, departures)
+            self._send_now(mask, junk.raw, now_us, departures)
             return
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
         for departure in self.engine.junk(junk.raw, arrival.direction, t_us):
@@ -295,9 +295,9 @@ class Core:
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:
         """Learn the sender and count its gaps; False if the frame came round in a loop."""
         system, component, link = frame.system, frame.component, arrival.link
-        if self._routes.learn(system, component, link):
-            from_home = self._routes.home[system, component] == link
-            if not self._guard.passes(frame.raw, from_home=from_home, now_us=arrival.now_us):
+        if self._routes.note_sender(system, component, link):
+            from_home = self._routes.home_links[system, component] == link
+            if not self._guard.admits(frame.raw, from_home=from_home, now_us=arrival.now_us):
                 return False
         sender = system << 8 | component
         # Who speaks on several links, as PX4 does, numbers the frames of each by itself.
@@ -312,7 +312,7 @@ class Core:
         t_us = self.clock.read(frame, now_us)
         if senders[UNCONFIRMED] != self._doubted:
             self._doubted = senders[UNCONFIRMED]
-            state.doubted += 1
+            state.unconfirmed += 1
         if senders[T0] == UNKNOWN:
             self._on_wall_clock = True
         elif self._on_wall_clock:
@@ -343,32 +343,34 @@ class Core:
             # What goes back reaches where its cause came from, whoever else signs as it does there.
             mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
-            raw = self._signing.leave(frame).raw
+            raw = self._signing.sign_outgoing(frame).raw
         if outgoing.back and isinstance(frame, Frame):  # the proxy's own word to a simulator
-            raw = self._numbering.numbered(frame)
+            raw = self._numbering.number_frame(frame)
         due_us = outgoing.due_us + lead_us
         if due_us <= now_us:
-            self._leave(mask, raw, now_us, departures)
+            self._send_now(mask, raw, now_us, departures)
         else:
             heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
 
-    def _leave(self, mask: int, raw: bytes, now_us: int, departures: OutgoingBatch) -> None:
+    def _send_now(self, mask: int, raw: bytes, now_us: int, departures: OutgoingBatch) -> None:
         if mask:
             self._record(raw, now_us)
             departures.append((mask, raw))
 
     def _record(self, raw: bytes, when_us: int) -> None:
-        if self._tape is not None:
-            self._tape.send(when_us, raw)
+        if self._capture is not None:
+            self._capture.send(when_us, raw)
         if self.control is not None:
             self.control.sent(raw, when_us - self.senders[WALL_OFFSET])
 
     def _announce(self, labels: "list[Label]", now_us: int, departures: OutgoingBatch) -> None:
         for label in labels:
             self._labels.append(label)
-            self._leave(
+            self._send_now(
                 self._listeners,
-                self._numbering.numbered(label_announcement(label, self.senders[VEHICLE_SYSTEM])),
+                self._numbering.number_frame(
+                    label_announcement(label, self.senders[VEHICLE_SYSTEM])
+                ),
                 now_us,
                 departures,
             )
@@ -395,16 +397,16 @@ class Core:
         for outgoing in self.engine.due(when_us - self.senders[WALL_OFFSET]):
             mask = self._links_of_pending(outgoing.frame)
             if outgoing.back:  # to whom it went before, wherever that is
-                mask = self._routes.everywhere
+                mask = self._routes.all_links
             self._emit(outgoing, None, mask, self.senders[WALL_OFFSET], when_us, departures)
         self._announce(self.engine.drain_labels(), when_us, departures)
         return self._sends(departures, when_us)
 
     def _links_of_pending(self, frame: Frame | bytes) -> int:
         """Where a frame goes that was kept since some earlier time, by its sender's home link."""
-        home = self._routes.home.get(source_of(frame))
+        home = self._routes.home_links.get(source_of(frame))
         if home is None:
-            return self._routes.everywhere
+            return self._routes.all_links
         if isinstance(frame, Frame):
-            return self._routes.find(frame, home)
-        return self._routes.everywhere & ~(1 << home)
+            return self._routes.select(frame, home)
+        return self._routes.all_links & ~(1 << home)

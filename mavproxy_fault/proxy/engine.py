@@ -49,12 +49,12 @@ class Engine:
         self._any: tuple[ActiveEntry, ...] = ()
         self._buffering: tuple[ActiveEntry, ...] = ()
         self._watched: dict[int, tuple[ActiveEntry, ...]] = {}
-        self._followers: dict[str, list[tuple[int, ActiveEntry]]] = {}
+        self._dependents: dict[str, list[tuple[int, ActiveEntry]]] = {}
         self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
-        self._kept: list[Outgoing] = []  # let go by a fault that ended
-        self._edited()
+        self._released: list[Outgoing] = []  # let go by a fault that ended
+        self._update_wanted()
 
     @property
     def draws(self) -> bool:
@@ -80,14 +80,14 @@ class Engine:
         entries = list(self._entries())
         self.t0_us = self.now_us = t0_us
         self._all = [self._run(entry, t0_us) for entry in entries]
-        self._edited()
+        self._update_wanted()
         self._advance(t0_us)
 
     def _run(self, entry: Entry, base_us: int) -> ActiveEntry:
         assert self.t0_us is not None
         return activate_entry(entry, self.seed, base_us, self.t0_us)
 
-    def tell_time(self, t_us: int) -> None:
+    def advance_time(self, t_us: int) -> None:
         """Let edits count from this stamp, whatever frame was seen last."""
         if self.t0_us is not None:
             self.now_us = max(self.now_us, t_us)
@@ -98,7 +98,7 @@ class Engine:
 
         At once too where an edit has ended a fault: its label must not wait for the next frame.
         """
-        if self._kept or self._labels:
+        if self._released or self._labels:
             return self.now_us
         if not self._buffering:  # asked for each frame
             return None
@@ -112,7 +112,7 @@ class Engine:
         self.now_us = max(self.now_us, t_us)
         if t_us >= self._edge_us:
             self._advance(t_us)
-        sends, self._kept = self._kept, []
+        sends, self._released = self._released, []
         for running in self._buffering:
             if running.release_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
@@ -120,7 +120,7 @@ class Engine:
 
     def _advance(self, t_us: int) -> None:
         """Start and end what the clock says; several times where one hangs on another."""
-        self._followers = self._that_follow()
+        self._dependents = self._find_dependents()
         due = [(r.next_us, place) for place, r in enumerate(self._all) if r.next_us <= t_us]
         # A schedule whose times have passed has thousands of events: looking through all entries
         # for the next one would hold the forwarding up.
@@ -134,30 +134,30 @@ class Engine:
                 self._end(late, at_us)
             else:
                 late.begin()
-                self._follow(late, "start", at_us)
-            for further, running in [(place, late), *self._followers.get(late.entry.id, ())]:
+                self._start_dependents(late, "start", at_us)
+            for further, running in [(place, late), *self._dependents.get(late.entry.id, ())]:
                 if running.next_us <= t_us:
                     heappush(due, (running.next_us, further))
         self._index()
 
     def _end(self, running: ActiveEntry, t_us: int) -> None:
-        self._kept += running.release(t_us, overdue=False)
+        self._released += running.release(t_us, overdue=False)
         label = running.close(t_us)
         if label is not None:
             self._labels.append(label)
-        running.rest(self.now_us)
-        self._follow(running, "end", t_us)
+        running.end_activation(self.now_us)
+        self._start_dependents(running, "end", t_us)
 
-    def _follow(self, leader: ActiveEntry, event: str, t_us: int) -> None:
+    def _start_dependents(self, leader: ActiveEntry, event: str, t_us: int) -> None:
         """Set the start of entries that wait for another one."""
-        for _, running in self._followers.get(leader.entry.id, ()):
+        for _, running in self._dependents.get(leader.entry.id, ()):
             after = running.entry.after
             if after is None or running.starts or running.start_us < NEVER_US:
                 continue
             if after.event == event:
-                running.follow(add_seconds(t_us, after.delay_s))
+                running.start_after_event(add_seconds(t_us, after.delay_s))
 
-    def _that_follow(self) -> dict[str, list[tuple[int, ActiveEntry]]]:
+    def _find_dependents(self) -> dict[str, list[tuple[int, ActiveEntry]]]:
         """The entries that wait for another one, with their places, by its id."""
         found: dict[str, list[tuple[int, ActiveEntry]]] = {}
         for place, running in enumerate(self._all):
@@ -170,7 +170,7 @@ class Engine:
         self.changes += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
-        self._followers = self._that_follow()
+        self._dependents = self._find_dependents()
         self._any = tuple(r for r in active if r.entry.ids is None)
         self._buffering = tuple(r for r in active if r.buffers)
         self._by_id = {
@@ -179,7 +179,7 @@ class Engine:
         }
         self._edge_us = min((running.next_us for running in self._all), default=NEVER_US)
 
-    def _edited(self) -> None:
+    def _update_wanted(self) -> None:
         """Note that other messages may be wanted."""
         self.revision += 1
         ids: set[int] = set()
@@ -191,8 +191,8 @@ class Engine:
                 ids |= condition.ids if condition is not None else set()
         self.wanted = None if everything else frozenset(ids)
         self._watched = {
-            number: tuple(r for r in self._all if number in r.watches)
-            for number in {n for r in self._all for n in r.watches}
+            number: tuple(r for r in self._all if number in r.watched_ids)
+            for number in {n for r in self._all for n in r.watched_ids}
         }
         self._index()
 
@@ -201,7 +201,7 @@ class Engine:
         """When the next fault starts or ends by the clock."""
         return self._edge_us
 
-    def acting(self, number: int) -> tuple[ActiveEntry, ...] | None:
+    def active_entries(self, number: int) -> tuple[ActiveEntry, ...] | None:
         """Who acts on a message now; None if a condition watches it as well."""
         return None if number in self._watched else self._by_id.get(number, self._any)
 
@@ -224,7 +224,7 @@ class Engine:
         draft: Draft | None = None
         sends: list[Outgoing] | None = None
         for running in self._by_id.get(frame.id, self._any):
-            if not running.anything and not running.takes(frame, direction):
+            if not running.matches_all and not running.matches(frame, direction):
                 continue
             if sealed and not running.takes_sealed:
                 running.sealed += 1
@@ -237,26 +237,28 @@ class Engine:
                 running.edit(draft, direction, t_us)
             else:
                 sends = running.act(draft.sealed() if draft else frame, direction, t_us)
-            if running.stirred:
-                self._look(running, t_us)
+            if running.needs_attention:
+                self._attend(running, t_us)
         if sends is None:
             sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
-        if self._kept:
-            sends, self._kept = self._kept + sends, []
+        if self._released:
+            sends, self._released = self._released + sends, []
         return sends
 
-    def _look(self, running: ActiveEntry, t_us: int) -> None:
+    def _attend(self, running: ActiveEntry, t_us: int) -> None:
         """Write a label about what a fault has just begun to do; see whether it ended itself."""
         if running.end_us <= t_us:
             self._edge_us = t_us  # with the next frame
-        news = running.news(t_us)
+        news = running.pending_label(t_us)
         if news is not None:
             self._labels.append(news)
 
     def _watch(self, frame: Frame, t_us: int) -> None:
         """Let conditions see a frame, as it came, before any fault has touched it."""
         self._telemetry.note(frame)
-        begun = [running.watch(t_us, self._telemetry) for running in self._watched[frame.id]]
+        begun = [
+            running.check_condition(t_us, self._telemetry) for running in self._watched[frame.id]
+        ]
         if any(begun):
             self._edge_us = t_us
 
@@ -269,7 +271,7 @@ class Engine:
         if t_us >= self._edge_us:
             self._advance(t_us)
         for running in self._any:
-            if running.takes_junk(direction):
+            if running.matches_junk(direction):
                 sends = _apply_to_outgoing(running, sends, direction, t_us)
         return sends
 
@@ -317,8 +319,8 @@ class Engine:
                 running = activate_entry(one, self.seed, self.now_us, self.t0_us, injected=True)
                 self._all.append(running)
             self._advance(self.now_us)
-            self._forget()
-        self._edited()
+            self._drop_ended()
+        self._update_wanted()
         return [one.id for one in entries]
 
     def _check(self, entries: Iterable[Entry]) -> None:
@@ -330,7 +332,7 @@ class Engine:
                     "with --allow-commands"
                 )
 
-    def _forget(self) -> None:
+    def _drop_ended(self) -> None:
         """Let go of the injected faults that ended first, beyond some that a page may show."""
         ended = [running for running in self._all if running.injected and running.done]
         for running in ended[: -MAX_ENDED_FAULTS or None]:
@@ -345,7 +347,7 @@ class Engine:
         self._all = [running for running in self._all if running.entry.id not in ids]
         kept = tuple(one for one in self._schedule.faults if one.id not in ids)
         self._schedule = msgspec.structs.replace(self._schedule, faults=kept)
-        self._edited()
+        self._update_wanted()
         return bool(ids)
 
     def _stop(self, id: str) -> None:
@@ -367,10 +369,10 @@ class Engine:
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
             raise ConfigError(f"update: {id} is no fault; {suggest_known(id, self.ids())}")
-        chosen[0].feed(value, self.now_us, latency_us)
-        self._edited()
+        chosen[0].set_value(value, self.now_us, latency_us)
+        self._update_wanted()
 
-    def prepared(self, schedule: Schedule) -> dict[str, ActiveEntry]:
+    def prepare_entries(self, schedule: Schedule) -> dict[str, ActiveEntry]:
         """What `replace` will need, by id; it touches nothing, so another thread may make it."""
         t0_us = self.t0_us
         if t0_us is None:
@@ -382,7 +384,7 @@ class Engine:
             over = running.end_us <= self.now_us and running.entry.repeat is None
             if over and running.entry.id not in followed:
                 running.begin()
-                running.rest(self.now_us)
+                running.end_activation(self.now_us)
             running.state()  # it is asked for right after
         return found
 
@@ -424,7 +426,7 @@ class Engine:
                 for entry in schedule.faults
             ]
             self._advance(self.now_us)
-        self._edited()
+        self._update_wanted()
         return before
 
     # -- what there is ---------------------------------------------------------------------------

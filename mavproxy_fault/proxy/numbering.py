@@ -19,7 +19,7 @@ class Numbering:
         self._senders = senders
         self._made: dict[int, tuple[int, int]] = {}  # the sender's own next number, and ours
 
-    def numbered(self, frame: Frame) -> bytes:
+    def number_frame(self, frame: Frame) -> bytes:
         """The bytes of a made frame with the number that its sender's next frame would bear."""
         sender = frame.system << 8 | frame.component
         expected = self._senders[NEXT_SEQ + sender]

@@ -21,7 +21,7 @@ class ResyncDeadline:
         self._chunks: deque[tuple[int, int]] = deque()  # bytes, and when they came
         self._bytes = 0
 
-    def came(self, count: int, now_us: int) -> None:
+    def note_arrival(self, count: int, now_us: int) -> None:
         """Note when so many bytes came."""
         self._chunks.append((count, now_us))
         self._bytes += count
@@ -34,6 +34,6 @@ class ResyncDeadline:
         if not self._chunks:
             return None
         first_us, last_us = self._chunks[0][1], self._chunks[-1][1]
-        if parser.holds_frame:
+        if parser.contains_frame:
             return first_us + MAX_BLOCKING_US
         return min(first_us + MAX_FRAME_US, last_us + MAX_GAP_US)

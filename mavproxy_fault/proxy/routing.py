@@ -32,25 +32,27 @@ class Routes:
     """Who was heard on which links, kept in the array of senders that the compiled form shares."""
 
     def __init__(self, link_count: int, senders: "array[int] | None" = None) -> None:
-        self.everywhere = (1 << link_count) - 1
-        self.home: dict[tuple[int, int], int] = {}  # the link each component was first heard on
+        self.all_links = (1 << link_count) - 1
+        self.home_links: dict[
+            tuple[int, int], int
+        ] = {}  # the link each component was first heard on
         self._senders = new_senders() if senders is None else senders
 
-    def learn(self, system: int, component: int, link: int) -> bool:
+    def note_sender(self, system: int, component: int, link: int) -> bool:
         """Note a sender; True if it has been heard on other links too."""
         bit = 1 << link
         sender = system << 8 | component
         seen = self._senders[LINKS + sender]
         if not seen & bit:
-            self.home.setdefault((system, component), link)
+            self.home_links.setdefault((system, component), link)
             seen |= bit
             self._senders[LINKS + sender] = seen
             self._senders[SYSTEM_LINKS + system] |= bit
         return seen != bit
 
-    def find(self, frame: Frame, link: int) -> int:
+    def select(self, frame: Frame, link: int) -> int:
         """The links a frame from `link` goes to."""
-        elsewhere = self.everywhere & ~(1 << link)
+        elsewhere = self.all_links & ~(1 << link)
         places = target_offsets(frame.layout.name)
         if places[0] < 0:
             return elsewhere
@@ -71,7 +73,7 @@ class LoopGuard:
         self._older: dict[bytes, list[int]] = {}
         self._since_us = 0
 
-    def passes(self, raw: bytes, *, from_home: bool, now_us: int) -> bool:
+    def admits(self, raw: bytes, *, from_home: bool, now_us: int) -> bool:
         """Whether to forward these bytes."""
         if now_us - self._since_us > LOOP_WINDOW_US or len(self._recent) >= MAX_REMEMBERED:
             self._older, self._recent, self._since_us = self._recent, {}, now_us

@@ -48,7 +48,7 @@ class LatencyHistogram:
 
 def link_statistics(core: "Core", number: int) -> dict[str, Any]:
     """What the core has counted of what came in on one link."""
-    role, state, parsed = core.links[number], core.states[number], core.parsed(number)
+    role, state, parsed = core.links[number], core.states[number], core.parser_counters(number)
     return {
         "name": role.name,
         "direction": role.direction,
@@ -59,7 +59,7 @@ def link_statistics(core: "Core", number: int) -> dict[str, Any]:
         "gaps": state.gaps,
         "faulted": state.faulted,
         "loops": state.loops,
-        "doubted_stamps": state.doubted,
+        "doubted_stamps": state.unconfirmed,
         "bad_signatures": state.bad_signatures,
     }
 

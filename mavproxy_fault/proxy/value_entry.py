@@ -42,7 +42,7 @@ class ActiveValueEntry(ActiveEntry):
 
     def edit(self, draft: Draft, direction: str, t_us: int) -> None:
         """Put a frame's values through the rule and count what it did."""
-        if self._chance < 1.0 and self.spares():
+        if self._chance < 1.0 and self.skips_by_chance():
             return
         place, floats = self._floats[draft.id], draft.floats
         try:
@@ -68,7 +68,7 @@ class ActiveValueEntry(ActiveEntry):
         if differs:
             draft.changed = True
             if direction != self.direction:
-                self.note_touch(direction, t_us)
+                self.note_changed_frame(direction, t_us)
             # As `credit` does, once a frame.
             self.frames += 1
             self.saturated += cut
@@ -92,7 +92,7 @@ class ActiveValueEntry(ActiveEntry):
         if new is not inner:  # most faults keep nothing
             self.states[direction] = ValueState(start_us, new)
         if self.ends_itself and self.fault.done(self.states[direction]):
-            self.end_itself(t_us)
+            self.end_early(t_us)
         return change
 
     def _change(self, inner: Any, value: float) -> None:

@@ -73,7 +73,7 @@ class Parser:
         self.counters = ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
-        self._hidden = NO_FRAME  # a verified frame that lies ahead
+        self._frame_ahead = NO_FRAME  # a verified frame that lies ahead
 
     @property
     def incomplete(self) -> int:
@@ -89,7 +89,7 @@ class Parser:
         return self._parse(data, final=datagram)
 
     @property
-    def holds_frame(self) -> bool:
+    def contains_frame(self) -> bool:
         """Whether a verified frame lies inside of what waits for more of the stream."""
         return _find_frame_inside(self._incomplete, 1, len(self._incomplete)) is not None
 
@@ -98,14 +98,14 @@ class Parser:
         data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=True)
 
-    def give_up(self) -> list[Frame | Junk]:
+    def resync(self) -> list[Frame | Junk]:
         """Take the first byte of what is incomplete for no beginning; what follows may be one."""
         data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=False, at=1)
 
     def _parse(self, data: bytes, *, final: bool, at: int = 0) -> list[Frame | Junk]:
         found: list[Frame | Junk] = []
-        self._hidden = NO_FRAME
+        self._frame_ahead = NO_FRAME
         counters = self.counters
         junk_from = 0
         end = len(data)
@@ -155,7 +155,7 @@ class Parser:
         crc = data[at + checked] | data[at + checked + 1] << 8
         body = data[at + 1 : at + checked]
         if known is None:
-            if not _crc_is_possible(body, crc) or self._hides_frame(data, at, at + length):
+            if not _crc_is_possible(body, crc) or self._contains_frame(data, at, at + length):
                 return False
             self.counters.unknown += 1
             return Junk(data[at : at + length], "unknown")
@@ -170,14 +170,14 @@ class Parser:
         self.counters.frames += 1
         return Frame(raw, known)
 
-    def _hides_frame(self, data: bytes, at: int, end: int) -> bool:
+    def _contains_frame(self, data: bytes, at: int, end: int) -> bool:
         """Whether a verified frame lies wholly inside of what begins here."""
         # One that was found already: bytes may be made so that each of them seems to begin a frame
         # around it, and to look for it anew would cost time quadratic in their number.
-        if at < self._hidden[0] and self._hidden[1] <= end:
+        if at < self._frame_ahead[0] and self._frame_ahead[1] <= end:
             return True
         inside = _find_frame_inside(data, at + 1, end)
-        self._hidden = inside or self._hidden
+        self._frame_ahead = inside or self._frame_ahead
         return inside is not None
 
 

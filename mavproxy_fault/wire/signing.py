@@ -86,7 +86,7 @@ class Signing:
         self.strip = strip
         self._verifier = Verifier(key or b"")
 
-    def receive(self, frame: Frame) -> tuple[Frame, bool]:
+    def verify_incoming(self, frame: Frame) -> tuple[Frame, bool]:
         """A signed frame as it goes on, and whether it must not be changed."""
         if self.key is not None and not self._verifier.verify(frame):
             return frame, True
@@ -94,6 +94,6 @@ class Signing:
             return strip_signature(frame), False
         return frame, self.key is None
 
-    def leave(self, frame: Frame) -> Frame:
+    def sign_outgoing(self, frame: Frame) -> Frame:
         """A changed signed frame, signed again if there is a key."""
         return frame if self.key is None else resign_frame(frame, self.key)

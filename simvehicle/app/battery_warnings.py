@@ -18,7 +18,7 @@ class BatteryWarnings:
         self._say = say
         self._marks = list(WARNING_LEVELS)
 
-    def look(self, truth: Truth) -> None:
+    def update(self, truth: Truth) -> None:
         """Called each step."""
         while self._marks and truth.battery_remaining <= self._marks[0][0]:
             _, text = self._marks.pop(0)

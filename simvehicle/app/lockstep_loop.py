@@ -190,7 +190,7 @@ class LockstepLoop:
 
     def _flown(self, truth: Truth) -> None:
         self.t_us = truth.t_us
-        self._battery.look(truth)
+        self._battery.update(truth)
 
     def _await_answer(self) -> None:
         """Take what comes until the step is answered, its time-out is over and the pace allows."""

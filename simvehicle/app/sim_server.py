@@ -195,9 +195,9 @@ class FreeLoop:
         """One step of the simulation and of everything on the links."""
         pilot = self._pilot
         # Until a ground station commands, the scenario's own controller flies.
-        controls = pilot.controls() if pilot and pilot.flight.flown else None
+        controls = pilot.controls() if pilot and pilot.flight.goal_active else None
         self.t_us, truth, readings = self._simulation.step(controls)
-        self._battery.look(truth)
+        self._battery.update(truth)
         if self._hil:
             for chunk in join_datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)

@@ -118,11 +118,11 @@ class AutopilotLink:
         if name == "MISSION_SET_CURRENT":
             # SET_CURRENT has no acknowledgement of its own: the message is the answer.
             self._flight.set_current(int(frame.number("seq")))
-            return [self._streams.make("MISSION_CURRENT", now)]
+            return [self._streams.make_stream_message("MISSION_CURRENT", now)]
         if name == "SET_MODE":
             self._commands.set_mode(frame)
         elif name == "REQUEST_DATA_STREAM":
-            self._streams.data_stream(
+            self._streams.set_data_stream(
                 int(frame.number("req_stream_id")),
                 float(frame.number("req_message_rate")),
                 bool(frame.number("start_stop")),

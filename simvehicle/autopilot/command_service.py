@@ -181,11 +181,11 @@ class Commands:
         elif number == AVAILABLE_MODES:
             found = available_modes(max(index, 0))
         else:
-            found = self._streams.request(number, now)
+            found = self._streams.make_requested(number, now)
         return (CommandResult.ACCEPTED if found else CommandResult.UNSUPPORTED), found
 
     def _send(self, name: str, now: Snapshot) -> CommandAnswer:
-        return CommandResult.ACCEPTED, [self._streams.make(name, now)]
+        return CommandResult.ACCEPTED, [self._streams.make_stream_message(name, now)]
 
     def _inject(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
         """Motors can be stopped and started; other failures are for a proxy on the way.

@@ -84,7 +84,7 @@ class CommandedFlight:
         self._parameters = parameters
         self._missions = missions
         # Missions are known by how often they changed: two may look alike.
-        self._mission_seen = missions.changed
+        self._mission_seen = missions.revision
         self._locate = locate
         self._acceptance_m = acceptance_m
         self._speed_mps: float | None = None
@@ -94,7 +94,7 @@ class CommandedFlight:
         self._ground_us: int | None = None  # since when a landing vehicle is on the ground
 
     @property
-    def flown(self) -> bool:
+    def goal_active(self) -> bool:
         """Whether the goal counts: not while the vehicle flies a mission of its own."""
         return self.commanded or not self._own_mission
 
@@ -176,14 +176,14 @@ class CommandedFlight:
         if first:
             self._enter(self.mode)
         # A new mission was uploaded: its items are other ones, whatever their numbers.
-        if self._missions.changed != self._mission_seen:
-            self._mission_seen = self._missions.changed
+        if self._missions.revision != self._mission_seen:
+            self._mission_seen = self._missions.revision
             self.seq = 0
             self._reached_us = None
-            if self.flown and self.mode == FlightMode.MISSION and not self._missions.items:
+            if self.goal_active and self.mode == FlightMode.MISSION and not self._missions.items:
                 self._enter(FlightMode.HOLD)
         messages: list[Message] = []
-        if self.armed and self.flown:
+        if self.armed and self.goal_active:
             messages = self._fly(truth)
         self.landed = self._landed_state(truth)
         return messages

@@ -58,7 +58,7 @@ class MissionUpload:
     component: int
     count: int
     items: tuple[MissionItem, ...] = ()
-    asked_us: int = 0
+    requested_us: int = 0
     retries: int = 0
 
 
@@ -66,11 +66,11 @@ class MissionUpload:
 class Missions:
     """The stored mission, and the upload under way if there is one.
 
-    `changed` counts the missions taken, so that who flies one notices a new one.
+    `revision` counts the missions taken, so that who flies one notices a new one.
     """
 
     items: tuple[MissionItem, ...] = ()
-    changed: int = 0
+    revision: int = 0
     upload: MissionUpload | None = field(default=None, repr=False)
 
     def received(self, frame: WireFrame, t_us: int) -> list[Message]:
@@ -98,7 +98,7 @@ class Missions:
         """Ask again for an item that does not come, and give up in the end."""
         upload = self.upload
         # Every message of an upload is ours to ask for, so loss is ours to notice.
-        if upload is None or t_us - upload.asked_us < RETRY_US:
+        if upload is None or t_us - upload.requested_us < RETRY_US:
             return []
         # Given up: the sender is told, so that it does not wait for ever.
         if upload.retries == RETRIES:
@@ -111,7 +111,7 @@ class Missions:
                     type=MissionResult.OPERATION_CANCELLED,
                 )
             ]
-        self.upload = replace(upload, asked_us=t_us, retries=upload.retries + 1)
+        self.upload = replace(upload, requested_us=t_us, retries=upload.retries + 1)
         return [_request_item(self.upload)]
 
     def _count(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
@@ -125,7 +125,7 @@ class Missions:
         if count == 0:
             self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
-        self.upload = MissionUpload(frame.system, frame.component, count, asked_us=t_us)
+        self.upload = MissionUpload(frame.system, frame.component, count, requested_us=t_us)
         return [_request_item(self.upload)]
 
     def _item(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
@@ -145,7 +145,7 @@ class Missions:
         if wrong is not None:
             self.upload = None
             return [_ack(frame, wrong, kind)]
-        upload = replace(upload, items=(*upload.items, item), asked_us=t_us, retries=0)
+        upload = replace(upload, items=(*upload.items, item), requested_us=t_us, retries=0)
         if len(upload.items) < upload.count:
             self.upload = upload
             return [_request_item(upload)]
@@ -177,7 +177,7 @@ class Missions:
 
     def _accept(self, items: tuple[MissionItem, ...]) -> None:
         self.items = items
-        self.changed += 1
+        self.revision += 1
         self.upload = None
 
 

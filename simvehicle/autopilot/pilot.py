@@ -21,12 +21,12 @@ class Approach:
     north_m: float
     east_m: float
     near_m: float
-    wait: GuidanceTrack
+    waiting_track: GuidanceTrack
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim at the place from afar."""
         # Height and speed are those of the waiting place from the start.
-        aim = self.wait.look(north_m, east_m, ahead_m)
+        aim = self.waiting_track.setpoint_from(north_m, east_m, ahead_m)
         dn, de = self.north_m - north_m, self.east_m - east_m
         if math.hypot(dn, de) < self.near_m:
             return aim

@@ -84,17 +84,17 @@ class Streams:
             self._due_us.pop(name, None)
         return True
 
-    def request(self, number: int, now: Snapshot) -> list[Message]:
+    def make_requested(self, number: int, now: Snapshot) -> list[Message]:
         """A message once; nothing where it is not one of ours."""
         found = find_layout(number)
         source = MESSAGE_SOURCES.get(found.name) if found else None
         return [source[0](now)] if source else []
 
-    def make(self, name: str, now: Snapshot) -> Message:
+    def make_stream_message(self, name: str, now: Snapshot) -> Message:
         """A message of ours by name."""
         return MESSAGE_SOURCES[name][0](now)
 
-    def data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
+    def set_data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
         """The old way to set rates: REQUEST_DATA_STREAM, which has no answer."""
         for name in DATA_STREAMS.get(stream, ()):
             # -1 stops a stream.

@@ -44,7 +44,9 @@ class Constellation:
     week: int
     start_s: float
 
-    def choose(self, tow_s: float, present: Iterable[int | None]) -> tuple[int | None, ...]:
+    def choose_ephemerides(
+        self, tow_s: float, present: Iterable[int | None]
+    ) -> tuple[int | None, ...]:
         """Index of the ephemeris of each satellite at `tow_s`: the present one while it holds.
 
         A satellite without one that holds has None. `tow_s` counts in `week`.
@@ -56,7 +58,7 @@ class Constellation:
             for sets, now in zip(self.ephemerides, present, strict=True)
         )
 
-    def holds_until_s(self, tow_s: float, chosen: Iterable[int | None]) -> float:
+    def valid_until_s(self, tow_s: float, chosen: Iterable[int | None]) -> float:
         """Until when a choice made at `tow_s` is the right one: one ends, or another comes up."""
         ends = [math.inf]
         for sets, k in zip(self.ephemerides, chosen, strict=True):
@@ -109,7 +111,9 @@ def build_constellation(
         week,
         start_s,
     )
-    if not any(k is not None for k in constellation.choose(start_s, [None] * len(ephemerides))):
+    if not any(
+        k is not None for k in constellation.choose_ephemerides(start_s, [None] * len(ephemerides))
+    ):
         raise ConfigError(
             f"{path}: no satellite of {' and '.join(config.systems)} is valid at "
             f"GPS week {week}, {start_s:.0f} s; a `time` within 2 h (GPS) or 4 h (Galileo) of its "

@@ -129,7 +129,7 @@ class GnssSensor:
             tracking=powered_off_tracking(n, cold=receiver.start == "cold"),
             sent_us=self._unsent,
             faults=SignalFaults(np.zeros((len(SATELLITE), n)), np.zeros((len(SPOOF), n))),
-            spoofed=np.zeros((4, n)),
+            last_spoof=np.zeros((4, n)),
         )
 
     def sample(
@@ -169,7 +169,7 @@ class GnssSensor:
         ]
         spoofed = state.faults.spoof
         return readings, replace(
-            state, tracking=tracking, sent_us=sent_us, fix=fix, spoofed=spoofed
+            state, tracking=tracking, sent_us=sent_us, fix=fix, last_spoof=spoofed
         )
 
     def with_plant(self, state: GnssState, name: str, value: float | None) -> GnssState:
@@ -215,10 +215,10 @@ class GnssSensor:
         here = np.array([truth.lat_rad, truth.lon_rad, truth.height_m, *truth.v_ned_mps.tolist()])
         out = self._received(here, tow_s, state, noise)
         if state.faults.spoof.any():
-            for spoof in spoofed_places(state.faults.spoof, state.spoofed, step_s):
+            for spoof in spoofed_places(state.faults.spoof, state.last_spoof, step_s):
                 # With the same clock and noise: the receiver is where it is, only the geometry is
                 # another.
-                made_up = self._received(spoof.place(here), tow_s, state, noise)
+                made_up = self._received(spoof.spoofed_position(here), tow_s, state, noise)
                 out[CODE, spoof.satellites] = made_up[CODE, spoof.satellites] + spoof.delay_m
                 out[RATE, spoof.satellites] = made_up[RATE, spoof.satellites] + spoof.delay_mps
         return out
@@ -239,13 +239,13 @@ class GnssSensor:
     def _broadcast(self, tow_s: float, present: Sequence[int | None]) -> Broadcast:
         """The ephemerides in use; a satellite without one stands where its first would have it."""
         constellation = self.constellation
-        chosen = constellation.choose(tow_s, present)
+        chosen = constellation.choose_ephemerides(tow_s, present)
         sets = zip(constellation.ephemerides, chosen, strict=True)
         return Broadcast(
             chosen,
             np.array([k is not None for k in chosen]),
             tabulate_orbits([every[k or 0] for every, k in sets], constellation.week),
-            constellation.holds_until_s(tow_s, chosen),
+            constellation.valid_until_s(tow_s, chosen),
         )
 
     def _advanced(self, state: GnssState, t_us: int, rng: np.random.Generator) -> GnssState:

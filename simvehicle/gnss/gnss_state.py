@@ -43,7 +43,7 @@ class GnssState(msgspec.Struct, frozen=True):
 
     The rows of `wander` (3, n) are the unit-variance processes of multipath, orbit and C/N0.
     `search_s`, `message_s` are what a cold
-    start takes for each satellite. `sent_us` is when the ephemerides last went out, `spoofed`
+    start takes for each satellite. `sent_us` is when the ephemerides last went out, `last_spoof`
     (4, n) the `spoof` of the last epoch.
     """
 
@@ -56,5 +56,5 @@ class GnssState(msgspec.Struct, frozen=True):
     tracking: Tracking
     sent_us: Stamps
     faults: SignalFaults
-    spoofed: Vector
+    last_spoof: Vector
     fix: ReceiverFix | None = None

@@ -38,10 +38,10 @@ LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about her
 
 @dataclass(frozen=True, slots=True)
 class SignalGeometry:
-    """n satellites as one receiver sees them; all arrays are (n,) but `toward` (n, 3).
+    """n satellites as one receiver sees them; all arrays are (n,) but `line_of_sight` (n, 3).
 
-    `range_m`, `rate_mps` are geometry alone; `toward` are unit vectors from the receiver to the
-    satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are those of the satellites;
+    `range_m`, `rate_mps` are geometry alone; `line_of_sight` are unit vectors from the receiver to
+    the satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are those of the satellites;
     `delay_m` is that of the atmosphere.
     """
 
@@ -52,7 +52,7 @@ class SignalGeometry:
     elevation_rad: Vector
     azimuth_rad: Vector
     delay_m: Vector
-    toward: Vector
+    line_of_sight: Vector
 
 
 @dataclass(frozen=True, slots=True)

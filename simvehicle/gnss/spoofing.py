@@ -19,32 +19,33 @@ NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `Faults.spoof`
 
 
 class SpoofedPlace(NamedTuple):
-    """One pretended place and time: `change` (4,) is north, east, down and delay [m], `rate` (4,)
-    how fast they change [m/s], `satellites` (n,) whose signals are made up for it."""
+    """One pretended place and time: `offset_m` (4,) is north, east, down and delay [m],
+    `offset_mps` (4,) how fast they change [m/s], `satellites` (n,) whose signals are made up for
+    it."""
 
-    change: Vector
-    rate: Vector
+    offset_m: Vector
+    offset_mps: Vector
     satellites: NDArray[np.bool_]
 
     @property
     def delay_m(self) -> float:
         """What every range is longer by."""
-        return float(self.change[DELAY])
+        return float(self.offset_m[DELAY])
 
     @property
     def delay_mps(self) -> float:
         """How fast the delay grows."""
-        return float(self.rate[DELAY])
+        return float(self.offset_mps[DELAY])
 
-    def place(self, here: Vector) -> Vector:
+    def spoofed_position(self, here: Vector) -> Vector:
         """The pretended latitude, longitude [rad], height [m] and velocity NED (6,)."""
         meridian_m, prime_m = curvature_radii(here[0])
-        north_m, east_m, down_m = self.change[:DELAY].tolist()
+        north_m, east_m, down_m = self.offset_m[:DELAY].tolist()
         there = here.copy()
         there[0] += north_m / (float(meridian_m) + here[2])
         there[1] += east_m / ((float(prime_m) + here[2]) * np.cos(here[0]))
         there[2] -= down_m
-        there[3:] += self.rate[:DELAY]
+        there[3:] += self.offset_mps[:DELAY]
         return there
 
 

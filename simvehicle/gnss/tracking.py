@@ -18,24 +18,24 @@ US_PER_S = 1e6
 class Tracking(msgspec.Struct, frozen=True):
     """The receiver's search; the arrays are (n,) stamps.
 
-    `from_us` is when it finds (found) the signal, `message_us` when it has read (will have read)
-    the ephemeris, which it then keeps. `running` says that it has power, `cold` that it starts
-    (started) without knowing anything; `signal` (n,) is what was there at the last epoch.
+    `tracked_from_us` is when it finds (found) the signal, `message_us` when it has read (will have
+    read) the ephemeris, which it then keeps. `running` says that it has power, `cold` that it
+    starts (started) without knowing anything; `signal` (n,) is what was there at the last epoch.
     """
 
     running: bool
     cold: bool
     signal: Mask
-    from_us: Stamps
+    tracked_from_us: Stamps
     message_us: Stamps
 
     def tracked(self, t_us: int) -> Mask:
         """Satellites whose signal it follows."""
-        return self.from_us <= t_us
+        return self.tracked_from_us <= t_us
 
     def usable(self, t_us: int) -> Mask:
         """Satellites it can use for a position."""
-        return (self.from_us <= t_us) & (self.message_us <= t_us)
+        return (self.tracked_from_us <= t_us) & (self.message_us <= t_us)
 
 
 def powered_off_tracking(count: int, cold: bool) -> Tracking:
@@ -76,7 +76,7 @@ def update_tracking(
         wait_s = search_s if old.cold else np.zeros(len(signal))
         message_us = np.full(len(signal), NEVER_US if old.cold else LONG_AGO_US)
     found_us = t_us + (wait_s * US_PER_S).astype(np.int64)
-    from_us = np.where(old.from_us == NEVER_US, found_us, old.from_us)
+    from_us = np.where(old.tracked_from_us == NEVER_US, found_us, old.tracked_from_us)
     from_us = np.where(signal, from_us, NEVER_US)
     read_us = from_us + np.where(signal, message_s * US_PER_S, 0.0).astype(np.int64)
     # What has been read is kept; a reading that was cut off begins anew.

@@ -100,7 +100,7 @@ class FixedWingController:
             self.track = self.circle(north, east, truth.alt_msl_m - self.home_alt_m, cruise)
         vn, ve, vd = truth.v_ned_mps.tolist()
         if isinstance(self.track, PathTrack) and self.track.finished:
-            end = self.track.look(north, east, 0.0)
+            end = self.track.setpoint_from(north, east, 0.0)
             wait = self.circle(north, east, end.height_m, end.speed_mps)
             # The centre lies to the right of the course, so that the vehicle is on the circle
             # already.
@@ -109,7 +109,7 @@ class FixedWingController:
             wait.east_m += radius * math.cos(course)
             self.track = wait
         ground_speed = max(math.hypot(vn, ve), 1.0)
-        aim = self.track.look(north, east, ground_speed * self.roll_lag_s)
+        aim = self.track.setpoint_from(north, east, ground_speed * self.roll_lag_s)
         if self.landing and truth.on_ground:
             return Controls(np.zeros(4))
         # Close to the ground a bank would put a wing tip into it.

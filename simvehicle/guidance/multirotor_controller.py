@@ -136,10 +136,10 @@ class MultirotorController:
         if self.track is None:
             self.track = self.circle(north, east, height, self.vehicle.parameters.cruise_mps)
         if isinstance(self.track, PathTrack) and self.track.finished:
-            end = self.track.look(north, east, 0.0)
+            end = self.track.setpoint_from(north, east, 0.0)
             self.track = self.circle(north, east, end.height_m, end.speed_mps)
         vn, ve, vd = truth.v_ned_mps.tolist()
-        aim = self.track.look(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
+        aim = self.track.setpoint_from(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
         # Near the ground it climbs before it goes anywhere, unless that is as high as it shall go.
         room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLIMB_FIRST_M))
         room = max(room, 1.0 if aim.height_m - height < 0.5 or self.landing else 0.0)

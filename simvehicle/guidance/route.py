@@ -32,9 +32,9 @@ class GuidanceSetpoint:
 
 
 class GuidanceTrack(Protocol):
-    """Something to follow; `look` may remember how far the vehicle has come."""
+    """Something to follow; `setpoint_from` may remember how far the vehicle has come."""
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim from a position; `ahead_m` is how far the curvature is read in advance."""
 
 
@@ -61,7 +61,7 @@ class PathTrack:
         """Whether the last point is reached."""
         return self.index >= len(self._north) - 1
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim at the path beside the vehicle; progress only goes forward."""
         i, last = self.index, len(self._north) - 1
         for _ in range(_SEARCH_POINTS):
@@ -97,7 +97,7 @@ class CircleTrack:
         self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
         self.radius_m, self.speed_mps = radius_m, speed_mps
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim along the circle's tangent beside the vehicle."""
         dn, de = north_m - self.north_m, east_m - self.east_m
         bearing = math.atan2(de, dn)
@@ -116,7 +116,7 @@ class HoldTrack:
         self.speed_mps = speed_mps
         self.radius_m = speed_mps**2 / (2.0 * _BRAKING_MPS2)  # where it begins to slow down
 
-    def look(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
         """Aim at the point, slower and slower."""
         dn, de = self.north_m - north_m, self.east_m - east_m
         distance = math.hypot(dn, de)

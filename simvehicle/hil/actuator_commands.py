@@ -35,10 +35,10 @@ _PAYLOAD = struct.Struct("<QQ16fB")
 
 
 class ActuatorCommands:
-    """One vehicle's commands out and back; `driven` is what came back last."""
+    """One vehicle's commands out and back; `last_received` is what came back last."""
 
     def __init__(self, actuators: Sequence[str], mix: Mix) -> None:
-        self.driven: Controls | None = None
+        self.last_received: Controls | None = None
         self._mix = mix
         self._seq = 0
         self._channels = [
@@ -61,4 +61,4 @@ class ActuatorCommands:
     def receive(self, frame: Frame) -> None:
         """A message that reached the actuators, whatever was done to it on the way."""
         if frame.layout.name == HIL_ACTUATOR_CONTROLS.name:
-            self.driven = read_controls(frame, self._mix)[1]
+            self.last_received = read_controls(frame, self._mix)[1]

@@ -51,12 +51,12 @@ class PlainSteps:
     def __init__(self, simulation: Simulation, hil: HilPacker) -> None:
         assert can_be_plain(simulation)
         self._simulation, self._hil = simulation, hil
-        fitted = simulation.fitted
+        fitted = simulation.onboard_sensors
         self._plain = [one for one in fitted if type(one.sensor) in KINDS and not one.latency_us]
         self._others = [one for one in fitted if one not in self._plain]
         self._taken: list[NoiseState] = []  # whose blocks the arrays hold
         noises = sum(len(_noises(one)) for one in self._plain)
-        states = len(simulation.moment().x)
+        states = len(simulation.step_state().x)
         own = new_arrays(
             states, simulation.vehicle.controls_count, len(self._plain), noises, DRAW_BLOCK
         )
@@ -64,7 +64,7 @@ class PlainSteps:
         self._vehicle: Vehicle = simulation.vehicle
         self.arrays = Plain(
             **own,  # type: ignore[arg-type]
-            home=simulation.place,
+            home=simulation.packed_home,
             packed=cast(Multirotor | FixedWing, simulation.vehicle).packed,
             law=weather.law,
             filters=weather.filters,
@@ -80,7 +80,7 @@ class PlainSteps:
         words[k.SYSTEM], words[k.COMPONENT] = hil.system, hil.component
         words[k.START_US] = hil.start_us
         numbers[k.LONGEST_S] = LONGEST_STEP_S
-        numbers[k.RATE_HZ] = simulation.fitted[0].sensor.rate_hz
+        numbers[k.RATE_HZ] = simulation.onboard_sensors[0].sensor.rate_hz
         numbers[k.GROUND_M] = cast(LevelGround, simulation.terrain).alt_m
         numbers[k.GEOID_M] = simulation.home.geoid_m
         noise = 0
@@ -105,7 +105,7 @@ class PlainSteps:
     def take(self) -> tuple[int, int]:
         """Take over: the instant before which steps are plain [us], and how many at most."""
         simulation, hil, arrays = self._simulation, self._hil, self.arrays
-        moment, truth = simulation.moment(), simulation.truth
+        moment, truth = simulation.step_state(), simulation.truth
         words, numbers = arrays.words, arrays.numbers
         words[k.T_US], words[k.COUNT] = moment.t_us, moment.number
         words[k.NEXT_US], words[k.SUBSTEPS] = moment.next_us, moment.steps
@@ -116,8 +116,8 @@ class PlainSteps:
         self._refit()
         left = min([DRAW_BLOCK - 1 - simulation.weather.row, *self._take_sensors()])
         ends: list[float] = [hil.heartbeat_us, *(one.due_us for one in self._others)]
-        if simulation.late:
-            ends.append(simulation.late[0][0])
+        if simulation.delayed_readings:
+            ends.append(simulation.delayed_readings[0][0])
         return math.ceil(min(ends)), left
 
     def _refit(self) -> None:
@@ -156,7 +156,7 @@ class PlainSteps:
         arrays = self.arrays
         t_us = int(arrays.words[k.T_US])
         load, wind = arrays.load.copy(), arrays.wind[0].copy()
-        self._simulation.observe(t_us, arrays.x.copy(), load, wind)
+        self._simulation.adopt_state(t_us, arrays.x.copy(), load, wind)
 
     def give_back(self) -> Controls:
         """Let simulation and packer go on from here; the commands now in force."""
@@ -168,7 +168,7 @@ class PlainSteps:
         simulation.weather.row = row
         ahead = (next_us, steps, float(arrays.numbers[k.DT]))
         wind, around, controls = arrays.wind[1], arrays.around, arrays.controls.copy()
-        simulation.go_on_from(
+        simulation.resume_from(
             StepState(t_us, arrays.x, count, *ahead, wind.copy(), around.copy()), controls
         )
         for at, fitted in enumerate(self._plain):

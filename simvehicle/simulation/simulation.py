@@ -91,16 +91,16 @@ class Simulation:
         self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
         self.weather = Weather(scenario.environment, self.seed)
-        self.fitted = create_onboard_sensors(scenario, self.seed)
-        self._rate_hz = self.fitted[0].sensor.rate_hz
+        self.onboard_sensors = create_onboard_sensors(scenario, self.seed)
+        self._rate_hz = self.onboard_sensors[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
         # A heap by the time of delivery, then in the order of sampling.
-        self.late: list[tuple[int, int, Reading]] = []
+        self.delayed_readings: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._commands = self._controls
-        self.place = self.home.packed
+        self.packed_home = self.home.packed
         self._x = self._begin()
         # No step has been made: specific force and battery of this first truth are zero.
         self.truth = self._observe(np.zeros(6), self.weather.steady_mps.copy())
@@ -152,13 +152,13 @@ class Simulation:
         is then settled, and a change of it comes a step later."""
         self._ahead = self._ahead or self._outside()
 
-    def moment(self) -> StepState:
+    def step_state(self) -> StepState:
         """Where it stands now."""
         self.prepare()
         assert self._ahead is not None
         return StepState(self._t_us, self._x, self._count, *self._ahead)
 
-    def observe(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
+    def adopt_state(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
         """Take over a state that was reached elsewhere, under a load (6,) and in a wind (3,).
 
         Raises
@@ -170,8 +170,8 @@ class Simulation:
         self.truth = self._observe(load, wind)
         return self.truth
 
-    def go_on_from(self, moment: StepState, controls: Array) -> None:
-        """Go on where steps that were flown elsewhere ended, after `observe`."""
+    def resume_from(self, moment: StepState, controls: Array) -> None:
+        """Go on where steps that were flown elsewhere ended, after `adopt_state`."""
         self._count, self._ahead, self._controls = moment.number, moment[3:], controls
 
     def _outside(self) -> tuple[int, int, float, Array, Array]:
@@ -242,7 +242,7 @@ class Simulation:
     def pitot_offset_pa(self) -> float | None:
         """What the pitot tube shows without wind, as who calibrates it before a flight finds it;
         None without one."""
-        for fitted in self.fitted:
+        for fitted in self.onboard_sensors:
             if isinstance(fitted.sensor, Airspeed):
                 return float(fitted.state.bias[0] + fitted.state.drift[0])
         return None
@@ -253,7 +253,7 @@ class Simulation:
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:
         """The sensor that receives satellites, and its state with one of its parameters set."""
-        for fitted in self.fitted:
+        for fitted in self.onboard_sensors:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
                 return fitted, sensor.with_plant(fitted.state, name, value)
@@ -299,7 +299,7 @@ class Simulation:
     def _around(self, x: Array) -> tuple[float, float]:
         """Density of the air [kg/m^3] and gravity [m/s^2] where a state is."""
         place = np.empty(LOCATION_SIZE)
-        locate_state(x, np.zeros(3), self.place, place)
+        locate_state(x, np.zeros(3), self.packed_home, place)
         self._gravity = place[LOCAL_GRAVITY:]
         return float(place[AIR + 2]), float(np.linalg.norm(self._gravity))
 
@@ -334,7 +334,7 @@ class Simulation:
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the state now."""
         x, place = self._x, np.empty(LOCATION_SIZE)
-        locate_state(x, wind, self.place, place)
+        locate_state(x, wind, self.packed_home, place)
         lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
         # The height depends on all the rest, so that it shows any divergence.
         if not math.isfinite(height):
@@ -373,7 +373,7 @@ class Simulation:
         """Readings delivered by now, late ones of earlier samples included."""
         truth, t_us = self.truth, self._t_us
         out: list[Reading] = []
-        for fitted in self.fitted:
+        for fitted in self.onboard_sensors:
             if t_us < fitted.due_us:
                 continue
             if fitted.latency_us == 0:
@@ -381,10 +381,12 @@ class Simulation:
                 continue
             for reading in fitted.sample(truth):
                 # The number keeps readings of one time in order: a heap cannot compare readings.
-                heapq.heappush(self.late, (t_us + fitted.latency_us, next(self._order), reading))
-        while self.late and self.late[0][0] <= t_us:
+                heapq.heappush(
+                    self.delayed_readings, (t_us + fitted.latency_us, next(self._order), reading)
+                )
+        while self.delayed_readings and self.delayed_readings[0][0] <= t_us:
             # Stamped at delivery: nobody on the link can see how old the measurement is.
-            out.append(msgspec.structs.replace(heapq.heappop(self.late)[2], t_us=t_us))
+            out.append(msgspec.structs.replace(heapq.heappop(self.delayed_readings)[2], t_us=t_us))
         return out
 
 

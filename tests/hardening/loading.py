@@ -49,7 +49,7 @@ def measure(proxy: Driven, bus: Bus, at_s: float) -> str:
     rows = []
     for number in range(LOADS):
         payload = schedule(number, at_s)
-        load = threading.Thread(target=bus.ask, args=("@ctl/schedule/load", payload, 60.0))
+        load = threading.Thread(target=bus.query, args=("@ctl/schedule/load", payload, 60.0))
         load.start()
         loading_s, passed = slowest_s(proxy, 1, load)
         rows.append((loading_s, slowest_s(proxy, passed)[0]))
@@ -61,11 +61,11 @@ def computed_ms(at_s: float) -> float:
     """What the loop's thread computes for a load, at the median; the rest is the asker's."""
     engine = Engine(parse_schedule(schedule(LOADS, at_s).decode()))
     engine.start_at(0)
-    engine.tell_time(round(100e6))
+    engine.advance_time(round(100e6))
     times = []
     for number in range(LOADS):
         following = parse_schedule(schedule(number, at_s).decode())
-        prepared = engine.prepared(following)
+        prepared = engine.prepare_entries(following)
         begun_s = time.thread_time()
         before = engine.replace(following, prepared=prepared)
         times.append(1e3 * (time.thread_time() - begun_s))

@@ -66,7 +66,7 @@ def test_a_clock_that_is_set_moves_no_frame_no_label_and_no_record(
             if number % STEP == 0:
                 # An hour ahead, then two back, and so on: what is asked for is answered all along.
                 (tmp_path / "ahead").write_text("-3600" if number % (2 * STEP) else "+3600")
-                (reply,) = bus.ask("@ctl/state", timeout_s=60)
+                (reply,) = bus.query("@ctl/state", timeout_s=60)
                 states.append(json.loads(reply))
         printed, told = proxy.end()
     assert told == ""

@@ -69,7 +69,7 @@ def query(rng: random.Random) -> tuple[str, bytes]:
 def answer(bus: Bus, what: str, payload: bytes) -> str:
     """The answer or refusal of one query; empty where the key itself is none."""
     try:
-        return bus.ask(f"@ctl/{what}", payload, timeout_s=60)[0].decode()
+        return bus.query(f"@ctl/{what}", payload, timeout_s=60)[0].decode()
     except ConfigError as refused:
         return str(refused)
     except zenoh.ZError:  # a key that Zenoh itself does not take
@@ -121,7 +121,7 @@ def ask_all(
             refused += bool(text) and text[0] not in "{["
             answered += text[:1] in ("{", "[")
             if number % 20 == 0:  # faults that lose frames may be armed: they end first
-                bus.ask("@ctl/schedule/stop", timeout_s=60)
+                bus.query("@ctl/schedule/stop", timeout_s=60)
                 mark = build_frame(message_layout("HEARTBEAT"), {"custom_mode": number}, system=42)
                 vehicle.send(mark)
                 while mark not in station.recv(65_535):

@@ -47,11 +47,11 @@ class ArduPilotCommands:
         A plane's way to the ground, where its version has no mode that lands.
     """
 
-    awaiting = False  # its answers are the vehicle's own
+    awaiting_reply = False  # its answers are the vehicle's own
 
     def __init__(self, modes: ArduPilotModes, landing: Sequence[Waypoint] = ()) -> None:
         self._modes, self._landing = modes, landing
-        self._asked_mode = -1
+        self._requested_mode = -1
         self._cannot_land = self._landing_uploaded = False
         self._items: list[ItemFields] = []
         self._seq = 0
@@ -62,12 +62,12 @@ class ArduPilotCommands:
         frames, self._pending = self._pending, []
         return frames
 
-    def heard(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Send the mission's items, each when it is asked for; learn what is refused."""
         if frame.layout.name == "COMMAND_ACK" and frame.number("command") == SET_MODE:
             refused = frame.number("result") not in (ACCEPTED, IN_PROGRESS)
             # Before 4.7 a plane has no AUTOLAND.
-            self._cannot_land |= refused and self._asked_mode == self._modes.land
+            self._cannot_land |= refused and self._requested_mode == self._modes.land
         elif frame.layout.name == "MISSION_ACK" and self._cannot_land:
             self._landing_uploaded = frame.number("type") == 0
         if frame.layout.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
@@ -101,11 +101,11 @@ class ArduPilotCommands:
         elif not self._landing_uploaded:
             self._items = [waypoint_item(self._landing[0]), *landing_items(self._landing)]
             self._send(MISSION_COUNT, {"count": len(self._items)})
-        elif self._asked_mode != self._modes.auto:
+        elif self._requested_mode != self._modes.auto:
             self.fly_mission()
 
     def _mode(self, number: int) -> None:
-        self._asked_mode = number
+        self._requested_mode = number
         self._command(SET_MODE, CUSTOM_MODE, number)
 
     def _command(self, number: int, *parameters: float) -> None:

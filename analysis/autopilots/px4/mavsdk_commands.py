@@ -49,20 +49,20 @@ class MavsdkCommands:
         self._modes_before_arming = [MANUAL_MODE] * MANUAL_REPEATS + [HOLD_MODE] if landing else []
         self._action: Any = None
         self._mission: Any = None
-        self._under_way: set[str] = set()
-        self._granted: set[str] = set()
-        self._sought = False  # no vehicle was found yet when something was to be asked
+        self._in_progress: set[str] = set()
+        self._succeeded: set[str] = set()
+        self._searching = False  # no vehicle was found yet when something was to be asked
 
     @property
-    def awaiting(self) -> bool:
+    def awaiting_reply(self) -> bool:
         """Whether MAVSDK is at a request, or still to find the vehicle for one."""
-        return self._sought or bool(self._under_way)
+        return self._searching or bool(self._in_progress)
 
     def close(self) -> None:
         """End MAVSDK."""
         self._mavsdk.destroy()
 
-    def heard(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Hand a frame on, unless it is of a stream: these it asks nothing of."""
         if frame.layout.name not in STREAMS_HZ:
             self._mavsdk.pass_received_raw_bytes(frame.raw)
@@ -108,7 +108,7 @@ class MavsdkCommands:
         """Land, a plane by a mission: PX4 takes the ground below it for sea level else."""
         if not self._landing:
             self._request("land", lambda done: self._action.land_async(done))
-        elif "landing" not in self._granted:
+        elif "landing" not in self._succeeded:
             self._upload("landing", landing_items(self._landing))
         else:
             self._request("start landing", lambda done: self._mission.start_mission_async(done))
@@ -121,12 +121,12 @@ class MavsdkCommands:
         """Ask, unless MAVSDK has not found the vehicle or is at it already."""
         if self._action is None:
             systems = [system for system in self._mavsdk.get_systems() if system.has_autopilot()]
-            self._sought = not systems
+            self._searching = not systems
             if not systems:
                 return
             self._action, self._mission = Action(systems[0]), MissionRaw(systems[0])
-        if name not in self._under_way | self._granted:
-            self._under_way.add(name)
+        if name not in self._in_progress | self._succeeded:
+            self._in_progress.add(name)
             ask(self._done(name))
 
     def _done(self, name: str) -> ResultCallback:
@@ -134,8 +134,8 @@ class MavsdkCommands:
 
         def answered(result: Any, _: Any) -> None:
             if result.name == RESULT_SUCCESS:
-                self._granted.add(name)
-            self._under_way.discard(name)
+                self._succeeded.add(name)
+            self._in_progress.discard(name)
 
         return answered
 

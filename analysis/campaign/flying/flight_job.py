@@ -20,13 +20,13 @@ from simvehicle.scenario.changed_scenario import parse_change
 class FlightJob:
     """One flight, the answer to cells that differ only in their subject.
 
-    `twin` is the flight without the fault; None if this is the twin. `keep` is the folder for its
-    logs, if they are wanted.
+    `reference` is the flight without the fault; None if this is the twin. `keep` is the folder for
+    its logs, if they are wanted.
     """
 
     campaign: CampaignFile
     cells: tuple[Cell, ...]
-    twin: CampaignFlight | None = None
+    reference: CampaignFlight | None = None
     keep: str | None = None
 
 
@@ -43,7 +43,7 @@ class JobAnswer:
     """What became of a job: results of its cells, and what the flight showed."""
 
     results: list[CellResult]
-    flown: CampaignFlight | None = None
+    flight: CampaignFlight | None = None
 
 
 Job = FlightJob | LaneJob
@@ -63,11 +63,11 @@ def run_job(job: Job) -> JobAnswer:
 
         return JobAnswer(run_lanes(job.campaign, job.cells))
     first = job.cells[0]
-    onset_s = onset_time_s(first, job.twin)
+    onset_s = onset_time_s(first, job.reference)
     if onset_s is None:
         return aborted_answer(job, f"the flight has no {first.onset}")
     flown = run_cell_flight(job, onset_s)
-    if job.twin is None:
+    if job.reference is None:
         return JobAnswer([], flown)
     results = [
         msgspec.structs.replace(
@@ -75,7 +75,7 @@ def run_job(job: Job) -> JobAnswer:
                 cell,
                 onset_s,
                 flown.evidence[cell.subject],
-                job.twin.evidence.get(cell.subject, Evidence()),
+                job.reference.evidence.get(cell.subject, Evidence()),
                 job.campaign.limits,
             ),
             verdict=flown.verdict.word,
@@ -123,7 +123,7 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
 
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
-            run = [*campaign.scenario_words(cell.scenario), *autopilot.options(campaign.folder)]
+            run = [*campaign.scenario_arguments(cell.scenario), *autopilot.options(campaign.folder)]
             return run_autopilot_cell(autopilot.name, run, schedule, folder, kept=kept)
     subjects = [cell.subject for cell in job.cells]
     setup = cell_setup(campaign, cell, subjects)
@@ -134,7 +134,7 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
 
 def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> RunSetup:
     """A scenario by its name in results; errors as `read_setup` has them."""
-    file, *changes = campaign.scenario_words(scenario)
+    file, *changes = campaign.scenario_arguments(scenario)
     # Every other word is the option's name.
     return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])))
 

@@ -15,16 +15,16 @@ class PhaseTracker:
     """The first time of each phase: hover, turn, climb, descent, level, landing."""
 
     def __init__(self) -> None:
-        self.begun: dict[str, float] = {}
+        self.begin_s: dict[str, float] = {}
         self._phase, self._since_s = "", 0.0
 
-    def note(self, t_s: float, truth: Truth) -> None:
+    def track(self, t_s: float, truth: Truth) -> None:
         """Look at the truth some time later."""
         phase = phase_of(truth)
         if phase != self._phase:
             self._phase, self._since_s = phase, t_s
         if t_s >= FIRST_PHASE_S and t_s - self._since_s >= MIN_PHASE_S and phase != "ground":
-            self.begun.setdefault(phase, round(t_s, 3))
+            self.begin_s.setdefault(phase, round(t_s, 3))
 
 
 def phase_of(truth: Truth) -> str:

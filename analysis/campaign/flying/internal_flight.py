@@ -52,7 +52,7 @@ def run_simulated_flight(
     phases, results = PhaseTracker(), list[Result]()
     track: list[tuple[float, ...]] = []
     next_us, batch = 0, bytearray()
-    while not flight.over:
+    while not flight.finished:
         batch += flight.advance([]).monitor
         if flight.t_us >= next_us:
             next_us = flight.t_us + TRACK_US
@@ -62,7 +62,7 @@ def run_simulated_flight(
             truth = flight.simulation.truth
             place = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
             track.append((flight.vehicle_us, *place))
-            phases.note(flight.t_us * 1e-6, truth)
+            phases.track(flight.t_us * 1e-6, truth)
     batch += flight.finish().monitor
     results += monitor.push_bytes([bytes(batch)], datagrams=False)
     t0_us = flight.core.clock.t0_us or 0
@@ -78,14 +78,14 @@ def run_simulated_flight(
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     wall_s = time.monotonic() - started_s
     verdict = monitor_verdict(summary["faults"])
-    return CampaignFlight(found, phases.begun, scenario.duration_s, wall_s, verdict=verdict)
+    return CampaignFlight(found, phases.begin_s, scenario.duration_s, wall_s, verdict=verdict)
 
 
 def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:
     """The flight's tlogs and labels, as `run` leaves them."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
-    recorder.write(flight.tape, labels)
+    recorder.write(flight.capture, labels)
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

@@ -73,7 +73,7 @@ def render_campaign_page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{name}</title><style>{style}</style></head>",
             f"<body><header><h1>{name}</h1></header><main>",
-            "" if reload_s is None else _progress_html(len(results), plan.most_cells),
+            "" if reload_s is None else _progress_html(len(results), plan.max_cells),
             _facts_html(results),
             '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
             "its flights. Hover for the numbers, click for the flights and their curves.</p>",
@@ -122,7 +122,7 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
     schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
     autopilot = campaign.autopilot(cell.subject)
-    words = ["mavproxy-fault", "run", *campaign.scenario_words(cell.scenario)]
+    words = ["mavproxy-fault", "run", *campaign.scenario_arguments(cell.scenario)]
     words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is not None:
         words += autopilot.options(campaign.folder)
@@ -195,7 +195,7 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
     """Which faults do most of the harm: bad cells, most first, and their share so far."""
     bad = {
         (row.subject, row.fault): sum(
-            limits.worse(result.outcome) for cell in row.cells for result in cell.results
+            limits.is_worse(result.outcome) for cell in row.cells for result in cell.results
         )
         for row in grid
     }

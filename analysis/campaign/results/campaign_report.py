@@ -81,7 +81,7 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
                 "harmless": c.harmless,
                 "flights": c.flights,
             }
-            for series, c in plan.criticals(known).items()
+            for series, c in plan.critical_magnitudes(known).items()
         ]
     return found
 
@@ -120,7 +120,7 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Outcom
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
-        elif limits.worse(result.outcome):
+        elif limits.is_worse(result.outcome):
             failures += 1
             text = f"{result.outcome}; {describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)

@@ -63,7 +63,7 @@ def _flight(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
     for scenario in campaign.scenarios:
         if isinstance(scenario, CompiledScenario) and scenario.name == name:
             return dict(scenario.compiled)
-    file, *changes = campaign.scenario_words(name)
+    file, *changes = campaign.scenario_arguments(name)
     # A path's value as an interval without length stands still.
     fixed = {path: float(value) for path, _, value in (c.partition("=") for c in changes[1::2])}
     vary = {path: [value, value] for path, value in fixed.items()}

@@ -52,7 +52,7 @@ def _criticals(plan: CampaignPlan, known: dict[str, object]) -> Table:
     table = Table(box=None, pad_edge=False, title="smallest magnitude that is worse")
     for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
         table.add_column(name)
-    for series, critical in plan.criticals(known).items():  # type: ignore[arg-type]
+    for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]
         found = "none" if critical.magnitude is None else f"{critical.magnitude:.4g}"
         table.add_row(*series, found, str(critical.flights))
     return table

@@ -69,7 +69,9 @@ class EarthFieldDetector:
         found: list[tuple[int, SensorDecision]] = []
         begin, end = 0, len(block.kind)
         while begin < end:
-            until = end if self.field_ned_gauss is not None else self._arrive(block, begin, state)
+            until = (
+                end if self.field_ned_gauss is not None else self._update_place(block, begin, state)
+            )
             part = slice(begin, until)
             what, off = track_earth_field(
                 block.kind[part], block.t_us[part], block.values[part], state.earth
@@ -81,7 +83,7 @@ class EarthFieldDetector:
             begin = until
         return found, state
 
-    def _arrive(self, block: Block, begin: int, state: EarthFieldState) -> int:
+    def _update_place(self, block: Block, begin: int, state: EarthFieldState) -> int:
         """Ask the model where the first row is a fix far from the last such; the next one's row."""
         rows = begin + np.flatnonzero(block.kind[begin:] == FIX)
         fixes = block.values[rows]

@@ -47,7 +47,7 @@ class Exclusion:
     onset_us: int
     found_us: int
     healthy_since_us: int | None = None
-    whole: bool = False
+    whole_system: bool = False
 
 
 class MotionEstimate(Value, frozen=True):

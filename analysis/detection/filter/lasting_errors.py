@@ -70,7 +70,7 @@ class RangeGeometry(NamedTuple):
     """The geometry of a snapshot by n ranges: unit vectors by some axes (n, 3), and where among the
     `unknowns` the clock of each one's system is (n,), behind the position."""
 
-    sight: Vector
+    line_of_sight: Vector
     clock: Indices
     unknowns: int
 
@@ -140,7 +140,7 @@ def lasting_position_variance(
         for k in range(AXES):
             response[k] = cofactor[k, lines.clock[i]]
             for j in range(AXES):
-                response[k] += cofactor[k, j] * lines.sight[i, j]
+                response[k] += cofactor[k, j] * lines.line_of_sight[i, j]
         for k in range(AXES):
             moved = 0.0
             for j in range(AXES):

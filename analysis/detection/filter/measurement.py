@@ -164,7 +164,7 @@ class EphemerisSelection:
     packed: Vector
     system: Indices
 
-    def serves(self, epoch: Epoch) -> bool:
+    def is_valid_for(self, epoch: Epoch) -> bool:
         """Whether the choice still holds for an epoch."""
         same = self.satellites == epoch.satellites and self.week == epoch.week
         return same and self.from_us <= epoch.t_us <= self.until_us

@@ -25,11 +25,11 @@ INTERVAL_GAIN = 0.05  # share of an epoch in what is usual of the IMU's interval
 
 class ImuSegment(NamedTuple):
     """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
-    longest silence in it and `heard` whether there was any sample."""
+    longest silence in it and `any_sample` whether there was any sample."""
 
     samples: Vector
     gap_s: float
-    heard: bool
+    any_sample: bool
 
 
 def imu_run_of(samples: Iterable[ImuSample]) -> ImuRun:
@@ -167,7 +167,7 @@ def propagate_filter(
         return MotionEstimate(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     # Over a short silence the attitude is still known, only less well.
-    inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.heard
+    inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.any_sample
     if inertial:
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * part.gap_s) ** 2
     # A gap breaks the integrals an alignment rests on.

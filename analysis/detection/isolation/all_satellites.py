@@ -145,8 +145,8 @@ def common_jump_m(
     `motion` is the prediction over `dt_s`, `tested` what the main test says of it, `p_agree` the
     false-alarm probability of the test whether the satellites agree.
     """
-    explained = tested.hypothesis == "satellites" or tested.whole
-    if motion.inertial or not tested.freed or explained:
+    explained = tested.hypothesis == "satellites" or tested.whole_system
+    if motion.inertial or not tested.prediction_freed or explained:
         return None
     dof = tests.parity_dof
     if dof < AGREEING_DOF or tests.parity > chi_square_threshold(dof, p_agree):

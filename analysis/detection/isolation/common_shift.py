@@ -36,8 +36,8 @@ class CommonShift(NamedTuple):
 
     level: float = 1.0
     weight: float = FIRST_WEIGHT
-    asked_until_us: int = 0
-    settled_us: int = 0
+    suspected_until_us: int = 0
+    settled_from_us: int = 0
 
 
 @compiled
@@ -55,14 +55,14 @@ def shift_statistic(p: Vector, rates: NormalEquations) -> float:
 def shift_stands_out(watched: CommonShift, shift: float, t_us: int, config: DetectorConfig) -> bool:
     """Whether the statistic `shift` of an epoch is more than this flight's noise."""
     limit = max(watched.level, LEAST_LEVEL) * chi_square_threshold(SHIFT_DOF, config.p_other)
-    return t_us >= watched.settled_us and shift > limit
+    return t_us >= watched.settled_from_us and shift > limit
 
 
 def shift_is_suspected(
     watched: CommonShift, shift: float, t_us: int, config: DetectorConfig
 ) -> bool:
     """Whether it is to be asked who is wrong, by this epoch's shift or an earlier one."""
-    return t_us < watched.asked_until_us or shift_stands_out(watched, shift, t_us, config)
+    return t_us < watched.suspected_until_us or shift_stands_out(watched, shift, t_us, config)
 
 
 def update_common_shift(
@@ -70,8 +70,8 @@ def update_common_shift(
 ) -> CommonShift:
     """Behind an epoch whose tests passed."""
     if shift_stands_out(watched, shift, t_us, config):
-        return watched._replace(asked_until_us=t_us + SUSPECTED_US)
-    if t_us < watched.asked_until_us:
+        return watched._replace(suspected_until_us=t_us + SUSPECTED_US)
+    if t_us < watched.suspected_until_us:
         return watched  # what is in question must not excuse itself
     weight = min(watched.weight + 1.0, MOST_WEIGHT)
     news = min(shift / SHIFT_DOF, LARGEST_SQUARE)
@@ -80,4 +80,4 @@ def update_common_shift(
 
 def reset_common_shift(watched: CommonShift, t_us: int) -> CommonShift:
     """Behind an epoch that failed a test, or where the IMU does not move the filter."""
-    return watched._replace(asked_until_us=0, settled_us=t_us + SETTLING_US)
+    return watched._replace(suspected_until_us=0, settled_from_us=t_us + SETTLING_US)

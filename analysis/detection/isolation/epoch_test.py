@@ -151,16 +151,16 @@ def judge_epoch(
     if leap is not None:
         tested = follow_jump(tested, motion, sight.used)
     judged = Judged(core, part, motion, sight, leapt, rates, tested, leap, *blame[2:])
-    undisturbed = not leapt and not tested.freed and rates.hypothesis in UNDISTURBED
+    undisturbed = not leapt and not tested.prediction_freed and rates.hypothesis in UNDISTURBED
     # Ramp tests need one unbroken filter: what was freed or leapt has no response to follow.
     if undisturbed and before.inertial == tested.motion.inertial:
         outcome, judged = _by_windows(judged, before, moment, past, observed.satellites, config)
         if outcome is not None:
             return outcome
     # The windows end here; what they had learnt of offsets lives on, frozen.
-    moved = absorb_epoch(judged.tested.motion, judged.tested.part, rates.fit)
+    moved = absorb_epoch(judged.tested.motion, judged.tested.usable, rates.fit)
     # What is learnt while a system moves is the system's shift, and no offset of satellites.
-    if not judged.tested.whole:
+    if not judged.tested.whole_system:
         judged = judged._replace(core=freeze_offsets(core, t_us, config))
     return _concluded(judged, before, moved, None, None, config)
 
@@ -176,12 +176,12 @@ def _by_windows(
     """What the tests with memory say of an epoch that passes, whose satellites are `among`; no
     outcome where its ranges are to be used otherwise, as is then judged."""
     core, tested, rates, t_us = judged.core, judged.tested, judged.rates, moment.motion.t_us
-    names, variance = judged.sight.names, tested.part.variance
+    names, variance = judged.sight.names, tested.usable.variance
     ramps = prepare_ramps(
         core.ramps or new_ramps(before.t_us), t_us, among, names, variance, config
     )
     step = EpochStep(moment.phi, moment.dt_s, t_us, tested.motion.inertial)
-    moved, ramps, found = commit_epoch(tested.motion, tested.part, rates.fit, ramps, step, config)
+    moved, ramps, found = commit_epoch(tested.motion, tested.usable, rates.fit, ramps, step, config)
     slow, led = evaluate_ramps(ramps, found, config), None
     if before.inertial and slow.hypothesis == "imu":
         who, led = accused(past, moment, config)
@@ -233,7 +233,7 @@ def _whole_system(judged: Judged, config: DetectorConfig) -> RangeVerdict | None
     found = isolate_ranges(
         tested.motion, sight.used, q, threshold, standing_m, config, by_past=True
     )
-    return found if found.whole else None
+    return found if found.whole_system else None
 
 
 def _concluded(
@@ -258,7 +258,7 @@ def _concluded(
     outside = innovations_of_excluded(sight.excluded, sight.outside, judged.predicted, moved)
     excluded = readmit_satellites(core.excluded, outside, t_us, config)
     faulty = tuple(sight.names[i] for i in tested.faulty)
-    excluded = add_exclusions(excluded, faulty, t_us, t_us, tested.whole)
+    excluded = add_exclusions(excluded, faulty, t_us, t_us, tested.whole_system)
     core = core._replace(
         ranges_us=t_us,
         excluded=excluded,
@@ -315,7 +315,7 @@ def _given_up(core: DetectorCore, t_us: int, config: DetectorConfig) -> Detector
 
 def _unbounded(judged: Judged, core: DetectorCore) -> str:
     """Why nothing bounds the position; empty where something does."""
-    if judged.tested.whole and judged.tested.hypothesis == "multiple-unknown":
+    if judged.tested.whole_system and judged.tested.hypothesis == "multiple-unknown":
         return SYSTEMS_CONTRADICT
     if judged.carried is not None and coasts(judged.predicted, judged.sight.used):
         return COASTING_REASON
@@ -345,7 +345,7 @@ def _bounded(
         keep = np.ones(len(sight.names), dtype=bool)
         keep[list(faulty)] = False
         # The verdict has chosen their rows already, with what was learnt of offsets subtracted.
-        used = judged.tested.part._replace(v_m=used.v_m[keep])
+        used = judged.tested.usable._replace(v_m=used.v_m[keep])
         parity, dof, _ = parity_test(normal_equations(used.h, used.variance, used.v_m))
     misfit = core.misfit.with_epoch(parity, dof, since_us * 1e-6)
     moved_m = moved.x[:3] - judged.predicted.x[:3]

@@ -76,8 +76,8 @@ def add_exclusions(
     found_us: int,
     whole: bool = False,
 ) -> dict[str, Exclusion]:
-    """Exclude more satellites since `onset_us`, as a `whole` system or each for itself; those
-    excluded already stay as they are."""
+    """Exclude more satellites since `onset_us`, as a `whole_system` system or each for itself;
+    those excluded already stay as they are."""
     # The first onset stays: a second finding is the same fault.
     new = {
         name: Exclusion(onset_us, found_us, None, whole) for name in names if name not in excluded
@@ -102,7 +102,7 @@ def readmit_satellites(
     returned = _returned_systems(excluded, outside, bound)
     for i, (name, fine) in enumerate(zip(outside.names, healthy, strict=True)):
         entry = out[name]
-        if entry.whole:
+        if entry.whole_system:
             fine = name[0] in returned and bool(abs(outside.lasting[i]) <= bound)
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
         # A break starts the wait again, and so does an epoch from before it was found.
@@ -125,6 +125,6 @@ def _returned_systems(
     """
     looks: dict[str, list[bool]] = {}
     for name, normalised in zip(outside.names, outside.lasting.tolist(), strict=True):
-        if excluded[name].whole:
+        if excluded[name].whole_system:
             looks.setdefault(name[0], []).append(abs(normalised) <= bound)
     return {system for system, fine in looks.items() if sum(fine) >= RETURNED_SHARE * len(fine)}

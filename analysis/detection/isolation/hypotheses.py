@@ -34,13 +34,13 @@ LEAST_DOF_LEFT = 2  # degrees of freedom kept after leaving out
 
 
 class IsolationVerdict(Value, frozen=True):
-    """The explanation taken, and all that were weighed with their relative likelihoods; `whole`
-    says that it is about a system as a whole."""
+    """The explanation taken, and all that were weighed with their relative likelihoods;
+    `whole_system` says that it is about a system as a whole."""
 
     hypothesis: str
     subset: tuple[int, ...]
     probabilities: dict[str, float]
-    whole: bool = False
+    whole_system: bool = False
 
 
 def explain_by_satellites(

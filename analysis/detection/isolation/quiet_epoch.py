@@ -100,7 +100,7 @@ def quiet_epoch(
     """The core after the epoch and what it showed; None where there is anything to decide."""
     motion, ramps = core.motion, core.ramps
     # Identity, not equality: the names are the same tuple while the view is the same.
-    if motion is None or ramps is None or ramps.among is not observed.satellites:
+    if motion is None or ramps is None or ramps.in_view is not observed.satellites:
         return None
     if _is_rare(core, motion, config) or len(ramps.names) > MOST_SATELLITES:
         return None

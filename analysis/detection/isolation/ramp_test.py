@@ -25,12 +25,12 @@ ONSET_RATIO = 9.0  # a ramp's likelihood ratio that dates the fault of a satelli
 
 class RampBank(Value, frozen=True):
     """The ramp tests' windows over `names` (n satellites), those at `places` (n,) among all of an
-    epoch, `among`; the oldest begins anew at `due_us`."""
+    epoch, `in_view`; the oldest begins anew at `due_us`."""
 
     due_us: int
     names: tuple[str, ...]
     windows: RampWindows
-    among: tuple[str, ...] = ()
+    in_view: tuple[str, ...] = ()
     places: Indices = NO_PLACES
 
     def renewed(self, t_us: int) -> "RampBank":
@@ -77,16 +77,16 @@ def prepare_ramps(
     variance: Vector,
     config: DetectorConfig,
 ) -> RampBank:
-    """The ramp tests before an epoch at `t_us` in which `names` (n satellites) are used of `among`;
-    `variance` (n,) of their ranges."""
+    """The ramp tests before an epoch at `t_us` in which `names` (n satellites) are used of
+    `in_view`; `variance` (n,) of their ranges."""
     if ramps.names != names:
         # A new satellite's offset is as unsure as the noise model allows.
         windows = _rearranged(ramps, names, config.sigma.slow**2 * variance)
         ramps = RampBank(ramps.due_us, names, windows)
-    if ramps.among is not among:
+    if ramps.in_view is not among:
         places = np.array([among.index(name) for name in names], dtype=np.int64)
         # Identity: the names are compared once per change of view, not once per epoch.
-        ramps = ramps._replace(among=among, places=places)
+        ramps = ramps._replace(in_view=among, places=places)
     return ramps.renewed(t_us)
 
 

@@ -24,10 +24,10 @@ MOST_ROUNDS = 3  # a clock jump and a wrong prediction may come together
 class RangeVerdict(Value, frozen=True):
     """What the tests found, and what of the epoch the filter may use.
 
-    `motion` is the prediction, with what was found wrong of it forgotten (`freed`); `part` are the
-    innovations of those that are trusted, none where nothing is. `faulty` are indices of
-    satellites found so; the statistic is that of the first round. `whole` says that a system is
-    meant as a whole.
+    `motion` is the prediction, with what was found wrong of it forgotten (`prediction_freed`);
+    `usable` are the innovations of those that are trusted, none where nothing is. `faulty` are
+    indices of satellites found so; the statistic is that of the first round. `whole_system` says
+    that a system is meant as a whole.
     """
 
     motion: MotionEstimate
@@ -37,9 +37,9 @@ class RangeVerdict(Value, frozen=True):
     statistic: float
     threshold: float
     probabilities: dict[str, float]
-    part: Innovations
-    freed: bool
-    whole: bool = False
+    usable: Innovations
+    prediction_freed: bool
+    whole_system: bool = False
 
 
 def largest_subset(count: int, wanted: int) -> int:
@@ -74,7 +74,7 @@ def isolate_ranges(
     part = modelled
     if verdict.hypothesis == "satellites":
         # What was learnt while a whole system moved is its shift, and no offset of the others.
-        part = without_satellites(modelled, verdict.subset, standing_m * (not verdict.whole))
+        part = without_satellites(modelled, verdict.subset, standing_m * (not verdict.whole_system))
     elif verdict.hypothesis != "none":
         part = NO_INNOVATIONS
     shown = hypothesis
@@ -86,7 +86,7 @@ def isolate_ranges(
     shown = "clock" if shown == SYSTEM_CLOCK else shown
     subset, chances = verdict.subset, verdict.probabilities
     return RangeVerdict(
-        motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole
+        motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole_system
     )
 
 
@@ -129,7 +129,7 @@ def _freed(
         m = inverse_covariance(motion.p, h, variance)
         p = config.p_false_alarm
         verdict = select_hypothesis(m, v, position, clock, p, largest, config.rule, systems)
-        whole = whole or verdict.whole
+        whole = whole or verdict.whole_system
         # The chances of the first round: those before anything was forgotten.
         chances = chances or verdict.probabilities
         if verdict.hypothesis == "clock":
@@ -142,7 +142,7 @@ def _freed(
             hypothesis = "imu" if motion.inertial else hypothesis
             motion = free_position(motion)
         else:
-            return hypothesis, verdict._replace(probabilities=chances, whole=whole), motion
+            return hypothesis, verdict._replace(probabilities=chances, whole_system=whole), motion
     # Three rounds did not settle it.
     return hypothesis, IsolationVerdict("multiple-unknown", (), chances, whole), motion
 

@@ -52,7 +52,7 @@ def detect_carry_off(
     fix = fix_innovation(measured, position, velocity, motion.p)
     carry = extend_windows(carry, motion.t_us, dt_s, phi, measured.axes, fix)
     if _shows_impact(core.last_fix, part) or _receiver_smooths(core, motion, measured):
-        carry = carry._replace(doubt_us=motion.t_us, blown_us=motion.t_us)
+        carry = carry._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
     if float(np.linalg.norm(known_or_zero(v_ned_mps))) > AT_REST_MPS:

@@ -67,7 +67,7 @@ class CarryOffWindows(NamedTuple):
     the responses to s = 6 or 9 signatures, `c` (w, s) and `j` (w, s, s) the sums, `levels` (w,)
     those of the innovations when a window began. `squares` (6,) are the normalised innovations'
     mean squares now, of `fixes`. At `doubt_us` something was seen that no spoofer is needed for, at
-    `blown_us` something that neither a spoofer nor a wrong IMU is.
+    `impact_us` something that neither a spoofer nor a wrong IMU is.
     """
 
     due_us: int
@@ -79,7 +79,7 @@ class CarryOffWindows(NamedTuple):
     squares: Vector
     fixes: float = FIRST_WEIGHT
     doubt_us: int = -SETTLED_US
-    blown_us: int = -SETTLED_US
+    impact_us: int = -SETTLED_US
 
 
 class CarryOff(NamedTuple):
@@ -88,7 +88,7 @@ class CarryOff(NamedTuple):
 
     onset_us: int
     u_ned_mps: Vector
-    leapt_ned_m: Vector = NO_JUMP
+    jump_ned_m: Vector = NO_JUMP
 
 
 class CarryOffDetection(NamedTuple):
@@ -188,7 +188,7 @@ def search_windows(
     wrong_mps2 = None
     if rival.max() > max(threshold, ratio.max() + LEAST_RATIO_LEAD):
         carry = carry._replace(doubt_us=t_us)
-        if carry.starts_us[oldest] >= carry.blown_us + SETTLED_US:
+        if carry.starts_us[oldest] >= carry.impact_us + SETTLED_US:
             wrong_mps2 = _wrong_acceleration(carry, int(begun[rival.argmax()]), level * threshold)
     tempered = _ratios(carry, np.array([window]), CARRIED, NATURAL_MPS)[0] / level
     clear = tempered > threshold and ratio.max() > rival.max() + LEAST_RATIO_LEAD
@@ -263,6 +263,6 @@ def fits_carry_off(carried: CarryOff, t_us: int, fix: FixInnovation) -> bool:
     """Whether a fix lies where it would have been carried to by now rather than where the filter
     is, which without a receiver grows unsure."""
     age_s = (t_us - carried.onset_us) * 1e-6
-    away_m = carried.leapt_ned_m + carried.u_ned_mps * age_s
+    away_m = carried.jump_ned_m + carried.u_ned_mps * age_s
     v = fix.v - np.concatenate((away_m, carried.u_ned_mps))[fix.rows]
     return float(v @ fix.m @ v) < float(fix.v @ fix.m @ fix.v)

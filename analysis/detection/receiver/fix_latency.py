@@ -36,7 +36,7 @@ class Latency(NamedTuple):
         """How unsure it is in a test."""
         return float(np.sqrt(max(self.variance, LEAST_VARIANCE)))
 
-    def gained(self, seconds: float) -> Vector:
+    def velocity_change(self, seconds: float) -> Vector:
         """By how much the velocity (3,) changed in the last `seconds`."""
         change = np.zeros(3)
         for at, (duration_s, acceleration) in enumerate(self.past):
@@ -50,7 +50,7 @@ class Latency(NamedTuple):
         """By how much the velocity told changes with the latency: the acceleration (3,) then."""
         sigma_s = self.sigma_s
         first, last = max(self.seconds - sigma_s, 0.0), self.seconds + sigma_s
-        slope: Vector = (self.gained(last) - self.gained(first)) / (last - first)
+        slope: Vector = (self.velocity_change(last) - self.velocity_change(first)) / (last - first)
         return slope
 
 
@@ -88,7 +88,7 @@ def compensate_latency(
     if latency.variance == 0.0 or not predicted.inertial:
         return measured
     velocity, variance = measured.axes @ predicted.x[3:6], latency.sigma_s**2
-    gained = latency.gained(latency.seconds)
+    gained = latency.velocity_change(latency.seconds)
     moved = latency.seconds * (predicted.x[3:6] - measured.axes.T @ gained / 2.0)
     measured = measured._replace(
         r_ecef_m=measured.r_ecef_m + moved,

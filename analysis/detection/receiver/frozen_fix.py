@@ -27,14 +27,14 @@ class FixRepeats(NamedTuple):
     since_us: int = 0
     run: int = 0
     longest: int = 0
-    seen: int = 0
+    fix_count: int = 0
 
-    def after(self, t_us: int, fix: tuple[float, ...]) -> "FixRepeats":
+    def updated(self, t_us: int, fix: tuple[float, ...]) -> "FixRepeats":
         """With one fix more."""
         if t_us <= self.t_us:  # the same message once more, or another clock
             return self._replace(t_us=t_us)
-        new = self._replace(fix=fix, t_us=t_us, seen=self.seen + 1)
-        known = self.seen >= LEARNED_FIXES
+        new = self._replace(fix=fix, t_us=t_us, fix_count=self.fix_count + 1)
+        known = self.fix_count >= LEARNED_FIXES
         if fix == self.fix:
             longest = self.longest if known else max(self.longest, self.run + 1)
             return new._replace(run=self.run + 1, longest=longest)
@@ -48,7 +48,10 @@ class FixRepeats(NamedTuple):
         most = RUN_FACTOR * self.longest + RUN_MORE
         lasts = self.t_us - self.since_us >= CONFIRM_US
         return (
-            self.seen >= LEARNED_FIXES and self.longest <= STILL_FIXES and self.run > most and lasts
+            self.fix_count >= LEARNED_FIXES
+            and self.longest <= STILL_FIXES
+            and self.run > most
+            and lasts
         )
 
 
@@ -63,7 +66,7 @@ class FrozenFixState(NamedTuple):
 
     repeats: FixRepeats = FixRepeats()
     source: str | None = None
-    told_us: int = 0
+    reported_us: int = 0
 
 
 @dataclass(frozen=True)
@@ -88,10 +91,10 @@ class FrozenFixDetector:
             if fix.fix_type < FIX_3D:
                 continue
             repeats = state.repeats if fix.source == state.source else FixRepeats()
-            repeats = repeats.after(fix.t_us, fix_values(fix))
-            state = FrozenFixState(repeats, fix.source, state.told_us)
-            if repeats.frozen and fix.t_us - state.told_us >= REPEAT_US:
-                state = state._replace(told_us=fix.t_us)
+            repeats = repeats.updated(fix.t_us, fix_values(fix))
+            state = FrozenFixState(repeats, fix.source, state.reported_us)
+            if repeats.frozen and fix.t_us - state.reported_us >= REPEAT_US:
+                state = state._replace(reported_us=fix.t_us)
                 found.append((row, _result(fix.t_us, (fix.t_us - repeats.since_us) * 1e-6)))
         return found, state
 

@@ -80,7 +80,7 @@ def step_position(
         return [], state
     latency = core.latency if fix.source == core.gps_source else initial_latency(fix.source)
     core = core._replace(gps_source=fix.source, latency=latency, mag_b=mag_b)
-    core = core._replace(repeats=core.repeats.after(fix.t_us, fix_values(fix)))
+    core = core._replace(repeats=core.repeats.updated(fix.t_us, fix_values(fix)))
     measured, reason = fix_measurement(fix)
     motion = core.motion
     if measured is None:

@@ -40,7 +40,7 @@ class SignalStrength(NamedTuple):
     newest_us: int
     band: int = 0
 
-    def after(self, t_us: int, cn0_dbhz: float) -> "SignalStrength":
+    def updated(self, t_us: int, cn0_dbhz: float) -> "SignalStrength":
         """With one epoch more; a young mean is that of its age."""
         elapsed_us, age_us = t_us - self.newest_us, max(t_us - self.began_us, 1)
         share = min(1.0, elapsed_us / min(MEAN_S * 1e6, age_us))
@@ -55,7 +55,7 @@ class SignalState(Value, frozen=True):
     strengths: dict[str, SignalStrength]
     fallen_since_us: int | None = None
     fallen_epochs: Mapping[int, int] = {}
-    told_us: int | None = None
+    reported_us: int | None = None
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ def _add_epoch(epoch: Epoch, state: SignalState) -> tuple[float, SignalState]:
         first = {name: SignalStrength(now[name], t_us, t_us, bands[name]) for name in now}
         kept = known if not fallen_db else {}
         return 0.0, SignalState(
-            {n: kept[n].after(t_us, now[n]) if n in kept else first[n] for n in now}
+            {n: kept[n].updated(t_us, now[n]) if n in kept else first[n] for n in now}
         )
     # The means wait while signals are weak: what they were before is what is asked for.
     since_us = t_us if since_us is None else since_us
     epochs = {band: epochs.get(band, 0) + 1 for band, loss_db in fallen.items() if loss_db}
     lasts = t_us - since_us >= CONFIRM_US and max(epochs.values()) >= CONFIRM_EPOCHS
-    if not lasts or (state.told_us is not None and t_us - state.told_us < REPEAT_US):
-        return 0.0, SignalState(known, since_us, epochs, state.told_us)
+    if not lasts or (state.reported_us is not None and t_us - state.reported_us < REPEAT_US):
+        return 0.0, SignalState(known, since_us, epochs, state.reported_us)
     return fallen_db, SignalState(known, since_us, epochs, t_us)
 
 

@@ -21,7 +21,10 @@ def find_outliers(window: FactorWindow, sources: frozenset[str]) -> list[tuple[s
         By GTSAM, when the system cannot be solved.
     """
     names = {
-        slot: name for name in window.named() if name[0] in sources for slot in window.slots(*name)
+        slot: name
+        for name in window.committed()
+        if name[0] in sources
+        for slot in window.slots(*name)
     }
     factors = window.smoother.getFactors()
     graph, slots = gtsam.NonlinearFactorGraph(), []

@@ -86,7 +86,7 @@ class EpochRanges:
         return result
 
     @property
-    def tell_motion(self) -> bool:
+    def has_rates(self) -> bool:
         """Whether there are rates among them."""
         return self._doppler and bool(np.isfinite(self.table[:, RATE]).any())
 
@@ -99,7 +99,7 @@ class EpochRanges:
             [a if a >= MIN_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
         )
 
-    def own_weights(self, excluded: frozenset[str]) -> Vector:
+    def residual_weights(self, excluded: frozenset[str]) -> Vector:
         """Weights by the residuals at the filter's state, where nothing else judges them."""
         config = self._config
         if not config.decide:
@@ -114,9 +114,9 @@ class EpochRanges:
             }
         )
 
-    def learn(self, learnt: LearnedNoise) -> None:
+    def scale_rates(self, learnt: LearnedNoise) -> None:
         """Take over what is known of the rates' sigmas."""
-        learnt.scale(self.satellites, self.table[:, RATE_SIGMA])
+        learnt.scale_rates(self.satellites, self.table[:, RATE_SIGMA])
 
     def factor(
         self,

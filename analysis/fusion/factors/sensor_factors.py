@@ -94,7 +94,7 @@ class SensorFactors:
             done = False
         return share if done else None
 
-    def _slow(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
+    def _slow_state(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         span = graph.span(epoch)
@@ -128,7 +128,7 @@ class SensorFactors:
 
     def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
         # One factor a source and epoch: of faster samples the first one counts.
-        if not sample.pressure_pa > 0.0 or self._graph.window.holds("baro", epoch):
+        if not sample.pressure_pa > 0.0 or self._graph.window.contains("baro", epoch):
             return False
         up_m, height = self._up_m(epoch)
         # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
@@ -136,7 +136,7 @@ class SensorFactors:
         graph, config, unit_m = self._graph, self._config, OFFSET_UNIT_M
         first = np.array([altitude - up_m]) / unit_m
         sigma, walk = OFFSET_SIGMA_M / unit_m, config.baro_walk_m / unit_m
-        offset = self._slow("h", epoch, first, sigma, walk)
+        offset = self._slow_state("h", epoch, first, sigma, walk)
         pose = graph.pose(epoch)
         graph.attach(
             "baro", epoch, baro_factor(epoch, pose, offset, altitude, config.baro_m / root)
@@ -147,7 +147,7 @@ class SensorFactors:
         graph = self._graph
         if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
             return False
-        if graph.window.holds("mag", epoch):
+        if graph.window.contains("mag", epoch):
             return False
         factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config.mag_gauss / root)
         graph.attach("mag", epoch, factor)
@@ -156,13 +156,13 @@ class SensorFactors:
     def _airspeed(self, sample: AirspeedSample, epoch: int, root: float) -> bool:
         if not math.isfinite(sample.diff_pressure_pa):
             return False
-        if self._graph.window.holds("airspeed", epoch):
+        if self._graph.window.contains("airspeed", epoch):
             return False
         _, height = self._up_m(epoch)
         speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(height))
         if speed < SLOW_AIR_MPS:
             return False
-        wind = self._slow("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
+        wind = self._slow_state("w", epoch, np.zeros(3), WIND_SIGMA_MPS, self._config.wind_walk_mps)
         self._graph.attach(
             "airspeed", epoch, airspeed_factor(epoch, wind, speed, self._config.airspeed_mps / root)
         )
@@ -173,16 +173,16 @@ class SensorFactors:
         graph = self._graph
         at = graph.epochs[epoch]
         seen = _vision_pose(sample, at.t_us)
-        if seen is None or at.seen is not None or not graph.aligned:
+        if seen is None or at.vision_pose is not None or not graph.aligned:
             return None
-        at.seen = seen
+        at.vision_pose = seen
         given = None
-        before, after = graph.seen_around(epoch, round(STALE_S * 1e6))
+        before, after = graph.vision_neighbours(epoch, round(STALE_S * 1e6))
         for i, j in ((before, epoch), (epoch, after)):
             if i is None or j is None:
                 continue
-            moved = graph.epochs[i].seen.between(graph.epochs[j].seen)
-            given = min(share, self._plausible(i, j, moved))
+            moved = graph.epochs[i].vision_pose.between(graph.epochs[j].vision_pose)
+            given = min(share, self._plausible_weight(i, j, moved))
             if given >= MIN_WEIGHT:
                 noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
                 factor = gtsam.BetweenFactorPose3(
@@ -191,12 +191,12 @@ class SensorFactors:
                 graph.attach("vision", j, factor, since=i)
         return given
 
-    def _plausible(self, i: int, j: int, moved: Any) -> float:
+    def _plausible_weight(self, i: int, j: int, moved: Any) -> float:
         """The weight of a motion that was seen, by what the IMU says of it: a jump weighs nothing
         although the test of vision's position, which allows for a drift, does not see it."""
         graph, config = self._graph, self._config
         edge = graph.epochs[j].edge
-        if not config.decide or edge is None or not graph.sound(edge):  # nothing to go by
+        if not config.decide or edge is None or not graph.uses_imu(edge):  # nothing to go by
             return 1.0
         off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
         return residual_weight(
@@ -207,7 +207,7 @@ class SensorFactors:
         """A receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
         measured, _ = fix_measurement(sample)
-        if measured is None or graph.window.holds("gps-position", epoch):
+        if measured is None or graph.window.contains("gps-position", epoch):
             return False
         to_local = graph.frame.axes @ measured.axes.T
         spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T

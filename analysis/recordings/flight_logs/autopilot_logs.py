@@ -105,7 +105,7 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
 def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
     """Put into a condition what a log has lost."""
     # One that ends in the middle of a message is whole: whoever writes it seldom ends it.
-    condition.damage += [CORRUPTED] if log.damaged else []
+    condition.damage += [CORRUPTED] if log.corrupted else []
     if isinstance(log, ULogFile):
         condition.lost_us += ulog_losses(log.dropouts)
         return

@@ -55,7 +55,7 @@ class DataflashFile:
     start_us: int
     end_us: int
     unread_bytes: int
-    damaged: bool
+    corrupted: bool
     cut: bool
 
 

@@ -30,7 +30,7 @@ class LogCondition:
     damage: list[str] = field(default_factory=list)
     lost_us: list[Stretch] = field(default_factory=list)
 
-    def has_junk(self, junk_bytes: int, size: int) -> None:
+    def note_junk(self, junk_bytes: int, size: int) -> None:
         """Of a tlog: bytes of it that are no frame. The last frame of any may be cut."""
         if junk_bytes > MAX_JUNK_SHARE * size:
             share = 100.0 * junk_bytes / size

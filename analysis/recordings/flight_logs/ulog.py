@@ -63,7 +63,7 @@ class ULogFile:
     start_us: int
     dropouts: list[tuple[int, float]]
     printed: dict[str, str]
-    damaged: bool
+    corrupted: bool
     cut: bool
 
 
@@ -101,7 +101,7 @@ def is_ulog(head: bytes) -> bool:
 
 
 def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) -> ULogFile:
-    """Read a whole ULog; what a damaged file still holds comes back with `damaged` set.
+    """Read a whole ULog; what a damaged file still holds comes back with `corrupted` set.
 
     `told` is called with the share that is read, from 0 to 1.
 

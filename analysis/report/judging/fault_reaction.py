@@ -86,7 +86,7 @@ def _of_checks(
         troubled = any(not any(_within(span, label) for label in labels) for span in spans)
         for begin_us, end_us in spans:
             own = [one for one in labels if _within((begin_us, end_us), one)]
-            own = [one for one in own if fault_visibility(one).suspected(name)]
+            own = [one for one in own if fault_visibility(one).allows(name)]
             # A window may begin with the sample before the fault.
             begin_us = min((max(begin_us, one.start_us) for one in own), default=begin_us)
             if own or not troubled:

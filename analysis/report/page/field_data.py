@@ -120,7 +120,7 @@ def _packed(
     # Rounded up, so that no message exceeds its rows.
     step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
     numbers = PackedNumbers()
-    entry: dict[str, Any] = {"step": step, "t": numbers.times(t_s[::step]), "fields": []}
+    entry: dict[str, Any] = {"step": step, "t": numbers.add_times(t_s[::step]), "fields": []}
     for name, values in columns.items():
         thin = values[::step]
         # GPS microseconds or 1e-7 degrees in float32 would lose their last digits; the differences
@@ -128,5 +128,5 @@ def _packed(
         first = next(
             (v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > OFFSET_ABOVE), 0.0
         )
-        entry["fields"].append({"name": name, "y": numbers.values(thin - first), "add": first})
+        entry["fields"].append({"name": name, "y": numbers.add_values(thin - first), "add": first})
     return entry, numbers.text()

@@ -36,14 +36,14 @@ class PackedNumbers:
     parts: list[NDArray[np.float32]] = field(default_factory=list)
     axes: dict[int, Place] = field(default_factory=dict)
 
-    def values(self, values: Vector) -> Place:
+    def add_values(self, values: Vector) -> Place:
         """Put values (n,) in; what the page needs to find them: first element and count."""
         at = sum(len(part) for part in self.parts)
         # Little-endian on every machine: the page reads them so.
         self.parts.append(values.astype("<f4"))
         return {"at": at, "n": len(values)}
 
-    def times(self, t_s: Vector) -> Place:
+    def add_times(self, t_s: Vector) -> Place:
         """Put a time axis (n,) in, unless it is there already."""
         # Equal bytes are equal axes: a message of twenty fields stores its times once.
         key = hash(t_s.tobytes())
@@ -59,7 +59,7 @@ class PackedNumbers:
         stray = t_s - (offset + step * np.arange(n))
         place: Place = {"offset": offset, "step": step, "n": n}
         if n and np.abs(stray).max() > EVEN_S:
-            place["at"] = self.values(stray)["at"]
+            place["at"] = self.add_values(stray)["at"]
         return place
 
     def text(self) -> str:

@@ -83,7 +83,7 @@ def _panel(
         if key in HEADINGS:
             # After thinning, which keeps the extremes and with them both sides of a wrap.
             t_s, value = break_at_wraps(t_s, value)
-        places = {"t": numbers.times(t_s), "y": numbers.values(value)}
+        places = {"t": numbers.add_times(t_s), "y": numbers.add_values(value)}
         series.append({"name": signal.name, "colour": colour, **places})
     limits = [asdict(limit) for limit in page.limits.get(key, ())]
     words = {"key": key, "title": panel.title, "unit": panel.unit, "log": panel.log}
@@ -118,7 +118,7 @@ def tracks_in_flight(recording: FlightData) -> list[GroundTrack]:
             # Some seconds around, so that take-off itself is seen where arming was logged late.
             inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
         if inside.sum() > 1:
-            found.append(track.part(inside))
+            found.append(track.select(inside))
     return found
 
 
@@ -148,10 +148,10 @@ def _tracks(
         places: Model = {
             "name": track.name,
             "colour": colour,
-            "t": numbers.times(track.t_s[::step]),
+            "t": numbers.add_times(track.t_s[::step]),
         }
         for name, values in axes:
-            places[name] = numbers.values(values[::step])
+            places[name] = numbers.add_values(values[::step])
         found.append(places)
     return found
 
@@ -167,8 +167,8 @@ def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
             {
                 "name": spectrum.name,
                 "colour": colour,
-                "t": numbers.times(spectrum.frequency_hz),
-                "y": numbers.values(spectrum.density),
+                "t": numbers.add_times(spectrum.frequency_hz),
+                "y": numbers.add_values(spectrum.density),
             }
             for spectrum, colour in zip(panel.spectra, series_colours(names), strict=True)
         ],
@@ -186,5 +186,5 @@ def _image(image: Spectrogram, numbers: PackedNumbers) -> Model:
     return {
         "title": image.title, "axis": image.axis, "start": image.start, "end": image.end,
         "hz": image.highest_hz, "rows": len(level), "low": lowest, "high": highest,
-        "y": numbers.values(rounded.ravel()),
+        "y": numbers.add_values(rounded.ravel()),
     }  # fmt: skip

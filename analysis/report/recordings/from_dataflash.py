@@ -77,7 +77,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     found.events.sort(key=lambda event: event.t_s)
     if log.cut:
         found.notes.append("the file ends in the middle of a message: it was cut short")
-    if log.damaged:
+    if log.corrupted:
         found.notes.append("parts of the file are damaged and were passed over")
     if log.unread_bytes:
         found.notes.append(

@@ -191,6 +191,6 @@ def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
         notes.append(f"fields missing in {', '.join(lacking)}: no spans or track from there")
     if log.cut:
         notes.append("the file ends in the middle of a message: it was cut short")
-    if log.damaged:
+    if log.corrupted:
         notes.append("parts of the file are damaged and were passed over")
     return notes

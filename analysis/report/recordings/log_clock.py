@@ -22,14 +22,14 @@ NEAR_US = 5_000_000  # a message's time this near the vehicle's clock is that cl
 class LogClock:
     """Pairs of the log's stamp and the vehicle's time, microseconds; empty: the stamps themselves.
 
-    `t0_us` is where the axis starts; unless the clock is `whole`, it was restarted, and a message's
-    own time tells nothing.
+    `t0_us` is where the axis starts; unless the clock is `continuous`, it was restarted, and a
+    message's own time tells nothing.
     """
 
     stamp_us: NDArray[np.float64]
     vehicle_us: NDArray[np.float64]
     t0_us: float
-    whole: bool = True
+    continuous: bool = True
 
     def seconds(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Seconds (n,) on the axis of each row (n,) of a message."""
@@ -37,7 +37,7 @@ class LogClock:
         # vehicle's.
         guess = self.at(rows["t_us"])
         own = own_time_us(rows)
-        if len(self.stamp_us) == 0 or not self.whole or own is None or len(own) == 0:
+        if len(self.stamp_us) == 0 or not self.continuous or own is None or len(own) == 0:
             return guess
         # The median: single frames may be late.
         if np.median(np.abs((own - self.t0_us) * 1e-6 - guess)) > NEAR_US * 1e-6:
@@ -94,7 +94,7 @@ def clock_of(columns: Columns, system: int, t0_us: int | None = None) -> tuple[L
         note = (
             f"the vehicle's clock jumps back {len(back)} time(s); labels count on, and so does it"
         )
-        return LogClock(stamps, times, float(t0_us), whole=False), [note]
+        return LogClock(stamps, times, float(t0_us), continuous=False), [note]
     if len(back):
         note = (
             f"the vehicle's clock jumps back {len(back)} time(s) (restart or joined logs); "

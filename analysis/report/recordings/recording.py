@@ -67,7 +67,7 @@ class GroundTrack:
     alt_m: Vector
     on_earth: bool = True
 
-    def part(self, rows: NDArray[np.bool_] | slice) -> "GroundTrack":
+    def select(self, rows: NDArray[np.bool_] | slice) -> "GroundTrack":
         """The rows chosen."""
         names = ("t_s", "lat_deg", "lon_deg", "alt_m")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})

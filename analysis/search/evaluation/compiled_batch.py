@@ -111,9 +111,9 @@ class Batch:
         `first` is the number of the first evaluation: noise belongs to seed and number.
         """
         draws = self.test.noise_draws if draws is None else draws
-        return self.of_values(self.space.values(points), seed, first, draws)
+        return self.evaluate_values(self.space.values(points), seed, first, draws)
 
-    def of_values(
+    def evaluate_values(
         self,
         values: Mapping[str, Array],
         seed: int,
@@ -135,16 +135,16 @@ class Batch:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
         # For few flights, or where gusts move the aircraft, sorting out does not pay or is wrong.
         if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
-            columns = self._flown(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
+            columns = self._fly_columns(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)
             return outcome_of(columns, self.test)
-        once = self._flown(flights, seed, numbers[:, 0])
+        once = self._fly_columns(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
         # Only those flights have a fitness that depends on the noise.
         stays = once[rows.BROKEN_LIMIT] == 0.0
         if stays.any():
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
-            again = self._flown(rest, seed, numbers[stays, 1:].ravel())
+            again = self._fly_columns(rest, seed, numbers[stays, 1:].ravel())
             columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
         return outcome_of(columns, self.test)
 
@@ -152,7 +152,7 @@ class Batch:
         """Values (n,) by name as columns (ROWS, n) for the kernel."""
         return flights_of(self.test, values, hover_rps(self.airframe, self.test.density_kgpm3))
 
-    def _flown(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
+    def _fly_columns(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
         """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
         columns = pad_lanes(flights)
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)

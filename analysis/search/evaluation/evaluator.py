@@ -25,7 +25,7 @@ class Evaluator(Protocol):
     ) -> EvaluationOutcome:
         """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
 
-    def of_values(
+    def evaluate_values(
         self, values: Mapping[str, Array], seed: int, first: int, draws: int, alike: bool = False
     ) -> EvaluationOutcome:
         """Fly values (n,) by name; with the same noise for all if `alike`."""
@@ -34,7 +34,7 @@ class Evaluator(Protocol):
 def make_evaluator(test: TestFile) -> Evaluator:
     """The evaluator of a test."""
     # The simulator's parts are loaded for tests that need them.
-    if test.flown:
+    if test.simulated:
         from analysis.search.evaluation.simulated_batch import SimulatedBatch
 
         return SimulatedBatch(test)

@@ -62,7 +62,7 @@ class FlightScorer:
         self._scorer = AttitudeScorer(config)
         self._state = self._scorer.new_state()
 
-    def hear(self, data: bytes) -> None:
+    def add_bytes(self, data: bytes) -> None:
         """Take in what left the proxy for the monitor."""
         items = self._parser.push(data, datagram=False)
         # Only verified frames are heard, as by the monitor itself.
@@ -97,9 +97,9 @@ class SimulatedBatch:
     ) -> EvaluationOutcome:
         """Fly points (n, d) of the unit cube, `first` being the first evaluation's number."""
         draws = self.test.noise_draws if draws is None else draws
-        return self.of_values(self.space.values(points), seed, first, draws)
+        return self.evaluate_values(self.space.values(points), seed, first, draws)
 
-    def of_values(
+    def evaluate_values(
         self,
         values: Mapping[str, Array],
         seed: int,
@@ -157,11 +157,11 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
     flight = ProxiedFlight(scenario, schedule)
     broken_limit = steps = 0
     # The envelope is looked at after each step, and ends the flight.
-    while not flight.over and broken_limit == 0:
-        watch.hear(flight.advance([]).monitor)
+    while not flight.finished and broken_limit == 0:
+        watch.add_bytes(flight.advance([]).monitor)
         broken_limit, steps = limit(flight.simulation.truth), steps + 1
     # What the faults still keep back leaves too.
-    watch.hear(flight.finish().monitor)
+    watch.add_bytes(flight.finish().monitor)
     flight.drain_labels()
     parts = watch.summary(flight.completed_labels()).get(test.estimator, {})
     rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})

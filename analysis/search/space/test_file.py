@@ -203,7 +203,7 @@ class TestFile(Section, frozen=True):
         for name, (low, high) in self.vary.items():
             if low > high:
                 raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
-        if not self.flown:
+        if not self.simulated:
             self._check_compiled()
         elif self.criterion not in ("euler", "angle"):
             raise ValueError(f"criterion: {self.criterion} is compiled for the inverse-model only")
@@ -242,7 +242,7 @@ class TestFile(Section, frozen=True):
         return units.get(self.criterion, "deg")
 
     @property
-    def flown(self) -> bool:
+    def simulated(self) -> bool:
         """Whether the simulator and the proxy fly it, one flight after the other."""
         return self.scenario is not None or self.estimator in SIMULATOR_ESTIMATORS
 

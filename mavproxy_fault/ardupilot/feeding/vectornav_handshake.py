@@ -47,13 +47,13 @@ class Handshake:
         if not start or not star or given.upper() != b"%02X" % xor_checksum(body):
             return b""  # ArduPilot repeats what was not answered
         try:
-            return format_sentence(self._obey(body))
+            return format_sentence(self._execute(body))
         except ConfigError:
             raise
         except ValueError:
             return b""  # a number that is none
 
-    def _obey(self, body: bytes) -> bytes:
+    def _execute(self, body: bytes) -> bytes:
         """Carry a command out; its answer."""
         match body.split(b","):
             # ArduPilot 4.5 leaves out the zero.

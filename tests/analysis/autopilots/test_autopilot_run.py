@@ -74,7 +74,7 @@ def recorded_px4(tmp_path) -> str:
     """A build of PX4 whose program is the stand-in."""
     program = tmp_path / "px4" / "bin" / "px4"
     (program.parent.parent / "etc" / "init.d-posix").mkdir(parents=True)
-    (program.parent.parent / "etc" / "init.d-posix" / "rcS").touch()
+    (program.parent.parent / "etc" / "init.d-posix" / "rcS").confirm()
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec {sys.executable} {PX4_STAND_IN} "$@"\n')
     program.chmod(0o755)
@@ -240,7 +240,7 @@ def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4, ru
         states: Queue[bytes] = Queue()
         bus.subscribe("schedule/state", lambda _, payload: states.put(payload))
         entry = {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}
-        (answer,) = bus.ask("@ctl/fault/live/arm", json.dumps(entry).encode(), 60.0)
+        (answer,) = bus.query("@ctl/fault/live/arm", json.dumps(entry).encode(), 60.0)
         assert json.loads(answer)["armed"] == ["live"]
         while b'"live"' not in states.get(timeout=60.0):
             pass

@@ -103,7 +103,7 @@ def test_nothing_is_armed_before_the_program_has_started():
 def test_an_autopilot_for_another_kind_of_vehicle_is_told(mav_type, ends):
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0, kind="multirotor")))
     autopilot.second(frame("HEARTBEAT", type=mav_type))
-    reason = autopilot.operator.gave_up
+    reason = autopilot.operator.failure
     assert ("flies a fixedwing, the scenario's vehicle is a multirotor" in reason) == ends
 
 
@@ -112,7 +112,7 @@ def test_a_start_that_takes_long_is_not_held_against_the_vehicle():
     for second in range(1, 230):
         autopilot.operator.heard(READY)
         autopilot.operator.step(second * SECOND_US, started=False)
-    assert not autopilot.operator.gave_up
+    assert not autopilot.operator.failure
     autopilot.operator.step(230 * SECOND_US)
     assert autopilot.operator.phase is Phase.ARMING
 
@@ -134,14 +134,14 @@ def test_a_hover_goes_up_waits_and_comes_down():
     autopilot.second(frame("HEARTBEAT", base_mode=81))
     assert autopilot.operator.phase is Phase.LANDED
     assert autopilot.operator.over
-    assert not autopilot.operator.gave_up
+    assert not autopilot.operator.failure
 
 
 def test_the_moments_of_a_flight_are_kept():
     autopilot = Autopilot(operator(FlightPlan(10.0, 3.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("MISSION_ITEM_REACHED", seq=2))
-    moments = autopilot.operator.moments_us
+    moments = autopilot.operator.events_us
     # each is noted at the latest stamp the operator was stepped to
     assert moments["take-off"] == moments["arming"] + 1 * SECOND_US
     assert moments["mission-item:2"] == moments["arming"] + 2 * SECOND_US
@@ -173,7 +173,7 @@ def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
     while not autopilot.operator.over:
         autopilot.second()
     assert autopilot.operator.over
-    assert autopilot.operator.gave_up == "still waiting for a position after 181 s"
+    assert autopilot.operator.failure == "still waiting for a position after 181 s"
 
 
 def test_an_autopilot_that_lands_by_itself_ends_the_flight():
@@ -181,16 +181,16 @@ def test_an_autopilot_that_lands_by_itself_ends_the_flight():
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
     assert autopilot.operator.over
-    assert not autopilot.operator.gave_up
-    assert "landed" in autopilot.operator.moments_us
-    assert "landing" not in autopilot.operator.moments_us  # nobody asked for it
+    assert not autopilot.operator.failure
+    assert "landed" in autopilot.operator.events_us
+    assert "landing" not in autopilot.operator.events_us  # nobody asked for it
 
 
 def test_motors_that_stop_during_the_take_off_are_told():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.CLIMBING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
-    assert autopilot.operator.gave_up == "disarmed while taking off"
+    assert autopilot.operator.failure == "disarmed while taking off"
 
 
 @pytest.mark.parametrize("component", [1, 25])
@@ -212,7 +212,7 @@ def test_a_flight_whose_vehicle_lies_on_the_ground_with_motors_on_is_given_up(ly
     for _ in range(lying_s):
         autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=9_500), on_ground=True)
     gave_up = "on the ground for 30 s with its motors on"
-    assert autopilot.operator.gave_up == (gave_up if lying_s > 30 else "")
+    assert autopilot.operator.failure == (gave_up if lying_s > 30 else "")
 
 
 def test_a_vehicle_on_the_ground_before_its_take_off_is_waited_for():
@@ -220,4 +220,4 @@ def test_a_vehicle_on_the_ground_before_its_take_off_is_waited_for():
     autopilot.up_to(Phase.CLIMBING)
     for _ in range(40):
         autopilot.second(on_ground=True)
-    assert not autopilot.operator.gave_up
+    assert not autopilot.operator.failure

@@ -97,7 +97,7 @@ def flown(scenario, compiled):
     """What left for an autopilot that answers everything, what it commanded, and the logs."""
     faults = [{"id": f"f{n}", **fault} for n, fault in enumerate(FAULTS)]
     flight = ProxiedFlight(scenario, parse_schedule({"seed": 5, "faults": faults}))
-    passage = new_passage(flight.core, flight.tape) if compiled else None
+    passage = new_passage(flight.core, flight.capture) if compiled else None
     outward, lockstep = (
         AutopilotSender(flight, HilPacker(), lambda sends: None, passage=passage),
         Lockstep(),
@@ -117,7 +117,7 @@ def flown(scenario, compiled):
     if passage is not None:
         passage.count()
     core = flight.core
-    return left, steps, commanded, flight.tape, core.drain_labels(), core.states, core.senders
+    return left, steps, commanded, flight.capture, core.drain_labels(), core.states, core.senders
 
 
 def test_machine_code_and_the_core_let_the_same_bytes_through(scenario):
@@ -235,9 +235,9 @@ def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
             assert select.select(one.filenos(), [], [], 5.0)[0]
         assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
         attitude = message_layout("ATTITUDE").id
-        assert attitude not in [send.data[7] for send in outward.unheard]
+        assert attitude not in [send.data[7] for send in outward.undelivered]
         assert inward.frames(5.0) == []
-        outward.hear_all()
+        outward.deliver_all()
     assert attitude in [send.data[7] for send in heard]
 
 
@@ -249,8 +249,8 @@ def test_the_operator_is_asked_while_the_autopilot_works_and_once_a_step(flight_
     )
     fly(outward, 1)
     assert asked == []
-    outward.meanwhile()
-    outward.meanwhile()
+    outward.work_between_steps()
+    outward.work_between_steps()
     assert asked == [1]
 
 

@@ -92,7 +92,7 @@ def flown(
     """A flight under the stand-in, and the steps of each stretch."""
     entries = [{"id": str(n), **fault} for n, fault in enumerate(faults)]
     flight = ProxiedFlight(read_scenario(scenario), parse_schedule({"faults": entries}))
-    passage = new_passage(flight.core, flight.tape)
+    passage = new_passage(flight.core, flight.capture)
     hil, lockstep = HilPacker(), Lockstep(timeout_s=20.0)
     lockstep.locked = True  # from the first step on, as nothing here may hang on the clock
     outward = AutopilotSender(flight, hil, lambda _: None, passage=passage)
@@ -119,7 +119,7 @@ def flown(
         )
         with pytest.raises(Exception, match="closed the link"):
             loop.run()
-        outward.hear_all()
+        outward.deliver_all()
     flight.core.finish(flight.now_us)
     if passage is not None:
         passage.count()
@@ -145,7 +145,7 @@ def test_plain_steps_leave_as_the_ordinary_ones_do(
     plain, stretches = flown(path, kind, faults, plainly=True)
     assert sum(stretches) > (0.4 if faults else 0.9) * STEPS
     for log in ("received", "sent", "index", "received_other", "sent_other"):
-        assert getattr(plain.tape, log) == getattr(ordinary.tape, log), log
+        assert getattr(plain.capture, log) == getattr(ordinary.capture, log), log
     assert plain.drain_labels() == ordinary.drain_labels()
     assert plain.stats() == ordinary.stats()
     assert plain.simulation.truth.t_us == ordinary.simulation.truth.t_us

@@ -186,14 +186,14 @@ def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text((HERE / "small.yaml").read_text() + f"\nvary: {vary}\n")
     campaign = read_campaign(tmp_path / "c.yaml")
     plan = CampaignPlan(campaign)
-    assert plan.most_cells == 8
+    assert plan.max_cells == 8
     name = "short.yaml environment.wind_ned_mps[0]=5 start.heading_deg=90"
     assert plan.scenarios[1] == name
     scenario = setup_by_name(campaign, name).scenario
     assert scenario.environment.wind_ned_mps[0] == 5.0
     assert scenario.start.heading_deg == 90.0
     words = ["--set", "environment.wind_ned_mps[0]=5", "--set", "start.heading_deg=90"]
-    assert campaign.scenario_words(name) == [str(tmp_path / "short.yaml"), *words]
+    assert campaign.scenario_arguments(name) == [str(tmp_path / "short.yaml"), *words]
 
 
 def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> None:

@@ -27,8 +27,8 @@ def test_the_examples_are_right(path: Path) -> None:
 
 
 def test_a_range_of_magnitudes_is_spread_evenly() -> None:
-    assert Magnitudes(low=0.1, high=1000.0).listed() == [0.1, 1.0, 10.0, 100.0, 1000.0]
-    assert Magnitudes(low=-1, high=1, count=3, spacing="linear").listed() == [-1.0, 0.0, 1.0]
+    assert Magnitudes(low=0.1, high=1000.0).spaced_values() == [0.1, 1.0, 10.0, 100.0, 1000.0]
+    assert Magnitudes(low=-1, high=1, count=3, spacing="linear").spaced_values() == [-1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,13 @@ def answered(cells, outcome: str) -> dict[str, CellResult]:
 def test_the_size_of_a_campaign_is_its_product() -> None:
     twice = msgspec.structs.replace(SMALL, seeds=(1, 2, 3), onsets=(1.0, 2.0))
     plan = CampaignPlan(twice)
-    assert (plan.most_cells, plan.most_flights, len(plan.twins())) == (24, 12, 3)
+    assert (plan.max_cells, plan.max_flights, len(plan.reference_jobs())) == (24, 12, 3)
     assert plan.flight_s == 6.0
-    assert CampaignPlan(LANES).most_cells == 100_000
+    assert CampaignPlan(LANES).max_cells == 100_000
 
 
 def test_subjects_of_the_simulator_share_their_flights() -> None:
-    jobs = [next(thread) for thread in CampaignPlan(SMALL).threads({}, TWINS)]
+    jobs = [next(thread) for thread in CampaignPlan(SMALL).job_sequences({}, TWINS)]
     assert [[cell.subject for cell in job.cells] for job in jobs] == [["ekf", "mahony"]] * 2
     assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
 
@@ -32,31 +32,31 @@ def test_subjects_of_the_simulator_share_their_flights() -> None:
 def test_an_autopilot_beside_them_flies_alone() -> None:
     px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
     mixed = CampaignPlan(msgspec.structs.replace(SMALL, subjects=("ekf", px4, "mahony")))
-    twins = {key: CampaignFlight({}) for key in mixed.twins()}
-    jobs = [next(thread) for thread in mixed.threads({}, twins)]
+    twins = {key: CampaignFlight({}) for key in mixed.reference_jobs()}
+    jobs = [next(thread) for thread in mixed.job_sequences({}, twins)]
     assert list(twins) == ["ekf|short.yaml|1", "px4|short.yaml|1"]
     assert [[cell.subject for cell in job.cells] for job in jobs] == (
         [["ekf", "mahony"]] * 2 + [["px4"]] * 2
     )
-    assert (mixed.most_cells, mixed.most_flights) == (6, 4)
+    assert (mixed.max_cells, mixed.max_flights) == (6, 4)
 
 
 def test_what_is_known_is_not_flown_again() -> None:
-    first = next(next(CampaignPlan(SMALL).threads({}, TWINS)))
+    first = next(next(CampaignPlan(SMALL).job_sequences({}, TWINS)))
     known = answered(first.cells, "unaffected")
-    (left,) = CampaignPlan(SMALL).threads(known, TWINS)
+    (left,) = CampaignPlan(SMALL).job_sequences(known, TWINS)
     assert next(left).cells[0].magnitude == 2.0
 
 
 def test_a_half_written_flight_is_flown_for_the_missing_subject() -> None:
-    first = next(next(CampaignPlan(SMALL).threads({}, TWINS)))
+    first = next(next(CampaignPlan(SMALL).job_sequences({}, TWINS)))
     known = answered(first.cells[:1], "unaffected")
-    job = next(next(CampaignPlan(SMALL).threads(known, TWINS)))
+    job = next(next(CampaignPlan(SMALL).job_sequences(known, TWINS)))
     assert [cell.subject for cell in job.cells] == ["mahony"]
 
 
 def test_lanes_hold_cells_of_one_subject_fault_and_seed() -> None:
-    jobs = [next(thread) for thread in CampaignPlan(LANES).threads({}, {})]
+    jobs = [next(thread) for thread in CampaignPlan(LANES).job_sequences({}, {})]
     assert sum(len(job.cells) for job in jobs) == 100_000
     for job in jobs:
         assert len({(c.subject, c.scenario, c.fault, c.seed) for c in job.cells}) == 1
@@ -65,7 +65,7 @@ def test_lanes_hold_cells_of_one_subject_fault_and_seed() -> None:
 def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResult]) -> int:
     """Fly a critical search of a subject that breaks from a threshold on; the flights made."""
     flights = 0
-    for thread in CampaignPlan(campaign).threads(known, TWINS):
+    for thread in CampaignPlan(campaign).job_sequences(known, TWINS):
         job = next(thread, None)
         while job is not None:
             flights += 1
@@ -84,11 +84,11 @@ def test_a_critical_search_goes_on_where_it_was_killed() -> None:
     campaign = msgspec.structs.replace(SMALL, find="critical", subjects=("ekf",))
     known: dict[str, CellResult] = {}
     assert bisected(campaign, 0.1, known) == 8
-    whole = CampaignPlan(campaign).criticals(known)
+    whole = CampaignPlan(campaign).critical_magnitudes(known)
     for key in list(known)[5:]:
         del known[key]
-    assert CampaignPlan(campaign).criticals(known) == {}
+    assert CampaignPlan(campaign).critical_magnitudes(known) == {}
     assert bisected(campaign, 0.1, known) == 3
-    assert CampaignPlan(campaign).criticals(known) == whole
+    assert CampaignPlan(campaign).critical_magnitudes(known) == whole
     (critical,) = whole.values()
     assert critical.harmless < 0.1 <= critical.magnitude

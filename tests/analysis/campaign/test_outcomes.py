@@ -83,9 +83,9 @@ def test_the_worst_that_happened_counts() -> None:
 
 def test_a_flight_that_could_not_be_made_says_nothing() -> None:
     assert outcome_rank("aborted") == -1
-    assert not OutcomeLimits().worse("aborted")
-    assert OutcomeLimits(worse_from="failsafe").worse("failsafe")
-    assert not OutcomeLimits(worse_from="failsafe").worse("degraded")
+    assert not OutcomeLimits().is_worse("aborted")
+    assert OutcomeLimits(worse_from="failsafe").is_worse("failsafe")
+    assert not OutcomeLimits(worse_from="failsafe").is_worse("degraded")
 
 
 def test_wrong_limits_are_told() -> None:

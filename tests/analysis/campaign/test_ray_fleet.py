@@ -36,11 +36,11 @@ def test_a_killed_node_loses_no_cell(tmp_path: Path) -> None:
             nodes[0] = 1
 
     try:
-        CampaignRun(plan, fleet, ledger, kill_after_the_first).fly()
+        CampaignRun(plan, fleet, ledger, kill_after_the_first).run_all()
     finally:
         fleet.close()
         ledger.close()
         cluster.shutdown()
     assert nodes == [1], "a node died on the way"
-    assert len(ledger.results) == plan.most_cells == 12
+    assert len(ledger.results) == plan.max_cells == 12
     assert "aborted" not in {result.outcome for result in ledger.results.values()}

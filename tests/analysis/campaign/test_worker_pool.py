@@ -16,7 +16,7 @@ LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent))
 
 def test_a_hung_flight_is_ended_and_told() -> None:
     fleet = LocalWorkerPool(1, 0.01)
-    (job,) = CampaignPlan(LONG).twins().values()
+    (job,) = CampaignPlan(LONG).reference_jobs().values()
     try:
         fleet.start(7, job)
         number, answer = fleet.finished()
@@ -31,7 +31,7 @@ def test_a_hung_flight_is_ended_and_told() -> None:
 def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "short.yaml")
     campaign = msgspec.structs.replace(SMALL, folder=str(tmp_path))
-    (job,) = CampaignPlan(campaign).twins().values()
+    (job,) = CampaignPlan(campaign).reference_jobs().values()
     fleet = LocalWorkerPool(1, 60.0)
     try:
         fleet.start(1, job)

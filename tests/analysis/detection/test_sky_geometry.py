@@ -21,7 +21,7 @@ def decisions(shared_data):
     detector = Detector()
     results, _ = detector.step(part, detector.new_state())
     sky = RecordedSky(part, DetectorConfig())
-    return [r for r in sky.above(results) if isinstance(r, Decision)]
+    return [r for r in sky.add_sky(results) if isinstance(r, Decision)]
 
 
 def test_every_satellite_of_a_decision_has_its_place(decisions):

@@ -88,7 +88,7 @@ def test_imu_samples_that_come_late_take_the_place_of_the_motion_model(flights):
     late, graph = fused(moved(samples, hold, 8_600_000))
     assert all(s.weights["imu"] == 0.0 for s in late if s.t_us in (8_200_000, 8_400_000))
     edges = {e.t_us: e.edge for e in graph.epochs.values() if e.edge is not None}
-    assert all(edges[t_us].sound(0.02) for t_us in (8_200_000, 8_400_000))
+    assert all(edges[t_us].uses_imu(0.02) for t_us in (8_200_000, 8_400_000))
 
 
 def test_imu_samples_out_of_order_between_epochs_change_nothing(short, in_order):
@@ -106,5 +106,5 @@ def test_a_late_barometer_sample_joins_the_epoch_of_its_time(short):
         if isinstance(sample, Epoch) and sample.t_us == ARRIVES_US:
             samples.append(BaroSample(LATE_US, 95_000.0, 540.0))
     _, graph = fused(samples)
-    joined = [epoch for source, epoch in graph.window.named() if source == "baro"]
+    joined = [epoch for source, epoch in graph.window.committed() if source == "baro"]
     assert [graph.epochs[epoch].t_us for epoch in joined] == [LATE_US]

@@ -110,7 +110,7 @@ def test_each_source_has_factors_at_its_own_rate(rich):
     assert used(states, "airspeed") >= late
     assert used(states, "baro") & late == slow
     assert used(states, "vision") & late == slow
-    names = {name for name, _ in graph.window.named()}
+    names = {name for name, _ in graph.window.committed()}
     assert {"imu", "clock", "ranges", "mag", "airspeed", "baro", "vision", "h", "w"} <= names
 
 
@@ -178,5 +178,7 @@ def test_late_samples_join_the_epoch_of_their_time(rich):
             samples += late
     _, graph = flown([s for s in samples if s.t_us <= 7_000_000])
     for source in ("baro", "mag", "airspeed", "vision"):
-        times = {graph.epochs[epoch].t_us for name, epoch in graph.window.named() if name == source}
+        times = {
+            graph.epochs[epoch].t_us for name, epoch in graph.window.committed() if name == source
+        }
         assert LATE_US in times

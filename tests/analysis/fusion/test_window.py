@@ -61,4 +61,4 @@ def test_a_factor_attached_to_what_leaves_in_the_same_update_is_forgotten():
             window.attach("prior", 0, 0.0, again)
         window.commit()
     assert window.slots("prior", 0) == ()
-    assert all(epoch >= round(LAG_S / STEP_S) for _, epoch in window.named())
+    assert all(epoch >= round(LAG_S / STEP_S) for _, epoch in window.committed())

@@ -144,7 +144,7 @@ def test_damaged_bytes_in_a_dataflash_log_are_passed_over(tmp_path: Path) -> Non
     data[len(data) // 2 : len(data) // 2] = b"\x00\x01\x02\x03\x04"
     path.write_bytes(bytes(data[:-7]))
     found = read_dataflash(path)
-    assert found.damaged
+    assert found.corrupted
     assert found.cut
     assert len(found.topics["ATT", 0]["Roll"]) >= 98
 

@@ -23,8 +23,8 @@ def unpacked(numbers: PackedNumbers) -> np.typing.NDArray[np.float32]:
 
 def test_values_come_back_where_their_place_says() -> None:
     numbers = PackedNumbers()
-    numbers.values(np.array([1.0, 2.0]))
-    place = numbers.values(np.array([3.5, np.nan]))
+    numbers.add_values(np.array([1.0, 2.0]))
+    place = numbers.add_values(np.array([3.5, np.nan]))
     assert place == {"at": 2, "n": 2}
     assert unpacked(numbers)[2] == 3.5
     assert np.isnan(unpacked(numbers)[3])
@@ -32,7 +32,7 @@ def test_values_come_back_where_their_place_says() -> None:
 
 def test_an_even_time_axis_is_two_numbers() -> None:
     numbers = PackedNumbers()
-    place = numbers.times(1000.0 + 0.004 * np.arange(50_000))
+    place = numbers.add_times(1000.0 + 0.004 * np.arange(50_000))
     assert set(place) == {"offset", "step", "n"}
     assert numbers.parts == []
 
@@ -41,7 +41,7 @@ def test_an_uneven_time_axis_keeps_microseconds_an_hour_into_a_log() -> None:
     rng = np.random.default_rng(1)
     t_s = 3600 + np.cumsum(rng.uniform(0.003, 0.005, 10_000))
     numbers = PackedNumbers()
-    place = numbers.times(t_s)
+    place = numbers.add_times(t_s)
     at = int(place["at"])
     back = place["offset"] + place["step"] * np.arange(10_000) + unpacked(numbers)[at : at + 10_000]
     assert np.abs(back - t_s).max() < 2e-6

@@ -43,7 +43,7 @@ def test_metres_of_a_local_path_are_metres_on_the_map() -> None:
     assert np.radians(LOCAL.lat_deg) * radius_m == pytest.approx(T, rel=2e-3)
     assert np.radians(LOCAL.lon_deg) * radius_m == pytest.approx(2.0 * T, rel=2e-3)
     assert LOCAL.alt_m == pytest.approx(T)
-    assert not LOCAL.part(T > 1).on_earth
+    assert not LOCAL.select(T > 1).on_earth
 
 
 def test_an_indoor_flight_of_a_real_vehicle_has_its_path(shared_data: Path) -> None:

@@ -18,7 +18,7 @@ def test_a_receiver_without_a_solution_does_not_end_the_flight(name: str) -> Non
     entry = {"preset": name, "id": "it", "at_s": 1.0}
     flight = ProxiedFlight(scenario, parse_schedule({"seed": 1, "faults": [entry]}))
     parser, fixes, ground = Parser(), [], []
-    while not flight.over:
+    while not flight.finished:
         sent = flight.advance([])
         ground += sent.ground
         frames = parser.push(sent.monitor, datagram=False)

@@ -59,7 +59,7 @@ def test_a_twin_that_fails_is_told_and_costs_the_effects_alone(
 ) -> None:
     process: Any = SimpleNamespace(exitcode=exitcode, join=lambda: None)
     twin = ReferenceRun(process, SimpleNamespace(value=1 << 62))
-    assert twin.flown(5_000_000) is flown
+    assert twin.wait_until(5_000_000) is flown
     assert twin.until_us.value == 5_000_000
     assert bool(capsys.readouterr().err) is not flown
 

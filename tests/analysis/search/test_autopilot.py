@@ -103,7 +103,7 @@ def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
     coming, _ = flights
     coming += [{"error_deg": FAULTED_DEG, "landed": False}]
     flown = SimulatedBatch(read_test(EXAMPLE))
-    outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
+    outcome = flown.evaluate_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
     assert outcome.broken_limit.tolist() == [7]
     assert outcome.fitness[0] < 0.0  # worse than any that stayed in the air
 
@@ -125,5 +125,5 @@ def test_a_real_px4_is_turned_by_a_gyro_bias_of_the_search(tmp_path):
     (tmp_path / "search.yaml").write_text(text)
     shutil.copy(EXAMPLE.with_name("px4_brief_hover.yaml"), tmp_path)
     flown = SimulatedBatch(read_test(tmp_path / "search.yaml"))
-    outcome = flown.of_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
+    outcome = flown.evaluate_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
     assert outcome.rmse_deg[0, 3] > 2.0

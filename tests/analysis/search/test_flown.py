@@ -101,8 +101,8 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
             ProxiedFlight(setup.scenario, setup.schedule),
             FlightScorer(setup.monitor.attitude),
         )
-        while not flight.over:
-            watch.hear(flight.advance([]).monitor)
+        while not flight.finished:
+            watch.add_bytes(flight.advance([]).monitor)
         again = watch.summary([])["inverse-model"]["rmse_deg"]["max"]
         assert again == pytest.approx(error, rel=0.05, abs=5.0 * 0.02)
 
@@ -130,8 +130,8 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
         ProxiedFlight(setup.scenario, setup.schedule),
         FlightScorer(setup.monitor.attitude),
     )
-    while not flight.over:
-        watch.hear(flight.advance([]).monitor)
+    while not flight.finished:
+        watch.add_bytes(flight.advance([]).monitor)
     rmse = watch.summary([])["mahony"]["rmse_deg"]
     assert rmse["max"] == pytest.approx(cases[0].parts["rmse_deg"]["max"], rel=1e-9)
 
@@ -145,7 +145,7 @@ def test_a_worst_case_is_a_cell_of_a_campaign(tmp_path):
     setup = read_setup(str(tmp_path / "worst-01.yaml"))
     (entry,) = [parsed for parsed in setup.schedule.faults if parsed.id == "drawn-0"]
     (choice,) = cell.faults
-    again = choice.entry(choice.listed()[0], cell.onsets[0], cell.durations_s[0])
+    again = choice.entry(choice.magnitude_list()[0], cell.onsets[0], cell.durations_s[0])
     assert again.pop("for_s") == setup.scenario.duration_s  # the search's lasts to the end
     assert parse_schedule({"faults": [again]}, "here").faults[0] == entry
     assert cell.seeds == (setup.scenario.seed,)

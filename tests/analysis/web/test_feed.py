@@ -16,11 +16,11 @@ def said(viewer: Viewer) -> list[list[object]]:
 
 def test_a_tick_carries_the_newest_state_and_every_event() -> None:
     feed = Feed()
-    viewer = feed.join()
+    viewer = feed.add_viewer()
     said(viewer)
     for number in range(5):
-        feed.push("schedule/state", b"%d" % number)
-        feed.push("fdi/events", b"%d" % number)
+        feed.add_sample("schedule/state", b"%d" % number)
+        feed.add_sample("fdi/events", b"%d" % number)
     feed.tick()
     feed.tick()
     assert said(viewer) == [["schedule/state", 4], *(["fdi/events", n] for n in range(5))]
@@ -28,10 +28,10 @@ def test_a_tick_carries_the_newest_state_and_every_event() -> None:
 
 def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
     feed = Feed()
-    frozen, lively = feed.join(), feed.join()
+    frozen, lively = feed.add_viewer(), feed.add_viewer()
     said(lively)
     for number in range(3 * MAX_QUEUED_BATCHES):
-        feed.push("fdi/main/stat", b"%d" % number)
+        feed.add_sample("fdi/main/stat", b"%d" % number)
         feed.tick()
         assert said(lively) == [["fdi/main/stat", number]]
     assert frozen.queue.qsize() <= MAX_QUEUED_BATCHES
@@ -39,10 +39,10 @@ def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
 
 def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
     feed = Feed()
-    viewer = feed.join()
-    feed.push("fdi/events", b'"early"')
+    viewer = feed.add_viewer()
+    feed.add_sample("fdi/events", b'"early"')
     for number in range(MAX_QUEUED_BATCHES):
-        feed.push("schedule/state", b"%d" % number)
+        feed.add_sample("schedule/state", b"%d" % number)
         feed.tick()
     assert said(viewer) == [
         ["page/picture", None],
@@ -53,28 +53,32 @@ def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
 
 def test_who_joins_late_is_told_the_events_and_the_newest_samples() -> None:
     feed = Feed()
-    feed.push("proxy/labels", b"1")
-    feed.push("schedule/state", b"2")
+    feed.add_sample("proxy/labels", b"1")
+    feed.add_sample("schedule/state", b"2")
     feed.tick()
-    assert said(feed.join()) == [["page/picture", None], ["schedule/state", 2], ["proxy/labels", 1]]
+    assert said(feed.add_viewer()) == [
+        ["page/picture", None],
+        ["schedule/state", 2],
+        ["proxy/labels", 1],
+    ]
 
 
 def test_a_sample_that_is_no_json_does_not_spoil_the_batch() -> None:
     feed = Feed()
-    viewer = feed.join()
+    viewer = feed.add_viewer()
     said(viewer)
-    feed.push("fdi/main/stat", b"{nonsense")
-    feed.push("att/ekf/score", b"3")
+    feed.add_sample("fdi/main/stat", b"{nonsense")
+    feed.add_sample("att/ekf/score", b"3")
     feed.tick()
     assert said(viewer) == [["att/ekf/score", 3]]
 
 
 def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
     feed = Feed()
-    viewer = feed.join()
+    viewer = feed.add_viewer()
     said(viewer)
     for number in range(2 * SAMPLES_PER_TICK):
-        feed.push("fdi/main/stat", b"%d" % number)
+        feed.add_sample("fdi/main/stat", b"%d" % number)
     feed.tick()
     assert said(viewer) == [
         ["fdi/main/stat", number] for number in range(SAMPLES_PER_TICK, 2 * SAMPLES_PER_TICK)
@@ -84,25 +88,25 @@ def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
 def test_a_late_joiner_is_shown_the_past_of_a_curve() -> None:
     feed = Feed()
     for number in range(3):
-        feed.push("fdi/main/stat", b"%d" % number)
+        feed.add_sample("fdi/main/stat", b"%d" % number)
         feed.tick()
-    assert said(feed.join())[1:] == [["fdi/main/stat", number] for number in range(3)]
+    assert said(feed.add_viewer())[1:] == [["fdi/main/stat", number] for number in range(3)]
 
 
 def test_the_proxy_is_asked_for_what_any_viewer_wants_and_exists() -> None:
     feed = Feed()
-    one, other = feed.join(), feed.join()
-    one.wish('["HIL_GPS", "NO_SUCH_MESSAGE"]')
-    other.wish('["ATTITUDE", "HIL_GPS"]')
-    other.wish("{")
-    assert feed.wishes() == ["ATTITUDE", "HIL_GPS"]
-    feed.leave(other)
-    assert feed.wishes() == ["HIL_GPS"]
+    one, other = feed.add_viewer(), feed.add_viewer()
+    one.request_messages('["HIL_GPS", "NO_SUCH_MESSAGE"]')
+    other.request_messages('["ATTITUDE", "HIL_GPS"]')
+    other.request_messages("{")
+    assert feed.requested_messages() == ["ATTITUDE", "HIL_GPS"]
+    feed.remove_viewer(other)
+    assert feed.requested_messages() == ["HIL_GPS"]
 
 
 def test_more_viewers_than_a_page_is_for_are_turned_away() -> None:
     feed = Feed()
     for _ in range(MAX_VIEWERS):
-        feed.join()
+        feed.add_viewer()
     with pytest.raises(ConfigError, match="viewers already"):
-        feed.join()
+        feed.add_viewer()

@@ -110,7 +110,7 @@ def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
 def test_of_several_runs_each_has_a_row_and_the_viewer_chooses_one(page: Any, loop: Any) -> None:
     assert not page.is_visible("#runs")
     with open_bus(loop.bus.url, run="other") as other:
-        other.alive("proxy")
+        other.declare_alive("proxy")
         page.click("#runs button:has-text('other: 0 faults')")
         page.wait_for_selector("#connection:has-text('connected to other')")
         page.wait_for_selector("#runs button[aria-pressed=true]:has-text('other')")

@@ -19,7 +19,7 @@ class Statuses(Feed):
         super().__init__()
         self.heard: queue.Queue[tuple[str, object]] = queue.Queue()
 
-    def push(self, key: str, payload: bytes) -> None:
+    def add_sample(self, key: str, payload: bytes) -> None:
         super().push(key, payload)
         self.heard.put((key, msgspec.json.decode(payload)))
 
@@ -52,7 +52,7 @@ def test_a_request_without_a_proxy_says_that_there_is_none(
 ) -> None:
     assert feed.next_run() is None
     with pytest.raises(ConfigError, match="no proxy and no run is there"):
-        source.ask("schedule/stop", b"")
+        source.query("schedule/stop", b"")
 
 
 def test_the_source_follows_a_proxy_that_goes_and_comes_back(
@@ -61,10 +61,10 @@ def test_the_source_follows_a_proxy_that_goes_and_comes_back(
     assert feed.next_run() is None
     for run in ("first", "second"):
         with open_bus(source.url, run=run, router=True) as proxy:
-            proxy.answer("@ctl/**", lambda key, payload, run=run: {"run": run})
-            proxy.alive("proxy")
+            proxy.serve_queries("@ctl/**", lambda key, payload, run=run: {"run": run})
+            proxy.declare_alive("proxy")
             assert feed.next_run() == run
-            assert msgspec.json.decode(source.ask("schedule/save", b"")) == {"run": run}
+            assert msgspec.json.decode(source.query("schedule/save", b"")) == {"run": run}
         assert feed.next_run() is None
 
 
@@ -73,7 +73,7 @@ def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "theirs"))
     with open_bus("tcp/127.0.0.1:0", run="first", router=True) as proxy:
-        proxy.alive("proxy")
+        proxy.declare_alive("proxy")
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "ours"))
         with pytest.raises(ConfigError, match="refuses us"):
             open_bus(proxy.url)

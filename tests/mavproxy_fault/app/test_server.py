@@ -83,7 +83,7 @@ def test_where_memory_runs_out_frames_go_on_and_what_is_not_recorded_is_counted(
                 vehicle.sendto(heartbeat(seq), address(links[0]))
             came = [station.recv(999) for _ in range(7)]
     assert came == [heartbeat(seq) for seq in range(3, 10)]
-    assert running.sheds == 3
+    assert running.memory_shortages == 3
     recorded = [raw for _, raw in split_records((tmp_path / "received.tlog").read_bytes())]
     assert came[-len(recorded) :] == recorded
     assert recorder.lost == 7 - len(recorded)
@@ -183,7 +183,7 @@ def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_byt
     running = server_module.Server([master, outlet], Core(proxy.link_roles([master, outlet])))
     with socket.create_connection(address(master)) as vehicle:
         vehicle.sendall(sensor(0)[:30])
-        while not running.core._patience:
+        while not running.core._resync_deadlines:
             running._step()
         vehicle.sendall(sensor(0)[30:])
         running._base_ns += 2 * 10**9  # so long the process was not looked after
@@ -294,7 +294,7 @@ def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures
             assert data == sensor(0)
             with open_bus(url) as bus:
                 entry = b'{"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.5}'
-                bus.ask("@ctl/fault/step/arm", entry)
+                bus.query("@ctl/fault/step/arm", entry)
                 vehicle.sendto(sensor(1), ("127.0.0.1", port))
                 (frame,) = Parser().push(station.recv(999), datagram=True)
                 assert isinstance(frame, Frame)

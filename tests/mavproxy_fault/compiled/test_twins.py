@@ -193,7 +193,7 @@ def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Out
     links = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
     cores = [Core(links, Engine(parse_schedule(schedule)), tape=CaptureBuffer()) for _ in range(2)]
     core, reference = cores
-    tape = core._tape
+    tape = core._capture
     assert tape is not None
     passage, sent = Passage(core, tape), []
     for datagram, now_us in zip(traffic, came_us, strict=True):
@@ -206,7 +206,7 @@ def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Out
     passage.count()
     for one in cores:
         one.finish(came_us[-1])
-    assert tape == reference._tape
+    assert tape == reference._capture
     return Outcome(sent, core.drain_labels(), core.states, core.senders)
 
 

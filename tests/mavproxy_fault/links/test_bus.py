@@ -38,8 +38,10 @@ def test_a_late_subscriber_gets_the_history_that_was_kept() -> None:
 
 def test_a_query_is_answered_with_json() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.answer("@ctl/fault/*/arm", lambda key, payload: {"key": key, "size": len(payload)})
-        assert client.ask("@ctl/fault/gyro/arm", b"{}") == [
+        hub.serve_queries(
+            "@ctl/fault/*/arm", lambda key, payload: {"key": key, "size": len(payload)}
+        )
+        assert client.query("@ctl/fault/gyro/arm", b"{}") == [
             b'{"key": "mavfault/v1/test/@ctl/fault/gyro/arm", "size": 2}'
         ]
 
@@ -49,22 +51,22 @@ def test_a_refused_query_raises_with_the_reason() -> None:
         raise ConfigError("fault 'x' is unknown; known: gyro")
 
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.answer("@ctl/fault/*/arm", refuse)
+        hub.serve_queries("@ctl/fault/*/arm", refuse)
         with pytest.raises(ConfigError, match="known: gyro"):
-            client.ask("@ctl/fault/x/arm")
+            client.query("@ctl/fault/x/arm")
 
 
 def test_a_wildcard_query_does_not_reach_live_control() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.answer("@ctl/fault/gyro/arm", lambda key, payload: "armed")
+        hub.serve_queries("@ctl/fault/gyro/arm", lambda key, payload: "armed")
         with pytest.raises(ConfigError, match="nobody answers"):
-            client.ask("**", timeout_s=0.3)
+            client.query("**", timeout_s=0.3)
 
 
 def test_components_are_seen_while_they_live() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.alive("proxy")
-        assert client.who() == ["mavfault/v1/test/alive/proxy"]
+        hub.declare_alive("proxy")
+        assert client.list_components() == ["mavfault/v1/test/alive/proxy"]
 
 
 def test_without_a_router_the_error_names_the_address() -> None:
@@ -84,10 +86,10 @@ def test_a_refusal_is_told_at_once_even_if_it_comes_from_another_thread() -> Non
         return outcome.result()  # the traceback refers to this frame, which refers to the future
 
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.answer("@ctl/x", refuse)
+        hub.serve_queries("@ctl/x", refuse)
         begun_s = time.monotonic()
         with pytest.raises(ConfigError, match="no"):
-            client.ask("@ctl/x", timeout_s=60)
+            client.query("@ctl/x", timeout_s=60)
         assert time.monotonic() - begun_s < 30.0
 
 
@@ -96,9 +98,9 @@ def test_a_bug_is_told_without_its_text() -> None:
         raise RuntimeError("a secret")
 
     with router() as hub, open_bus(hub.url, run="test") as client:
-        hub.answer("@ctl/x", fail)
+        hub.serve_queries("@ctl/x", fail)
         with pytest.raises(ConfigError, match="bug of ours") as caught:
-            client.ask("@ctl/x")
+            client.query("@ctl/x")
     assert "secret" not in str(caught.value)
 
 
@@ -128,13 +130,13 @@ def test_users_of_zenohs_configuration_are_let_in_and_others_are_not(tmp_path: P
         "tcp/127.0.0.1:0", run="test", router=True, config_file=str(files["hub"])
     )  # fmt: skip
     with hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
         alice = open_bus(hub.url, run="test", config_file=str(files["hub"]))
         with alice:
-            assert alice.ask("@ctl/x") == [b'"in"']
+            assert alice.query("@ctl/x") == [b'"in"']
         for config in ("", str(files["eve"])):
             with pytest.raises(ConfigError):
-                open_bus(hub.url, run="test", config_file=config).ask("@ctl/x", timeout_s=1)
+                open_bus(hub.url, run="test", config_file=config).query("@ctl/x", timeout_s=1)
 
 
 def test_a_configuration_that_cannot_be_read_is_the_users_mistake(tmp_path: Path) -> None:

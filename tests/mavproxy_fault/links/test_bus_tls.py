@@ -68,9 +68,9 @@ def test_a_certificate_of_the_lab_is_let_in_and_a_strangers_or_none_is_refused(
     router = router_config(tmp_path, signed("router"))
     friend, stranger = signed("friend"), signed("stranger", "elsewhere")
     with open_bus(ANY_PORT, run="test", router=True, config_file=router) as hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
         with open_bus(hub.url, run="test", config_file=client_config(tmp_path, friend)) as client:
-            assert client.ask("@ctl/x") == [b'"in"']
+            assert client.query("@ctl/x") == [b'"in"']
         for own in (stranger, None):
             with pytest.raises(ConfigError, match=r"tls/localhost:\d+"):
                 open_bus(hub.url, run="test", config_file=client_config(tmp_path, own))
@@ -90,11 +90,11 @@ def test_access_control_lets_one_certificate_control_and_another_only_listen(
     router = router_config(tmp_path, signed("router"), access)
     pilot, watcher = signed("pilot"), signed("watcher")
     with open_bus(ANY_PORT, run="test", router=True, config_file=router) as hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
-        hub.answer("state", lambda key, payload: "seen")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("state", lambda key, payload: "seen")
         with open_bus(hub.url, run="test", config_file=client_config(tmp_path, pilot)) as client:
-            assert client.ask("@ctl/x") == [b'"in"']
+            assert client.query("@ctl/x") == [b'"in"']
         with open_bus(hub.url, run="test", config_file=client_config(tmp_path, watcher)) as client:
-            assert client.ask("state") == [b'"seen"']
+            assert client.query("state") == [b'"seen"']
             with pytest.raises(ConfigError):
-                client.ask("@ctl/x", timeout_s=1.0)
+                client.query("@ctl/x", timeout_s=1.0)

@@ -23,9 +23,9 @@ def nobody(tmp_path: Path) -> str:
 
 def test_programs_of_the_user_are_let_in_and_others_are_told_why_not(nobody: str) -> None:
     with open_bus(ANY_PORT, run="test", router=True) as hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
         with open_bus(hub.url, run="test") as own:
-            assert own.ask("@ctl/x") == [b'"in"']
+            assert own.query("@ctl/x") == [b'"in"']
         with pytest.raises(ConfigError, match="refuses us"):
             open_bus(hub.url, run="test", config_file=nobody)
 
@@ -34,7 +34,7 @@ def test_a_plain_zenoh_program_joins_with_the_file_of_the_user() -> None:
     import zenoh
 
     with open_bus(ANY_PORT, run="test", router=True) as hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
         config = zenoh.Config.from_file(str(credentials_folder() / CONFIG))
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([hub.url]))
@@ -51,10 +51,10 @@ def test_a_router_that_asks_for_nobody_is_joined(
         monkeypatch.setenv("ZENOH_CONFIG", nobody)
     given = "" if by_variable else nobody
     with open_bus(ANY_PORT, run="test", router=True, config_file=given) as hub:
-        hub.answer("@ctl/x", lambda key, payload: "in")
+        hub.serve_queries("@ctl/x", lambda key, payload: "in")
         monkeypatch.delenv("ZENOH_CONFIG", raising=False)
         with open_bus(hub.url, run="test") as client:
-            assert client.ask("@ctl/x") == [b'"in"']
+            assert client.query("@ctl/x") == [b'"in"']
 
 
 def test_only_the_user_can_read_the_password_and_it_is_made_once(

@@ -19,35 +19,37 @@ def peers(*allowed: str, lock: bool = False) -> Peers:
 def test_strangers_do_not_cut_off_a_vehicle_that_is_silent() -> None:
     it = peers()
     vehicle = address("10.0.0.1")
-    it.hear(vehicle, FRAME, 0.0)
+    it.register(vehicle, FRAME, 0.0)
     for n in range(2 * MAX_PEERS):
-        it.hear(address("10.0.1.1", n), b"x", 10 * PEER_EXPIRY_S + n)
-    assert vehicle in it.known
-    assert len(it.known) == MAX_PEERS
+        it.register(address("10.0.1.1", n), b"x", 10 * PEER_EXPIRY_S + n)
+    assert vehicle in it.by_address
+    assert len(it.by_address) == MAX_PEERS
 
 
 def test_a_proven_newcomer_displaces_the_unproven_first() -> None:
     it = peers()
     for n in range(MAX_PEERS):
-        it.hear(address("10.0.1.1", n), FRAME if n else b"x", 0.01 * n)
-    it.hear(address("10.0.0.1"), FRAME, 2.0)
-    assert address("10.0.1.1", 0) not in it.known
-    assert address("10.0.0.1") in it.known
-    assert it.hear(address("10.0.0.2"), b"x", 3.0)
-    assert address("10.0.0.2") not in it.known
+        it.register(address("10.0.1.1", n), FRAME if n else b"x", 0.01 * n)
+    it.register(address("10.0.0.1"), FRAME, 2.0)
+    assert address("10.0.1.1", 0) not in it.by_address
+    assert address("10.0.0.1") in it.by_address
+    assert it.register(address("10.0.0.2"), b"x", 3.0)
+    assert address("10.0.0.2") not in it.by_address
 
 
 def test_only_allowed_addresses_are_heard() -> None:
     it = peers("10.0.0.0/24", "192.168.7.7")
-    heard = [it.hear(address(host), FRAME, 0.0) for host in ("10.0.0.9", "192.168.7.7", "10.0.1.1")]
+    heard = [
+        it.register(address(host), FRAME, 0.0) for host in ("10.0.0.9", "192.168.7.7", "10.0.1.1")
+    ]
     assert heard == [True, True, False]
-    assert set(it.known) == {address("10.0.0.9"), address("192.168.7.7")}
+    assert set(it.by_address) == {address("10.0.0.9"), address("192.168.7.7")}
 
 
 def test_a_locked_link_hears_the_first_that_proves_itself_and_nobody_else() -> None:
     it = peers(lock=True)
-    assert it.hear(address("10.0.0.1"), b"x", 0.0)
-    assert it.hear(address("10.0.0.2"), FRAME, 0.1)
-    assert not it.hear(address("10.0.0.1"), FRAME, 0.2)
-    assert not it.hear(address("10.0.0.3"), FRAME, 1000.0)
-    assert list(it.known) == [address("10.0.0.2")]
+    assert it.register(address("10.0.0.1"), b"x", 0.0)
+    assert it.register(address("10.0.0.2"), FRAME, 0.1)
+    assert not it.register(address("10.0.0.1"), FRAME, 0.2)
+    assert not it.register(address("10.0.0.3"), FRAME, 1000.0)
+    assert list(it.by_address) == [address("10.0.0.2")]

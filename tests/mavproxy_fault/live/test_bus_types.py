@@ -73,8 +73,8 @@ def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
             port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
             with open_bus(url) as bus:
                 bus.subscribe("**", lambda key, data: told.put((key, data)))
-                bus.ask("@ctl/fault/step/arm", FAULT)
-                bus.ask("@ctl/watch", b'["SYSTEM_TIME"]')
+                bus.query("@ctl/fault/step/arm", FAULT)
+                bus.query("@ctl/watch", b'["SYSTEM_TIME"]')
                 found = {}
                 while wanted - set(found):
                     values = {"time_unix_usec": 0, "time_boot_ms": 1000 + len(found)}

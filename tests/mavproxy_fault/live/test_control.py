@@ -254,10 +254,10 @@ def test_a_schedule_is_loaded_saved_and_stopped() -> None:
 
 def test_a_schedule_that_was_saved_later_begins_at_once_when_it_is_loaded_anew() -> None:
     it = control()
-    it.engine.tell_time(9_000_000)
+    it.engine.advance_time(9_000_000)
     ask(it, "fault/a/arm", {**BIAS, "for_s": 2})
     saved = ask(it, "schedule/save")
-    it.engine.tell_time(20_000_000)
+    it.engine.advance_time(20_000_000)
     assert ask(it, "schedule/begin", saved["anew"]) == {"faults": ["a"]}
     (fault,) = it.engine.state()["faults"]
     assert (fault["state"], fault["start_us"]) == ("active", 20_000_000)

@@ -197,15 +197,15 @@ def test_a_request_names_no_file_that_was_not_allowed(loop: Loop, tmp_path: Path
 
     for link in (secret, allowed / ".." / "secret.csv"):
         with pytest.raises(ConfigError, match="must not be named") as caught:
-            loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(link)))
+            loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(link)))
         assert "first line" not in str(caught.value)
         schedule = json.dumps({"faults": [{**entry(link), "id": "a"}]}).encode()
         with pytest.raises(ConfigError, match="must not be named"):
-            loop.live.ask("@ctl/schedule/load", schedule)
+            loop.live.query("@ctl/schedule/load", schedule)
     (allowed / "link.csv").symlink_to(secret)
     with pytest.raises(ConfigError, match="must not be named"):
-        loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "link.csv")))
-    told = loop.live.ask("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "table.csv")))
+        loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "link.csv")))
+    told = loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "table.csv")))
     assert told == {"armed": ["a"]}
 
 
@@ -256,7 +256,7 @@ def test_who_asks_a_proxy_that_ends_is_told_so_at_once() -> None:
 
     def ask() -> None:
         try:
-            live.ask("@ctl/state", b"")
+            live.query("@ctl/state", b"")
         except ConfigError as error:
             told.append(str(error))
 

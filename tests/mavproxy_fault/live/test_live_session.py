@@ -166,15 +166,15 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
         assert station.next("SCALED_IMU").xgyro == 600
         sent_us = time.time_ns() // 1000 - 1500
         value = {"value": 12.5, "sent_us": sent_us}
-        bus.ask("@ctl/fault/streamed/value", json.dumps(value).encode())
+        bus.query("@ctl/fault/streamed/value", json.dumps(value).encode())
         vehicle.send("SCALED_PRESSURE", press_abs=900.0)
         assert station.next("SCALED_PRESSURE").press_abs == 912.5
-        faults = json.loads(bus.ask("@ctl/state")[0])["faults"]
+        faults = json.loads(bus.query("@ctl/state")[0])["faults"]
         (latency_us,) = [f["latency_us"] for f in faults if f["id"] == "streamed"]
         assert 1500 <= latency_us <= time.time_ns() // 1000 - sent_us
         stale = json.dumps({"value": 99, "sent_us": sent_us - 2_500_000}).encode()
         with pytest.raises(ConfigError, match=r"values older than 2.0 s are refused"):
-            bus.ask("@ctl/fault/streamed/value", stale)
+            bus.query("@ctl/fault/streamed/value", stale)
 
         found = stats.get(timeout=20)
         while found[1]["chunks_out"] < 20:

@@ -319,8 +319,8 @@ def test_foreign_bytes_after_a_stamp_far_ahead_cost_no_more_than_a_frame() -> No
      repeat: {every_s: 0.02}}
 """)
     steps = []
-    follow = it._follow
-    it._follow = lambda *given: (steps.append(given), follow(*given))[1]  # type: ignore[method-assign]
+    follow = it._start_dependents
+    it._start_dependents = lambda *given: (steps.append(given), follow(*given))[1]  # type: ignore[method-assign]
     it.apply(sensor(1_000_000), "to-vehicle", 1_000_000)
     it.junk(b"x", "to-vehicle", 10**15 - 1)
     it.apply(sensor(10**15), "to-vehicle", 10**15 + 7_000_000)
@@ -385,7 +385,7 @@ def loading_s(count: int) -> float:
     """The processor time of an edit that takes another schedule, the least of some."""
     engine = Engine(parse_schedule("faults: []"))
     engine.start_at(0)
-    engine.tell_time(10**9)
+    engine.advance_time(10**9)
     times = []
     for number in range(5):
         schedule = parse_schedule(
@@ -416,8 +416,8 @@ faults:
     for beforehand in (False, True):
         engine = Engine(parse_schedule("faults: []"))
         engine.start_at(0)
-        engine.tell_time(10_000_000)
-        prepared = engine.prepared(schedule) if beforehand else None
+        engine.advance_time(10_000_000)
+        prepared = engine.prepare_entries(schedule) if beforehand else None
         engine.replace(schedule, prepared=prepared)
         states.append((engine.state(), engine.edge_us, engine.active))
     assert states[0] == states[1]

@@ -61,7 +61,7 @@ def test_the_short_way_gives_the_bytes_and_counts_of_the_general_one(
 
 def test_a_live_value_acts_on_the_next_frame() -> None:
     running = at_work("bias", 1.0, short=True)
-    running.feed(3.0, 1, None)
+    running.set_value(3.0, 1, None)
     draft = Draft(Frame(build_frame(SENSOR, {"id": 1}), SENSOR))
     running.edit(draft, "from-vehicle", 2)
     assert draft.sealed().number("ygyro") == 3.0

@@ -150,10 +150,10 @@ def test_release_gives_up_an_incomplete_frame_and_finds_what_it_held_back() -> N
 def test_a_beginning_that_is_given_up_leaves_the_next_one_waiting() -> None:
     parser = Parser()
     assert parser.push(b"\xfd\xff\0\0" + HEARTBEAT + FRAMES["v2"][:30]) == []
-    assert parser.holds_frame
-    assert shape(parser.give_up()) == ["foreign", "HEARTBEAT"]
+    assert parser.contains_frame
+    assert shape(parser.resync()) == ["foreign", "HEARTBEAT"]
     assert parser.incomplete == 30
-    assert not parser.holds_frame
+    assert not parser.contains_frame
     assert shape(parser.push(FRAMES["v2"][30:])) == [shape(Parser().push(FRAMES["v2"]))[0]]
 
 

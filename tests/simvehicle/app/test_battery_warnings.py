@@ -7,7 +7,7 @@ def test_a_low_and_an_empty_battery_are_told_once() -> None:
     told: list[str] = []
     watch = BatteryWarnings(told.append)
     for second, left in enumerate((1.0, 0.5, 0.19, 0.1, 0.0, 0.0)):
-        watch.look(SimpleNamespace(t_us=second * 1_000_000, battery_remaining=left))
+        watch.update(SimpleNamespace(t_us=second * 1_000_000, battery_remaining=left))
     assert [line.split(" s ")[0].strip() for line in told] == ["2.0", "4.0"]
     assert "a fifth" in told[0]
     assert "empty" in told[1]

@@ -100,13 +100,13 @@ def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path:
     mission = "mission: [{shape: circle, size_m: 400, height_m: 100}]\nstart: {height_m: 100}\n"
     wing = Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}", mission)
     flight = wing.flight
-    assert (flight.mode, flight.armed, flight.flown) == (FlightMode.MISSION, True, False)
+    assert (flight.mode, flight.armed, flight.goal_active) == (FlightMode.MISSION, True, False)
     track = wing.simulation.controller.track
     for _ in range(200):
-        _, truth, _ = wing.simulation.step(wing.pilot.controls() if flight.flown else None)
+        _, truth, _ = wing.simulation.step(wing.pilot.controls() if flight.goal_active else None)
         flight.advance(truth)
     assert wing.simulation.controller.track is track
     flight.set_mode(FlightMode.HOLD)
-    assert flight.flown
+    assert flight.goal_active
     wing.pilot.controls()
     assert wing.simulation.controller.track is not track

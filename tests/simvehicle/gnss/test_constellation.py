@@ -22,7 +22,7 @@ PLACES = [(47.4, 8.5), (-35.4, 149.2), (40.2, -111.7), (0.0, 0.0), (-33.0, -70.0
 
 
 def elevations(constellation: Constellation, lat_deg: float, lon_deg: float, at_s: float) -> dict:
-    chosen = constellation.choose(constellation.start_s + at_s, [None] * 24)
+    chosen = constellation.choose_ephemerides(constellation.start_s + at_s, [None] * 24)
     sets = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
     place = ecef_from_geodetic(math.radians(lat_deg), math.radians(lon_deg), 100.0)
     seen = signal_geometry(
@@ -50,7 +50,7 @@ def test_every_satellite_of_the_shipped_sky_is_valid_for_an_hour() -> None:
     constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     chosen: tuple[int | None, ...] = (None,) * 24
     for at_s in range(0, 3601, 60):
-        chosen = constellation.choose(constellation.start_s + at_s, chosen)
+        chosen = constellation.choose_ephemerides(constellation.start_s + at_s, chosen)
         for sets, k in zip(constellation.ephemerides, chosen, strict=True):
             assert k is not None
             assert abs(constellation.start_s + at_s - sets[k].toe_s) <= sets[k].fit_half_s
@@ -79,7 +79,7 @@ def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
     present: tuple[int | None, ...] = (None,) * 24
     seen = []
     for hours in (0.0, 1.9, 2.0, 2.1, 3.9, 4.1):
-        present = constellation.choose(constellation.start_s + hours * 3600.0, present)
+        present = constellation.choose_ephemerides(constellation.start_s + hours * 3600.0, present)
         seen.append(present[at])
     assert seen == [0, 0, 0, 1, 1, None]
 
@@ -87,17 +87,17 @@ def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
 def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> None:
     constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     start_s = constellation.start_s
-    chosen = constellation.choose(start_s, [None] * 24)
+    chosen = constellation.choose_ephemerides(start_s, [None] * 24)
     used = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
     ends = [e.toe_s + e.fit_half_s for e in used]
-    assert constellation.holds_until_s(start_s, chosen) == min(ends)
+    assert constellation.valid_until_s(start_s, chosen) == min(ends)
     early_s = start_s - 3.0 * 3600.0  # before G02, whose only ephemeris is that of 14:00
-    before = constellation.choose(early_s, [None] * 24)
+    before = constellation.choose_ephemerides(early_s, [None] * 24)
     assert before[constellation.satellites.index("G02")] is None
-    assert constellation.holds_until_s(early_s, before) <= start_s
+    assert constellation.valid_until_s(early_s, before) <= start_s
     late_s = start_s + 5.0 * 3600.0
-    gone = constellation.choose(late_s, [None] * 24)
-    assert constellation.holds_until_s(late_s, gone) == math.inf
+    gone = constellation.choose_ephemerides(late_s, [None] * 24)
+    assert constellation.valid_until_s(late_s, gone) == math.inf
 
 
 def test_systems_not_asked_for_are_left_out() -> None:
@@ -109,7 +109,7 @@ def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Pa
     (tmp_path / "own.nav").write_text(SHIPPED.read_text())
     own = build_constellation(GnssConfig(navigation="own.nav"), 0.0, 0.0, tmp_path)
     assert own.week == 2149
-    assert all(k is not None for k in own.choose(own.start_s, [None] * 24))
+    assert all(k is not None for k in own.choose_ephemerides(own.start_s, [None] * 24))
     assert own.ephemerides == tuple(read_navigation(SHIPPED).ephemerides.values())
 
 
@@ -142,4 +142,4 @@ def test_a_time_to_read_messages_that_is_no_span_is_refused(span: tuple[float, f
 def test_times_of_another_week_are_weeks_away() -> None:
     constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     wrong = replace(constellation, week=2150)
-    assert set(wrong.choose(constellation.start_s, [None] * 24)) == {None}
+    assert set(wrong.choose_ephemerides(constellation.start_s, [None] * 24)) == {None}

@@ -62,10 +62,10 @@ def test_directions_are_those_of_the_local_horizon() -> None:
         step = 1e-5  # rad north and east, seen from which the range must shrink accordingly
         north = ecef_from_geodetic(lat + step, lon, height) - SITE_M
         east = ecef_from_geodetic(lat, lon + step, height) - SITE_M
-        assert seen.toward[k] @ north / np.linalg.norm(north) == pytest.approx(
+        assert seen.line_of_sight[k] @ north / np.linalg.norm(north) == pytest.approx(
             math.cos(elevation) * math.cos(azimuth), abs=1e-5
         )
-        assert seen.toward[k] @ east / np.linalg.norm(east) == pytest.approx(
+        assert seen.line_of_sight[k] @ east / np.linalg.norm(east) == pytest.approx(
             math.cos(elevation) * math.sin(azimuth), abs=1e-5
         )
 

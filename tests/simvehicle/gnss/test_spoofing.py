@@ -74,7 +74,7 @@ def test_a_jump_has_no_doppler() -> None:
     spoof = np.zeros((4, 3))
     spoof[0, 1:] = 200.0
     (found,) = spoofed_places(spoof, np.zeros((4, 3)), 0.2)
-    assert found.rate.tolist() == [0.0] * 4
+    assert found.offset_mps.tolist() == [0.0] * 4
     assert found.satellites.tolist() == [False, True, True]
 
 

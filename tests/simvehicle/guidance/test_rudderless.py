@@ -53,7 +53,7 @@ def test_the_zagi_flies_shapes_within_its_limits(
     while not track.finished and simulation.truth.t_us < 250_000_000:
         _, truth, _ = simulation.step()
         north, east, _ = truth.r_ned_m.tolist()
-        across.append(track.look(north, east, 0.0).cross_track_m)
+        across.append(track.setpoint_from(north, east, 0.0).cross_track_m)
         height.append(truth.height_agl_m - 80.0)
         slip.append(truth.v_air_b_mps[1] / np.linalg.norm(truth.v_air_b_mps))
     assert track.finished

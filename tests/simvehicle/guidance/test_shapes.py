@@ -66,7 +66,7 @@ def test_a_shape_is_flown_within_its_limits(
             break
         if count % 5 == 0:
             north, east, _ = truth.r_ned_m.tolist()
-            worst = max(worst, abs(track.look(north, east, 0.0).cross_track_m))
+            worst = max(worst, abs(track.setpoint_from(north, east, 0.0).cross_track_m))
             worst_height = max(worst_height, abs(truth.height_agl_m - 80.0))
     assert track.finished
     assert worst < across

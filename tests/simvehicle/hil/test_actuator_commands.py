@@ -20,11 +20,11 @@ def test_commands_come_back_as_they_went(vehicle: tuple[str, str]) -> None:
     kind = VEHICLE_KINDS[vehicle[0]]
     read = kind.read(vehicle[1])
     commands = ActuatorCommands(kind.actuators(read), kind.mix(read))
-    assert commands.driven is None
+    assert commands.last_received is None
     raw = commands.frame(1_000_000, np.array(VALUES[vehicle]))
     (frame,) = Parser().push(raw, datagram=True)
     assert isinstance(frame, Frame)
     commands.receive(frame)
-    assert commands.driven is not None
-    assert commands.driven.armed
-    assert commands.driven.values.tolist() == VALUES[vehicle]
+    assert commands.last_received is not None
+    assert commands.last_received.armed
+    assert commands.last_received.values.tolist() == VALUES[vehicle]

@@ -102,7 +102,7 @@ def test_the_demo_flies_its_path_at_height_and_speed() -> None:
         if count % 25 == 0:
             north, east, _ = truth.r_ned_m
             assert simulation.controller.track is not None
-            errors.append(simulation.controller.track.look(north, east, 0.0).cross_track_m)
+            errors.append(simulation.controller.track.setpoint_from(north, east, 0.0).cross_track_m)
             heights.append(truth.height_agl_m)
     assert np.max(np.abs(errors)) < 5.0
     assert np.max(np.abs(np.array(heights) - 100.0)) < 5.0

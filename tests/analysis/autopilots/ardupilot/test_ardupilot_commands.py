@@ -30,13 +30,13 @@ def test_a_plane_without_autoland_lands_by_a_mission():
     requests = ArduPilotCommands(PLANE, WAY_DOWN)
     requests.land()
     assert asked(requests) == [(176, 26.0)]
-    requests.heard(said("COMMAND_ACK", command=176, result=4))
+    requests.receive(said("COMMAND_ACK", command=176, result=4))
     requests.land()
     assert asked(requests) == [("MISSION_COUNT", None)]
     for seq in range(3):
-        requests.heard(said("MISSION_REQUEST_INT", seq=seq))
+        requests.receive(said("MISSION_REQUEST_INT", seq=seq))
     assert [item for _, item in asked(requests)] == [16, 16, 21]  # home, the approach, the ground
-    requests.heard(said("MISSION_ACK"))
+    requests.receive(said("MISSION_ACK"))
     requests.land()
     assert asked(requests) == [(176, 10.0), (300, 0.0)]
     requests.land()  # once is enough: a second start would begin the approach anew
@@ -46,7 +46,7 @@ def test_a_plane_without_autoland_lands_by_a_mission():
 def test_a_refusal_of_another_mode_is_none_of_the_landing():
     requests = ArduPilotCommands(PLANE, WAY_DOWN)
     requests.arm()
-    requests.heard(said("COMMAND_ACK", command=176, result=4))
+    requests.receive(said("COMMAND_ACK", command=176, result=4))
     requests.pending()
     requests.land()
     assert asked(requests) == [(176, 26.0)]

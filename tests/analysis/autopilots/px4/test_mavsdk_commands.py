@@ -44,22 +44,22 @@ def fly(flight, plan):
     begin_s = time.monotonic()
     with closing(MavsdkCommands(plan.landing)) as requests:
         operator = Operator(plan, requests)
-        operator.heard(POSITION)
-        while not operator.over and (wall_s := time.monotonic() - begin_s) < LIMIT_S:
+        operator.receive(POSITION)
+        while not operator.finished and (wall_s := time.monotonic() - begin_s) < LIMIT_S:
             if flight.t_us * 1e-6 > SPEED * wall_s:
                 continue
             sent = flight.advance(operator.step(flight.t_us))
             for item in parser.push(b"".join(sent.ground)):
                 if isinstance(item, Frame):
-                    operator.heard(item)
+                    operator.receive(item)
             highest_m = max(highest_m, flight.simulation.truth.height_agl_m)
     return operator, highest_m
 
 
 def test_it_arms_takes_off_hovers_and_lands(flight):
     operator, highest_m = fly(flight, FlightPlan(8.0, 5.0))
-    assert not operator.gave_up
-    assert list(operator.moments_us) == ["first-stamp", "arming", "take-off", "landing", "landed"]
+    assert not operator.failure
+    assert list(operator.events_us) == ["first-stamp", "arming", "take-off", "landing", "landed"]
     assert highest_m > 5.0
     assert flight.simulation.truth.on_ground
 
@@ -80,22 +80,22 @@ def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
 def test_an_answer_is_awaited_from_the_first_question_on(flight):
     parser = Parser()
     with closing(MavsdkCommands([])) as requests:
-        assert not requests.awaiting
+        assert not requests.awaiting_reply
         requests.arm()  # nobody was heard of yet whom to ask
-        assert requests.awaiting
+        assert requests.awaiting_reply
         deadline_s = time.monotonic() + LIMIT_S
-        while requests.awaiting and time.monotonic() < deadline_s:
+        while requests.awaiting_reply and time.monotonic() < deadline_s:
             for item in parser.push(b"".join(flight.advance(requests.pending()).ground)):
                 if isinstance(item, Frame):
                     requests.heard(item)
             requests.arm()  # as the operator does until the vehicle says so
-        assert not requests.awaiting
+        assert not requests.awaiting_reply
 
 
 def test_it_uploads_a_mission_and_starts_it(flight):
     operator, _ = fly(flight, FlightPlan(8.0, 20.0, (NORTH,)))
-    assert not operator.gave_up
-    assert "mission-item:1" in operator.moments_us  # item 0 is the speed
+    assert not operator.failure
+    assert "mission-item:1" in operator.events_us  # item 0 is the speed
 
 
 def test_of_the_streams_that_are_recorded_mavsdk_hears_nothing(monkeypatch):
@@ -104,5 +104,5 @@ def test_of_the_streams_that_are_recorded_mavsdk_hears_nothing(monkeypatch):
         heard = []
         monkeypatch.setattr(requests._mavsdk, "pass_received_raw_bytes", heard.append)
         for layout in (attitude, heartbeat):
-            requests.heard(Frame(build_frame(layout, {}), layout))
+            requests.receive(Frame(build_frame(layout, {}), layout))
     assert heard == [build_frame(heartbeat, {})]

@@ -45,7 +45,7 @@ def test_a_program_without_its_start_scripts_is_refused(binary):
 def test_the_scripts_are_found_beside_the_program(binary):
     scripts = binary.parent.parent / "etc"
     (scripts / "init.d-posix").mkdir(parents=True)
-    (scripts / "init.d-posix" / "rcS").touch()
+    (scripts / "init.d-posix" / "rcS").confirm()
     assert px4_process.launch_command(str(binary)) == [str(binary), "-d", str(scripts)]
 
 
@@ -61,7 +61,7 @@ def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
     start = StartupPacer(RunningAutopilot("PX4", None, [], log, PX4_STEP, px4_process.STARTUP_TEXT))
     told = told_s is None
     for tick in range(80_000):  # 320 s of a vehicle that needs no time of its own
-        start.hold(1_000_000 + 4000 * tick)
+        start.wait_for_pace(1_000_000 + 4000 * tick)
         if not told and now[0] >= 100.0 + told_s:
             told = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
     assert now[0] - 100.0 == pytest.approx(held_s, abs=0.2)
@@ -70,8 +70,8 @@ def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
 def test_a_program_without_such_words_is_not_held(tmp_path, monkeypatch):
     monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("slept"))
     start = StartupPacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
-    start.hold(0)
-    start.hold(10_000_000)
+    start.wait_for_pace(0)
+    start.wait_for_pace(10_000_000)
 
 
 def test_a_flight_does_not_outrun_an_operator_that_lives_on_the_wall_clock(monkeypatch):
@@ -81,7 +81,7 @@ def test_a_flight_does_not_outrun_an_operator_that_lives_on_the_wall_clock(monke
     unhurried = RealTimePacer()
     for tick in range(5000):  # 20 s of a vehicle that needs no time of its own
         # For 3 s and, later, for 5 s an answer is awaited.
-        unhurried.hold(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
+        unhurried.wait_for_pace(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
     assert now[0] - 100.0 == pytest.approx(8.0, abs=0.1)
 
 

@@ -76,7 +76,7 @@ def sent(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1
         scenario, parse_schedule({"seed": seed, "faults": entries}, via="simulator")
     )
     data = bytearray()
-    while not flight.over:
+    while not flight.finished:
         data += flight.advance([]).monitor
     return bytes(data)
 

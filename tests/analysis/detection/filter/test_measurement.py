@@ -48,7 +48,7 @@ def test_a_choice_that_serves_is_the_one_that_would_be_made(
     orbits = stored(known)
     tow_s += 0.0 if on_a_boundary else 851.0
     chosen, later = select_ephemerides(epoch_at(tow_s), orbits), epoch_at(tow_s + later_s)
-    if chosen.serves(later):
+    if chosen.is_valid_for(later):
         assert same(chosen, select_ephemerides(later, orbits))
 
 
@@ -56,11 +56,11 @@ def test_an_ephemeris_serves_to_the_end_of_its_time_and_no_longer() -> None:
     orbits = stored([("G05", 100_000.0, 0)])
     chosen = select_ephemerides(epoch_at(107_000.0), orbits)
     assert chosen.names == ("G05",)
-    assert chosen.serves(epoch_at(107_200.0))
-    assert not chosen.serves(epoch_at(107_200.1))
+    assert chosen.is_valid_for(epoch_at(107_200.0))
+    assert not chosen.is_valid_for(epoch_at(107_200.1))
     at_the_end = select_ephemerides(epoch_at(107_200.0), orbits)
     assert at_the_end.names == ("G05",)
-    assert not at_the_end.serves(epoch_at(107_200.1))
+    assert not at_the_end.is_valid_for(epoch_at(107_200.1))
 
 
 def test_names_stay_the_same_object_while_nobody_comes_or_goes() -> None:

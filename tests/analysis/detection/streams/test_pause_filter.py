@@ -62,6 +62,6 @@ def test_nobody_is_silent_while_a_log_s_writer_loses_records(
     lost_us: tuple[tuple[int, int], ...], told: bool
 ) -> None:
     pipeline = Pipeline(MonitorConfig(link=False))
-    pipeline.excuse(lost_us)
+    pipeline.set_log_gaps(lost_us)
     found = pipeline.push(flight((ImuSample,)))
     assert any(isinstance(one, SensorDecision) and one.alarm for one in found) == told

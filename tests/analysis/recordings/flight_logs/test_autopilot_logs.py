@@ -99,7 +99,7 @@ def test_a_message_of_an_impossible_time_is_damage(tmp_path: Path) -> None:
     data[data.index(row("IMU", 1_500_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)) + 3 + 4] ^= 0x40
     path.write_bytes(data)
     found = read_dataflash(path)
-    assert found.damaged
+    assert found.corrupted
     assert (found.start_us, found.end_us) == (1_000_000, 1_900_003)
     assert len(found.topics["IMU", 0]["TimeUS"]) == 9
     assert len(found.topics["GPS", 0]["TimeUS"]) == 10
@@ -183,9 +183,9 @@ def test_what_a_log_has_lost_is_told(tmp_path: Path) -> None:
 
 def test_a_tlog_with_foreign_bytes_is_damaged() -> None:
     condition = LogCondition()
-    condition.has_junk(20, 100_000)
+    condition.note_junk(20, 100_000)
     assert condition.damage == []
-    condition.has_junk(2_000, 100_000)
+    condition.note_junk(2_000, 100_000)
     assert condition.damage == ["2000 of 100000 bytes (2 %) are no frame"]
 
 
