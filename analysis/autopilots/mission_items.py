@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from analysis.autopilots.flight_plan import Waypoint
+from simvehicle.guidance.waypoints import Waypoint
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD_NAV_
 CHANGE_SPEED, GROUND_SPEED, SAME_THROTTLE = 178, 1, -1  # MAV_CMD_DO_CHANGE_SPEED

@@ -25,11 +25,12 @@ from simvehicle.app.sim_progress import Progress
 from simvehicle.autopilot.autopilot_link import AutopilotLink
 from simvehicle.autopilot.enums import MavType
 from simvehicle.autopilot.flight_goals import CommandedFlight
-from simvehicle.autopilot.mission_service import Missions
+from simvehicle.autopilot.mission_service import MissionItem, Missions, waypoint_items
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.pilot import Pilot
 from simvehicle.autopilot.telemetry import HomePosition
-from simvehicle.guidance.route import CircleTrack
+from simvehicle.guidance.route import CircleTrack, PathTrack
+from simvehicle.guidance.waypoints import path_waypoints
 from simvehicle.hil.hil_frames import BARO_IDS, IMU_IDS, MAG_IDS, HilPacker
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.scenario.scenario_file import Scenario, read_scenario
@@ -227,7 +228,7 @@ def throttle_command(simulation: Any) -> float:
 def create_services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
     """The ground station's view of a simulation, and who flies what it commands."""
     start, kind = simulation.scenario.start, simulation.kind
-    parameters, missions = Parameters(kind.parameters), Missions()
+    parameters, missions = Parameters(kind.parameters), Missions(_scenario_items(simulation))
     flight = CommandedFlight(
         parameters,
         missions,
@@ -249,6 +250,15 @@ def create_services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
 
     link = AutopilotLink(flight, parameters, missions, fail_motor, mav_type_and_mix(simulation)[0])
     return link, Pilot(simulation, flight)
+
+
+def _scenario_items(simulation: Simulation) -> tuple[MissionItem, ...]:
+    """The scenario's mission as a ground station downloads it; empty without one."""
+    track = simulation.controller.track if simulation.scenario.mission else None
+    if not isinstance(track, PathTrack):
+        return ()
+    scenario = simulation.scenario
+    return waypoint_items(path_waypoints(track.path, scenario.start, scenario.vehicle.kind))
 
 
 def _acceptance_m(simulation: Simulation, radius_m: float) -> float:

@@ -94,7 +94,8 @@ class AutopilotLink:
             landed=self._flight.landed,
             mav_type=self._mav_type,
             throttle=throttle,
-            mission_count=len(self._missions.items),
+            # 0 means "not supported": a path is flown without counting items.
+            mission_count=len(self._missions.items) if self._flight.goal_active else 0,
             mission_seq=self._flight.seq,
         )
         messages += self._missions.tick(t_us)

@@ -101,9 +101,12 @@ class CommandedFlight:
     # -- what a ground station commands ------------------------------------------------------------
 
     def arm(self) -> None:
-        """Motors on; the mode decides what follows. After a landing that is HOLD again."""
-        # Or the vehicle would land again at once.
-        if not self.armed and self.mode in (FlightMode.LAND, FlightMode.RETURN):
+        """Switch the motors on; the mode decides what follows. Armed already, nothing changes."""
+        if self.armed:
+            return
+        # After a landing the vehicle would land again at once; without items there is no mission.
+        unflyable = self.mode == FlightMode.MISSION and not self._missions.items
+        if unflyable or self.mode in (FlightMode.LAND, FlightMode.RETURN):
             self.mode = FlightMode.HOLD
         self.armed = self.commanded = True
         self._enter(self.mode)
@@ -120,8 +123,12 @@ class CommandedFlight:
 
     def set_mode(self, mode: FlightMode) -> bool:
         """Change the mode; a mission needs items."""
-        if mode == FlightMode.MISSION and not self._missions.items:
-            return False
+        if mode == FlightMode.MISSION:
+            if not self._missions.items:
+                return False
+            # The scenario's own mission: its controller flies that already.
+            if self.armed and not self.goal_active and not self._missions.revision:
+                return True
         self.commanded = True
         self._enter(mode)
         return True
@@ -162,6 +169,10 @@ class CommandedFlight:
         """Go on with another mission item."""
         if not 0 <= seq < len(self._missions.items):
             return False
+        # The scenario's own mission is flown as a path, without items: from here on they count.
+        if self.armed and not self.goal_active and seq != self.seq:
+            self.commanded = True
+            self._enter(FlightMode.MISSION)
         self.seq = seq
         self._reached_us = None
         return True

@@ -9,10 +9,12 @@ References
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot.enums import Command, CoordinateFrame, MissionResult, MissionType
+from simvehicle.guidance.waypoints import Waypoint
 from simvehicle.hil.outgoing_message import Message, make_message
 
 MAX_ITEMS = 1000
@@ -179,6 +181,31 @@ class Missions:
         self.items = items
         self.revision += 1
         self.upload = None
+
+
+def waypoint_items(waypoints: Sequence[Waypoint]) -> tuple[MissionItem, ...]:
+    """Waypoints as a ground station downloads them, with a change of speed where it changes."""
+    items: list[MissionItem] = []
+    speed_mps = math.nan
+    for point in waypoints:
+        if point.speed_mps != speed_mps:
+            speed_mps = point.speed_mps
+            # 1: speed over ground; throttle -1: unchanged.
+            params = (1.0, speed_mps, -1.0, 0.0)
+            items.append(
+                MissionItem(Command.CHANGE_SPEED, CoordinateFrame.MISSION, params, 0, 0, 0.0)
+            )
+        items.append(
+            MissionItem(
+                Command.WAYPOINT,
+                CoordinateFrame.GLOBAL_RELATIVE_INT,
+                (0.0, 0.0, 0.0, math.nan),
+                round(point.lat_deg * 1e7),
+                round(point.lon_deg * 1e7),
+                point.height_m,
+            )
+        )
+    return tuple(items)
 
 
 def read_item(frame: WireFrame) -> MissionItem:

@@ -14,11 +14,11 @@ from mavsdk.plugins.action import Action
 from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
-from analysis.autopilots.flight_plan import Waypoint
 from analysis.autopilots.mission_items import ItemFields, landing_items, waypoint_items
 from analysis.autopilots.px4.px4_process import STREAMS_HZ
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
+from simvehicle.guidance.waypoints import Waypoint
 
 RESULT_SUCCESS = "SUCCESS"
 SET_MODE = {"command": 176, "target_system": 1, "target_component": 1, "param1": 1}  # MAV_CMD_

@@ -2,10 +2,11 @@ import pytest
 
 from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, ArduPilotCommands
 from analysis.autopilots.flight_operator import Operator, Phase
-from analysis.autopilots.flight_plan import FlightPlan, Waypoint
+from analysis.autopilots.flight_plan import FlightPlan
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.guidance.waypoints import Waypoint
 
 SECOND_US = 1_000_000
 CORNERS = (Waypoint(47.4, 8.5, 20.0, 6.0), Waypoint(47.401, 8.5, 25.0, 6.0))

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from analysis.autopilots.flight_plan import flight_plan, simplify_path
+from analysis.autopilots.flight_plan import flight_plan
+from simvehicle.guidance.waypoints import simplify_path
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
 

@@ -1,7 +1,7 @@
 """Waypoints as mission items."""
 
-from analysis.autopilots.flight_plan import Waypoint
 from analysis.autopilots.mission_items import landing_items, waypoint_items
+from simvehicle.guidance.waypoints import Waypoint
 
 SLOW = Waypoint(47.4, 8.5, 20.0, 3.0)
 FAST = Waypoint(47.41, 8.5, 30.0, 6.0)

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from simvehicle.app.sim_server import create_services
 from simvehicle.autopilot.enums import FlightMode
@@ -110,3 +112,50 @@ def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path:
     assert flight.goal_active
     wing.pilot.controls()
     assert wing.simulation.controller.track is not track
+
+
+EIGHT = "mission: [{shape: eight, size_m: 600, height_m: 60}]\n"
+IN_THE_AIR = "start: {height_m: 60}\n"
+COMMANDS: dict[str, Callable[[CommandedFlight], object]] = {
+    "arm": lambda flight: flight.arm(),
+    "disarm": lambda flight: flight.disarm(force=False),
+    "kill": lambda flight: flight.disarm(force=True),
+    "take off": lambda flight: flight.take_off(math.nan),
+    "current": lambda flight: flight.set_current(1),
+    **{mode.name: lambda flight, mode=mode: flight.set_mode(mode) for mode in FlightMode},
+}
+
+
+@pytest.mark.parametrize("more", ["", EIGHT, IN_THE_AIR, EIGHT + IN_THE_AIR])
+@settings(max_examples=25)
+@given(st.lists(st.sampled_from(sorted(COMMANDS)), max_size=6))
+def test_no_order_of_commands_ends_the_flight(
+    tmp_path_factory: pytest.TempPathFactory, more: str, commands: list[str]
+) -> None:
+    vehicle = "{kind: fixedwing, parameters: aerosonde-2025}"
+    flown = Flown(tmp_path_factory.mktemp("flight"), vehicle, more)
+    for name in commands:
+        COMMANDS[name](flown.flight)
+        end_us = flown.simulation.truth.t_us + 200_000
+        flown.until(lambda truth, end_us=end_us: truth.t_us >= end_us, 1.0)
+
+
+def test_arming_leaves_the_scenarios_own_mission_to_its_controller(tmp_path: Path) -> None:
+    vehicle = "{kind: fixedwing, parameters: aerosonde-2025}"
+    flown = Flown(tmp_path, vehicle, EIGHT + IN_THE_AIR)
+    flown.flight.arm()
+    assert flown.flight.set_mode(FlightMode.MISSION)
+    assert not flown.flight.goal_active
+    assert flown.flight.disarm(force=False) is False
+
+
+def test_a_vehicle_killed_on_the_ground_flies_the_scenarios_items_when_armed_again(
+    tmp_path: Path,
+) -> None:
+    line = "mission: [{shape: line, size_m: 30, height_m: 10}]\n"
+    flown = Flown(tmp_path, "{kind: multirotor, parameters: iris}", line)
+    flown.flight.disarm(force=True)
+    flown.until(lambda truth: truth.t_us >= 500_000, 1.0)
+    flown.flight.arm()
+    assert flown.flight.mode == FlightMode.MISSION
+    flown.until(lambda truth: away(truth, 30.0, 0.0) < 2.5, 60.0)

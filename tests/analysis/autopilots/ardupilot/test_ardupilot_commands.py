@@ -1,10 +1,10 @@
 """What an ArduPilot is asked that cannot do what was asked first."""
 
 from analysis.autopilots.ardupilot.ardupilot_commands import PLANE, ArduPilotCommands
-from analysis.autopilots.flight_plan import Waypoint
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.guidance.waypoints import Waypoint
 
 WAY_DOWN = (Waypoint(47.0, 8.0, 50.0, 20.0), Waypoint(47.01, 8.0, 0.0, 20.0))
 

@@ -6,13 +6,14 @@ from contextlib import closing
 import pytest
 
 from analysis.autopilots.flight_operator import Operator
-from analysis.autopilots.flight_plan import FlightPlan, Waypoint
+from analysis.autopilots.flight_plan import FlightPlan
 from analysis.autopilots.px4.mavsdk_commands import MavsdkCommands
 from analysis.run.proxied_flight import ProxiedFlight
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.guidance.waypoints import Waypoint
 from simvehicle.scenario.scenario_file import read_scenario
 
 SCENARIO = """

@@ -39,11 +39,11 @@ def free_port() -> int:
         return int(sock.getsockname()[1])
 
 
-@pytest.fixture
-def flown(tmp_path: Path) -> Iterator[Flown]:
+@pytest.fixture(params=[SCENARIO])
+def flown(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flown]:
     """A multirotor at home, flown at several times real time until the test is over."""
     path = tmp_path / "quad.yaml"
-    path.write_text(SCENARIO)
+    path.write_text(request.param)
     port = free_port()
     simulation = Simulation(read_scenario(path))
     stop = threading.Event()

@@ -13,6 +13,11 @@ from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 
 M_PER_DEG = 111_320.0
+WITH_MISSION = """
+vehicle: {kind: multirotor, parameters: iris}
+sensors: {imu: {rate_hz: 100}, gps: {preset: ideal, rate_hz: 5}}
+mission: [{shape: line, size_m: 60, height_m: 15, speed_mps: 5}]
+"""
 
 
 @pytest.fixture
@@ -86,6 +91,25 @@ def test_it_uploads_flies_and_downloads_a_mission(system: System, until: Any, fl
     assert mission.is_mission_finished()
     north, east, _ = flown.simulation.truth.r_ned_m.tolist()
     assert math.hypot(north - 15, east - 12) < 4.0
+
+
+@pytest.mark.parametrize("flown", [WITH_MISSION], indirect=True)
+def test_the_scenarios_mission_is_downloaded_and_flown_on_after_arming(
+    system: System, until: Any, flown: Any
+) -> None:
+    telemetry, action, mission = Telemetry(system), Action(system), Mission(system)
+    until(telemetry.subscribe_health_all_ok, bool)
+    items = mission.download_mission().mission_items
+    assert [round(i.relative_altitude_m) for i in items] == [15] * len(items)
+    assert {i.speed_m_s for i in items[:1]} == {5.0}
+    action.arm()
+    mission.start_mission()
+    until(telemetry.subscribe_position, lambda p: p.relative_altitude_m > 14.0)
+    action.kill()
+    until(telemetry.subscribe_armed, lambda armed: not armed)
+    until(telemetry.subscribe_landed_state, lambda state: state == LandedState.ON_GROUND)
+    action.arm()
+    until(telemetry.subscribe_armed, bool)
 
 
 def test_it_sends_the_vehicle_to_a_place(system: System, until: Any, flown: Any) -> None:

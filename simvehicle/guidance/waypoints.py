@@ -1,0 +1,76 @@
+"""A mission path as waypoints: the corners that an autopilot or a ground station exchanges."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.earth import curvature_radii
+from simvehicle.guidance.mission import MissionPath
+from simvehicle.scenario.scenario_file import StartConfig
+
+# Longest leg [m], and largest distance [m] between a leg and the path that it replaces. A
+# multirotor stops at corners, so more of them would slow it down; a plane flies past them.
+LONGEST_LEG_M = {"multirotor": 20.0, "fixedwing": 100.0}
+CHORD_TOLERANCE_M = {"multirotor": 1.0, "fixedwing": 5.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """One corner of a mission, and how fast to fly to it."""
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    speed_mps: float
+
+
+def path_waypoints(path: MissionPath, start: StartConfig, kind: str) -> tuple[Waypoint, ...]:
+    """The corners of a path for a vehicle of this kind ("multirotor", "fixedwing")."""
+    corners = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
+    return tuple(
+        make_waypoint(
+            start,
+            (float(path.north_m[at]), float(path.east_m[at]), float(path.height_m[at])),
+            float(path.speed_mps[at]),
+        )
+        for at in corners
+    )
+
+
+def simplify_path(path: MissionPath, longest_m: float, chord_m: float) -> list[int]:
+    """Indices of points whose straight connections stay within `chord_m` of the path."""
+    places = path.north_m + 1j * path.east_m
+    most = max(round(longest_m / path.spacing_m), 1)
+    chosen = [0]
+    while (first := chosen[-1]) < len(places) - 1:
+        last = min(first + most, len(places) - 1)
+        # Shorten the leg until every point between its ends is close enough to the chord.
+        while last > first + 1 and _chord_deviation(places[first : last + 1]) > chord_m:
+            last -= 1
+        chosen.append(last)
+    return chosen
+
+
+def _chord_deviation(places: NDArray[np.complex128]) -> float:
+    """The largest distance of points (n,) of the plane from the chord of the first and last."""
+    chord = places[-1] - places[0]
+    if abs(chord) == 0.0:
+        return float(np.abs(places - places[0]).max())
+    return float(np.abs(((places - places[0]) * chord.conjugate()).imag).max() / abs(chord))
+
+
+def make_waypoint(
+    start: StartConfig, place_m: tuple[float, float, float], speed_mps: float
+) -> Waypoint:
+    """A waypoint at `place_m`: north, east and above the start [m]."""
+    north_m, east_m, height_m = place_m
+    meridian_m, normal_m = (float(r) for r in curvature_radii(math.radians(start.lat_deg)))
+    parallel_m = normal_m * math.cos(math.radians(start.lat_deg))
+    return Waypoint(
+        start.lat_deg + math.degrees(north_m / meridian_m),
+        start.lon_deg + math.degrees(east_m / parallel_m),
+        height_m,
+        speed_mps,
+    )
