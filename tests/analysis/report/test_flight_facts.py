@@ -26,7 +26,7 @@ def flight() -> FlightData:
     return FlightData("", signals=signals, spans=[Span("armed", 10.0, 90.0, "armed", "mode")])
 
 
-def test_numbers_are_those_while_armed() -> None:
+def test_key_figures_are_those_while_armed() -> None:
     facts = dict(flight_facts(add_derived_curves(flight())))
     assert facts["armed"] == "80 s"
     assert facts["flown over ground"] == "800 m"
@@ -36,13 +36,13 @@ def test_numbers_are_those_while_armed() -> None:
     assert facts["greatest tilt"] == "48°"
 
 
-def test_a_log_that_never_says_armed_has_no_numbers() -> None:
+def test_a_log_without_arming_has_no_key_figures() -> None:
     recording = flight()
     recording.spans.clear()
     assert flight_facts(recording) == []
 
 
-def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) -> None:
+def test_key_figures_of_a_real_flight_equal_those_of_flight_review(shared_data: Path) -> None:
     """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     facts = dict(flight_facts(add_derived_curves(recording_of_ulog(log, ""))))

@@ -56,7 +56,7 @@ def opened(browser: Any, flight: Flight, tmp_path: Path) -> Iterator[Opened]:
     found.page.close()
 
 
-def test_a_report_opens_without_errors_and_asks_for_nothing(opened: Opened) -> None:
+def test_a_report_opens_without_errors_and_loads_nothing(opened: Opened) -> None:
     opened.page.evaluate("report.all()")
     assert opened.errors == []
     assert [url for url in opened.requests if not url.startswith("file:")] == []
@@ -186,14 +186,14 @@ def test_any_field_and_an_expression_are_plotted_and_the_address_keeps_them(
         ("ATTITUDE.roll )", "stands after the end"),
     ],
 )
-def test_a_field_that_is_not_there_is_explained(opened: Opened, text: str, said: str) -> None:
+def test_a_missing_field_is_explained(opened: Opened, text: str, said: str) -> None:
     opened.page.fill("#field-text", text)
     opened.page.click("#field-form button")
     opened.page.wait_for_function("() => document.getElementById('field-said').textContent")
     assert said in opened.page.inner_text("#field-said")
 
 
-def test_fields_beside_the_file_are_loaded_when_asked_for(
+def test_fields_beside_the_file_are_loaded_on_demand(
     browser: Any, flight: Flight, tmp_path: Path
 ) -> None:
     out = tmp_path / "beside"
@@ -218,7 +218,7 @@ def test_a_click_on_a_checks_time_shows_that_stretch_and_its_plot(opened: Opened
     assert opened.page.locator("#plot-estimate-jump").is_visible()
 
 
-def test_a_script_that_a_log_smuggles_in_is_not_run(opened: Opened) -> None:
+def test_a_script_injected_by_a_log_is_not_run(opened: Opened) -> None:
     opened.page.evaluate(
         "document.body.append(Object.assign(document.createElement('script'),"
         " { textContent: 'window.smuggled = 1' }))"

@@ -6,7 +6,7 @@ from analysis.recordings.flight_logs.misdated_stamps import find_misdated
 from analysis.recordings.flight_logs.ulog import remove_misdated
 
 
-def test_single_stamps_far_from_those_around_them_are_wrong_and_pauses_are_not() -> None:
+def test_single_timestamps_far_from_their_neighbours_are_wrong_and_gaps_are_not() -> None:
     times = np.arange(0, 10_000_000, 100_000)
     times[50:] += 3_600_000_000  # an hour's pause
     seldom = np.array([0, 31, 62, 69, 69, 92, 300]) * 1_000_000
@@ -17,7 +17,7 @@ def test_single_stamps_far_from_those_around_them_are_wrong_and_pauses_are_not()
     assert np.flatnonzero(find_misdated(times)).tolist() == [20, 70, 98]
 
 
-def test_of_a_damaged_ulog_only_what_lies_far_from_its_neighbours_is_left_out() -> None:
+def test_of_a_corrupted_ulog_only_rows_with_wrong_timestamps_are_removed() -> None:
     dense = np.arange(90_000_000, 150_000_000, 10_000)
     dense[70] += 1 << 40
     topics = {

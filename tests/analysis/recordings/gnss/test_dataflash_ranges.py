@@ -83,7 +83,7 @@ def test_of_two_receivers_in_a_log_the_first_is_read(tmp_path: Path):
     assert [epoch.t_us for epoch in found] == [epoch.t_us for epoch in read_ubx(UBX)[0]]
 
 
-def test_a_range_without_a_phase_is_passed_over(tmp_path: Path):
+def test_a_range_without_a_phase_is_skipped(tmp_path: Path):
     message = bytearray(payloads()[0])
     whole = read_dataflash_ranges(written(tmp_path / "a.bin", raw_log([bytes(message)])))[0]
     phase = 16 + 32 + 8  # of the second range, G03's
@@ -103,7 +103,7 @@ def test_a_log_without_raw_ranges_says_how_to_get_them(tmp_path: Path, capsys):
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_a_damaged_log_raises_nothing_but_what_a_user_can_read(
+def test_a_corrupted_log_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ):
     whole = bytearray(raw_log(payloads()[:2]))

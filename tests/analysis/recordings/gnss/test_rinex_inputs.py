@@ -78,7 +78,7 @@ def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["a.21o.gz", "a.crx", "a.crx.gz"])
-def test_a_packed_file_cut_short_is_refused_in_a_line(tmp_path: Path, name: str):
+def test_a_truncated_compressed_file_is_refused_in_one_line(tmp_path: Path, name: str):
     path = tmp_path / name
     packed = gzip.compress((HEADER_3 + epoch(0, 1, fields("G05", 2.1e7, 44.0))).encode())
     path.write_bytes(packed[:40] if name.endswith("gz") else b"1.0   COMPACT RINEX FORMAT\ncut")
@@ -140,7 +140,7 @@ def test_the_command_takes_a_navigation_file_of_each_system(tmp_path: Path):
     assert {name[0] for name in last["satellites"]} == {"G", "E"}
 
 
-def test_the_command_ends_in_a_line_where_nothing_can_be_judged(
+def test_the_command_ends_in_a_one_line_error_without_usable_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     obs, nav = QZSS / "base.obs", tmp_path / "a.nav"

@@ -113,7 +113,7 @@ def test_orbits_of_a_real_log_are_those_that_rtklib_finds_in_it():
 
 
 @pytest.mark.parametrize(("systems", "satellites"), [("GE", 16), ("GEC", 25)])
-def test_a_real_log_gives_the_place_that_its_receiver_tells(systems: str, satellites: int):
+def test_a_real_log_gives_the_position_of_its_receiver(systems: str, satellites: int):
     data, at, told = LOG.read_bytes(), 0, []
     while at < len(data):
         number, length = unpack_from("<HH", data, at + 4)
@@ -176,7 +176,7 @@ def test_a_further_signal_is_read_by_its_difference(tmp_path: Path):
     assert epoch.cn0_dbhz[0] == 35.0
 
 
-def test_what_is_not_known_is_not_made_up(tmp_path: Path):
+def test_unknown_values_stay_unknown(tmp_path: Path):
     none = first(1, 0, 0.0, others=further(0, 5, 5))
     no_rate = first(2, 0, 21e6, math.nan)
     no_difference = first(71, 21, 24e6, others=further(17, -4 << 16, -16 << 16))
@@ -201,7 +201,7 @@ def test_qzss_on_either_code_is_read_and_glonass_has_its_channel(tmp_path: Path)
     assert epoch.carrier_hz[2] == 1602e6 - 7 * 0.5625e6
 
 
-def test_qzss_s_orbits_are_told_as_gps_s(tmp_path: Path):
+def test_qzss_ephemerides_are_read_like_those_of_gps(tmp_path: Path):
     data = LOG.read_bytes()
     at = next(
         i for i in range(len(data)) if data[i : i + 2] == b"$@" and number_at(data, i) == GPS_NAV
@@ -231,12 +231,12 @@ def test_an_epoch_may_come_in_several_blocks(tmp_path: Path):
     ]  # fmt: skip
 
 
-def test_scrambled_ranges_are_none(tmp_path: Path):
+def test_scrambled_ranges_are_ignored(tmp_path: Path):
     whole = meas_epoch(first(1, 0, 21e6))
     assert len(read_bytes(tmp_path, whole + meas_epoch(first(2, 0, 22e6), flags=0x80))) == 1
 
 
-def test_a_damaged_length_swallows_no_other_block(tmp_path: Path):
+def test_a_corrupted_length_hides_no_other_block(tmp_path: Path):
     whole = meas_epoch(first(1, 0, 21e6))
     damaged = whole[:6] + b"\xfc\x7f" + whole[8:]
     assert len(read_bytes(tmp_path, damaged + whole + whole[:-4])) == 1
@@ -244,7 +244,7 @@ def test_a_damaged_length_swallows_no_other_block(tmp_path: Path):
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_damage_anywhere_raises_nothing_but_what_a_user_can_read(
+def test_corruption_anywhere_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ):
     log = tmp_path_factory.mktemp("sbf") / "a.sbf"
@@ -280,7 +280,7 @@ def test_a_rinex_file_is_no_receiver_s_log(name: str):
     ],
     ids=["no blocks", "cut", "no orbits", "no time"],
 )
-def test_what_cannot_be_judged_ends_in_a_line(
+def test_unusable_input_ends_in_a_one_line_error(
     name: str, content: bytes, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     log = tmp_path / name
