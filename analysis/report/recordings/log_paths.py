@@ -48,7 +48,7 @@ def log_file(path: Path, folder: Path) -> Path:
         If the path does not exist, or cannot be a log.
     """
     if not path.exists():
-        raise ConfigError(f"{path}: no such file; give the path of a log")
+        raise ConfigError(f"{path}: there is no such file; give the path of a log")
     if path.is_dir():
         return path
     if not path.is_file():

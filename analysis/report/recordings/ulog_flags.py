@@ -27,8 +27,8 @@ ESTIMATOR_BITS = {
     },
     "innovation_check_flags": {
         0: "velocity rejected", 1: "horizontal position rejected", 2: "vertical position rejected",
-        3: "compass x rejected", 4: "compass y rejected", 5: "compass z rejected", 6: "yaw rejected",
-        7: "airspeed rejected",
+        3: "compass x rejected", 4: "compass y rejected", 5: "compass z rejected",
+        6: "yaw rejected", 7: "airspeed rejected",
     },
 }  # fmt: skip
 # estimator_aid_src_NAME: rejected measurements. Gravity, drag and sideslip are not sensors.

@@ -1,4 +1,4 @@
-"""Orbits of GLONASS and BeiDou: RTKLIB's positions, and what real ranges make of them."""
+"""Orbits of GLONASS and BeiDou against RTKLIB and real pseudoranges."""
 
 from datetime import date
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Where an antenna was: every form it is given in, and what lies between two places."""
+"""The position reference: all its forms, and interpolation."""
 
 import numpy as np
 import pytest
@@ -50,10 +50,10 @@ def test_far_from_any_known_position_the_reference_is_unknown(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("%  UTC  latitude(deg)\n", "GPST is needed"),
-        ("% nothing\n", "has no place"),
-        ("1,2,3\n", "no line of it"),
-        ("2149,10,95,139,60\n", "no latitude"),
+        ("%  UTC  latitude(deg)\n", "write it in GPST"),
+        ("% nothing\n", "has no position"),
+        ("1,2,3\n", "cannot be read"),
+        ("2149,10,95,139,60\n", "not latitude"),
     ],
 )
 def test_an_invalid_reference_is_refused(tmp_path, text, why):

@@ -1,4 +1,4 @@
-"""What the autopilot itself says: flags."""
+"""Checks of the autopilot's flags."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from analysis.report.recordings.recording import FlightData, Signal, Span
 def test_flags_of_a_starting_estimator_at_rest_are_ignored(
     speed_mps: float, since_s: float, verdict: str
 ) -> None:
-    """A log of ten seconds that does not tell when it was armed."""
+    """A log of ten seconds without the arming state."""
     t_s = np.arange(0.0, 10.0, 0.2)
     found = FlightData("bench", "ardupilot", 0, 10.0)
     found.signals.append(Signal("speed", "GPS", t_s, np.full(len(t_s), speed_mps)))

@@ -1,4 +1,4 @@
-"""Checks of motors, doubled sensors, cells, and of how a flight ended."""
+"""Checks of motors, redundant sensors, cells, and the end of a flight."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_redundant_sensors_that_disagree_fail(panel: str, value: float, name: st
 def test_long_loops_fail_but_not_those_of_a_simulated_processor() -> None:
     loops = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 12.0))
     assert verdict(checks(loops), "scheduler") == "FAIL"
-    # Of a sound Pixhawk every twentieth loop is long.
+    # On a nominal Pixhawk every twentieth loop is long.
     often = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 5.0))
     assert verdict(checks(often), "scheduler") == "PASS"
     simulated = {"SIM_SPEEDUP": [(0.0, 1.0)]}
@@ -87,7 +87,7 @@ def test_an_empty_cell_fails_and_an_unconnected_one_does_not() -> None:
 
 
 def fall(speed_mps: float) -> list[Signal]:
-    """A climb to 30 m and a fall that the ground ends."""
+    """A climb to 30 m and a fall to the ground."""
     height = np.clip(np.minimum(2 * T_S, 30 - speed_mps * (T_S - 30)), 0.0, 30.0)
     climb = np.gradient(height, T_S)
     return [Signal("height", "estimate", T_S, height), Signal("climb", "estimate", T_S, climb)]
@@ -122,7 +122,7 @@ def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> N
 def test_an_overturned_vehicle_fails_and_an_upright_tail_sitter_passes(
     before: float, after: float, word: str
 ) -> None:
-    # In between it is flown upside down, which is nobody's fault.
+    # Inverted flight in between is not a failure.
     tilt = np.where(T_S < 10, before, np.where(T_S < 55, 180.0, after))
     signal = Signal("tilt", "ATTITUDE", T_S, tilt)
     for end_s in (57.0, 60.0):  # disarmed, or the log is cut off armed
@@ -139,7 +139,7 @@ def test_a_wrong_height_fails_at_the_right_horizontal_position() -> None:
 
 
 def test_a_corrupted_file_weakens_the_verdict() -> None:
-    note = "parts of the file are damaged and were passed over"
+    note = "parts of the file are corrupted and were skipped"
     assert verdict(checks(notes=[note]), "log is complete") == "WARN"
 
 

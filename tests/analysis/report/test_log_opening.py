@@ -1,4 +1,4 @@
-"""Which files are logs: compressed ones are unpacked, what cannot be one is told."""
+"""Opening of logs: compressed logs are unpacked, other files are errors."""
 
 import gzip
 import lzma

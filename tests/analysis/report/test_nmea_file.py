@@ -74,7 +74,7 @@ def test_satellites_beyond_the_limit_are_in_a_second_sentence(tmp_path: Path) ->
 def test_a_position_without_a_sigma_is_no_fix(tmp_path: Path) -> None:
     found = sentences(replace(ROW, sigma_ned_m=None), tmp_path)
     assert found["GGA"][0].quality == 0
-    assert (found["RMC"][0].set_status, found["RMC"][0].posMode) == ("V", "N")
+    assert (found["RMC"][0].status, found["RMC"][0].posMode) == ("V", "N")
     assert found["GST"][0].stdLat == ""
     assert {row.navMode for row in found["GSA"]} == {1}
 

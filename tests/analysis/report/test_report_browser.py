@@ -26,7 +26,7 @@ INKED = """(area) => {
 
 
 class Opened:
-    """A page with everything its console and its network said."""
+    """A page, its console messages and its network requests."""
 
     def __init__(self, browser: Any, path: Path) -> None:
         self.errors: list[str] = []
@@ -103,7 +103,7 @@ def test_plots_below_the_window_are_drawn_too_and_nothing_moves(opened: Opened) 
         "() => [...document.querySelectorAll('.plots .area')].every((a) => a.dataset.drawn)"
     )
     plots = opened.page.evaluate("document.querySelectorAll('.plots .area').length")
-    # Legends of several lines are higher than the place that is kept.
+    # Legends of several lines are higher than the reserved space.
     assert opened.page.evaluate(top) == pytest.approx(before, abs=25.0 * plots)
 
 
@@ -183,7 +183,7 @@ def test_any_field_and_an_expression_are_plotted_and_the_address_keeps_them(
         ("ALTITUDE.roll", "no message ALTITUDE"),
         ("deg(ATTITUDE.roll", "bracket is not closed"),
         ("alert(1)", "neither a field, a number nor a function"),
-        ("ATTITUDE.roll )", "stands after the end"),
+        ("ATTITUDE.roll )", "is not expected after the expression"),
     ],
 )
 def test_a_missing_field_is_explained(opened: Opened, text: str, said: str) -> None:

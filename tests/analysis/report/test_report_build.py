@@ -1,4 +1,4 @@
-"""A run's report holds what was injected and what was said, in one file that needs no network."""
+"""A run's report holds injected faults and decisions, in one file that needs no network."""
 
 import json
 import re

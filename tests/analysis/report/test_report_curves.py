@@ -1,4 +1,4 @@
-"""Curves that are computed: spectra, innovations with gates, balance of motors, instances."""
+"""Derived curves: spectra, innovations with gates, balance of motors, instances."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Checks find what is wrong with a flight, and nothing in a sound one."""
+"""Checks find the problems of a flight, and none in a nominal one."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -97,7 +97,7 @@ def test_an_alarm_during_an_injected_fault_passes(flight: Flight) -> None:
     assert verdicts(found)["estimate steps"] == "FAIL"
     row = found.summary["faults"][0]
     assert row["detected"]
-    assert row["reaction"][0]["text"] == "position estimate moves 200 m at once"
+    assert row["reaction"][0]["text"] == "position estimate jumps by 200 m"
 
 
 def test_modes_arming_and_changed_parameters_are_events_of_the_recording(flight: Flight) -> None:
@@ -221,7 +221,7 @@ def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data
     said = found.summary["faults"][0]["reaction"]
     assert said[0]["text"] == "estimator: GPS glitch raised"
     assert said[0]["after_s"] == pytest.approx(0.18, abs=0.01)
-    assert said[1]["text"] == "position estimate moves 200 m at once"
+    assert said[1]["text"] == "position estimate jumps by 200 m"
     assert said[1]["after_s"] == pytest.approx(7.15, abs=0.05)
     assert said[2]["text"] == "estimator: GPS glitch cleared"
 
@@ -257,7 +257,7 @@ def test_a_failed_check_counts_only_for_faults_of_its_own_sensor(flight: Flight)
 
 
 def test_labels_continue_over_a_restart_of_the_vehicle(flight: Flight, tmp_path: Path) -> None:
-    """Half a minute passes between both flights: the proxy's clock, and labels, know nothing of
+    """Half a minute passes between both flights: the proxy's clock, and labels, do not include
     it."""
     first, second = flight("first"), flight("second", jump_at_s=10.0)
     records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(first)]
@@ -276,7 +276,7 @@ def test_a_problem_of_the_original_recording_isolates_no_sensor() -> None:
     jumps = FlightCheck(name="GPS jumps", verdict="FAIL", evidence="", windows=((9.8, 10.1),))
     recording = FlightData("x", "ardupilot", 1_000_000, 60.0, [])
     rows = fault_reactions([jump(recorded=True)], recording, [shaken, jumps])
-    # A window that begins with the sample before the edit is not from before it.
+    # A window that begins one sample before the edit counts.
     assert [(row["verdict"], row["delay_s"]) for row in rows] == [("isolated", 0.0)]
     calm = msgspec.structs.replace(shaken, windows=((11.0, 12.0),))
     (row,) = fault_reactions([jump(recorded=True)], recording, [calm, jumps])
@@ -312,7 +312,7 @@ def text(t_s: float, text: str, severity: int = UNGRADED, kind: str = "text") ->
         ("estimator: fs bad acc vertical raised", "isolated"),
         ("estimator: accelerometer error raised", "isolated"),
         ("estimator: GPS glitch raised", "wrong"),
-        ("estimator: velocity rejected raised", "detected"),  # of whom is not said
+        ("estimator: velocity rejected raised", "detected"),  # names no sensor
     ],
 )
 def test_an_estimator_flag_counts_as_a_reaction_of_the_autopilot(flag: str, verdict: str) -> None:

@@ -108,9 +108,9 @@ def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
     ("events", "since_s", "until_s"),
     [
         ({2_000_000: 10, 9_000_000: 11}, 1.0, 8.0),
-        ({9_000_000: 11}, 0.0, 8.0),  # it begins in flight
+        ({9_000_000: 11}, 0.0, 8.0),  # the log begins in flight
         ({4_000_000: 57, 5_000_000: 28, 9_000_000: 11}, 3.0, 8.0),  # the arming was not logged
-        ({4_000_000: 57, 5_000_000: 28}, 3.0, 9.9),  # nor did it come down
+        ({4_000_000: 57, 5_000_000: 28}, 3.0, 9.9),  # nor was the disarming
         ({4_000_000: 28, 5_000_000: 10, 9_000_000: 11}, 4.0, 8.0),
     ],
 )
@@ -192,7 +192,7 @@ def test_reading_of_a_ulog_that_makes_pyulog_loop_is_stopped(tmp_path: Path) -> 
     # good message, and begins again.
     cut = struct.pack("<HB", 6 + len(good), 0) + bytes(5)
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + 3 * good + cut)
-    with pytest.raises(ConfigError, match="damaged beyond reading"):
+    with pytest.raises(ConfigError, match="corrupted beyond reading"):
         read_ulog(path)
 
 
@@ -236,7 +236,7 @@ def test_solution_status_bits_of_px4s_estimator_are_flags(shared_data: Path) -> 
         "innovation_check_flags": raised << 7,
     }
     spans = [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
-    # A receiver that is not good enough for the estimator is shown, and no flag.
+    # A receiver that fails the estimator's quality checks is a warning, not a flag.
     assert {(span.text, span.kind) for span in spans} == {
         ("accelerometer error", "flag"),
         ("GPS speed accuracy rejected", "warn"),

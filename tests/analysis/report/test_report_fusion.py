@@ -15,7 +15,7 @@ METRE_DEG = 1.0 / 111_195.0  # of latitude, on the sphere that reports measure o
 
 
 def state(second, up_m, name="fused", **changes):
-    """A fused state above the place."""
+    """A fused state above the reference point."""
     at = ecef_from_geodetic(np.radians(LAT_DEG), np.radians(LON_DEG), ALT_M + up_m)
     return FusedState(
         t_us=second * 1_000_000,
@@ -31,7 +31,7 @@ def state(second, up_m, name="fused", **changes):
 
 
 def truth():
-    """A vehicle that stays where it is."""
+    """A vehicle at rest."""
     t_s = np.arange(10.0)
     columns = (np.full(10, value) for value in (LAT_DEG, LON_DEG, ALT_M))
     return GroundTrack("truth", t_s, *columns)

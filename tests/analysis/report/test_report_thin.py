@@ -1,4 +1,4 @@
-"""A log too large for memory gives a report that keeps its peaks and says what was left out."""
+"""A report on a log too large for memory keeps its peaks and says that rows were omitted."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Where a flight was: paths without a place on the earth, uncertainty, and the receiver's sky."""
+"""Tracks of a flight: local tracks, uncertainty, and the receiver's sky plot."""
 
 import json
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_a_track_has_the_accuracy_of_its_own_source(
         assert found is None
     else:
         assert found is not None
-        # Before the first accuracy there is none.
+        # NaN before the first accuracy.
         assert np.isnan(found[0][0])
         assert found[0][1:] == pytest.approx([sigma] * 4)
 
@@ -115,7 +115,7 @@ def test_a_ulog_and_a_tlog_give_the_same_sky_plot() -> None:
     ((_, one),) = sky_pictures(_info(**spread))
     ((_, other),) = sky_pictures(_info(**{f"satellite_{name}": row for name, row in tlog.items()}))
     assert one == other
-    # A place without a satellite has no name; 211 is u-blox's first Galileo satellite.
+    # An empty entry has no name; 211 is u-blox's first Galileo satellite.
     assert b"<!-- G05 -->" in one
     assert b"<!-- E01 -->" in one
     assert one.count(b"<!-- G") == 1

@@ -1,4 +1,4 @@
-"""The same frames say the same, whether they come one by one, in heaps, or from a log."""
+"""Frames give the same samples one by one, in blocks, or from a log."""
 
 from itertools import pairwise
 from pathlib import Path

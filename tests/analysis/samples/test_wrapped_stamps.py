@@ -1,4 +1,4 @@
-"""Outputs of a vehicle that has been on for longer than 32 bits of microseconds hold."""
+"""Actuator outputs of a vehicle whose 32-bit microsecond timestamps have wrapped."""
 
 import pytest
 
@@ -33,7 +33,7 @@ def test_a_timestamp_is_unwrapped_by_the_time_since_boot(rounds: int) -> None:
     decoder = Decoder()
     found = stamps(decoder, outputs(at_us), attitude(at_us), outputs(at_us + 50_000))
     assert found == [at_us, at_us + 50_000]
-    # A block without it goes on by the one before.
+    # A block without boot time continues from the block before.
     assert stamps(decoder, outputs(at_us + 100_000)) == [at_us + 100_000]
 
 

@@ -109,7 +109,7 @@ def test_a_message_with_an_impossible_time_is_corruption(tmp_path: Path) -> None
 def test_a_file_without_any_message_of_a_sensor_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="nothing in it can be tested"):
+    with pytest.raises(ConfigError, match="holds no sensor message; give a log"):
         list(read_log(path))
 
 
@@ -178,7 +178,7 @@ def test_lost_parts_of_a_log_are_reported(tmp_path: Path) -> None:
     path.write_bytes(data)
     broken = LogCondition()
     list(read_log(path, broken))
-    assert broken.damage == ["parts of the file are damaged and were passed over"]
+    assert broken.damage == ["parts of the file are corrupted and were skipped"]
 
 
 def test_a_tlog_with_foreign_bytes_is_corrupted() -> None:
@@ -186,7 +186,7 @@ def test_a_tlog_with_foreign_bytes_is_corrupted() -> None:
     condition.note_junk(20, 100_000)
     assert condition.damage == []
     condition.note_junk(2_000, 100_000)
-    assert condition.damage == ["2000 of 100000 bytes (2 %) are no frame"]
+    assert condition.damage == ["2000 of 100000 bytes (2 %) are not frames"]
 
 
 def test_unhealthy_measurements_are_ignored(tmp_path: Path) -> None:

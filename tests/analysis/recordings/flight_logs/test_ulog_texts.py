@@ -68,7 +68,7 @@ def test_printed_texts_are_cut_and_joined() -> None:
 def test_a_real_log_has_the_texts_that_flight_review_shows(shared_data: Path) -> None:
     found = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     said = [text for _, _, text in found.messages]
-    # Five of its events are texts too, or say what a text says in other words.
+    # Five of its events are texts too, partly in other words.
     assert sum("Takeoff detected" in text for text in said) == 1
     assert "HW arch: CUAV_7_NANO" in found.printed["Console"]
     assert "wq:rate_ctrl" in found.printed["Processes after the flight"]

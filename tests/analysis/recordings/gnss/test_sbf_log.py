@@ -114,13 +114,13 @@ def test_orbits_of_a_real_log_are_those_that_rtklib_finds_in_it():
 
 @pytest.mark.parametrize(("systems", "satellites"), [("GE", 16), ("GEC", 25)])
 def test_a_real_log_gives_the_position_of_its_receiver(systems: str, satellites: int):
-    data, at, told = LOG.read_bytes(), 0, []
+    data, at, positions = LOG.read_bytes(), 0, []
     while at < len(data):
         number, length = unpack_from("<HH", data, at + 4)
         if number & 0x1FFF == PVT_GEODETIC:
-            told.append(unpack_from("<ddd", data, at + 16))
+            positions.append(unpack_from("<ddd", data, at + 16))
         at += length
-    lat, lon, height = told[-1]
+    lat, lon, height = positions[-1]
     decisions = [
         d for d in run_detector(Detector(DetectorConfig(systems=systems)), read_rinex_samples(LOG,
         [])) if isinstance(d, Decision)
@@ -273,10 +273,10 @@ def test_a_rinex_file_is_no_receiver_s_log(name: str):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.sbf", b"no blocks here", "has no whole MeasEpoch"),
-        ("a.sbf.gz", gzip.compress(LOG.read_bytes())[:-9], "cannot be read as a Septentrio log"),
-        ("b.sbf", meas_epoch(first(1, 0, 21e6)), "no ephemeris that can be read"),
-        ("c.sbf", meas_epoch(tow_ms=2**32 - 1), "has no epoch with a pseudorange"),
+        ("a.sbf", b"no blocks here", "has no complete MeasEpoch"),
+        ("a.sbf.gz", gzip.compress(LOG.read_bytes())[:-9], "not a Septentrio log"),
+        ("b.sbf", meas_epoch(first(1, 0, 21e6)), "no readable ephemeris"),
+        ("c.sbf", meas_epoch(tow_ms=2**32 - 1), "no epoch has a readable pseudorange"),
     ],
     ids=["no blocks", "cut", "no orbits", "no time"],
 )

@@ -194,16 +194,16 @@ def test_corruption_anywhere_raises_only_config_errors(
 def test_a_receiver_without_time_has_no_epochs(tmp_path: Path):
     log = tmp_path / "a.ubx"
     log.write_bytes(rawx(replace(EPOCH, week=0, tow_s=18.0)))
-    with pytest.raises(ConfigError, match="no epoch with a pseudorange"):
+    with pytest.raises(ConfigError, match="no epoch has a readable pseudorange"):
         read_rinex(log, [])
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.ubx", b"no frames here", "has no whole UBX-RXM-RAWX"),
-        ("a.ubx.gz", gzip.compress(rawx(EPOCH))[:-9], "cannot be read as a u-blox log"),
-        ("b.ubx", rawx(EPOCH), "no ephemeris that can be read"),
+        ("a.ubx", b"no frames here", "has no complete UBX-RXM-RAWX"),
+        ("a.ubx.gz", gzip.compress(rawx(EPOCH))[:-9], "not a u-blox log"),
+        ("b.ubx", rawx(EPOCH), "no readable ephemeris"),
     ],
     ids=["no frames", "cut", "no orbits"],
 )
@@ -260,7 +260,7 @@ def test_a_dump_with_other_fields_ends_in_a_one_line_error(
 ) -> None:
     path = tmp_path / "flight.ulg"
     path.write_bytes(dump_log(rawx(EPOCH), fields=wrong))
-    with pytest.raises(ConfigError, match=f"flight.ulg: gps_dump has no bytes {missing}, "):
+    with pytest.raises(ConfigError, match=f"flight.ulg: gps_dump has no bytes {missing}: "):
         read_ubx(path)
 
 
@@ -277,7 +277,7 @@ def test_a_corrupted_px4_log_raises_only_config_errors(
 ) -> None:
     path = tmp_path_factory.mktemp("ulg") / "flight.ulg"
     whole = bytearray(dump_log(3 * rawx(EPOCH)))
-    # Most damage is put where the log says what its messages hold.
+    # Most corruption is put into the definitions of the messages.
     head = whole.index(b"A", whole.index(FIELDS.encode()) + len(FIELDS))
     places = st.one_of(st.integers(0, head), st.integers(0, len(whole) - 1))
     for at in data.draw(st.lists(places, max_size=8)):
