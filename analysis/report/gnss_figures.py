@@ -26,10 +26,7 @@ def gnss_pictures(
         table, names = _table(seen)
         elevation, azimuth, _, out, places = table.T
         found = [
-            (
-                "Sky plot, excluded in red",
-                draw_sky(elevation, azimuth, out, places, names),
-            ),
+            ("Sky plot, excluded in red", draw_sky(elevation, azimuth, out, places, names)),
             ("Residuals by elevation, excluded in red", _residuals(table)),
         ]
     if errors:
@@ -79,8 +76,7 @@ def _svg(figure: Any) -> bytes:
 def draw_sky(
     elevation_deg: Vector, azimuth_deg: Vector, out: Vector, places: Vector, names: Sequence[str]
 ) -> bytes:
-    """Sky plot of directions (k,), north up, excluded (`out`) in red; `places` (k,) index
-    `names`."""
+    """Sky plot of directions (k,), excluded (`out`) in red; `places` (k,) index `names`."""
     figure, axes = _figure(5, 5, projection="polar")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)

@@ -121,10 +121,8 @@ def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
     """The epochs; one epoch may span several consecutive blocks."""
-    complete = (payload for payload in payloads if len(payload) >= HEAD.size)
-    for (tow_ms, week), together in groupby(
-        complete, lambda payload: HEAD.unpack_from(payload)[:2]
-    ):
+    usable = (payload for payload in payloads if len(payload) >= HEAD.size)
+    for (tow_ms, week), together in groupby(usable, lambda payload: HEAD.unpack_from(payload)[:2]):
         rows: dict[str, CodeObservation] = {}
         channels: dict[str, int] = {}
         for tracked in (found for payload in together for found in _tracked(payload)):

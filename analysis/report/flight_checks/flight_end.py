@@ -13,9 +13,9 @@ REST_S = 2.0  # chosen: the vehicle then stays at rest this long
 REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
 IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
 GRID_STEP_S = 0.1  # time step of the resampled height
-AIRBORNE_M = 2.0
+AIRBORNE_M = 2.0  # chosen: above the noise of a barometric height
 FALLING_MPS = 3.0  # chosen: a faster sink at the end of a log is a fall
-UPSET_DEG = 60.0
+UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
 ESTIMATES = ("estimate", "CTUN", "GPS")
 
 
@@ -55,8 +55,7 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
 
 
 def _upright(recording: FlightData, armed: Windows | None) -> FlightCheck:
-    """Check that the vehicle ends each flight upright, unless it was tilted before
-    (tail-sitter)."""
+    """Check that the vehicle ends each flight upright, unless tilted before (tail-sitter)."""
     name, limit = "vehicle ends upright", f"fail: tilted by more than {UPSET_DEG:g}°"
     tilt = next(iter(recording.of("tilt")), None)
     if tilt is None or not armed:
@@ -110,8 +109,7 @@ def _first(signals: list[Signal]) -> Signal | None:
 def _stopped(
     recording: FlightData, t_s: Vector, height_m: Vector, sink_mps: Vector, at: int
 ) -> bool:
-    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact if
-    measured."""
+    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact."""
     stop, rest = at + round(STOP_S / GRID_STEP_S), at + round(REST_S / GRID_STEP_S)
     if stop >= len(t_s) or np.abs(sink_mps[at : stop + 1]).min() > REST_MPS:
         return False

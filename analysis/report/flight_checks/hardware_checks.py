@@ -13,7 +13,7 @@ FLYING_OUTPUT = 0.15  # chosen: mean output above which a multirotor is taken to
 MEAN_S = 2.0  # averaging time; chosen to suppress manoeuvres and vibration
 SIMULATED = "SIM_SPEEDUP"  # a parameter of ArduPilot's own simulator
 LEAST_CELL_V = 1.0  # chosen: below it a cell is not connected
-FULL_OUTPUT = 0.99
+FULL_OUTPUT = 0.99  # share of the range, below 1 for rounding
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:

@@ -77,8 +77,7 @@ def _criterion(row: Mapping[str, Any]) -> FlightCheck:
 
 
 def _found(checks: Sequence[FlightCheck]) -> list[Span]:
-    """Windows of failed checks as spans; the autopilot's flags and messages have their own
-    lanes."""
+    """Windows of failed checks as spans; the autopilot's own reports have separate lanes."""
     return [
         Span(f"found: {check.name}", start, end, check.evidence, check.verdict.lower())
         for check in checks

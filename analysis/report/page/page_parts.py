@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class TimeButtons:
-    """A table cell of buttons that zoom all plots to a time window (s) and show the plot
-    `panel`."""
+    """A table cell of buttons that zoom all plots to time windows (s) and show a plot."""
 
     windows: Sequence[tuple[float, float]]
     panel: str = ""

@@ -182,7 +182,7 @@ def test_any_field_and_an_expression_are_plotted_and_the_address_keeps_them(
         ("ATTITUDE.rol", "has no field rol; it has"),
         ("ALTITUDE.roll", "no message ALTITUDE"),
         ("deg(ATTITUDE.roll", "bracket is not closed"),
-        ("alert(1)", "neither a field, a number nor a function"),
+        ("alert(1)", "is not a field, number or function"),
         ("ATTITUDE.roll )", "is not expected after the expression"),
     ],
 )

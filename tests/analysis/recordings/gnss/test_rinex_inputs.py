@@ -98,7 +98,7 @@ def test_an_ionosphere_field_that_is_no_number_is_refused(tmp_path: Path, walk: 
     lines = (walk / "walk_ex.nav").read_text().splitlines(keepends=True)
     correction = line("GPSA   1.1E-08  junk       0.0         0.0", "IONOSPHERIC CORR")
     path.write_text(lines[0] + correction + "".join(lines[1:]))
-    with pytest.raises(ConfigError, match="ionosphere field is no number"):
+    with pytest.raises(ConfigError, match="ionosphere field is not a number"):
         read_navigation(path)
 
 
