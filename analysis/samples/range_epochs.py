@@ -51,7 +51,7 @@ class EpochAssembler:
 
     TUNNEL frames have no timestamp, so the timestamp of a pseudorange epoch is its GPS time plus
     the median of the latest differences between the sender's clock and GPS time. The median makes
-    it independent of late frames and of gaps in the sender's timestamped messages.
+    it robust to late frames and gaps in the sender's timestamped messages.
     """
 
     def __init__(self) -> None:
