@@ -145,9 +145,9 @@ def rtklib(recording: Recording, lines: list[str], stamps: list[int]) -> Places:
         if not any(not line.startswith("%") for line in out.read_text().splitlines()):
             return {}
         found = read_reference(str(out))
-    # It tells the time less the receiver's clock error, which are milliseconds on some.
-    asked, known = np.array(stamps), found.t_us
-    nearest = known[np.abs(known[:, None] - asked).argmin(axis=0)]
+    # Its times exclude the receiver's clock error, which is milliseconds on some.
+    wanted_us, known = np.array(stamps), found.t_us
+    nearest = known[np.abs(known[:, None] - wanted_us).argmin(axis=0)]
     return {
         t_us: found.r_ecef_m[np.searchsorted(known, at)]
         for t_us, at in zip(stamps, nearest.tolist(), strict=True)
@@ -161,12 +161,12 @@ def row(recording: Recording, trials: int) -> None:
     block = read_rinex(recording.obs, recording.nav)
     stamps = block.t_us[block.rows(EPOCH)].tolist()
     clean, theirs = judged(recording, healthy), rtklib(recording, healthy, stamps)
-    told = clean.scores.summary()
+    scores = clean.scores.summary()
     rtk = PositionScores()
     for t_us, place in theirs.items():
         if (true_m := recording.truth.at(t_us)) is not None:
             rtk.add("rtklib", place, None, true_m)
-    ours = told.get("filter", {})
+    ours = scores.get("filter", {})
     per_hour = 3600e6 * clean.alarms / (stamps[-1] - stamps[0])
     print(
         f"| {recording.name}, {recording.systems} | clean | {len(stamps)} epochs,"

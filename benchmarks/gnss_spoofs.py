@@ -60,9 +60,9 @@ SPOOFS: dict[str, list[dict[str, Any]]] = {
 
 
 class Answer(NamedTuple):
-    """Seconds to the first alarm, what was said most while an alarm held (with its exclusions), the
-    largest error while a sigma bounded it and while none did, epochs during the fault with a
-    position, and the counts of levels during the fault."""
+    """Seconds to the first alarm, the most frequent alarms (with their exclusions), the largest
+    error while a sigma bounded it and while none did, share of epochs during the fault with a
+    position, and the counts of protection levels during the fault."""
 
     alarm_s: float | None
     verdict: str
@@ -91,8 +91,8 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
     end_us = begin_us + FOR_S * 1e6
     acting = [d for d in decisions if begin_us <= d.t_us < end_us]
     alarms = [d.t_us for d in acting if d.alarm or d.hypothesis not in ("none", "untestable")]
-    told = [d for d in beside if begin_us <= d.t_us < end_us and d.alarm]
-    alarms = sorted(alarms + [d.t_us for d in told])
+    sensor_alarms = [d for d in beside if begin_us <= d.t_us < end_us and d.alarm]
+    alarms = sorted(alarms + [d.t_us for d in sensor_alarms])
     bounded, unbounded = [0.0], [0.0]
     for decision in acting:
         true_m = recording.truth.at(decision.t_us)
@@ -104,7 +104,7 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
     placed = sum(decision.position_ecef_m is not None for decision in acting)
     return Answer(
         (alarms[0] - begin_us) * 1e-6 if alarms else None,
-        _said(acting, told),
+        _alarm_counts(acting, sensor_alarms),
         max(bounded),
         max(unbounded),
         placed / max(len(acting), 1),
@@ -112,12 +112,12 @@ def answer(recording: Recording, faults: list[dict[str, Any]], at_s: float) -> A
     )
 
 
-def _said(acting: list[Decision], told: list[SensorDecision]) -> str:
-    """The hypotheses with the systems left out, and what is told beside them, the most frequent
+def _alarm_counts(acting: list[Decision], sensor_alarms: list[SensorDecision]) -> str:
+    """The hypotheses with the excluded systems, and alarms of sensor tests, the most frequent
     first."""
-    said = Counter(_words(decision) for decision in acting)
-    said.update("Doppler of one" if d.suspect else d.reason.split(":")[0] for d in told)
-    return ", ".join(f"{words} {count}" for words, count in said.most_common(4))
+    counts = Counter(_words(decision) for decision in acting)
+    counts.update("Doppler of one" if d.suspect else d.reason.split(":")[0] for d in sensor_alarms)
+    return ", ".join(f"{words} {count}" for words, count in counts.most_common(4))
 
 
 def _words(decision: Decision) -> str:

@@ -1,10 +1,10 @@
-"""How large a report is and how fast it opens, each time in a browser that was just started.
+"""Measure the size of a report and its opening time in a newly started browser.
 
     python benchmarks/report.py                              # ten curves of 60,000 noisy samples
     python benchmarks/report.py --log hil.tlog --megabytes 500   # a log repeated to that size
 
-Needs Debian's chromium and Playwright. "Opened" is until the page is ready with what is in view
-drawn, "all drawn" until every plot is.
+Needs Debian's chromium and Playwright. "Opened" is the time until the visible plots are drawn, "all
+drawn" until every plot is.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def recording() -> FlightData:
 
 
 def repeated(log: Path, megabytes: int, path: Path) -> None:
-    """Write a log over and over, its stamps moved on each time."""
+    """Write a log repeatedly, with shifted timestamps."""
     records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(log)]
     length_us = records[-1][0] - records[0][0] + 10_000
     with path.open("wb") as file:
@@ -51,7 +51,7 @@ def repeated(log: Path, megabytes: int, path: Path) -> None:
 
 
 def reported(log: Path, megabytes: int, folder: Path) -> Path:
-    """The report of a log of that size, by the command itself."""
+    """Run the report command on a log of that size."""
     large = folder / "large.tlog"
     repeated(log, megabytes, large)
     start_s = time.perf_counter()
@@ -83,7 +83,7 @@ def open_in_browser(path: Path) -> None:
 
 
 def main() -> int:
-    """Write a report and open it some times."""
+    """Write a report and open it several times."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--log", type=Path, help="a tlog (default: curves made here)")
     parser.add_argument("--megabytes", type=int, default=500, help="repeat the log up to this size")

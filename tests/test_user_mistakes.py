@@ -120,7 +120,7 @@ def test_a_run_in_a_folder_that_is_gone_is_refused(
     monkeypatch.chdir(folder / "gone")
     (folder / "gone").rmdir()
     assert main(("run", "--zenoh", "off", "--gcs", "off")) == 2
-    assert "name a folder to write with --out" in capsys.readouterr().err
+    assert "give a writable folder with --out" in capsys.readouterr().err
 
 
 def test_a_misspelt_command_is_answered_with_the_nearest(

@@ -1,4 +1,4 @@
-"""Satellites as the analysis sees them: broadcast orbits, atmosphere, the snapshot solution.
+"""GNSS models of the analysis: broadcast orbits, atmospheric delays, snapshot solution.
 
-Written independently of `simvehicle.gnss`, so that a test between the two means something.
+Implemented independently of `simvehicle.gnss`, so that comparing the two is a meaningful test.
 """

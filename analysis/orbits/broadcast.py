@@ -1,8 +1,9 @@
-"""Broadcast orbits and clocks of five systems, and the atmosphere's delays.
+"""Orbits and clocks of five satellite systems from broadcast ephemerides, and atmospheric delays.
 
-Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the
-velocity in closed form; the ionosphere is Klobuchar's model [1]_, the troposphere Saastamoinen's
-zenith delay [3]_ in the standard atmosphere with the mapping of Black and Eisner [4]_.
+Positions and velocities follow the algorithm of the interface documents [1]_ [2]_ with the velocity
+in closed form; the ionosphere is Klobuchar's model
+[1]_, the troposphere Saastamoinen's zenith delay [3]_ in the standard atmosphere with the mapping
+of Black and Eisner [4]_.
 
 References
 ----------
@@ -32,19 +33,19 @@ from mavproxy_fault.numerics.constants import (
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-# By a satellite's first letter: GPS, Galileo, GLONASS, BeiDou, QZSS.
+# First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
 SYSTEMS = "GERCJ"
-# The receiver's clock that a system is measured by, each but the first with an offset of its own.
-# QZSS sends GPS's signal on GPS's time [5]_: one clock serves both.
+# Index of the receiver clock of each system; all but the first have an inter-system bias. QZSS
+# transmits GPS's signal on GPS time [5]_, so the two share a clock.
 CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
 CLOCKS = 4
-BEIDOU_TIME_OFFSET_S = 14.0  # BeiDou's time against GPS's
-GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # BeiDou's, by number
+BEIDOU_TIME_OFFSET_S = 14.0  # BeiDou time minus GPS time is -14 s
+GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou, by satellite number
 B1I_HZ = 1561.098e6
-B3I_HZ = 1268.52e6  # BeiDou's clocks are given for it: no group delay
+B3I_HZ = 1268.52e6  # BeiDou's clock reference: no group delay
 WEEK_S = 604_800.0
 
-# Klobuchar's coefficients of a quiet to moderate day, for when none are broadcast.
+# Klobuchar coefficients of a day with low to moderate solar activity, used if none are broadcast.
 TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
 TYPICAL_BETA = (9.011e4, 0.0, -1.966e5, -6.554e4)
 
@@ -58,19 +59,19 @@ _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_
 (TOE, TOC, AF0, AF1, AF2) = range(2, 7)
 (SQRT_A, ECCENTRICITY, I0, OMEGA0, OMEGA, M0, DELTA_N, OMEGA_DOT, IDOT) = range(7, 16)
 (CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, PACKED) = range(16, 26)
-VECTOR = SQRT_A  # where a state vector has its position, velocity and acceleration (9)
+VECTOR = SQRT_A  # of a GLONASS state vector: position, velocity, acceleration (9)
 ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR = 0.0, 1.0, 2.0  # kinds of orbit
 # Columns of `satellite_states`.
 POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
-# Columns of `predict_ranges`: the range, its rate, the unit vector (3), elevation, azimuth and the
-# ionosphere's part of the range.
+# Columns of `predict_ranges`: range, range rate, line of sight (3), elevation, azimuth and
+# ionospheric delay.
 RANGE, RATE, LINE_OF_SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6, 7, 8
 
 
 def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
-    """The numbers of one ephemeris (25,): mu, week, `_FIELDS` in their order, the kind of orbit (0
-    elements, 1 those of a geostationary satellite, 2 a state vector in place of the elements), and
-    the ionosphere's delay over that of L1."""
+    """Pack one ephemeris as an array (25,): mu, week, `_FIELDS` in order, the kind of orbit (0
+    Kepler elements, 1 those of a geostationary satellite, 2 a state vector in place of the
+    elements), and the ratio of the ionospheric delay to that on L1."""
     if isinstance(ephemeris, StateVector):
         clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
         orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
@@ -79,7 +80,7 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
     values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
     beidou = ephemeris.satellite[0] == "C"
     still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
-    if beidou:  # its own rate of the earth and time of week, in terms of GPS's
+    if beidou:  # convert BeiDou's earth rate and time of week to those of GPS
         own_s = (ephemeris.toe_s - BEIDOU_TIME_OFFSET_S) % WEEK_S
         values["omega0_rad"] += (
             GNSS_EARTH_RATE_RPS * ephemeris.toe_s - BEIDOU_EARTH_RATE_RPS * own_s
@@ -91,7 +92,7 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
 
 
 def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
-    """An ephemeris (25,) for ranges on another carrier than L1: its ionosphere and group delay."""
+    """A packed ephemeris (25,) for another carrier than L1: scales the ionospheric delay."""
     packed = packed.copy()
     packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
     if carrier_hz == B3I_HZ:
@@ -101,19 +102,19 @@ def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
 
 @compiled
 def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: Vector) -> Vector:
-    """Satellites when they sent what is received now.
+    """Satellite positions, velocities and clocks at the time of transmission.
 
     Parameters
     ----------
     packed : (n, 25), rows of `pack_ephemeris`
-    week, tow_s : GPS time of reception by the receiver's clock
+    week, tow_s : GPS time of reception on the receiver's clock
     pseudorange_m : (n,)
 
     Returns
     -------
     (n, 9) : position (3) in m and velocity (3) in m/s, ECEF at the time of transmission; clock
-        offset in m (relativity and group delay included) and its rate in m/s; the ionosphere's
-        delay over that of L1.
+        offset in m (with relativity and group delay) and its rate in m/s; the ratio of the
+        ionospheric delay to that on L1.
     """
     out = np.empty((packed.shape[0], STATES))
     for i in range(packed.shape[0]):
@@ -124,7 +125,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
             - packed[i, TOC]
         )
         clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
-        # So far by the satellite's own clock, but the polynomial is one of GPS time: once more.
+        # The first evaluation used the satellite's clock; the polynomial is in GPS time: repeat.
         since_toc -= clock
         clock = packed[i, AF0] + packed[i, AF1] * since_toc + packed[i, AF2] * since_toc * since_toc
         relativity = 0.0
@@ -142,7 +143,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
 
 @compiled
 def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
-    """Fill row i with position and velocity `t_k` s after toe; the relativistic clock term."""
+    """Write position and velocity `t_k` s after toe to row i; returns relativistic clock term."""
     mu, e, sqrt_a = packed[i, MU], packed[i, ECCENTRICITY], packed[i, SQRT_A]
     a = sqrt_a * sqrt_a
     n = math.sqrt(mu / (a * a * a)) + packed[i, DELTA_N]
@@ -152,9 +153,9 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
         sin_e, cos_e = math.sin(ecc), math.cos(ecc)
         step = (ecc - e * sin_e - mean) / (1.0 - e * cos_e)
         ecc -= step
-        if abs(step) < 1e-8:  # the rest is below the last digit
+        if abs(step) < 1e-8:  # Newton's next step is below double precision
             break
-    # The last step to first order, in place of calling both once more.
+    # Apply the last step to first order instead of evaluating sine and cosine again.
     sin_e, cos_e = sin_e - step * cos_e, cos_e + step * sin_e
     ecc_rate = n / (1.0 - e * cos_e)
     root = math.sqrt(1.0 - e * e)
@@ -191,8 +192,8 @@ def _orbit(packed: Vector, i: int, t_k: float, out: Vector) -> float:
 
 @compiled
 def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
-    """Turn a geostationary satellite's position and velocity to ECEF, in place: its elements are
-    given in axes that do not turn with the earth, tilted by 5 degrees [2]_."""
+    """Rotate position and velocity of a geostationary satellite to ECEF, in place: its elements
+    refer to non-rotating axes tilted by 5 degrees [2]_."""
     rate, tilt = BEIDOU_EARTH_RATE_RPS, -5.0 * math.pi / 180.0
     s, c, st, ct = math.sin(rate * t_k), math.cos(rate * t_k), math.sin(tilt), math.cos(tilt)
     for at in (POSITION, VELOCITY):
@@ -204,7 +205,7 @@ def _rotate_from_inertial_geo(t_k: float, out: Vector) -> None:
 
 @compiled
 def geomagnetic_latitude(lat: float, lon: float) -> float:
-    """Of a latitude and a longitude, all in semicircles [1]_."""
+    """Geomagnetic latitude from latitude and longitude, all in semicircles [1]_."""
     return lat + 0.064 * math.cos((lon - 1.617) * math.pi)
 
 
@@ -212,7 +213,7 @@ def geomagnetic_latitude(lat: float, lon: float) -> float:
 def klobuchar_m(
     lat_rad: float, lon_rad: float, az_rad: float, el_rad: float, tow_s: float, coefficients: Vector
 ) -> float:
-    """Delay of L1 by the ionosphere; `coefficients` (8,) are alpha, then beta."""
+    """Ionospheric delay on L1 in m [1]_; `coefficients` (8,) are alpha, then beta."""
     el = el_rad / math.pi
     psi = 0.0137 / (el + 0.11) - 0.022
     lat = lat_rad / math.pi + psi * math.cos(az_rad)
@@ -236,8 +237,8 @@ def klobuchar_m(
 
 @compiled
 def zenith_delay_m(lat_rad: float, height_m: float) -> float:
-    """The troposphere's delay in the zenith in the standard atmosphere at 50 % humidity."""
-    # A snapshot's first guess is the earth's centre, where the formulas mean nothing.
+    """Tropospheric zenith delay in m, in the standard atmosphere at 50 % humidity [3]_."""
+    # The snapshot starts at the earth's centre, where the formulas are not valid.
     if height_m < -1000.0 or height_m > 20000.0:
         return 0.0
     h = max(height_m, 0.0)
@@ -252,7 +253,7 @@ def zenith_delay_m(lat_rad: float, height_m: float) -> float:
 
 @compiled
 def troposphere_m(zenith_m: float, el_rad: float) -> float:
-    """Slant delay of a delay in the zenith [4]_."""
+    """Tropospheric delay in m at an elevation, mapped from the zenith delay [4]_."""
     slant: float = zenith_m * 1.001 / math.sqrt(0.002001 + math.sin(el_rad) ** 2)
     return slant
 
@@ -261,19 +262,19 @@ def troposphere_m(zenith_m: float, el_rad: float) -> float:
 def predict_ranges(
     states: Vector, r_ecef_m: Vector, v_ecef_mps: Vector, tow_s: float, ionosphere: Vector
 ) -> Vector:
-    """What a receiver with a perfect clock would measure.
+    """Predict pseudoranges and range rates of a receiver with a perfect clock.
 
     Parameters
     ----------
     states : (n, 9), of `satellite_states`
-    r_ecef_m, v_ecef_mps : (3,), the receiver
+    r_ecef_m, v_ecef_mps : (3,), of the receiver
     tow_s : seconds of the GPS week
-    ionosphere : (8,), Klobuchar's coefficients
+    ionosphere : (8,), Klobuchar coefficients
 
     Returns
     -------
-    (n, 8) : pseudorange in m and its rate in m/s, unit vector to the satellite (3) in ECEF at the
-        time of reception, elevation and azimuth in rad, the ionosphere's delay in m.
+    (n, 8) : pseudorange in m and its rate in m/s, line of sight, the unit vector to the satellite
+        (3) in ECEF at the time of reception, elevation and azimuth in rad, ionospheric delay in m.
     """
     out = np.empty((states.shape[0], PREDICTED))
     lat, lon, height = geodetic_position(r_ecef_m)
@@ -281,7 +282,7 @@ def predict_ranges(
     d, u = np.empty(3), np.empty(3)
     for i in range(states.shape[0]):
         s, c, rho = 0.0, 1.0, 0.0
-        for _ in range(2):  # the earth turns while the signal travels, by 5e-6 rad
+        for _ in range(2):  # Sagnac effect: the earth rotates by 5e-6 rad while the signal travels
             d[0] = c * states[i, POSITION] + s * states[i, POSITION + 1] - r_ecef_m[0]
             d[1] = -s * states[i, POSITION] + c * states[i, POSITION + 1] - r_ecef_m[1]
             d[2] = states[i, POSITION + 2] - r_ecef_m[2]

@@ -1,7 +1,7 @@
-"""GLONASS orbits: a broadcast state vector carried on by Runge-Kutta, and UTC's leap seconds.
+"""GLONASS orbits: Runge-Kutta propagation of broadcast state vectors, and UTC leap seconds.
 
-The frame is PZ-90.11, which agrees with WGS 84 to centimetres [1]_. GLONASS keeps UTC; stamps here
-are GPS time.
+The frame is PZ-90.11, which agrees with WGS 84 to centimetres [1]_. GLONASS uses UTC; timestamps
+here are GPS time.
 
 References
 ----------
@@ -17,12 +17,12 @@ import numpy as np
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-VELOCITY = 3  # where it begins in a state, behind the position
+VELOCITY = 3  # offset of the velocity in a state, after the position
 
-CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and from one channel to the next
+CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and channel spacing [1]_
 STEP_S = 60.0
 
-# Days on which UTC fell a second further behind GPS time, which began on 6 January 1980.
+# Days after a leap second [2]_; GPS time began on 6 January 1980.
 _LEAPS = tuple(
     date(year, month, 1)
     for year, month in (
@@ -34,14 +34,14 @@ _LEAPS = tuple(
 
 
 def leap_seconds(day: date) -> int:
-    """How far GPS time is ahead of UTC on a day."""
+    """GPS time minus UTC on a day, in s."""
     return bisect_right(_LEAPS, day)
 
 
 @compiled
 def _state_derivative(s: Vector, a: Vector, out: Vector) -> None:
-    """The derivative (6,) of position and velocity s (6,) in the turning frame, into `out`."""
-    # PZ-90's own constants, with which the vectors are made.
+    """Write the derivative (6,) of position and velocity s (6,) in the rotating frame to `out`."""
+    # PZ-90 constants, which the broadcast vectors assume [1]_.
     mu, j2, radius, rate = 3.9860044e14, 1.0826257e-3, 6378136.0, 7.292115e-5
     square = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     pull = mu / (square * np.sqrt(square))
@@ -57,7 +57,8 @@ def _state_derivative(s: Vector, a: Vector, out: Vector) -> None:
 
 @compiled
 def propagate_state(vector: Vector, t_s: float, out: Vector) -> None:
-    """Fill position and velocity (6,) `t_s` seconds after the vector (9,): r, v, a."""
+    """Propagate a state vector (9,) of r, v, luni-solar a by `t_s` seconds; writes r, v to
+    `out`."""
     steps = int(np.ceil(abs(t_s) / STEP_S))
     for i in range(6):
         out[i] = vector[i]

@@ -1,4 +1,4 @@
-"""Snapshot solution of one epoch: least squares over position, clock and system offsets."""
+"""Single-epoch (snapshot) least-squares solution: position, clock, inter-system biases."""
 
 from dataclasses import dataclass
 
@@ -16,19 +16,19 @@ from analysis.samples.sample import Epoch, Vector
 
 Indices = NDArray[np.int64]
 ITERATIONS = 12
-CONVERGED_M = 1e-4
-TROPOSPHERE_FROM_M = 5.0e6  # below this radius the first guess is still near the earth's centre
+CONVERGED_M = 1e-4  # far below the noise of code ranges
+TROPOSPHERE_FROM_M = 5.0e6  # below this radius the iteration is still near the earth's centre
 
 
 @dataclass(frozen=True, slots=True)
 class Fix:
     """A snapshot solution.
 
-    `r_ecef_m` (3,), `clock_m` the receiver clock, `isb_m` the other systems' offsets against the
-    first of `broadcast.CLOCK_OF` that is there, `residual_m` and `sigma_m` (n,), `design` (n, k)
-    the geometry with k = 3 + systems, `cofactor` its inverse normal matrix (weights included),
-    `dof` = n - k, `statistic` the weighted sum of squared residuals; `elevation_rad` and
-    `azimuth_rad` (n,).
+    `r_ecef_m` (3,) position, `clock_m` receiver clock offset, `isb_m` inter-system biases relative
+    to the first system in use (order of `broadcast.CLOCK_OF`), `residual_m` and `sigma_m` (n,),
+    `design` (n, k) the geometry matrix with k = 3 + systems, `cofactor` (k, k) the covariance
+    (inverse of the weighted normal matrix), `dof` = n - k, `statistic` the weighted sum of squared
+    residuals; `elevation_rad` and `azimuth_rad` (n,).
     """
 
     satellites: tuple[str, ...]
@@ -46,12 +46,12 @@ class Fix:
 
 
 def systems_of(system: Indices) -> list[int]:
-    """The systems among `system` (n,), places by `broadcast.CLOCK_OF`; the first has no offset."""
+    """The distinct systems in `system` (n,), by `broadcast.CLOCK_OF`; the first has no bias."""
     return sorted(set(system.tolist()))
 
 
 def design_matrix(los: Vector, system: Indices) -> Vector:
-    """Geometry (n, 3 + systems): minus the unit vectors, the clock, the other systems' offsets."""
+    """Geometry matrix (n, 3 + systems): negative lines of sight, clock, inter-system biases."""
     columns = [-los, np.ones((len(los), 1))]
     columns += [(system == kind)[:, None].astype(float) for kind in systems_of(system)[1:]]
     return np.hstack(columns)
@@ -60,28 +60,28 @@ def design_matrix(los: Vector, system: Indices) -> Vector:
 def solve_position(
     epoch: Epoch, packed: Vector, ionosphere: Vector, sigma_m: Vector, guess: Vector | None = None
 ) -> Fix | None:
-    """Least squares from raw pseudoranges.
+    """Solve for position and clocks from raw pseudoranges by iterated weighted least squares.
 
     Parameters
     ----------
     epoch : Epoch
         n satellites, all with an ephemeris.
-    packed : (n, 25), `gnss.pack_ephemeris` of each
-    ionosphere : (8,), Klobuchar's coefficients
-    sigma_m : (n,), one sigma of each pseudorange
-    guess : (3,), ECEF in m; the earth's centre by default
+    packed : (n, 25), `broadcast.pack_ephemeris` of each
+    ionosphere : (8,), Klobuchar coefficients
+    sigma_m : (n,), standard deviation of each pseudorange
+    guess : (3,), initial ECEF position in m; the earth's centre by default
 
     Returns
     -------
     Fix or None
-        None where there are too few satellites or their geometry fails.
+        None with too few satellites or a singular geometry.
     """
     states = satellite_states(packed, float(epoch.week), epoch.tow_s, epoch.pseudorange_m)
     system = np.array([CLOCK_OF[name[0]] for name in epoch.satellites], dtype=np.int64)
     r = np.zeros(3) if guess is None else guess.copy()
     clock = np.zeros(len(systems_of(system)))
     for _ in range(ITERATIONS):
-        near = float(r @ r) > TROPOSPHERE_FROM_M**2  # else 1 mm off: the centre has no latitude
+        near = float(r @ r) > TROPOSPHERE_FROM_M**2  # else move by 1 mm: the centre has no latitude
         predicted = predict_ranges(
             states, r if near else r + 1e-3, np.zeros(3), epoch.tow_s, ionosphere
         )
@@ -102,7 +102,7 @@ def solve_position(
             break
     if not np.isfinite(r).all():
         return None
-    residual = residual - design @ step  # the last step is too small to linearise anew
+    residual = residual - design @ step  # the last step is too small to need another linearisation
     return Fix(
         satellites=epoch.satellites,
         r_ecef_m=r,

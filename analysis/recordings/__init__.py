@@ -1,5 +1,5 @@
-"""Files of others as samples: RINEX, u-blox logs, ULog, dataflash, an IMU's CSV.
+"""Log files as samples: tlog, ULog, dataflash, RINEX, u-blox and Septentrio logs, IMU CSV.
 
-A *recording* hands out samples in the order of their stamps, whatever files it was made of: of the
-flight logs of autopilots, of GNSS receivers' files. A *reference* is where the antenna really was.
+A *recording* gives samples in order of time, read from an autopilot's flight log or from files of a
+GNSS receiver. A *position reference* is the true position of the antenna.
 """

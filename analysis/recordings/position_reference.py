@@ -1,4 +1,4 @@
-"""Where an antenna really was: a point, RTKLIB's position file, or a table of times and places.
+"""True position of an antenna: a point, an RTKLIB position file, or a table of positions.
 
 Heights are above the ellipsoid, times GPS time.
 """
@@ -16,8 +16,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
 WEEK_S = 604_800
-NEAREST_RADIUS_M = 1e5  # numbers of a point beyond it are ECEF metres, below it degrees
-MAX_GAP_US = 2_000_000  # between two places further apart in time nothing is known
+NEAREST_RADIUS_M = 1e5  # larger coordinates are ECEF metres, smaller ones degrees
+MAX_GAP_US = 2_000_000  # longest gap between two positions that is interpolated
 SAME_EPOCH_US = 20_000
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
 CALENDAR = re.compile(r"\d{4}/\d\d/\d\d ")
@@ -28,14 +28,14 @@ FORMS = (
 
 
 class PositionReference(NamedTuple):
-    """Stamps (n,) in us since the start of GPS time and places (n, 3) in ECEF; a single place
-    holds always."""
+    """Timestamps (n,) in us since the start of GPS time and ECEF positions (n, 3); a single
+    position is valid at all times."""
 
     t_us: NDArray[np.int64]
     r_ecef_m: Vector
 
     def at(self, t_us: int) -> list[float] | None:
-        """The place (3,) at a time, between two known ones on a straight line; None unknown."""
+        """The position (3,) at a time, linearly interpolated; None if unknown."""
         if len(self.t_us) == 1:
             still: list[float] = self.r_ecef_m[0].tolist()
             return still
@@ -53,37 +53,37 @@ class PositionReference(NamedTuple):
 
 
 def read_reference(given: str) -> PositionReference:
-    """The reference of a point as it is written on the command line, or of a file.
+    """Read a reference, given on the command line as a point or the path of a file.
 
     Raises
     ------
     ConfigError
-        If it is none of the forms.
+        If it has none of the supported forms.
     """
     point = _numbers(given.split(","))
     if point is not None and len(point) == 3:
         return PositionReference(np.zeros(1, np.int64), _place(point, "--truth")[None])
     path = Path(given)
     try:
-        # Spreadsheets put a byte order mark in front of UTF-8.
+        # Spreadsheets write a byte order mark before UTF-8.
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"--truth {given}: cannot be read as text ({error}); {FORMS}") from error
     heads = [line for line in lines if line.startswith("%")]
-    # RTKLIB names its time scale above the columns; UTC is off by the leap seconds.
+    # RTKLIB names the time scale above the columns; UTC differs by the leap seconds.
     if any(re.match(r"%\s+UTC", line) for line in heads):
-        raise ConfigError(f"--truth {given}: its times are UTC; GPST is needed")
+        raise ConfigError(f"--truth {given}: its times are UTC; write it in GPST")
     rows = [row for line in lines if (row := _row(line, given)) is not None]
     if not rows:
-        raise ConfigError(f"--truth {given}: has no place; {FORMS}")
-    # `at` searches by time; files that were joined need not be in order.
+        raise ConfigError(f"--truth {given}: has no position; {FORMS}")
+    # `at` searches by time; concatenated files need not be in order.
     rows.sort(key=lambda row: row[0])
     table = np.array([row[1] for row in rows])
     return PositionReference(np.array([row[0] for row in rows]), table)
 
 
 def _row(line: str, given: str) -> tuple[int, Vector] | None:
-    """Stamp and place of a line; None of a comment, a heading or an empty one."""
+    """Timestamp and position of a line; None for a comment, a heading or an empty line."""
     if not line.strip() or line.startswith(("%", "#")):
         return None
     if CALENDAR.match(line):
@@ -97,11 +97,11 @@ def _row(line: str, given: str) -> tuple[int, Vector] | None:
         if numbers is None and line.lstrip()[:1].isalpha():
             return None
         if numbers is None or len(numbers) < 5:
-            raise ConfigError(f"--truth {given}: {line[:40]!r} is no line of it; {FORMS}")
+            raise ConfigError(f"--truth {given}: {line[:40]!r} cannot be read; {FORMS}")
         stamp_us = round((numbers[0] * WEEK_S + numbers[1]) * 1e6)
         values = numbers[2:]
     if values is None or len(values) < 3:
-        raise ConfigError(f"--truth {given}: {line[:40]!r} has no place; {FORMS}")
+        raise ConfigError(f"--truth {given}: {line[:40]!r} has no position; {FORMS}")
     return stamp_us, _place(values, f"--truth {given}")
 
 
@@ -113,11 +113,11 @@ def _numbers(words: list[str]) -> list[float] | None:
 
 
 def _place(values: list[float], where: str) -> Vector:
-    """ECEF (3,) of metres, or of degrees and a height."""
+    """ECEF position (3,) from ECEF metres, or from degrees and height."""
     if max(map(abs, values)) > NEAREST_RADIUS_M:
         return np.array(values)
     lat_deg, lon_deg, height_m = values
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0):
-        raise ConfigError(f"{where}: {lat_deg}, {lon_deg} is no latitude and longitude in degrees")
+        raise ConfigError(f"{where}: {lat_deg}, {lon_deg} is not latitude, longitude in degrees")
     place: Vector = ecef_from_geodetic(np.radians(lat_deg), np.radians(lon_deg), height_m)
     return place

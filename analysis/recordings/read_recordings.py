@@ -1,4 +1,4 @@
-"""Recordings -> samples in the order of their stamps: tlogs, and RINEX files with an IMU's CSV."""
+"""Read recordings as blocks of samples: tlogs, autopilot logs, RINEX files with an IMU's CSV."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -18,20 +18,20 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.tlog import read_ordered
 from mavproxy_fault.wire.written import written_bytes
 
-UNIX_TO_GPS_S = 315_964_800  # 1980-01-06 on Unix's count
+UNIX_TO_GPS_S = 315_964_800  # Unix time of 1980-01-06
 WEEK_S = 604_800
-NUMBER = re.compile(r"[+-]?\.?\d")  # how one begins
+NUMBER = re.compile(r"[+-]?\.?\d")  # beginning of a number
 
 
 def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterator[Block]:
-    """What `Decoder` makes of a tlog, block by block; a ULog or dataflash log as one.
+    """Read a tlog block by block, or a ULog or dataflash log as one block.
 
-    What the log has lost goes into `condition`, of an autopilot's log before the block is given.
+    Lost parts are noted in `condition`; for an autopilot log before the block is yielded.
 
     Raises
     ------
     ConfigError
-        If there is no such log, or it holds nothing to test.
+        If the log does not exist or holds no sensor samples.
     """
     if Path(path).is_file() and is_autopilot_log(Path(path)):
         yield read_autopilot_log(Path(path), condition)
@@ -43,7 +43,7 @@ def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterato
         sensed |= len(block.kind) > 0
         yield block
     if not sensed:
-        raise ConfigError(f"{path}: holds no message of a sensor; nothing in it can be tested")
+        raise ConfigError(f"{path}: holds no sensor message; give a log with sensor data")
     if condition is not None:
         condition.note_junk(junk[0], written_bytes(Path(path)))
 
@@ -54,19 +54,19 @@ def read_rinex(
     imu: Path | None = None,
     lines: list[str] | None = None,
 ) -> Block:
-    """A RINEX observation file with its navigation files, and IMU samples where there are any.
+    """Read a RINEX observation file with its navigation files and optional IMU samples.
 
-    A receiver's own log takes the place of the observation file, and of the navigation files where
-    it has what the satellites sent. `lines` are those of the observation file where they were
-    changed before they are read. The IMU file has one sample a line: GPS time on Unix's count of
-    seconds, specific force (3) in g and rates (3) in rad/s, axes forward-left-up; further columns
-    are passed over. `t_us` counts from the start of GPS time; what the navigation files hold comes
-    first, stamped as the first.
+    A receiver log may replace the observation file, and the navigation files if it holds navigation
+    messages. `lines` are the lines of the observation file if they were modified beforehand. The
+    IMU file has one sample per line: GPS time in seconds since the Unix epoch, specific force (3)
+    in g and angular rates (3) in rad/s, axes forward-left-up; further columns are ignored. `t_us`
+    counts from the start of GPS time; ephemerides come first, with the timestamp of the first
+    sample.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read as what it should be, or does not fit the others.
+        If a file is not of the expected kind, or the files do not belong together.
     """
     from analysis.recordings.gnss.receiver_logs import is_receiver_log, read_receiver_log
     from analysis.recordings.gnss.rinex_navigation import read_navigation
@@ -81,7 +81,7 @@ def read_rinex(
             read_observations(observations) if lines is None else epochs_of(observations, lines)
         )
     if not epochs:
-        raise ConfigError(f"{observations}: has no epoch with a pseudorange that can be read")
+        raise ConfigError(f"{observations}: no epoch has a readable pseudorange; give another file")
     broadcast += [sample for path in files for sample in read_navigation(path)]
     _check_orbits(observations, files, epochs, broadcast)
     parts = [] if imu is None else [_read_imu(imu)]
@@ -89,7 +89,7 @@ def read_rinex(
         _check_overlap(imu, part, epochs)
     first_us = min([epoch.t_us for epoch in epochs] + [int(p.t_us.min()) for p in parts])
     beside: list[tuple[int, Sample]] = [(-1, replace(s, t_us=first_us)) for s in broadcast]
-    # Twice the stamp, so that an IMU sample of the same instant fits in behind the epoch.
+    # Twice the timestamp, so that an IMU sample of the same instant sorts after the epoch.
     beside += [(2 * epoch.t_us, epoch) for epoch in epochs]
     return join_parts(parts, beside)
 
@@ -97,7 +97,7 @@ def read_rinex(
 def read_rinex_samples(
     observations: Path, navigation: Path | Sequence[Path], imu: Path | None = None
 ) -> list[Sample]:
-    """What `read_rinex` reads, one sample after the other."""
+    """Like `read_rinex`, but as a list of samples."""
     return list(read_rinex(observations, navigation, imu).samples())
 
 
@@ -107,13 +107,13 @@ def _check_orbits(
     epochs: Sequence[Epoch],
     broadcast: Sequence[EphemerisSample | IonosphereSample],
 ) -> None:
-    """Refuse navigation files without an orbit that holds within the observations."""
+    """Raise ConfigError if no ephemeris is valid during the observations."""
     named = ", ".join(str(path) for path in files or [observations])
     orbits = [s.ephemeris for s in broadcast if isinstance(s, EphemerisSample)]
     if not orbits:
-        # A receiver's own log may come without, if it was not asked for what the satellites sent.
-        beside = "GPS, Galileo and others can" if files else "give a navigation file of that day"
-        raise ConfigError(f"{named}: no ephemeris that can be read; {beside}")
+        # A receiver log has none if its navigation messages were not enabled.
+        beside = "give one of a supported system" if files else "give a navigation file of that day"
+        raise ConfigError(f"{named}: no readable ephemeris; {beside}")
     begin_s, end_s = (epochs[i].t_us * 1e-6 for i in (0, -1))
     if any(
         begin_s - orbit.fit_half_s <= orbit.week * WEEK_S + orbit.toe_s <= end_s + orbit.fit_half_s
@@ -122,27 +122,27 @@ def _check_orbits(
         return
     toe_s = min((o.week * WEEK_S + o.toe_s for o in orbits), key=lambda t: abs(t - begin_s))
     raise ConfigError(
-        f"{named}: its ephemerides are for {_date(toe_s)}, {observations} is of"
+        f"{named}: its ephemerides are of {_date(toe_s)}, {observations} is of"
         f" {_date(begin_s)}; give the navigation file of that day"
     )
 
 
 def _check_overlap(path: Path | None, part: BlockPart, epochs: Sequence[Epoch]) -> None:
-    """Refuse IMU samples of another time than the observations."""
+    """Raise ConfigError if the IMU samples do not overlap the observations."""
     begin_us, end_us = epochs[0].t_us, epochs[-1].t_us
     first_us, last_us = int(part.t_us.min()), int(part.t_us.max())
     if last_us < begin_us or first_us > end_us:
         raise ConfigError(
             f"{path}: is of {_date(first_us * 1e-6)} to {_date(last_us * 1e-6)}, the observations"
             f" are of {_date(begin_us * 1e-6)} to {_date(end_us * 1e-6)} GPS time; the first"
-            " column is GPS time on Unix's count of seconds"
+            " column must be GPS time in seconds since the Unix epoch"
         )
 
 
 def _date(gps_s: float) -> str:
-    """A time of GPS's count of seconds for people."""
-    moment = datetime.fromtimestamp(gps_s + UNIX_TO_GPS_S, UTC)
-    return moment.strftime("%Y-%m-%d %H:%M:%S")
+    """Format a time in s since the start of GPS time."""
+    date = datetime.fromtimestamp(gps_s + UNIX_TO_GPS_S, UTC)
+    return date.strftime("%Y-%m-%d %H:%M:%S")
 
 
 def _read_imu(path: Path) -> BlockPart:
@@ -153,14 +153,14 @@ def _read_imu(path: Path) -> BlockPart:
     headed = bool(lines) and not NUMBER.match(lines[0].split(",")[0].strip())
     samples = [line for line in lines[headed:] if line.strip()]
     if not samples:
-        raise ConfigError(f"{path}: has no sample; a line is time, force (3) and rates (3)")
+        raise ConfigError(f"{path}: has no sample; each line needs time, force (3) and rates (3)")
     try:
         table = np.loadtxt(samples, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise ConfigError(f"{path}: is no table of IMU samples ({error})") from error
+        raise ConfigError(f"{path}: is not a table of IMU samples ({error})") from error
     if table.shape[1] < 7:
         raise ConfigError(
-            f"{path}: has {table.shape[1]} columns; GPS time on Unix's count in s, specific force"
+            f"{path}: has {table.shape[1]} columns; GPS time in s on the Unix scale, specific force"
             " (3) in g and rates (3) in rad/s, forward-left-up, are needed"
         )
     to_frd = np.array([1.0, -1.0, -1.0])

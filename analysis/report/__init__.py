@@ -1,1 +1,1 @@
-"""Reports from logs and results."""
+"""Reports on flights: logs and monitor results to HTML, JSON, JUnit XML, figures and exports."""

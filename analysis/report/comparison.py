@@ -1,4 +1,4 @@
-"""Two or more flights side by side: their curves in one plot, checks and parameters in a table."""
+"""Compare flights: their curves in one plot, checks and parameters side by side in tables."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,21 +9,20 @@ from analysis.report.page.page_parts import ReportTable
 from analysis.report.page.panels import CHECKS
 from analysis.report.recordings.recording import FlightData, Signal
 
-# Two autopilots can differ in a thousand parameters: a longer table would drown the page.
+# Chosen: two autopilots may differ in a thousand parameters.
 ROWS_SHOWN = 300
 
 
 def overlay_flights(outcome: FlightAssessment, others: Sequence[FlightAssessment]) -> FlightData:
-    """The recording with the curves of the others on its axis, take-off at take-off.
+    """Add the curves of the other flights to the recording, aligned in time.
 
-    Flights are laid over each other where they were first armed, or, if one does not say, where
-    they begin.
+    Flights are aligned at their first arming or, if unknown in one, at their beginning.
     """
     recording = outcome.flight.recording
     signals = list(recording.signals)
     notes = list(recording.notes)
     tracks = list(recording.tracks)
-    # A panel that only the other flight has would show a curve with nothing to compare it to.
+    # Only panels of the first flight, as others have nothing to compare.
     panels = {signal.panel for signal in recording.signals}
     for compared in others:
         theirs = compared.flight.recording
@@ -37,7 +36,7 @@ def overlay_flights(outcome: FlightAssessment, others: Sequence[FlightAssessment
         tracks += [
             replace(t, name=f"{t.name} · {name}", t_s=t.t_s + shift_s) for t in theirs.tracks
         ]
-        notes.append(f"compared with {name}, moved by {shift_s:+.2f} s ({why})")
+        notes.append(f"compared with {name}, shifted by {shift_s:+.2f} s ({why})")
     return replace(recording, signals=signals, tracks=tracks, notes=notes)
 
 
@@ -49,27 +48,27 @@ def _shift(recording: FlightData, compared: FlightData) -> tuple[float, str]:
         )
         for r in (recording, compared)
     ]
-    # Both or neither: one flight's arming against another's first byte would be no common time.
+    # Both or neither: arming and the start of a log are not a common time.
     if armed[0] is not None and armed[1] is not None:
-        return armed[0] - armed[1], "armed at the same time"
-    return 0.0, "begun at the same time"
+        return armed[0] - armed[1], "aligned at arming"
+    return 0.0, "aligned at the start"
 
 
 def comparison_tables(
     outcome: FlightAssessment, others: Sequence[FlightAssessment]
 ) -> list[tuple[str, ReportTable]]:
-    """Verdicts of every check and the parameters that differ."""
+    """Tables of the verdicts of every check and of the parameters that differ."""
     every = [outcome, *others]
     names = [one.flight.recording.name for one in every]
     tables = [(CHECKS, _checks(every, names))]
     histories = [one.flight.recording.parameters for one in every]
-    # `all`: a log without parameters would make every parameter seem to differ.
+    # `all`: with a log without parameters every parameter would differ.
     if all(histories):
         keys = sorted(set().union(*histories))
         rows = []
         for key in keys:
             values = [_last(history.get(key)) for history in histories]
-            # As text of seven digits, which is what float32 holds of a parameter.
+            # Compared as text of seven digits, the precision of float32.
             if len(set(values)) > 1:
                 rows.append((key, *values))
         note = f"{len(rows)} of {len(keys)} parameters differ."
@@ -93,7 +92,7 @@ def _checks(every: Sequence[FlightAssessment], names: Sequence[str]) -> ReportTa
     rows = []
     for name in dict.fromkeys(name for checks in by_name for name in checks):
         found = [checks.get(name) for checks in by_name]
-        # A check that no flight could be judged by says nothing side by side.
+        # Omit checks that were judged in no flight.
         if all(check is None or check.verdict == NONE for check in found):
             continue
         cells: list[str | tuple[str, str]] = [

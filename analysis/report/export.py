@@ -1,7 +1,7 @@
-"""Logs as tables for other tools: CSV and Parquet (one file per message), or one MCAP file.
+"""Export logs as tables: CSV or Parquet (one file per message), or one MCAP file.
 
 A column is a field as the log names it; arrays become columns `name[0]`, `name[1]`, ... Times are
-the log's own microseconds.
+in microseconds as in the log.
 """
 
 import csv
@@ -20,17 +20,17 @@ from analysis.results import encode, read_results
 from mavproxy_fault.wire import tlog
 
 Table = dict[str, NDArray[Any]]
-# The log's own time column by kind of log: tlog, ULog, DataFlash; the first that is there counts.
+# Time columns of tlog, ULog and dataflash; the first that exists is used.
 TIMES = ("t_us", "timestamp", "TimeUS")
 
 
 def export_tables(paths: Sequence[Path], folder: Path, form: str) -> None:
-    """Write the tables of logs (or of a run's folder) into `folder` as csv, parquet or mcap.
+    """Write the tables of logs (or of a run folder) to `folder` as csv, parquet or mcap.
 
     Raises
     ------
     ConfigError
-        If a log is of a kind that cannot be exported.
+        If a log cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for path in paths:
@@ -47,7 +47,7 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str) -> None:
 
 
 def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, Table]]:
-    """Name and columns of every table in a log or a run's folder."""
+    """Read all tables of a log or run folder; yields name and columns."""
     if path.is_dir():
         for name in ("received", "sent"):
             if (path / f"{name}.tlog").is_file():
@@ -56,7 +56,7 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         if with_results:
             yield from _result_tables(path / "results.jsonl")
         return
-    # Kinds are told by their first bytes, not by the ending: logs are often renamed.
+    # Formats are recognised by their first bytes, as logs are often renamed.
     with path.open("rb") as file:
         head = file.read(16)
     if is_dataflash(head):
@@ -75,7 +75,7 @@ def _flat(rows: NDArray[np.void]) -> Table:
     table: Table = {}
     for name in rows.dtype.names or ():
         column = rows[name]
-        # CSV and Parquet have no array cells that every tool reads, so each element gets a column.
+        # Many tools cannot read array cells, so each element gets a column.
         if column.ndim == 1:
             table[name] = column
         else:
@@ -84,10 +84,10 @@ def _flat(rows: NDArray[np.void]) -> Table:
 
 
 def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:
-    """Numbers and words of the results by kind; lists stay in results.jsonl."""
+    """Scalar fields of the results, one table per type; lists stay in results.jsonl."""
     if not path.is_file():
         return
-    # Results of one kind share their fields, so the first one of a kind stands for all.
+    # All results of a type share their fields.
     kinds: dict[str, list[Any]] = {}
     for result in read_results(path):
         kinds.setdefault(type(result).__name__, []).append(result)
@@ -109,9 +109,9 @@ def _write_csv(path: Path, table: Table) -> None:
 
 
 def _python_values(column: NDArray[Any]) -> list[Any]:
-    """Python values; bytes as text."""
+    """Column as Python values; bytes are decoded to text."""
     if column.dtype.kind == "S":
-        # MAVLink text ends at the first NUL, or fills the field without one.
+        # MAVLink text ends at the first NUL or the end of the field.
         return [value.split(b"\0", 1)[0].decode("utf-8", "replace") for value in column.tolist()]
     return list(column.tolist())
 
@@ -122,8 +122,7 @@ def _write_parquet(path: Path, table: Table) -> None:
 
     arrays = {
         name: pa.array(
-            # Fields of a record array lie apart in memory; Arrow copies only what is contiguous at
-            # once.
+            # Arrow needs contiguous arrays.
             _python_values(column) if column.dtype.kind == "S" else np.ascontiguousarray(column)
         )
         for name, column in table.items()
@@ -132,7 +131,7 @@ def _write_parquet(path: Path, table: Table) -> None:
 
 
 def _write_mcap(path: Path, log: Path) -> None:
-    """One channel of JSON messages per table, in order of time."""
+    """Write an MCAP file with one channel of JSON messages per table."""
     from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as file:
@@ -151,17 +150,17 @@ def _write_channel(writer: Any, name: str, table: Table) -> None:
     channel = writer.register_channel(f"/{name}", "json", schema_id)
     time = next((key for key in TIMES if key in table), None)
     columns = [_python_values(column) for column in table.values()]
-    # MCAP counts in nanoseconds; a table without a time (parameters, formats) stands at zero.
+    # MCAP uses nanoseconds; tables without a time (parameters, formats) are at zero.
     stamps = table[time].astype(np.int64) * 1000 if time else np.zeros(len(columns[0]), np.int64)
     for stamp, row in zip(stamps.tolist(), zip(*columns, strict=True), strict=True):
         values = {key: _finite(value) for key, value in zip(table, row, strict=True)}
         data = json.dumps(values, allow_nan=False).encode()
-        # MCAP stamps are unsigned: a clock set back below zero would not fit.
+        # MCAP timestamps are unsigned.
         writer.add_message(channel, log_time=max(stamp, 0), data=data, publish_time=max(stamp, 0))
 
 
 def _write_results(writer: Any, path: Path) -> None:
-    """Results whole, as `results.jsonl` holds them, a channel per kind under `/results`."""
+    """Write complete results as in `results.jsonl`, one channel per type under `/results`."""
     if not path.is_file():
         return
     channels: dict[str, int] = {}
@@ -184,5 +183,5 @@ def _json_type(column: NDArray[Any]) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no NaN or infinity: null stands for them."""
+    """Replace NaN and infinity, which JSON lacks, by None."""
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""Tracks for maps: KML (Google Earth, QGroundControl) and GeoJSON, with the faults as stretches."""
+"""Export tracks to KML (Google Earth, QGroundControl) and GeoJSON, faults as separate lines."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -11,12 +11,12 @@ from analysis.report.page.series_colours import PALETTE, series_colours
 from analysis.report.recordings.recording import FlightData, GroundTrack
 
 FORMS = ("kml", "geojson")
-# Longer lines make map programs slow.
-POINTS = 20_000  # of a track at the most
+# Chosen: longer lines make map programs slow.
+POINTS = 20_000  # per track, at most
 
 
 def export_tracks(recording: FlightData, folder: Path, form: str) -> Path:
-    """Write `tracks.kml` or `tracks.geojson` into `folder`; the path written."""
+    """Write `tracks.kml` or `tracks.geojson` to `folder`; returns the path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"tracks.{form}"
     lines = list(_lines(recording))
@@ -28,7 +28,7 @@ def export_tracks(recording: FlightData, folder: Path, form: str) -> Path:
 
 
 def _lines(recording: FlightData) -> Iterator[tuple[str, str, GroundTrack]]:
-    """Name, colour and places of each track, then of the stretches in which a fault acted."""
+    """Name, colour and positions of each track, then of its parts during each fault."""
     tracks = [track for track in recording.tracks if track.on_earth]
     colours = series_colours([track.name for track in tracks])
     for track, colour in zip(tracks, colours, strict=True):
@@ -38,7 +38,7 @@ def _lines(recording: FlightData) -> Iterator[tuple[str, str, GroundTrack]]:
             continue
         for track in tracks:
             inside = (track.t_s >= span.start_s) & (track.t_s <= span.end_s)
-            # A line needs two points; a fault shorter than two fixes has no stretch to draw.
+            # A line needs two points.
             if inside.sum() > 1:
                 name = f"{span.lane.removeprefix('injected: ')} on {track.name}"
                 yield name, PALETTE[1], _thin(track.select(inside))
@@ -60,14 +60,14 @@ def _write_kml(path: Path, name: str, lines: list[tuple[str, str, GroundTrack]])
         ET.SubElement(mark, "name").text = label
         style = ET.SubElement(ET.SubElement(mark, "Style"), "LineStyle")
         red, green, blue = colour[1:3], colour[3:5], colour[5:7]
-        # ff: opaque. KML's order of bytes is the reverse of CSS's `#rrggbb`.
+        # ff: opaque. KML's byte order is the reverse of CSS's `#rrggbb`.
         ET.SubElement(style, "color").text = f"ff{blue}{green}{red}"
         ET.SubElement(style, "width").text = "3"
         line = ET.SubElement(mark, "LineString")
-        # The heights are above mean sea level; the default would drape the line over the ground.
+        # Heights are above mean sea level; the default clamps the line to the ground.
         ET.SubElement(line, "altitudeMode").text = "absolute"
         ET.SubElement(line, "coordinates").text = " ".join(
-            # 1e-7 degree is MAVLink's own step of a position, about a centimetre.
+            # 1e-7 degree is MAVLink's resolution, about a centimetre.
             f"{lon:.7f},{lat:.7f},{alt:.2f}"
             for lon, lat, alt in _places(track)
         )
@@ -76,7 +76,7 @@ def _write_kml(path: Path, name: str, lines: list[tuple[str, str, GroundTrack]])
 
 
 def _write_geojson(path: Path, lines: list[tuple[str, str, GroundTrack]]) -> None:
-    """GeoJSON (RFC 7946), a LineString each; `times_s` holds the time of each place."""
+    """GeoJSON (RFC 7946), one LineString per line; `times_s` are the times of its points."""
     features = [
         {
             "type": "Feature",
@@ -90,8 +90,8 @@ def _write_geojson(path: Path, lines: list[tuple[str, str, GroundTrack]]) -> Non
 
 
 def _places(track: GroundTrack) -> list[list[float]]:
-    """Longitude, latitude and height of each place; a height that is unknown is zero."""
-    # JSON has no NaN, and all places of a line shall have the same length.
+    """Longitude, latitude and height of each point; an unknown height is zero."""
+    # JSON has no NaN, and all points of a line need three values.
     alt_m = np.nan_to_num(track.alt_m).round(2)
     columns = (track.lon_deg.round(7), track.lat_deg.round(7), alt_m)
     places: list[list[float]] = np.column_stack(columns).tolist()

@@ -1,4 +1,4 @@
-"""What a GNSS engineer looks at, as SVG: the sky, residuals by elevation, errors' distribution."""
+"""GNSS figures as SVG: sky plot, residuals by elevation, error distribution, Stanford diagram."""
 
 import io
 from collections.abc import Sequence
@@ -18,25 +18,25 @@ EXCLUDED_COLOUR = "#c2231c"
 def gnss_pictures(
     results: Sequence[Result], errors: dict[str, Vector], levels: dict[str, Vector]
 ) -> list[Picture]:
-    """Pictures of decisions with their sky; `errors` (n, 2) horizontal and vertical by solution,
-    `levels` (n, 2) errors and protection levels by direction."""
+    """Draw all GNSS figures of the results; `errors` (n, 2) are horizontal and vertical errors by
+    solution, `levels` (n, 2) errors and protection levels by direction."""
     seen = [r for r in results if isinstance(r, Decision) and r.elevation_deg]
     found = []
     if seen:
         table, names = _table(seen)
         elevation, azimuth, _, out, places = table.T
         found = [
-            ("Sky: in use, and left out (red)", draw_sky(elevation, azimuth, out, places, names)),
-            ("Residuals by elevation, left out in red", _residuals(table)),
+            ("Sky plot, excluded in red", draw_sky(elevation, azimuth, out, places, names)),
+            ("Residuals by elevation, excluded in red", _residuals(table)),
         ]
     if errors:
-        found.append(("Errors against the truth: share of epochs below", _distribution(errors)))
+        found.append(("Cumulative distribution of errors against the truth", _distribution(errors)))
     found += [(f"Stanford diagram, {name}", _stanford(table)) for name, table in levels.items()]
     return found
 
 
 def _table(seen: Sequence[Decision]) -> tuple[Vector, list[str]]:
-    """Elevation, azimuth, residual, excluded or not, place of the name (k, 5); the names."""
+    """Elevation, azimuth, residual, excluded (0 or 1), index of the name (k, 5); and the names."""
     names = sorted({name for decision in seen for name in decision.satellites})
     places = {name: i for i, name in enumerate(names)}
     step = max(1, sum(len(d.satellites) for d in seen) // MOST_POINTS)
@@ -76,7 +76,7 @@ def _svg(figure: Any) -> bytes:
 def draw_sky(
     elevation_deg: Vector, azimuth_deg: Vector, out: Vector, places: Vector, names: Sequence[str]
 ) -> bytes:
-    """Directions (k,) of satellites, north up, those left `out` in red; `places` (k,) of names."""
+    """Sky plot of directions (k,), excluded (`out`) in red; `places` (k,) index `names`."""
     figure, axes = _figure(5, 5, projection="polar")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
@@ -118,7 +118,7 @@ def _distribution(errors: dict[str, Vector]) -> bytes:
 
 
 def _stanford(table: Vector) -> bytes:
-    """Protection levels over errors: below the line an error was misleading."""
+    """Stanford diagram: points below the diagonal are (hazardously) misleading information."""
     figure, axes = _figure(4, 4)
     axes.loglog(table[:, 0], table[:, 1], ".", ms=2, color=PALETTE[0], rasterized=True)
     ends = min(table.min(), 0.1), table.max() * 2.0

@@ -1,8 +1,8 @@
-"""The sky that a receiver tells of in a log: where its satellites stood, and which it used.
+"""Sky plot from a log: directions of the satellites, and which of them the receiver used.
 
-PX4's `satellite_info` and MAVLink's GPS_STATUS. Their definitions count the elevation from the
-zenith, but PX4's u-blox driver fills in the angle above the horizon, and the azimuth in 256ths of a
-turn; it is read so.
+It reads PX4's `satellite_info` and MAVLink's GPS_STATUS. Their definitions count the elevation from
+the zenith, but PX4's u-blox driver writes the angle above the horizon, and the azimuth scaled to
+255 per turn, which is assumed here.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from analysis.report.gnss_figures import Picture, draw_sky
 from analysis.report.recordings.recording import FlightData, Message, Vector
 
 AZIMUTH_STEPS = 255.0
-# First and last number of a system, and its letter, in u-blox's one series of all systems.
+# First and last number of each system in u-blox's common numbering, and its letter.
 SATELLITE_NUMBERS = (
     (1, 32, "G"), (33, 64, "C"), (65, 96, "R"), (120, 158, "S"), (159, 163, "C"), (193, 202, "J"),
     (211, 246, "E"),
@@ -20,7 +20,7 @@ SKY_MESSAGES = (("satellite_info", "svid", ""), ("GPS_STATUS", "satellite_prn", 
 
 
 def sky_pictures(recording: FlightData) -> list[Picture]:
-    """The sky of the log; nothing where no message tells it."""
+    """The sky plot of a log; empty without satellite messages."""
     for message, numbers, prefix in SKY_MESSAGES:
         if (found := recording.messages.get(message)) is not None:
             rows = _rows(found, numbers, prefix)
@@ -30,20 +30,20 @@ def sky_pictures(recording: FlightData) -> list[Picture]:
 
 
 def _rows(message: Message, numbers: str, prefix: str) -> Vector:
-    """Number, elevation, azimuth (deg) and use of each satellite at each time (k, 4)."""
+    """Number, elevation, azimuth (deg) and use (0 or 1) of each satellite at each time (k, 4)."""
     names = (numbers, f"{prefix}elevation", f"{prefix}azimuth", f"{prefix}used")
     try:
         number, elevation, azimuth, used = (_table(message, name) for name in names)
-    except KeyError:  # another version's fields
+    except KeyError:  # fields of another version
         return np.empty((0, 4))
     rows = np.stack([number, elevation, azimuth * (360.0 / AZIMUTH_STEPS), used > 0.0], axis=-1)
     rows = rows.reshape(-1, 4)
-    # Empty places; and a satellite that is only listed has no direction.
+    # Drop empty entries and satellites without a direction.
     return rows[(rows[:, 0] > 0) & ((rows[:, 1] > 0) | (rows[:, 2] > 0)) & (rows[:, 1] <= 90)]
 
 
 def _table(message: Message, name: str) -> Vector:
-    """An array field (n, k): whole as in a tlog, or a column for each place as in a ULog."""
+    """An array field (n, k): one array as in a tlog, or one column per element as in a ULog."""
     if name in message.columns:
         return np.asarray(message.columns[name], float)
     places = [c for i in range(256) if (c := message.columns.get(f"{name}[{i}]")) is not None]
@@ -56,14 +56,14 @@ def _picture(rows: Vector) -> Picture:
     numbers, place = np.unique(rows[:, 0], return_inverse=True)
     unused, places = (rows[:, 3] == 0.0).astype(float), place.astype(float)
     names = [_name(number) for number in numbers]
-    title = "Sky as the receiver tells it; not used in red"
+    title = "Sky plot by the receiver; unused satellites in red"
     return title, draw_sky(rows[:, 1], rows[:, 2], unused, places, names)
 
 
 def _name(number: float) -> str:
     for first, last, system in SATELLITE_NUMBERS:
         if first <= number <= last:
-            # BeiDou's later series goes on behind its first five.
+            # BeiDou's second range continues after its first five.
             place = number - first + (6 if first == 33 else 1)
             return f"{system}{int(place):02}"
     return str(int(number))

@@ -1,7 +1,7 @@
-"""Positions as NMEA 0183 sentences, by pynmeagps: GGA, RMC, GST, and a GSA for each system.
+"""Write positions as NMEA 0183 sentences (pynmeagps): GGA, RMC, GST, and one GSA per system.
 
-NMEA's altitude is above the sea. No geoid is known here: the altitude is the ellipsoid's and the
-geoid's separation 0, so that their sum is right.
+NMEA's altitude is above mean sea level. Without a geoid model the altitude is the ellipsoidal
+height and the geoid separation is 0, so that their sum is right.
 """
 
 from collections.abc import Iterable, Iterator
@@ -15,7 +15,7 @@ from analysis.report.solution_row import SolutionRow
 
 # GGA's quality, RMC's status and mode, GSA's mode.
 NO_FIX, FIX, DEAD_RECKONED = (0, "V", "N", 1), (1, "A", "A", 3), (6, "A", "E", 1)
-# GSA's number of a system, and what is added to a satellite's number in RINEX (NMEA 4.11).
+# GSA system id, and offset to the RINEX satellite number (NMEA 4.11).
 SYSTEMS = {"G": (1, 0), "S": (1, 13), "R": (2, 64), "E": (3, 0), "C": (4, 0), "J": (5, 192)}
 MOST_IN_GSA = 12
 KNOTS_PER_MPS = 3600.0 / 1852.0
@@ -28,13 +28,13 @@ def write_nmea(path: Path, rows: Iterable[SolutionRow]) -> None:
     with path.open("wb") as file:
         for row in rows:
             for kind, fields in _sentences(row):
-                # Seven decimals of a minute: the usual five end at 2 cm.
+                # Seven decimals of a minute; the usual five resolve 2 cm.
                 file.write(NMEAMessage("GN", kind, GET, hpnmeamode=1, **fields).serialize())
 
 
 def _sentences(row: SolutionRow) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Sentences of an epoch: their names, and their fields as pynmeagps names them."""
-    # NMEA's clock is UTC, and its day too: the date may be another than GPS's.
+    """The sentences of an epoch: names, and fields as named by pynmeagps."""
+    # NMEA's time and date are UTC; the date may differ from GPS time.
     utc = _utc(row.gps_time)
     quality, status, mode, fix = _quality(row)
     place = {
@@ -74,14 +74,14 @@ def _sentences(row: SolutionRow) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _quality(row: SolutionRow) -> tuple[int, str, str, int]:
-    """No fix where nothing bounds the position: a reader without GST must not trust it."""
+    """Quality fields; no fix without a sigma, so that readers without GST reject the position."""
     if row.sigma_ned_m is None:
         return NO_FIX
     return FIX if row.satellites else DEAD_RECKONED
 
 
 def _motion(row: SolutionRow) -> dict[str, float | str]:
-    """Speed and course over ground, blank where the solution has no velocity."""
+    """Speed and course over ground; blank without a velocity."""
     if row.velocity_ned_mps is None:
         return {"spd": "", "cog": ""}
     north, east, _ = row.velocity_ned_mps
@@ -90,25 +90,25 @@ def _motion(row: SolutionRow) -> dict[str, float | str]:
 
 
 def _in_use(satellites: Iterable[str]) -> Iterator[tuple[int, list[int]]]:
-    """Numbers of the satellites by system, at most as many as a sentence holds."""
+    """Satellite numbers by system, split at the limit of a sentence."""
     numbers: dict[int, list[int]] = {}
     for name in sorted(satellites):
         if name[0] in SYSTEMS:
             system, offset = SYSTEMS[name[0]]
             numbers.setdefault(system, []).append(int(name[1:]) + offset)
-    # A second sentence of a system carries the rest, as receivers do it.
+    # Further satellites follow in another sentence, as receivers do.
     for system, all_numbers in sorted(numbers.items()):
         for begin in range(0, len(all_numbers), MOST_IN_GSA):
             yield system, all_numbers[begin : begin + MOST_IN_GSA]
 
 
 def _number(value: float | None, digits: int) -> float | str:
-    """A rounded number, blank where there is none."""
+    """A rounded number; blank for None."""
     return "" if value is None else round(value, digits)
 
 
 def _utc(gps_time: datetime) -> datetime:
-    """UTC to the hundredth of a second, the last digit that pynmeagps writes: it cuts the rest."""
+    """UTC rounded to 0.01 s, the resolution of pynmeagps, which truncates."""
     utc = gps_time - timedelta(seconds=leap_seconds(gps_time.date()))
     hundredths = round(utc.microsecond * 1e-4)
     return utc.replace(microsecond=0) + timedelta(milliseconds=10 * hundredths)

@@ -1,4 +1,4 @@
-"""What a recording of a receiver gets beside the report: positions, tracks and pictures."""
+"""Write positions and tracks of a receiver recording, and collect pictures for its report."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,22 +26,22 @@ def receiver_files(
     reference: PositionReference | None,
     integrity: Integrity,
 ) -> dict[str, Any]:
-    """Write positions and tracks into the folder; tracks and pictures for the report."""
+    """Write positions and tracks to the folder; returns tracks and pictures for the report."""
     t0_us = axis_start(labels, results) or 0
     recording = recording_of_results(labels, results, t0_us)
     truth = [] if reference is None else _truth(results, reference, t0_us)
     recording.tracks.extend(truth)
     write_solution(folder, results, recording)
-    while_ = f", while {' or '.join(integrity.assumed)}"
+    assumed = f", while {' or '.join(integrity.assumed)}"
     tables = {name: integrity.table(name) for name in integrity.pairs}
-    levels = {name + while_: table for name, table in tables.items() if len(table)}
+    levels = {name + assumed: table for name, table in tables.items() if len(table)}
     errors = _errors(results, reference)
     pictures = gnss_pictures(results, errors, levels)
     return {"beside": FlightData("", tracks=truth), "pictures": pictures}
 
 
 def _errors(results: Sequence[Result], reference: PositionReference | None) -> dict[str, Vector]:
-    """Horizontal and vertical errors (n, 2) by solution."""
+    """Horizontal and vertical position errors (n, 2) by solution."""
     scores = PositionScores()
     for result in results:
         if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:
@@ -57,7 +57,7 @@ def _errors(results: Sequence[Result], reference: PositionReference | None) -> d
 def _truth(
     results: Sequence[Result], reference: PositionReference, t0_us: int
 ) -> list[GroundTrack]:
-    """The reference at the epochs as a track."""
+    """The position reference at the epochs, as a track."""
     stamps = [result.t_us for result in results if isinstance(result, Decision)]
     known = [(t_us, place) for t_us in stamps if (place := reference.at(t_us)) is not None]
     if len(known) < 2:

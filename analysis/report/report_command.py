@@ -1,4 +1,4 @@
-"""`mavproxy-fault report`: logs to HTML, JSON and JUnit XML, with a verdict as exit code."""
+"""`mavproxy-fault report`: logs to HTML, JSON and JUnit XML; the exit code is the verdict."""
 
 import argparse
 import sys
@@ -26,16 +26,16 @@ from mavproxy_fault.wire.label import read_labels
 
 
 def main(args: argparse.Namespace) -> int:
-    """Report on each flight; 0 if none failed, 1 if one did, 2 if a file could not be read.
+    """Report on each flight; returns 0 if none failed, 1 if one failed, 2 if a file cannot be read.
 
-    Several flights go to folders of their own; a file that cannot be read does not keep the others
-    from being reported. A folder of logs gets an index page.
+    Each of several flights has its own folder; an unreadable file does not stop the others. A
+    folder of logs has an index page.
     """
     first = Path(args.logs[0])
-    # A run's folder is one flight although it is a folder.
+    # A run folder is one flight.
     if len(args.logs) == 1 and first.is_dir() and not is_run_folder(first):
         return report_folder(first, args)
-    # Packed logs are unpacked here and read before the folder goes away.
+    # Compressed logs are unpacked here and read before the folder is deleted.
     with tempfile.TemporaryDirectory() as unpacked:
         return _report_each(args, Path(unpacked))
 
@@ -44,7 +44,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     thresholds = read_thresholds(args.criteria)
     labels = read_labels(Path(args.labels)) if args.labels else []
     against = [log_file(Path(log), unpacked) for log in args.against]
-    # Labels belong to the flights that are reported, not to those they are compared with.
+    # Labels belong to the reported flights, not to those that they are compared with.
     others = [assess_flight(read_flight([log], ()), thresholds) for log in against]
     paths, unreadable = log_files([Path(log) for log in args.logs], unpacked)
     flights = group_logs(paths)
@@ -53,7 +53,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
         folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
         try:
             outcome = assess_flight(read_flight(flight_paths, labels), thresholds)
-        # A single flight's error is the command's error; among several it must not stop the rest.
+        # The error of one flight among several does not stop the others.
         except ConfigError as error:
             if len(flights) == 1:
                 raise
@@ -69,14 +69,14 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
 
 
 def report_on(path: Path, folder: Path, args: argparse.Namespace) -> FlightAssessment:
-    """Report on one log of many, into `folder`.
+    """Write the report on one log of many to `folder`.
 
     Raises
     ------
     ConfigError
         If the log cannot be read.
     """
-    # Only packed logs need the folder, but unpacking and reading must share its life.
+    # Compressed logs are unpacked here and read before the folder is deleted.
     with tempfile.TemporaryDirectory() as unpacked:
         log = log_file(path, Path(unpacked))
         outcome = assess_flight(read_flight([log], ()), read_thresholds(args.criteria))
@@ -89,9 +89,9 @@ def report_on(path: Path, folder: Path, args: argparse.Namespace) -> FlightAsses
 def _write_more(
     folder: Path, outcome: FlightAssessment, paths: Sequence[Path], args: argparse.Namespace
 ) -> None:
-    """What is written only when asked for: figures, tables, tracks, PDF."""
+    """Write optional outputs: figures, tables, tracks, PDF."""
     recording = outcome.flight.recording
-    # Matplotlib, Arrow and browsers load slowly: only what was asked for is imported.
+    # Imported on demand: Matplotlib and Arrow load slowly.
     if args.figures:
         from analysis.report.page.figures import write_figures
 
@@ -102,7 +102,7 @@ def _write_more(
         from analysis.report.export import export_tables
 
         export_tables(paths, folder / "export", args.export)
-    # Last, since the browser prints the page that was just written.
+    # The browser prints the page written before.
     if args.pdf:
         write_pdf(folder / "report.html")
 
@@ -110,13 +110,13 @@ def _write_more(
 def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
     stem = paths[0].stem if paths[0].is_file() else paths[0].resolve().name
     folder = Path(out) if out else Path(f"{stem}-report")
-    # With `--out` and several flights, each needs its own folder, else the last one would win.
+    # With `--out` and several flights, each needs its own folder.
     if out and several:
         folder = folder / stem
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out {folder}: {error.strerror}; name a folder to write") from error
+        raise ConfigError(f"--out {folder}: {error.strerror}; give a writable folder") from error
     return folder
 
 
@@ -126,7 +126,7 @@ def write_report(
     others: Sequence[FlightAssessment],
     data: str = str(INSIDE_MB),
 ) -> None:
-    """Write `report.html`, `summary.json` and `junit.xml`; `data` says where all fields go."""
+    """Write `report.html`, `summary.json` and `junit.xml`; `data` is the option `--data`."""
     recording = overlay_flights(outcome, others) if others else outcome.flight.recording
     tables = comparison_tables(outcome, others) if others else []
     page = log_page(outcome, tables)
@@ -137,7 +137,7 @@ def write_report(
 
 
 def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
-    """The verdict and what led to it, on the terminal."""
+    """Print the verdict, warnings, failures and faults on the terminal."""
     from rich.console import Console
     from rich.text import Text
 
@@ -151,7 +151,7 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
             console.print(" ", word, f" {check.name}: {check.evidence}")
     passed = sum(check.verdict == "PASS" for check in outcome.checks)
     unjudged = sum(check.verdict == "not judged" for check in outcome.checks)
-    console.print(f"  {passed} checks passed, {unjudged} had no data")
+    console.print(f"  {passed} checks passed, {unjudged} without data")
     for row in outcome.summary["faults"]:
         delay = "" if row["delay_s"] is None else f" after {row['delay_s']:.2f} s"
         console.print(f"  fault {row['id']}: {row['verdict']}{delay}")

@@ -1,4 +1,4 @@
-"""What `report` writes besides the page: `summary.json` and JUnit XML."""
+"""Write `summary.json` and JUnit XML of a report."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -12,13 +12,13 @@ from mavproxy_fault.documents.atomic_file import write_atomic
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
-    """Write a summary; null stands for a number that is not finite."""
+    """Write a summary; non-finite numbers become null."""
     text = json.dumps(replace_nonfinite(summary), indent=1, allow_nan=False, ensure_ascii=False)
     write_atomic(path, text + "\n")
 
 
 def write_junit(path: Path, name: str, checks: Sequence[FlightCheck]) -> None:
-    """Write the checks as a JUnit test suite: FAIL fails, "not judged" is skipped."""
+    """Write the checks as a JUnit test suite: FAIL is a failure, "not judged" is skipped."""
     suite = ET.Element(
         "testsuite",
         name=name,
@@ -42,5 +42,5 @@ def write_junit(path: Path, name: str, checks: Sequence[FlightCheck]) -> None:
 
 
 def _clean(text: str) -> str:
-    """Text without the control characters that XML 1.0 cannot hold."""
+    """Replace control characters, which XML 1.0 does not allow."""
     return "".join(c if c >= " " or c in "\t\n" else "�" for c in text)

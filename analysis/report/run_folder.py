@@ -1,4 +1,4 @@
-"""The run folder: where results, summary and report lie beside the logs."""
+"""The run folder, which holds logs, results, summary and report of a run."""
 
 import itertools
 import json
@@ -14,39 +14,39 @@ from mavproxy_fault.documents.errors import ConfigError
 
 
 def make_folder(out: str | None, name: str) -> Path:
-    """The folder `out`, or the next free `runs/0001-name`; an old run is never overwritten.
+    """Create the folder `out`, or the next free `runs/0001-name`; never overwrites an earlier run.
 
     Raises
     ------
     ConfigError
-        If `out` holds an earlier run, or cannot be made.
+        If `out` holds an earlier run, or cannot be created.
     """
     if out is not None:
         folder = Path(out)
-        # A run that was killed has no summary yet, but its log.
+        # A run that was killed has a log but no summary.
         if (folder / "summary.json").exists() or (folder / "received.tlog").exists():
-            raise ConfigError(f"--out {out}: the folder holds an earlier run; name another one")
+            raise ConfigError(f"--out {out}: the folder holds an earlier run; give another folder")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"--out {out}: {error.strerror}; name a folder to write") from error
+            raise ConfigError(f"--out {out}: {error.strerror}; give a writable folder") from error
         return folder
     for number in itertools.count(1):
         folder = Path("runs") / f"{number:04d}-{name}"
-        # A number is used once, whatever name stands behind it.
+        # A number is used only once, whatever the name.
         if not any(Path("runs").glob(f"{number:04d}-*")):
             try:
                 folder.mkdir(parents=True)
             except OSError as error:
                 raise ConfigError(
-                    f"{folder}: {error.strerror}; name a folder to write with --out"
+                    f"{folder}: {error.strerror}; give a writable folder with --out"
                 ) from error
             return folder
     raise AssertionError
 
 
 class ResultFile:
-    """`results.jsonl`, one result a line; what was written survives a kill of the process."""
+    """Writes `results.jsonl`, one result per line; written lines survive a kill of the process."""
 
     def __init__(self, folder: Path) -> None:
         self._file = (folder / "results.jsonl").open("wb")
@@ -63,19 +63,19 @@ class ResultFile:
         self._file.close()
 
     def write(self, results: Iterable[Result]) -> None:
-        """Append results."""
+        """Append results and flush."""
         self._file.write(encode_lines(results))
         self._file.flush()
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """`summary.json`, for people and scripts; null stands for a number that is not finite."""
+    """Write `summary.json`; non-finite numbers become null."""
     text = json.dumps(replace_nonfinite(summary), indent=2, allow_nan=False)
     write_atomic(folder / "summary.json", text + "\n")
 
 
 def replace_nonfinite(value: Any) -> Any:
-    """What JSON can say: None for numbers that are not finite."""
+    """Replace non-finite numbers, which JSON lacks, by None, recursively."""
     if isinstance(value, Mapping):
         return {key: replace_nonfinite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""A run's report: `write_run_report` for the commands that have everything in memory."""
+"""Write the report page of a run, for commands with all data in memory."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -42,18 +42,18 @@ def write_run_report(
     summary : mapping
         The content of `summary.json`.
     labels, results
-        What was really done, and the results of the analysis.
+        The injected faults, and the results of the monitor.
     columns : dict of structured arrays
-        The log as received (`mavproxy_fault.wire.tlog.read_columns`); empty where there is none.
+        The received log (`mavproxy_fault.wire.tlog.read_columns`); empty if there is none.
     beside : Recording
-        Curves and tracks to show besides: what is called `truth` is what errors are against.
+        Additional curves and tracks; errors refer to the track named `truth`.
     pictures : sequence of (title, SVG)
-        What stands beside the plots of the satellites.
+        Pictures beside the satellite plots.
 
     Returns
     -------
     Path
-        The file written.
+        The path of the page.
     """
     results = list(results)
     t0_us = axis_start(labels, results)

@@ -1,4 +1,4 @@
-"""Positions for other programs: RTKLIB's position file, NMEA sentences, and tracks for maps."""
+"""Write positions as RTKLIB position files, NMEA sentences, and tracks for maps."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from analysis.report.recordings.recording import FlightData
 from analysis.report.solution_row import SolutionRow, row_of
 from analysis.results import Decision, FusedState, Result
 
-SINGLE, FUSED = 5, 1  # RTKLIB's Q: single point; the fused one is the best there is
+SINGLE, FUSED = 5, 1  # RTKLIB's quality Q: single point; the fused solution is marked as fix
 HEAD = (
     "% program   : mavproxy-fault\n"
     "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
@@ -20,7 +20,7 @@ HEAD = (
 
 
 def write_solution(folder: Path, results: Sequence[Result], recording: FlightData) -> None:
-    """`solution` and, where there is one, `fused` as .pos and .nmea; `tracks.kml`, `.geojson`."""
+    """Write `solution` and, if present, `fused` as .pos and .nmea; and `tracks.kml`, `.geojson`."""
     decisions = [r for r in results if isinstance(r, Decision) and r.position_ecef_m]
     _write_both(folder / "solution", [row_of(state) for state in decisions], SINGLE)
     fused = [r for r in results if isinstance(r, FusedState) and r.name == "fused"]

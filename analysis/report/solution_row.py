@@ -1,4 +1,4 @@
-"""One epoch of a solution, as the files for other programs need it."""
+"""One epoch of a position solution, for export to RTKLIB and NMEA files."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,20 +15,20 @@ NedVector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class SolutionRow:
-    """A position with what tells how good it is.
+    """A position with its accuracy.
 
     Attributes
     ----------
     gps_time : datetime
-        On GPS's time scale, which is ahead of UTC by the leap seconds.
+        In GPS time, which is ahead of UTC by the leap seconds.
     height_m : float
-        Above the ellipsoid.
+        Above the WGS 84 ellipsoid.
     sigma_ned_m : tuple or None
-        One sigma north, east, down; None where nothing bounds the position.
+        Standard deviations north, east, down; None if unknown.
     satellites : tuple of str
-        Those in use.
+        The satellites in use.
     velocity_ned_mps : tuple or None
-        None where the solution has none.
+        None if the solution has no velocity.
     """
 
     gps_time: datetime
@@ -43,7 +43,7 @@ class SolutionRow:
 
 
 def row_of(state: Decision | FusedState) -> SolutionRow:
-    """The row of a decision that has a position, or of a fused state."""
+    """Convert a decision with a position, or a fused state."""
     r_ecef_m = state.position_ecef_m
     assert r_ecef_m is not None
     lat, lon, height = (float(x) for x in geodetic_from_ecef(r_ecef_m))
@@ -56,7 +56,7 @@ def row_of(state: Decision | FusedState) -> SolutionRow:
     sigma = None
     if state.position_sigma_m is not None:
         axes = ned_axes(*geodetic_position(np.array(r_ecef_m))[:2])
-        # Without what correlates the axes, which a decision does not hold.
+        # Neglects correlations between the axes, which a decision does not hold.
         north, east, down = np.sqrt(axes**2 @ np.square(state.position_sigma_m)).tolist()
         sigma = north, east, down
     satellites = tuple(name for name in state.satellites if name not in state.excluded)

@@ -1,5 +1,6 @@
-"""What the analysis works on, whatever file or link it came from.
+"""Sensor samples, the common input of all detectors and estimators.
 
-A *sample* is one reading with its stamp; an *epoch* is one receiver epoch of pseudoranges. A
-*block* is a table of samples in a row. The *decoder* makes them of MAVLink frames.
+A *sample* is one sensor reading with its timestamp; an *epoch* holds the pseudoranges of one
+receiver epoch. A *block* is a table of consecutive samples. The *decoder* converts MAVLink frames
+to blocks.
 """

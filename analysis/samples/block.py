@@ -1,8 +1,8 @@
-"""Samples in a row as one table: what a log is read into, and what comes of a link at once.
+"""Blocks: consecutive samples as one table, read from a log or received on a link.
 
-A row has its kind, its stamp and its numbers; epochs and broadcasts, which are no row of numbers,
-stand beside the table. Steps of the pipeline take blocks of any length and say the same whatever
-the length.
+A row has its kind, timestamp and values; samples that do not fit a row (epochs, ephemerides) are
+kept in a dictionary by row number. Every processing step accepts blocks of any length and gives the
+same results however a stream is divided into blocks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,12 +34,12 @@ from mavproxy_fault.numerics.compile import compiled
 Stamps = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
-# Of the longest row, the truth's: 4 + 3 + 3 + 3 numbers.
+# The longest row, the truth, has 4 + 3 + 3 + 3 values.
 WIDTH = 13
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
-FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # what may lead to a decision: events
-COMMAND = 12  # behind them, as its stamp need not be of the sensors' clock
-SPARE = 13  # a further sensor of a kind
+FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # events: samples that may cause a decision
+COMMAND = 12  # last, as its timestamp may be of another clock than the sensors'
+SPARE = 13  # a redundant sensor
 KINDS: dict[type, int] = {
     ImuSample: IMU,
     MagSample: MAG,
@@ -56,26 +56,26 @@ KINDS: dict[type, int] = {
     CommandSample: COMMAND,
     SpareSample: SPARE,
 }
-# The index is what stands in a row for the message's name.
+# A row holds the index of its message's name.
 SOURCES = (
     *("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION"),
     *("HIL_ACTUATOR_CONTROLS", "OUTPUTS"),
 )
 CONTROLS, OUTPUTS = SOURCES.index("HIL_ACTUATOR_CONTROLS"), SOURCES.index("OUTPUTS")
-# Columns of a row, where vectors and what follows them begin (see `ROWS`).
+# Column offsets within a row (see `ROWS`).
 RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
 FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
-COMMAND_SOURCE = 12  # of a command, behind the outputs
-SPARE_KIND, SPARE_ID, SPARE_NUMBERS = range(3)  # of a further sensor
-ATTITUDE_SOURCE = 5  # of an attitude, behind the quaternion and the system
+COMMAND_SOURCE = 12  # of a command, after the outputs
+SPARE_KIND, SPARE_ID, SPARE_NUMBERS = range(3)  # of a redundant sensor
+ATTITUDE_SOURCE = 5  # of an attitude, after the quaternion and the system id
 UNKNOWN_3 = (np.nan, np.nan, np.nan)
 
 
 class Block(NamedTuple):
-    """n samples in their order.
+    """Table of n samples in order.
 
-    `kind` and `t_us` (n,); `values` (n, WIDTH): the numbers of the samples, in the order of their
-    fields (see `ROWS`); `beside` holds by row what is no row of numbers.
+    `kind` and `t_us` (n,); `values` (n, WIDTH): the samples' fields in order (see `ROWS`); `beside`
+    holds the samples that are not rows of numbers, by row number.
     """
 
     kind: Indices
@@ -84,7 +84,7 @@ class Block(NamedTuple):
     beside: Mapping[int, Sample]
 
     def rows(self, kind: int) -> Indices:
-        """Where the samples of one kind are."""
+        """The row numbers of the samples of one kind."""
         return np.flatnonzero(self.kind == kind)
 
     def sample(self, row: int) -> Sample:
@@ -94,24 +94,24 @@ class Block(NamedTuple):
         return self.beside[row] if read is None else read(int(self.t_us[row]), self.values[row])
 
     def samples(self) -> Iterator[Sample]:
-        """One after the other."""
+        """Iterate over the samples."""
         return (self.sample(row) for row in range(len(self.kind)))
 
     def between(self, begin: int, end: int) -> "Block":
-        """Rows in a row; views of the table."""
+        """The rows from `begin` to before `end`, as views of the table."""
         beside = {row - begin: sample for row, sample in self.beside.items() if begin <= row < end}
         return Block(self.kind[begin:end], self.t_us[begin:end], self.values[begin:end], beside)
 
     def where(self, keep: NDArray[np.bool_]) -> "Block":
-        """The rows that `keep` (n,), a mask, lets pass."""
-        # Where each kept row ends up.
+        """The rows selected by the mask `keep` (n,)."""
+        # New row number of each kept row.
         to = np.cumsum(keep) - 1
         beside = {int(to[row]): sample for row, sample in self.beside.items() if keep[row]}
         return Block(self.kind[keep], self.t_us[keep], self.values[keep], beside)
 
 
 def block_of(samples: Sample | Iterable[Sample]) -> Block:
-    """Samples as a block."""
+    """Convert samples to a block."""
     # A lone sample is the common case on a live link.
     listed: Sequence[Sample] = (samples,) if isinstance(samples, Sample) else tuple(samples)
     count = len(listed)
@@ -131,8 +131,8 @@ def block_of(samples: Sample | Iterable[Sample]) -> Block:
 
 
 class BlockPart(NamedTuple):
-    """Rows of some kinds, as they were read from one message; `order` (m,) tells where they belong
-    among all rows, `values` (m, k) with k up to WIDTH."""
+    """Rows of one kind read from one message; `order` (m,) is the sort key of each row within the
+    block, `values` has shape (m, k) with k up to WIDTH."""
 
     kind: int
     order: Indices
@@ -141,18 +141,18 @@ class BlockPart(NamedTuple):
 
 
 def join_parts(parts: Sequence[BlockPart], beside: Sequence[tuple[int, Sample]]) -> Block:
-    """Parts, and samples that are no numbers with their place in the order, as one block."""
+    """Merge parts and (sort key, sample) pairs into one block."""
     order = np.concatenate([*(p.order for p in parts), np.array([at for at, _ in beside], int)])
     count = len(order)
     row = np.empty(count, np.int64)
-    # Stable: rows of one frame keep the order in which its message was read.
+    # Stable: rows of one frame keep their order.
     row[np.argsort(order, kind="stable")] = np.arange(count)
     kind, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
     values = np.zeros((count, WIDTH))
     begin = 0
     for part in parts:
         to = row[begin : begin + len(part.order)]
-        # Behind the last number of a kind stays the zero.
+        # The unused columns of a kind stay zero.
         kind[to], t_us[to] = part.kind, part.t_us
         values[to, : part.values.shape[1]] = part.values
         begin += len(to)
@@ -166,7 +166,7 @@ def _or_unknown(v: Vector | None) -> Sequence[float] | Vector:
     return UNKNOWN_3 if v is None else v
 
 
-# The numbers of each kind, and back.
+# Conversion of each kind of sample to its row.
 ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
     IMU: lambda s: (*s.gyro_b_rps, *s.accel_b_mps2, s.id),
     MAG: lambda s: s.field_b_gauss,
@@ -187,8 +187,8 @@ ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
 
 
 def _known_velocity(v: Vector) -> Vector | None:
-    """A velocity; None where nothing of it is known."""
-    # All three: a fix of GPS_RAW_INT knows two components only.
+    """A velocity; None if all components are unknown."""
+    # All three, since GPS_RAW_INT gives two components only.
     return None if np.isnan(v).all() else v
 
 
@@ -229,18 +229,18 @@ SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
 
 
 class ImuRun(NamedTuple):
-    """IMU samples in a row: stamps (k,), and rates in rad/s and specific force in m/s^2 (k, 6)."""
+    """Consecutive IMU samples: timestamps (k,), rates in rad/s, specific force in m/s^2 (k, 6)."""
 
     t_us: Stamps
     values: Vector
 
 
 class BlockSlice(NamedTuple):
-    """Samples up to an event, as detectors take them.
+    """The samples up to and including an event, which detectors process at once.
 
-    `first` to `last` are the rows of `block`. `imu` are those of the IMU with the numbers `ids` of
-    their sensors (k,), all of them `id` where it is not None; `mag` is the row of the last field
-    sample, -1 if there is none; `kind` and `t_us` are the last row's.
+    `first` to `last` are the rows of `block`. `imu` are the samples of the IMUs with the sensor ids
+    `ids` (k,); `id` is their common id, None if they differ. `mag` is the row of the last
+    magnetometer sample, -1 if there is none; `kind` and `t_us` are those of the last row.
     """
 
     block: Block
@@ -255,11 +255,11 @@ class BlockSlice(NamedTuple):
 
     @property
     def event(self) -> Sample:
-        """The last sample, the only one that may lead to a decision."""
+        """The last sample, the only one that may cause a decision."""
         return self.block.sample(self.last)
 
     def of_imu(self, number: int) -> ImuRun:
-        """What one IMU gave: there may be a second."""
+        """The samples of the IMU with id `number`."""
         if self.id == number:
             return self.imu
         mine = self.ids == number
@@ -267,32 +267,33 @@ class BlockSlice(NamedTuple):
 
 
 def count_every_fix(t_us: int) -> bool:
-    """All fixes are events."""
+    """The default of `split_at_events`: every fix is an event."""
     return True
 
 
 def split_at_events(
     samples: Sample | Block, counts: Callable[[int], bool] = count_every_fix
 ) -> Iterator[BlockSlice]:
-    """A block, or a single sample, cut behind each event.
+    """Split a block, or a single sample, after each event.
 
-    `counts` is asked whether a fix of some stamp is one, after what is before it has been taken.
+    `counts` decides by its timestamp if a fix is an event; called once the slice before is
+    processed.
     """
     block = samples if isinstance(samples, Block) else block_of(samples)
     last_row = len(block.kind) - 1
     imu, ends, mags, cuts = _find_slices(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :IMU_ID])
-    # A block nearly always comes from one IMU: then no rows need to be picked.
+    # A block nearly always comes from one IMU; then no rows need to be selected.
     ids = block.values[imu, IMU_ID]
     same = int(ids[0]) if len(ids) and (ids == ids[0]).all() else None
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
     first = a = 0
     for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
-        # The last row ends the block, event or not: what follows comes with the next one.
+        # The last row ends the block, event or not.
         if kind == FIX and last < last_row and not counts(t_us):
             continue
         samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
-        # A field sample before the piece belongs to an earlier one.
+        # A magnetometer sample before this slice belongs to an earlier one.
         newest = mag_row if mag_row >= first else -1
         yield BlockSlice(block, first, last, samples_of_imu, ids[a:b], same, newest, kind, t_us)
         first, a = last + 1, b
@@ -300,8 +301,8 @@ def split_at_events(
 
 @compiled
 def _find_slices(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
-    """Where the IMU's samples are; where pieces end, where the newest field sample is at each end
-    (-1: nowhere), and how many of the IMU's are before it."""
+    """Rows of the IMU samples; and for each slice its last row, the row of the newest magnetometer
+    sample (-1: none) and the number of IMU samples up to there."""
     count = kind.shape[0]
     imu, ends = np.empty(count, np.int64), np.empty(count, np.int64)
     mags, cuts = np.empty(count, np.int64), np.empty(count, np.int64)

@@ -1,4 +1,4 @@
-"""MAVLink frames -> samples, the one form everything else works on."""
+"""Decode MAVLink frames to blocks of samples, the input of all detectors and estimators."""
 
 import struct
 from collections.abc import Iterable, Mapping
@@ -19,15 +19,15 @@ from mavproxy_fault.wire.tlog import Columns, row_dtype
 
 Orders = dict[str, Indices]
 
-# READERS and, besides, the message that carries RTCM.
+# The messages with a reader, and TUNNEL, which carries RTCM.
 MESSAGES = (*READERS, "TUNNEL")
-# The stamps that a TUNNEL frame is dated by: the messages of the simulator's own clock.
+# Messages on the simulator's clock, by which TUNNEL frames (without a timestamp) are dated.
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
 _ROW_HEAD = struct.Struct("<qBBB")
 
 
 def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
-    """Frames as the columns of a log, and which frame each row was."""
+    """Frames as columns per message, and the index of each row's frame."""
     rows: dict[str, list[bytes]] = {}
     places: dict[str, list[int]] = {}
     for place, frame in enumerate(frames):
@@ -35,7 +35,7 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
         if name in MESSAGES:
             head = _ROW_HEAD.pack(0, frame.system, frame.component, frame.seq)
             length = frame.layout.length
-            # MAVLink 2 cuts zeros off the end of a payload; a longer one holds unknown extensions.
+            # MAVLink 2 truncates trailing zeros; a longer payload holds unknown extensions.
             rows.setdefault(name, []).append(head + frame.payload[:length].ljust(length, b"\0"))
             places.setdefault(name, []).append(place)
     columns = {name: np.frombuffer(b"".join(row), row_dtype(name)) for name, row in rows.items()}
@@ -43,7 +43,7 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
 
 
 class Decoder:
-    """Frames of one stream to samples; holds what spans frames."""
+    """Decodes the frames of one stream; keeps the state that spans frames (RTCM parts, clocks)."""
 
     __slots__ = ("_assembler", "_boot", "_ranging", "_stamps")
 
@@ -54,17 +54,17 @@ class Decoder:
         self._stamps: dict[int, int] = {}
 
     def decode(self, frames: Iterable[Frame]) -> Block:
-        """The samples that some frames hold; none for messages that carry no measurement."""
+        """The samples of some frames; messages without a measurement give none."""
         return self.decode_columns(*columns_of(frames))
 
     def decode_columns(
         self, columns: Mapping[str, NDArray[Any]], orders: Mapping[str, Indices]
     ) -> Block:
-        """The samples of frames given by message, with the place (m,) of each among all frames."""
+        """The samples of frames given as columns per message; `orders` are their indices (m,)."""
         parts = []
         stamps = _Stamps(self._stamps)
         for name, rows in columns.items():
-            # A message without a reader, or without a measurement, gives no rows.
+            # Messages without a reader or a measurement give no rows.
             for read in READERS[name](rows) if name in READERS else ():
                 place, t_us = orders[name][read.row], read.t_us
                 if name == WRAPPED_MESSAGE:
@@ -74,7 +74,7 @@ class Decoder:
                 stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
         beside: list[tuple[int, Sample]] = []
         if "TUNNEL" in columns:
-            # After the loop: tunnels are dated by the stamps of the whole block.
+            # After the loop, since TUNNEL frames are dated by the timestamps of the entire block.
             beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
         self._stamps = stamps.newest()
         return join_parts(parts, beside)
@@ -83,7 +83,7 @@ class Decoder:
         self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
     ) -> list[tuple[int, Sample]]:
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
-        # Records are copied whole by `take`, field by field when indexed.
+        # `take` copies complete records; indexing copies field by field and is slower.
         rows, order, sender = rows.take(ours), order[ours], _senders(rows)[ours]
         payload = np.ascontiguousarray(rows["payload"])
         messages = self._assembler.add(sender, payload, rows["payload_length"].astype(np.int64))
@@ -93,13 +93,13 @@ class Decoder:
 
 
 def _senders(rows: NDArray[Any]) -> Indices:
-    """A number (m,) of system and component of each row."""
+    """One number (m,) per row for its system and component."""
     numbers: Indices = rows["system"].astype(np.int64) << 8 | rows["component"]
     return numbers
 
 
 class _Stamps:
-    """The newest stamp of each sender before some frame; `before` holds those of earlier blocks."""
+    """Newest timestamp of each sender before a frame; `before` holds those of earlier blocks."""
 
     def __init__(self, before: Mapping[int, int]) -> None:
         self._before = dict(before)
@@ -107,17 +107,17 @@ class _Stamps:
         self._known: dict[int, tuple[Indices, Stamps]] = {}
 
     def learn(self, sender: Indices, order: Indices, t_us: Stamps) -> None:
-        """Stamps (m,) of frames, whose they are, and their places."""
+        """Add timestamps (m,) of frames, with their senders and indices."""
         self._parts.append((sender, order, t_us))
 
     def before(self, sender: Indices, place: Indices) -> list[int | None]:
-        """The stamps that senders (k,) gave last before some places."""
+        """The last timestamps that senders (k,) gave before the frames at `place` (k,)."""
         found: list[int | None] = [None] * len(place)
         known = self._by_sender()
         for number in _distinct_senders(sender):
             order, t_us = known.get(number, _NO_STAMPS)
             mine = np.flatnonzero(sender == number)
-            at = np.searchsorted(order, place[mine])  # 0: all of them came later
+            at = np.searchsorted(order, place[mine])  # 0: all of them are later
             newest = np.append(0, t_us)[at]
             earlier = self._before.get(number)
             for i, row, stamp_us in zip(mine.tolist(), at.tolist(), newest.tolist(), strict=True):
@@ -125,21 +125,21 @@ class _Stamps:
         return found
 
     def newest(self) -> dict[int, int]:
-        """The last stamp of every sender."""
+        """The last timestamp of every sender."""
         known = self._by_sender()
-        # Of earlier blocks what no newer stamp replaces.
+        # Timestamps of earlier blocks stay where there is no newer one.
         return self._before | {number: int(t_us[-1]) for number, (_, t_us) in known.items()}
 
     def _by_sender(self) -> dict[int, tuple[Indices, Stamps]]:
-        """Places and stamps of each sender in order; asked for when all have been learnt."""
-        # Sorted once, at the first question.
+        """Frame indices and timestamps of each sender in order; call it after the last `learn`."""
+        # Sorted once, at the first call.
         if self._known or not self._parts:
             return self._known
         sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
         by_place = np.argsort(order, kind="stable")
         sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
         numbers = _distinct_senders(sender)
-        # One vehicle on the link is the rule: no masks then.
+        # Usually there is one vehicle on the link; then no masks are needed.
         if len(numbers) == 1:
             self._known = {numbers[0]: (order, t_us)}
         else:
@@ -151,6 +151,6 @@ _NO_STAMPS = np.empty(0, np.int64), np.empty(0, np.int64)
 
 
 def _distinct_senders(sender: Indices) -> list[int]:
-    """The different senders."""
+    """The distinct senders."""
     found: list[int] = np.flatnonzero(np.bincount(sender)).tolist()
     return found

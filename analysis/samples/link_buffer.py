@@ -1,7 +1,7 @@
-"""A link drained by a thread, so that nothing is lost while the monitor compiles or falls behind.
+"""Receive thread: buffers a link while the monitor compiles kernels or falls behind.
 
-The kernel's buffer holds a few seconds of HIL traffic; compiling the kernels for the first time
-takes longer.
+The operating system's socket buffer holds a few seconds of HIL traffic; compiling the numerical
+kernels for the first time takes longer.
 """
 
 import queue
@@ -14,12 +14,12 @@ from mavproxy_fault.links.link import Link
 
 MAX_CHUNKS = 500_000  # about ten minutes of HIL traffic
 CHUNKS_AT_ONCE = 1000
-# Long enough not to spin, short enough to end soon after Ctrl-C.
+# Chosen: long enough not to spin, short enough to end promptly after Ctrl-C.
 POLL_TIMEOUT_S = 0.1
 
 
 class LinkBuffer:
-    """Chunks of a link in order; `drops` counts what no longer found room."""
+    """Chunks of a link in order; `drops` counts those discarded because the buffer was full."""
 
     def __init__(self, link: Link) -> None:
         self.drops = 0
@@ -38,14 +38,15 @@ class LinkBuffer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # The flag first: the thread reads the link until it has seen it, and only then may that
+        # Set the flag first: the thread reads the link until it sees it; only then may the link
         # close.
         self._over.set()
         self._thread.join()
         self._link.close()
 
     def drain(self) -> Iterator[bytes]:
-        """What has come by now, `CHUNKS_AT_ONCE` at most; waits a little for the first of it."""
+        """Chunks received so far, at most `CHUNKS_AT_ONCE`; waits `POLL_TIMEOUT_S` for the
+        first."""
         try:
             yield self._chunks.get(timeout=POLL_TIMEOUT_S)
             for _ in range(CHUNKS_AT_ONCE - 1):
@@ -55,12 +56,11 @@ class LinkBuffer:
 
     def _receive(self) -> None:
         while not self._over.is_set():
-            # With a time limit: the thread must look at the flag also on a silent link.
+            # With a timeout: the thread must check the flag on a silent link too.
             wait_until_readable([self._link], POLL_TIMEOUT_S)
             for _, data in self._link.read():
                 try:
                     self._chunks.put_nowait(data)
                 except queue.Full:
-                    # Counted, never waited for: waiting would lose the newest bytes in the kernel
-                    # instead.
+                    # Drop instead of waiting: waiting would overflow the socket buffer.
                     self.drops += 1

@@ -1,7 +1,8 @@
-"""MAVLink messages -> samples: one function a message, from its columns.
+"""MAVLink messages to samples: one reader function per message, working on columns.
 
-HIL_SENSOR carries what `fields_updated` says: bits 0 to 5 acceleration and rates, 6 to 8 the
-magnetic field, 9 static pressure, 10 differential pressure, 11 the altitude made of it [1]_.
+Valid fields of HIL_SENSOR by the bits of `fields_updated`: 0 to 5 acceleration and rates, 6 to 8
+magnetic field, 9 static pressure, 10 differential pressure, 11 pressure altitude
+[1]_.
 
 References
 ----------
@@ -49,13 +50,13 @@ HECTOPASCAL = 100.0
 DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 FIX_3D = 3  # GPS_FIX_TYPE
-# MAVLink's word for unknown in unsigned 16-bit fields.
+# MAVLink's "unknown" in unsigned 16-bit fields.
 UNKNOWN_16 = 0xFFFF
-PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
+PER_OUTPUT = 1e-3  # command units per microsecond of pulse width
 
 
 class ReadSamples(NamedTuple):
-    """Samples of one kind: from which rows of the message, their stamps and numbers (m, k)."""
+    """Samples of one kind: their rows in the message, timestamps and values (m, k)."""
 
     kind: int
     row: Indices
@@ -75,15 +76,15 @@ def _numbers(rows: Rows, *names: str) -> Vector:
 
 
 def _read_all(kind: int, t_us: NDArray[Any], values: Vector) -> list[ReadSamples]:
-    """A sample for each row."""
+    """One sample per row."""
     return [ReadSamples(kind, np.arange(len(t_us)), t_us, values)]
 
 
 def _read_flagged(
     rows: Rows, bits: int, kind: int, values: Callable[[Rows], Vector]
 ) -> list[ReadSamples]:
-    """A sample for each row in which all these bits are set."""
-    # All bits: a sample with one stale axis is no sample.
+    """One sample per row in which all of `bits` are set."""
+    # All bits are required: a sample with one stale axis is unusable.
     row = np.flatnonzero(rows["fields_updated"] & bits == bits)
     if not len(row):
         return []
@@ -127,7 +128,7 @@ def _scaled_imu(rows: Rows) -> list[ReadSamples]:
 
 
 def _scaled(rows: Rows) -> Vector:
-    """Rates and specific force (m, 6) in rad/s and m/s^2."""
+    """Angular rates and specific force (m, 6) in rad/s and m/s^2."""
     # Milliradians per second and thousandths of gravity.
     rates = _numbers(rows, "xgyro", "ygyro", "zgyro") * 1e-3
     force = _numbers(rows, "xacc", "yacc", "zacc") * (STANDARD_GRAVITY_MPS2 * 1e-3)
@@ -135,18 +136,18 @@ def _scaled(rows: Rows) -> Vector:
 
 
 def _further_imu(number: int) -> Callable[[Rows], list[ReadSamples]]:
-    """SCALED_IMU2 and 3, for the vote of IMUs."""
+    """SCALED_IMU2 and 3, for voting among IMUs."""
     return lambda rows: _read_all(SPARE, _since_boot(rows), _spare(IMU, number, _scaled(rows)))
 
 
 def _spare(kind: int, number: int, numbers: Vector) -> Vector:
-    """Rows of a further sensor from its numbers (m, n)."""
+    """Rows of a redundant sensor from its values (m, n)."""
     known = np.full((len(numbers), SPARE_NUMBERS), (kind, number), float)
     return np.column_stack([known, numbers])
 
 
 def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[ReadSamples]:
-    """A receiver's solution, from the fields that HIL_GPS and GPS_RAW_INT have in common."""
+    """A receiver's fix from the fields common to HIL_GPS and GPS_RAW_INT."""
     # Degrees by 1e7, millimetres above mean sea level.
     place = _numbers(rows, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
     state = _numbers(rows, "fix_type", "satellites_visible")
@@ -157,13 +158,13 @@ def _fix(rows: Rows, source: str, v_ned: Vector, accuracy_m: Vector) -> list[Rea
 
 def _hil_gps(rows: Rows) -> list[ReadSamples]:
     accuracy = _numbers(rows, "eph", "epv")
-    # Centimetres; in HIL_GPS unknown is the largest number.
+    # Centimetres; 65535 means unknown in HIL_GPS.
     accuracy_m = np.where(accuracy != UNKNOWN_16, accuracy * 1e-2, np.nan)
     return _fix(rows, "HIL_GPS", _numbers(rows, "vn", "ve", "vd") * 1e-2, accuracy_m)
 
 
 def _second_fix(rows: Rows) -> list[ReadSamples]:
-    """The place that a second receiver tells, for the vote of receivers."""
+    """The position of a second receiver, for voting among receivers."""
     row = np.flatnonzero(rows["fix_type"] >= FIX_3D)
     place = _numbers(rows[row], "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
     t_us = rows["time_usec"][row].astype(np.int64)
@@ -171,7 +172,7 @@ def _second_fix(rows: Rows) -> list[ReadSamples]:
 
 
 def _gps_raw_int(rows: Rows) -> list[ReadSamples]:
-    """Speed and course give the level part of the velocity; an accuracy of 0 is unknown."""
+    """The horizontal velocity follows from speed and course; an accuracy of 0 is unknown."""
     # Centimetres per second and hundredths of a degree.
     speed, course = rows["vel"] * 1e-2, np.radians(rows["cog"] * 1e-2)
     known = (rows["vel"] != UNKNOWN_16) & (rows["cog"] != UNKNOWN_16)
@@ -192,25 +193,25 @@ def _hil_state(rows: Rows) -> list[ReadSamples]:
 
 
 def _distance(rows: Rows) -> list[ReadSamples]:
-    """A distance at or beyond one of the sensor's limits measures nothing, but it was heard."""
+    """Distance to the ground; NaN at or beyond the sensor's limits (received, but unusable)."""
     row = np.flatnonzero(rows["orientation"] == DOWNWARD)
     rows = rows[row]
     distance = rows["current_distance"]
     inside = (rows["min_distance"] < distance) & (distance < rows["max_distance"])
-    measured_m = np.where(inside, distance * 1e-2, np.nan)  # it counts centimetres
+    measured_m = np.where(inside, distance * 1e-2, np.nan)  # from centimetres
     return [ReadSamples(RANGE, row, _since_boot(rows), measured_m[:, np.newaxis])]
 
 
 def _odometry(rows: Rows) -> list[ReadSamples]:
     q_nb, v = _numbers(rows, "q"), _numbers(rows, "vx", "vy", "vz")
     norm = np.linalg.norm(q_nb, axis=1)
-    # A quaternion of zeros says that there is none.
+    # An all-zero quaternion means that there is no attitude.
     row = np.flatnonzero(norm > 0.0)
     q_nb, v = q_nb[row] / norm[row, None], v[row]
     body = rows["child_frame_id"][row] == BODY_FRD
-    # Velocity in body axes is turned by the attitude of the same message.
+    # Velocity in body axes is rotated to NED by the attitude of the same message.
     v[body] = np.einsum("nij,nj->ni", matrix_from_quat(q_nb[body]), v[body])
-    # Velocity is known as a whole or not at all.
+    # A velocity with an unknown component is unknown.
     v[~np.isfinite(v).all(axis=1)] = np.nan
     values = np.column_stack([_numbers(rows[row], "x", "y", "z"), v, q_nb])
     return [ReadSamples(VISION, row, rows["time_usec"][row].astype(np.int64), values)]
@@ -242,12 +243,12 @@ def _estimate(rows: Rows, q_nb: Vector, source: str) -> list[ReadSamples]:
 
 
 def _actuator_controls(rows: Rows) -> list[ReadSamples]:
-    """The first outputs; one that is not finite is off."""
+    """The first outputs; a non-finite value means that the output is off."""
     return _commands(rows, _numbers(rows, "controls"), CONTROLS)
 
 
 def _servo_outputs(rows: Rows) -> list[ReadSamples]:
-    """The main outputs; those of an extension board come as another port."""
+    """The main outputs; those of an extension board (another port) are ignored."""
     names = [f"servo{i + 1}_raw" for i in range(COMMAND_SOURCE)]
     main = np.flatnonzero(rows["port"] == 0)
     values = _numbers(rows[main], *names) * PER_OUTPUT

@@ -1,6 +1,6 @@
-"""What the analysis works on: samples and GNSS epochs, whatever file or link they came from.
+"""Sample types: one class per kind of sensor reading, independent of the file or link.
 
-Stamps `t_us` are microseconds on the vehicle's clock.
+Timestamps `t_us` are microseconds on the vehicle's clock.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Vector = NDArray[np.float64]
 
-IMU_VALUE_LIMIT = 1e6  # rad/s, m/s^2: none gives more, and sums of squares stay numbers
+IMU_VALUE_LIMIT = 1e6  # rad/s, m/s^2: above every IMU's range, and sums of squares cannot overflow
 
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """Rates (3,) in rad/s and specific force (3,) in m/s^2, body axes forward-right-down."""
+    """Angular rates (3,) in rad/s and specific force (3,) in m/s^2, body axes (FRD)."""
 
     t_us: int
     gyro_b_rps: Vector
@@ -36,7 +36,7 @@ class MagSample:
 
 @dataclass(frozen=True, slots=True)
 class BaroSample:
-    """Static pressure and the altitude the sender made of it."""
+    """Static pressure and the altitude that the sender derived from it."""
 
     t_us: int
     pressure_pa: float
@@ -53,10 +53,10 @@ class AirspeedSample:
 
 @dataclass(frozen=True, slots=True)
 class GpsFix:
-    """A receiver's solution; altitude above mean sea level; `source` is the message it came in.
+    """A GNSS receiver's position and velocity; the altitude is above mean sea level.
 
-    `v_ned_mps` is None without a velocity; its last element is NaN where only the ground speed
-    and course are known (GPS_RAW_INT).
+    `v_ned_mps` is None without a velocity; its last element is NaN where only ground speed and
+    course are known (GPS_RAW_INT). `source` is the name of the message.
     """
 
     t_us: int
@@ -73,12 +73,12 @@ class GpsFix:
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
-    """Pseudoranges of one instant on one signal per satellite; arrays have shape (n,).
+    """Pseudoranges of one receiver epoch, one signal per satellite; arrays have shape (n,).
 
-    `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate
-    (NaN where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is
-    what each range was measured on, always the same for a satellite; None: all on L1 or E1.
-    `signals` are RINEX's names of the codes (`1C`); empty where nothing tells.
+    `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate (NaN
+    where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is the
+    carrier frequency of each range and never changes for a satellite; None: all on L1 or E1.
+    `signals` are RINEX signal codes (`1C`); empty if unknown.
     """
 
     t_us: int
@@ -92,7 +92,7 @@ class Epoch:
     signals: tuple[str, ...] = ()
 
     def select(self, keep: Sequence[int]) -> "Epoch":
-        """The epoch of some of its satellites, by their places."""
+        """The epoch restricted to the satellites with the indices `keep`."""
         at = list(keep)
         return replace(
             self,
@@ -109,8 +109,8 @@ class Epoch:
 class StateVector:
     """The broadcast orbit of one GLONASS satellite at `toe_s` of GPS week `week`.
 
-    Position, velocity and the acceleration by sun and moon (3,) in PZ-90, m and seconds; the
-    clock's offset (minus tau_n) in s and its rate gamma_n; `health` is 0 for a healthy satellite.
+    Position, velocity and luni-solar acceleration (3,) in PZ-90, in m and s; the clock offset
+    (minus tau_n) in s and its rate gamma_n; `health` is 0 for a healthy satellite.
     """
 
     satellite: str
@@ -125,7 +125,7 @@ class StateVector:
 
     @property
     def fit_half_s(self) -> float:
-        """How far from `toe_s` the vector is used: twice its interval, as RTKLIB does."""
+        """Half the validity interval around `toe_s`: twice the upload interval, as in RTKLIB."""
         return 1800.0
 
 
@@ -139,7 +139,7 @@ class EphemerisSample:
 
 @dataclass(frozen=True, slots=True)
 class IonosphereSample:
-    """Klobuchar's coefficients as broadcast: four of amplitude, four of period."""
+    """Broadcast Klobuchar coefficients: four for the amplitude, four for the period."""
 
     t_us: int
     alpha: tuple[float, float, float, float]
@@ -166,7 +166,7 @@ class VisionSample:
 
 @dataclass(frozen=True, slots=True)
 class TruthSample:
-    """HIL_STATE_QUATERNION: attitude, position and velocity that really were."""
+    """HIL_STATE_QUATERNION: true attitude, position and velocity of the simulated vehicle."""
 
     t_us: int
     q_nb: Vector
@@ -189,10 +189,10 @@ class AttitudeSample:
 
 @dataclass(frozen=True, slots=True)
 class CommandSample:
-    """What an autopilot's first outputs (12,) are driven with; 0 where there is none.
+    """The first 12 actuator outputs of an autopilot; 0 where an output does not exist.
 
-    HIL_ACTUATOR_CONTROLS tells it from -1 to 1; `OUTPUTS` are thousands of whatever drives the
-    motors (pulse widths in ms, or steps of a digital protocol).
+    HIL_ACTUATOR_CONTROLS ranges from -1 to 1; `OUTPUTS` are in thousands of the raw output value
+    (pulse widths in ms, or thousands of steps of a digital protocol).
     """
 
     t_us: int
@@ -202,7 +202,7 @@ class CommandSample:
 
 @dataclass(frozen=True, slots=True)
 class SpareSample:
-    """What a further sensor of one kind measures, which nothing but the vote of its kind uses.
+    """A reading of a redundant sensor; only the voting test of its kind uses it.
 
     `kind` is that of the block, `instance` counts from 1; `numbers` (up to 6,) are rates in rad/s
     and specific force in m/s^2, the field in gauss, the pressure in Pa, or latitude and longitude

@@ -1,4 +1,4 @@
-"""What autopilots log: PX4's ULog and ArduPilot's dataflash.
+"""Readers of autopilot logs: PX4's ULog and ArduPilot's dataflash.
 
-A *topic* is the columns of one message; a log's *condition* is what of it is damaged or was lost.
+A *topic* holds the columns of one message; a log's *condition* is what is corrupted or missing.
 """

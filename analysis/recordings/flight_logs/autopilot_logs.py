@@ -1,7 +1,7 @@
-"""PX4's ULog and ArduPilot's dataflash logs as samples: what the autopilot's sensors measured.
+"""Read the sensor measurements of PX4 ULogs and ArduPilot dataflash logs as samples.
 
-Of each kind of sensor the first is what detectors use; further IMUs, magnetometers, barometers and
-receivers are read for the vote. The autopilot's own attitude comes beside them.
+Detectors use the first sensor of each kind; redundant IMUs, magnetometers, barometers and receivers
+are read for voting. The autopilot's attitude estimate is read too.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -51,13 +51,13 @@ Topics = Mapping[tuple[str, int], Topic]
 HEAD = 16
 FIX_3D = 3
 INSTANCES = 3
-# What ArduPilot's messages call it that a driver has a new, sound measurement
+# Fields by which an ArduPilot driver reports that its measurement is new and healthy
 HEALTH = {IMU: ("GH", "AH"), MAG: ("Health",), BARO: ("H", "Health")}
-VOTERS = (IMU, MAG, BARO, FIX)  # kinds of which a log's further sensors are read
-SYSTEM = 1  # whose attitude it is
+VOTERS = (IMU, MAG, BARO, FIX)  # kinds of which redundant sensors are read
+SYSTEM = 1  # MAVLink system id of the attitude
 MILLIGAUSS = 1e-3
-PER_OUTPUT = 1e-3  # of a sample, for microseconds of a pulse
-MOST_HECTOPASCAL = 2000.0
+PER_OUTPUT = 1e-3  # command units per microsecond of pulse width
+MOST_HECTOPASCAL = 2000.0  # twice sea level; in pascal every pressure is above
 GPS_SOURCE, ATTITUDE_SOURCE = SOURCES.index("GPS_RAW_INT"), SOURCES.index("ATTITUDE_QUATERNION")
 
 
@@ -69,13 +69,13 @@ def is_autopilot_log(path: Path) -> bool:
 
 
 def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Block:
-    """The samples of a ULog or a dataflash log, in the order of their stamps; what it has lost goes
-    into `condition`.
+    """Read the samples of a ULog or a dataflash log in order of time; notes lost parts in
+    `condition`.
 
     Raises
     ------
     ConfigError
-        If the log holds neither an IMU nor a GPS, without which nothing can be tested.
+        If the log lacks IMU or GPS samples; the tests need both.
     """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
@@ -92,7 +92,7 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
             "which both are logged"
         )
     stamps = np.concatenate([t_us for _, t_us, _ in found])
-    # One order over all topics; at equal stamps the topic that stands first in the table.
+    # One order over all topics; at equal timestamps in the order of the table.
     rank = np.empty(len(stamps), np.int64)
     rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
     ends = np.cumsum([len(t_us) for _, t_us, _ in found])
@@ -103,8 +103,8 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
 
 
 def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
-    """Put into a condition what a log has lost."""
-    # One that ends in the middle of a message is whole: whoever writes it seldom ends it.
+    """Note in `condition` what a log has lost."""
+    # An incomplete last message is normal: loggers are usually switched off while writing.
     condition.damage += [CORRUPTED] if log.corrupted else []
     if isinstance(log, ULogFile):
         condition.lost_us += ulog_losses(log.dropouts)
@@ -115,13 +115,13 @@ def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
 
 
 def _with_accuracy(topics: Topics) -> Topics:
-    """Topics of ArduPilot with what each receiver says of its accuracy, which is logged apart."""
+    """Add each receiver's accuracy, which ArduPilot logs in GPA, to its GPS topic."""
     found = dict(topics)
     for number in range(INSTANCES):
         fixes, said = topics.get(("GPS", number)), topics.get(("GPA", number))
         if fixes is None or said is None or not {"HAcc", "VAcc"} <= said.keys():
             continue
-        # Both bear one stamp; the newest counts where one is missing.
+        # GPS and GPA share timestamps; where one is missing, the newest GPA counts.
         newest = np.maximum(np.searchsorted(said["TimeUS"], fixes["TimeUS"], "right") - 1, 0)
         found["GPS", number] = {**fixes, **{name: said[name][newest] for name in ("HAcc", "VAcc")}}
     return found
@@ -134,7 +134,7 @@ def _has_kind(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
 def _parts(
     topics: Topics, table: Iterable[tuple[str, int, Columns]], stamp: str
 ) -> Iterable[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-    """Kind, stamps and numbers of each topic that is there; the first of a kind is enough."""
+    """Kind, timestamps and values of the logged topics; the first topic of a kind is used."""
     done: set[int] = set()
     for name, kind, columns in table:
         if kind in done:
@@ -145,7 +145,7 @@ def _parts(
                 continue
             try:
                 values = np.column_stack(columns(topic)).astype(float)
-            except KeyError:  # another version of the autopilot; the next line may be its form
+            except KeyError:  # another version of the autopilot; a later row may match it
                 continue
             if kind == IMU:
                 values[:, IMU_ID] = number
@@ -153,13 +153,13 @@ def _parts(
                 yield SPARE, *_spare(kind, number, topic[stamp].astype(np.int64), values)
                 continue
             done.add(kind)
-            # The detector keeps to the IMU that speaks first.
+            # Detectors use the IMU of the first sample; start with instance 0.
             spoken = topic[stamp] >= topics.get((name, 0), topic)[stamp][0]
             yield kind, topic[stamp][spoken].astype(np.int64), values[spoken, :WIDTH]
 
 
 def _healthy(topic: Topic, kind: int) -> Topic:
-    """A sensor's messages without those of which its driver says that it does not measure."""
+    """Remove the messages that the driver marks as unhealthy."""
     says = [topic[name] for name in HEALTH.get(kind, ()) if name in topic]
     if not says:
         return topic
@@ -170,7 +170,7 @@ def _healthy(topic: Topic, kind: int) -> Topic:
 def _spare(
     kind: int, number: int, t_us: NDArray[np.int64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Stamps and rows of a further sensor, of a receiver those with a fix."""
+    """Timestamps and rows of a redundant sensor; of a receiver those with a 3D fix."""
     keep = values[:, FIX_TYPE] >= FIX_3D if kind == FIX else np.ones(len(t_us), bool)
     found = np.zeros((int(keep.sum()), SPARE_NUMBERS + 3))
     found[:, SPARE_KIND], found[:, SPARE_ID] = kind, number
@@ -192,9 +192,9 @@ def _pressure(name: str) -> Columns:
 
 
 def _sensor_pressure(topic: Topic) -> list[NDArray[Any]]:
-    """Pascal in PX4 from 1.14 on, hectopascal before."""
+    """Pressure of `sensor_baro`: pascal since PX4 1.14, hectopascal before."""
     pressure = topic["pressure"].astype(float)
-    # By its size, since the field has one name in both; the median bears single bad samples.
+    # Decided by magnitude, since the field name is the same; the median is robust to outliers.
     scale = 100.0 if np.nanmedian(pressure) < MOST_HECTOPASCAL else 1.0
     return [pressure * scale, _filled(topic, np.nan)]
 
@@ -227,8 +227,8 @@ def _ardupilot_attitude(topic: Topic) -> list[NDArray[Any]]:
 
 
 def _outputs(first: str, *others: str, scale: float = PER_OUTPUT) -> Columns:
-    """The first outputs, in thousands of microseconds or shares of a motor's most; those that a
-    board does not have stay 0."""
+    """The first outputs, in thousands of microseconds or as a share of full output; missing outputs
+    are 0."""
 
     def columns(topic: Topic) -> list[NDArray[Any]]:
         none = _filled(topic, 0.0)
@@ -261,7 +261,7 @@ ULOG: tuple[tuple[str, int, Columns], ...] = (
     ("sensor_gps", FIX, _px4_fix),
     ("vehicle_attitude", ATTITUDE, _px4_attitude),
     ("actuator_outputs", COMMAND, _outputs(*(f"output[{i}]" for i in range(COMMAND_SOURCE)))),
-    # What the allocation commands, from PX4 1.13 on.
+    # Commands of the control allocation, since PX4 1.13.
     (
         "actuator_motors",
         COMMAND,

@@ -1,8 +1,8 @@
-"""ArduPilot's dataflash logs (.bin) as columns: pymavlink finds the messages, numpy unpacks them.
+"""Read ArduPilot dataflash logs (.bin) as columns; pymavlink finds messages, numpy unpacks them.
 
 A message's columns are its fields as the log's own FMT messages name them, scaled as pymavlink
-scales them, with `TimeUS` in microseconds since boot. Where an old log gives `TimeMS`, or a message
-carries no time at all, `TimeUS` is made from that or from the message before.
+scales them, with `TimeUS` in microseconds since boot. In old logs it is computed from `TimeMS`; a
+message without a time gets that of the message before it.
 """
 
 import contextlib
@@ -25,30 +25,30 @@ from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"\xa3\x95"
-HEAD = 3  # bytes of a message before its fields
-MAX_BYTES = 500_000_000  # of a file that are read
+HEAD = 3  # header bytes of a message
+MAX_BYTES = 500_000_000  # read of a file, to limit memory use
 FORMATS = 0x80  # the type of FMT messages
-NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # IMU2 of an old log: a second one
+NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # old logs: IMU2 is instance 1
 RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
-INSTANCES = ("I", "C", "Instance")  # what tells the messages of two sensors or cores apart
+INSTANCES = ("I", "C", "Instance")  # fields with the number of the sensor or core
 
 
 @dataclass(frozen=True, slots=True)
 class DataflashFile:
-    """A dataflash log read.
+    """Contents of a dataflash log.
 
     Attributes
     ----------
     topics : dict
-        By message name and instance (from 0) its columns, with `TimeUS`.
+        Columns, with `TimeUS`, by message name and instance (from 0).
     start_us, end_us : int
         First and last time.
     unread_bytes : int
         Bytes at the end of a very large file that were not read.
-    damaged : bool
-        Whether bytes or messages of an impossible time had to be passed over.
+    corrupted : bool
+        Whether bytes or messages with an impossible time were skipped.
     cut : bool
-        Whether it ends in the middle of a message.
+        Whether the file ends within a message.
     """
 
     topics: Mapping[tuple[str, int], Topic]
@@ -65,25 +65,25 @@ def is_dataflash(head: bytes) -> bool:
 
 
 def read_dataflash(path: str | Path) -> DataflashFile:
-    """Read a dataflash log; of one larger than `MAX_BYTES` the beginning.
+    """Read a dataflash log; of a file larger than `MAX_BYTES` only the beginning.
 
     Raises
     ------
     ConfigError
-        If nothing can be read.
+        If the file is not a dataflash log or holds no message with a time.
     """
     with _readable_part(Path(path)) as readable, tempfile.TemporaryFile() as complaints:
         try:
             with _redirect_output(complaints):
                 raw, cut = _messages(readable)
-            damaged = os.fstat(complaints.fileno()).st_size > 0
-        except Exception as error:  # pymavlink raises whatever its struct and index code does
-            raise ConfigError(f"{path}: not a readable dataflash log ({error})") from error
+            corrupted = os.fstat(complaints.fileno()).st_size > 0
+        except Exception as error:  # pymavlink raises any type of error on corrupted input
+            raise ConfigError(f"{path}: not a dataflash log ({error}); give a .bin file") from error
     times = _clock(raw)
     if len(times[0]) == 0:
-        raise ConfigError(f"{path}: the dataflash log holds no message with a time")
+        raise ConfigError(f"{path}: holds no message with a time; give a dataflash log of a flight")
     wrong = find_misdated(times[1])
-    places, damaged = times[0][wrong], damaged or bool(wrong.any())
+    places, corrupted = times[0][wrong], corrupted or bool(wrong.any())
     times = times[0][~wrong], times[1][~wrong]
     topics: dict[tuple[str, int], Topic] = {}
     for name, (place, fields) in raw.items():
@@ -97,15 +97,15 @@ def read_dataflash(path: str | Path) -> DataflashFile:
     _rates_in_degrees(topics)
     unread_bytes = max(written_bytes(Path(path)) - MAX_BYTES, 0)
     stamps = times[1]
-    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, damaged, cut)
+    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, corrupted, cut)
 
 
 @contextlib.contextmanager
 def _redirect_output(file: IO[bytes]) -> Iterator[None]:
-    """What is printed, by compiled code too, goes to a file: pymavlink prints what it skips."""
+    """Redirect stdout and stderr to a file, to detect what pymavlink skips: it only prints it."""
     sys.stdout.flush()
     sys.stderr.flush()
-    # At the level of descriptors: compiled code does not print through sys.stdout.
+    # Redirect file descriptors: compiled code does not print through sys.stdout.
     kept = [(number, os.dup(number)) for number in (1, 2)]
     try:
         for number, _ in kept:
@@ -121,7 +121,7 @@ def _redirect_output(file: IO[bytes]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _readable_part(path: Path) -> Iterator[Path]:
-    """The file, or a copy of as much of it as is read: pymavlink takes whole files only."""
+    """The file, or a copy of its first `MAX_BYTES`: pymavlink always reads complete files."""
     written = written_bytes(path)
     if written == path.stat().st_size <= MAX_BYTES:
         yield path
@@ -136,10 +136,10 @@ def _readable_part(path: Path) -> Iterator[Path]:
 
 
 def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], bool]:
-    """By message name where its messages are and their columns; whether the last one is cut."""
+    """File offsets and columns by message name; and whether the last message is incomplete."""
     from pymavlink.DFReader import DFReader_binary
 
-    reader = DFReader_binary.__new__(DFReader_binary)  # apart, to close its file if it fails
+    reader = DFReader_binary.__new__(DFReader_binary)  # so that its file is closed on failure
     try:
         reader.__init__(str(path), zero_time_base=True)
         data = np.fromfile(path, np.uint8)
@@ -147,9 +147,9 @@ def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], b
         end = 0
         for form in reader.formats.values():
             at = np.array(reader.offsets[form.type], np.int64)
-            # A format may claim less than its fields take, where its bytes are damaged.
-            whole = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
-            at = at[whole]
+            # A corrupted FMT message may declare a length too short for its fields.
+            complete = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
+            at = at[complete]
             end = max(end, int(at.max(initial=0)) + form.len)
             if len(at) and form.type != FORMATS:
                 found[form.name] = (at, _columns(data, at, form))
@@ -159,11 +159,11 @@ def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], b
 
 
 def _columns(data: NDArray[np.uint8], at: NDArray[np.int64], form: Any) -> Topic:
-    """The fields of messages of one kind as columns, scaled."""
+    """The fields of all messages of one type as scaled columns."""
     codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
     types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     dtype = np.dtype(list(zip(form.columns, types, strict=True)))
-    # A view at every byte, of which only those at messages are read: nothing is copied.
+    # A sliding view over all bytes, indexed at the messages only: nothing is copied.
     windows = np.lib.stride_tricks.sliding_window_view(data, dtype.itemsize)
     rows = windows[at + HEAD].view(dtype)[:, 0]
     return {
@@ -173,10 +173,10 @@ def _columns(data: NDArray[np.uint8], at: NDArray[np.int64], form: Any) -> Topic
 
 
 def _own_time(name: str, columns: Topic) -> NDArray[np.int64] | None:
-    """The time since boot that messages carry, microseconds; None if they carry none."""
+    """The time since boot in the messages, in microseconds; None if they have none."""
     if "TimeUS" in columns:
         return columns["TimeUS"].astype(np.int64)
-    # Of old logs: a GPS message's TimeMS is the time of the week.
+    # Old logs: TimeMS of a GPS message is the time of week, T the time since boot.
     key = "T" if name.startswith("GPS") else "TimeMS"
     return columns[key].astype(np.int64) * 1000 if key in columns else None
 
@@ -184,7 +184,7 @@ def _own_time(name: str, columns: Topic) -> NDArray[np.int64] | None:
 def _clock(
     raw: Mapping[str, tuple[NDArray[np.int64], Topic]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places in the file and the times given there, in order."""
+    """File offsets and times of all messages with a time, in file order."""
     places, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for name, (at, columns) in raw.items():
         own = _own_time(name, columns)
@@ -202,7 +202,7 @@ def _time_us(
     columns: Topic,
     times: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> NDArray[np.int64]:
-    """The time of each message, its own or that of the nearest before it."""
+    """The time of each message: its own, or that of the last message before it."""
     own = _own_time(name, columns)
     if own is not None:
         return own
@@ -210,12 +210,12 @@ def _time_us(
 
 
 def _rates_in_degrees(topics: Mapping[tuple[str, int], Topic]) -> None:
-    """Make RATE degrees per second, which logs of 2015 and before give in hundredths."""
+    """Convert RATE to degrees per second; logs up to 2015 give hundredths."""
     rate, imu = topics.get(("RATE", 0), {}), topics.get(("IMU", 0), {})
     if "R" not in rate or "GyrX" not in imu:
         return
     turned = np.degrees(np.interp(rate["TimeUS"], imu["TimeUS"], imu["GyrX"]))
-    # Ten lies between one and a hundred: filters and delays change less.
+    # The ratio to the gyroscope is 1 or 100; filters and delays change it by far less than 10.
     if np.median(np.abs(rate["R"])) > 10.0 * np.median(np.abs(turned)) > 0.0:
         for name in rate.keys() & RATES:
             rate[name] = rate[name] * 0.01
@@ -224,7 +224,7 @@ def _rates_in_degrees(topics: Mapping[tuple[str, int], Topic]) -> None:
 def _instances(
     name: str, columns: Topic
 ) -> Iterator[tuple[tuple[str, int], NDArray[np.bool_] | slice]]:
-    """Name and instance of the messages of one kind, and which rows they are."""
+    """Name, instance and rows of each instance of a message type."""
     key = next((key for key in INSTANCES if key in columns), None)
     if key is not None and columns[key].dtype.kind in "iu":
         for instance in np.unique(columns[key]).tolist():

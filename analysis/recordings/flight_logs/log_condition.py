@@ -1,4 +1,4 @@
-"""What a log has lost: parts that are damaged, and records that its writer had no time for."""
+"""Condition of a log: corrupted parts, and records that the logger dropped."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,46 +7,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CORRUPTED = "parts of the file are damaged and were passed over"
-MAX_JUNK_SHARE = (
-    1e-3  # share of a tlog's bytes that are no frame, beyond which it counts as damaged
-)
+CORRUPTED = "parts of the file are corrupted and were skipped"
+MAX_JUNK_SHARE = 1e-3  # share of a tlog's bytes outside frames, above which it counts as corrupted
 
 Stretch = tuple[int, int]
 
 
 @dataclass
 class LogCondition:
-    """Filled by whoever reads a log.
+    """Collected by the readers of a log.
 
     Attributes
     ----------
     damage : list of str
-        What is broken or missing in the file.
+        One description per kind of corruption or missing part.
     lost_us : list of (from_us, to_us)
-        When its writer says that it lost records; what did not come then may have been there.
+        Periods in which the logger reports dropped records; the sensors may have been sampled.
     """
 
     damage: list[str] = field(default_factory=list)
     lost_us: list[Stretch] = field(default_factory=list)
 
     def note_junk(self, junk_bytes: int, size: int) -> None:
-        """Of a tlog: bytes of it that are no frame. The last frame of any may be cut."""
+        """Note the bytes of a tlog outside frames; an incomplete last frame is not corruption."""
         if junk_bytes > MAX_JUNK_SHARE * size:
             share = 100.0 * junk_bytes / size
-            self.damage.append(f"{junk_bytes} of {size} bytes ({share:.2g} %) are no frame")
+            self.damage.append(f"{junk_bytes} of {size} bytes ({share:.2g} %) are not frames")
 
 
 def dataflash_losses(topics: Mapping[tuple[str, int], Mapping[str, NDArray[Any]]]) -> list[Stretch]:
-    """When ArduPilot's logger dropped records, by its own count (DSF.Dp)."""
-    told = topics.get(("DSF", 0), {})
-    if not {"TimeUS", "Dp"} <= told.keys():
+    """Periods in which ArduPilot's logger dropped records, from its own counter (DSF.Dp)."""
+    counter = topics.get(("DSF", 0), {})
+    if not {"TimeUS", "Dp"} <= counter.keys():
         return []
-    stamps, dropped = told["TimeUS"].astype(np.int64), told["Dp"].astype(np.int64)
+    stamps, dropped = counter["TimeUS"].astype(np.int64), counter["Dp"].astype(np.int64)
     grown = np.flatnonzero(np.diff(dropped) > 0)
     return [(int(stamps[i]), int(stamps[i + 1])) for i in grown]
 
 
 def ulog_losses(dropouts: list[tuple[int, float]]) -> list[Stretch]:
-    """When PX4's logger wrote nothing; each is stamped with the newest stamp before it."""
+    """Periods in which PX4's logger wrote nothing; a dropout is stamped with the record before
+    it."""
     return [(t_us, t_us + round(duration_s * 1e6)) for t_us, duration_s in dropouts]

@@ -1,7 +1,7 @@
-"""PX4's ULog files as columns, by pyulog.
+"""Read PX4 ULog files as columns, with pyulog.
 
 A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp` in microseconds on
-the vehicle's clock. Field names that PX4 1.14 and later changed are given their newer form.
+the vehicle's clock. Fields that PX4 1.14 renamed have their new names.
 """
 
 import contextlib
@@ -19,39 +19,39 @@ from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_tex
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
-NUMBER = (int, float)  # what a parameter is, unless its definition is damaged
+NUMBER = (int, float)  # valid types of a parameter; a corrupted definition gives others
 Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
-PROGRESS_STEP_BYTES = 1 << 20  # between two words of how far the reader is
-MAX_READ_FACTOR = 100  # times the file's size that a reader may read of it
+PROGRESS_STEP_BYTES = 1 << 20  # between two progress reports
+MAX_READ_FACTOR = 100  # limit on bytes read, in file sizes, against endless reading
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
 
 @dataclass(frozen=True, slots=True)
 class ULogFile:
-    """A ULog read.
+    """Contents of a ULog.
 
     Attributes
     ----------
     topics : dict
-        By topic name and instance its columns.
+        Columns by topic name and instance.
     messages : list of (t_us, severity, text)
-        What the autopilot said, severity as in MAVLink, 0 (worst) to 7.
+        Texts of the autopilot; severity as in MAVLink, 0 (worst) to 7.
     parameters : dict
         Initial parameters by name.
     changes : list of (t_us, name, value)
         Parameters changed in flight.
     defaults : dict
-        Default values by name, where the log tells them.
+        Default values by name, if the log has them.
     info : dict
         The file's information messages (version, hardware).
     dropouts : list of (t_us, duration_s)
     printed : dict
-        By title what the system printed: console, processes, counters.
-    damaged : bool
+        Console output, processes and performance counters by title.
+    corrupted : bool
         Whether parts of the file could not be read.
     cut : bool
-        Whether it ends in the middle of a message.
+        Whether the file ends within a message.
     """
 
     topics: Mapping[tuple[str, int], Topic]
@@ -68,30 +68,30 @@ class ULogFile:
 
 
 class _BoundedFile(io.FileIO):
-    """A file that ends a reader which goes over the same damaged bytes for ever, as pyulog can.
+    """A file that stops pyulog from reading the same corrupted bytes endlessly.
 
-    It ends where nothing was written any more, and tells how far the reader is.
+    It ends where the written part of the file ends, and reports the reading progress.
     """
 
-    def __init__(self, path: str | Path, told: Callable[[float], None]) -> None:
+    def __init__(self, path: str | Path, progress: Callable[[float], None]) -> None:
         super().__init__(path, "rb")
-        self.cut = False  # whether it ended in the middle of what a reader asked for
+        self.cut = False  # whether a read reached the end too early
         self._written = written_bytes(Path(path))
         self._remaining_reads = MAX_READ_FACTOR * self._written + 10_000_000
-        self._told, self._tell_at = told, 0
+        self._progress, self._report_at = progress, 0
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As in any file, until too much was read."""
+        """Read as from any file; RuntimeError once too much has been read."""
         at = self.tell()
         left = max(self._written - at, 0)
         data = super().read(left if size is None or size < 0 else min(size, left)) or b""
         self.cut |= size is not None and 0 < len(data) < size
         self._remaining_reads -= len(data) + 1
         if self._remaining_reads < 0:
-            raise RuntimeError("damaged beyond reading")
-        if at >= self._tell_at:
-            self._tell_at = at + PROGRESS_STEP_BYTES
-            self._told(at / self._written)
+            raise RuntimeError("corrupted beyond reading")
+        if at >= self._report_at:
+            self._report_at = at + PROGRESS_STEP_BYTES
+            self._progress(at / self._written)
         return data
 
 
@@ -100,10 +100,10 @@ def is_ulog(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) -> ULogFile:
-    """Read a whole ULog; what a damaged file still holds comes back with `corrupted` set.
+def read_ulog(path: str | Path, progress: Callable[[float], None] = lambda _: None) -> ULogFile:
+    """Read a ULog; of a corrupted file the readable part, with `corrupted` set.
 
-    `told` is called with the share that is read, from 0 to 1.
+    `progress` is called with the share that is read, from 0 to 1.
 
     Raises
     ------
@@ -114,18 +114,18 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
 
     complaints = io.StringIO()  # pyulog prints what it cannot read
     try:
-        file = _BoundedFile(path, told)
+        file = _BoundedFile(path, progress)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     try:
         with file, contextlib.redirect_stdout(complaints):
             log = ULog(file)
-    except Exception as error:  # pyulog raises whatever its struct and index code does
-        raise ConfigError(f"{path}: not a readable ULog ({error}); give a whole file") from error
+    except Exception as error:  # pyulog raises any type of error on corrupted input
+        raise ConfigError(f"{path}: not a readable ULog ({error}); give a complete file") from error
     topics = {
         (data.name, data.multi_id): _with_newer_names(data.data)
         for data in log.data_list
-        if len(data.data.get("timestamp", ()))  # some are announced and never logged
+        if len(data.data.get("timestamp", ()))  # some topics are declared and never logged
     }
     wrong = remove_misdated(topics)
     return ULogFile(
@@ -148,7 +148,7 @@ def read_ulog(path: str | Path, told: Callable[[float], None] = lambda _: None) 
 
 
 def remove_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
-    """Take out rows whose stamp lies far from those around it; whether there were any."""
+    """Remove rows with a wrong timestamp; returns whether there were any."""
     found = False
     for topic in topics.values():
         wrong = find_misdated(topic["timestamp"].astype(np.int64))
@@ -159,22 +159,22 @@ def remove_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
 
 
 def _defaults(log: Any) -> dict[str, float]:
-    """What every parameter would be untouched: the log names only defaults that differ from it."""
+    """Default of every parameter; the log lists only defaults that differ from the value in use."""
     if not log.has_default_parameters:
         return {}
-    # In this order, so that the firmware's and the airframe's defaults win.
+    # The defaults of the firmware and the airframe override the values in use.
     every = log.initial_parameters | log.get_default_parameters(0) | log.get_default_parameters(1)
     return {name: float(value) for name, value in every.items() if isinstance(value, NUMBER)}
 
 
 def _with_newer_names(columns: Mapping[str, NDArray[Any]]) -> Topic:
-    """Older PX4 gave positions in 1e-7 degrees and millimetres."""
+    """Add the new names of position fields; older PX4 logs 1e-7 degrees and millimetres."""
     found = dict(columns)
     for old, new in DEGREES.items():
         if old in found and new not in found:
             raw = found[old]
             scale = 1e-7 if np.issubdtype(raw.dtype, np.integer) else 1.0
-            # Integers are 1e-7 degrees; some versions had degrees under the old name.
+            # Integers are 1e-7 degrees; some versions have degrees under the old name.
             found[new] = raw * scale
     if "alt" in found and "altitude_msl_m" not in found:
         raw = found["alt"]

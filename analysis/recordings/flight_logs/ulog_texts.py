@@ -1,7 +1,7 @@
-"""What a ULog says in words: texts, PX4's events, and what the system printed before and after.
+"""Texts of a ULog: log messages, PX4 events, and console output before and after the flight.
 
-Since PX4 1.13 the vehicle tells events by a number and arguments; the log itself holds the words,
-which pyulog puts together [1]_. Without them nothing is looked up elsewhere.
+Since PX4 1.13 an event is logged as a number with arguments; pyulog builds its text from the
+definitions in the log [1]_. A log without definitions gives no event texts.
 
 .. [1] MAVLink, Events Interface Protocol; PX4 User Guide, Events Interface.
 """
@@ -13,7 +13,7 @@ from typing import Any
 LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
 
 LEVELS = ("EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING", "NOTICE", "INFO", "DEBUG")
-DUPLICATE_US = 1_000_000  # within which a text and an event say the same
+DUPLICATE_US = 1_000_000  # a text and an event this close with equal wording are one
 PRINTED_TITLES = {
     "boot_console_output": "Console",
     "perf_top_preflight": "Processes before the flight",
@@ -22,12 +22,12 @@ PRINTED_TITLES = {
     "perf_counter_postflight": "Performance counters after the flight",
     "hardfault_plain": "Hard fault",
 }
-MAX_CHARACTERS = 100_000  # of one printed text that are kept
+MAX_CHARACTERS = 100_000  # kept of one printed text
 
 
 def logged_texts(log: Any) -> LoggedTexts:
-    """Texts and events of a `pyulog.ULog` in order; one that comes both ways comes once."""
-    # The level is the character of a digit; one that is damaged must still be a severity.
+    """Texts and events of a `pyulog.ULog` in order of time, without duplicates."""
+    # The level is an ASCII digit; `& 7` makes a corrupted one a valid severity.
     texts = [
         (m.timestamp, (m.log_level - ord("0")) & 7, m.message.strip()) for m in log.logged_messages
     ]
@@ -42,11 +42,11 @@ def logged_texts(log: Any) -> LoggedTexts:
 
 
 def printed_texts(log: Any) -> dict[str, str]:
-    """Printed texts by title."""
+    """Console and diagnostic output by title."""
     found = {}
     for key, title in PRINTED_TITLES.items():
         lines = [line for part in log.msg_info_multiple_dict.get(key, ()) for line in part]
-        # The console comes in pieces of lines, everything else line by line.
+        # The console output is split anywhere, everything else at line ends.
         between = "" if key == "boot_console_output" else "\n"
         text = between.join(line for line in lines if isinstance(line, str))
         if text.strip():
@@ -58,12 +58,12 @@ def _events(log: Any) -> LoggedTexts:
     from pyulog.px4_events import PX4Events
 
     reader = PX4Events()
-    # Its own would download definitions.
+    # The default callback would download definitions.
     reader.set_default_json_definitions_cb(lambda _: None)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             found = reader.get_logged_events(log)
-    except Exception:  # of a damaged log: it raises whatever its index code does
+    except Exception:  # pyulog raises any type of error on a corrupted log
         return []
     return [
         (int(t_us), LEVELS.index(level), text.strip().rstrip(":"))

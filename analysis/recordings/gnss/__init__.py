@@ -1,1 +1,1 @@
-"""Ranges and orbits as receivers log them: RINEX, u-blox, Septentrio, alone or in flight logs."""
+"""Readers of GNSS pseudoranges and ephemerides: RINEX, u-blox, Septentrio, autopilot logs."""

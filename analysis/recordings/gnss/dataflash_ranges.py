@@ -1,10 +1,10 @@
-"""Pseudoranges in ArduPilot's dataflash logs: GRXH and GRXS, written where GPS_RAW_DATA is set.
+"""Read pseudoranges of ArduPilot dataflash logs (GRXH and GRXS, logged if GPS_RAW_DATA is set).
 
-They are the fields of u-blox's RXM-RAWX [1]_, a GRXH for each message and a GRXS for each range,
-all of one message with the same TimeUS. So they are put together as RAWX again and read as that.
-What is missing is the signal. u-blox begins its carrier phases near the range [2]_, so that phase
-over range is the carrier's frequency, to 1e-5 in logs that name the signal; a range without a phase
-is passed over. What the satellites sent is not logged.
+They hold the fields of u-blox's RXM-RAWX [1]_, one GRXH per message and one GRXS per range, all of
+one message with the same TimeUS, so they are reassembled to RAWX and decoded as that. The signal is
+not logged, but u-blox initialises carrier phases near the range [2]_: phase over range gives the
+carrier frequency, to 1e-5 in logs that name the signal. A range without a phase is skipped.
+Navigation messages are not logged.
 
 References
 ----------
@@ -25,7 +25,7 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 DATAFLASH = ".bin"
-# RAWX's fields by the names in the log.
+# Names in the log of RAWX fields.
 HEAD_FIELDS = {"tow_s": "rcvTime", "week": "week", "leap_s": "leapS"}
 RANGE_FIELDS = {
     "pseudorange_m": "prMes",
@@ -38,30 +38,30 @@ RANGE_FIELDS = {
     "cn0_dbhz": "cno",
     "status": "trk",
 }
-# GLONASS's channels are within 0.3 % of their middle; B1I is 0.9 % from L1.
+# GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1.
 SAME_CARRIER = 0.004
-SAME_EPOCH_S = 0.02  # receivers measure at whole tenths of GPS time, to a millisecond
+SAME_EPOCH_S = 0.02  # receivers measure at multiples of 0.1 s of GPS time, within 1 ms
 
 
 def is_dataflash_name(path: Path) -> bool:
-    """Whether a file is named as a dataflash log."""
+    """Whether a file name is that of a dataflash log."""
     return path.name.lower().endswith(DATAFLASH)
 
 
 def read_dataflash_ranges(path: Path) -> list[Epoch]:
-    """All epochs of a log, of its first receiver where two were logged.
+    """All epochs of the first receiver in a log.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, or holds no pseudoranges.
+        If the log cannot be read or holds no pseudoranges.
     """
     topics = read_dataflash(path).topics
     heads, ranges = topics.get(("GRXH", 0), {}), topics.get(("GRXS", 0), {})
     head = _rows(path, "GRXH", heads, HEAD, HEAD_FIELDS)
     table = _rows(path, "GRXS", ranges, RANGE, RANGE_FIELDS)
     known = _is_known(table)
-    # A log is written in the order of time, but for what was damaged.
+    # Sorted, since corrupted parts may break the order of time.
     order = np.argsort(ranges["TimeUS"][known], kind="stable")
     t_us, table = ranges["TimeUS"][known][order], table[known][order]
     begin = np.searchsorted(t_us, heads["TimeUS"], "left")
@@ -76,7 +76,7 @@ def read_dataflash_ranges(path: Path) -> list[Epoch]:
 def _rows(
     path: Path, name: str, topic: Topic, dtype: np.dtype[Any], fields: dict[str, str]
 ) -> NDArray[Any]:
-    """Messages as rows of RAWX."""
+    """Convert messages to rows of RAWX."""
     missing = [
         field
         for field in fields.values()
@@ -94,19 +94,19 @@ def _rows(
 
 
 def _is_known(table: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which ranges (n,) are on the carrier that is read of their system: the first of `SIGNALS`,
-    whose signal is 0 as in the rows."""
+    """Mask (n,) of the ranges on the carrier that is read of their system: that of signal 0 in
+    `SIGNALS`."""
     carrier_hz = np.full(256, np.nan)
     for (system, signal), (_, _, hz) in SIGNALS.items():
         carrier_hz[system] = hz if signal == 0 else carrier_hz[system]
     with np.errstate(divide="ignore", invalid="ignore"):
         own_hz = table["phase"] * SPEED_OF_LIGHT_MPS / table["pseudorange_m"]
     known: NDArray[np.bool_] = np.abs(own_hz / carrier_hz[table["system"]] - 1.0) < SAME_CARRIER
-    return known  # NaN, of another system or without a phase, is not
+    return known  # NaN (another system, or no phase) compares as false
 
 
 def _of_one_receiver(tow_s: Vector) -> list[int]:
-    """Which messages (n,) are of the first receiver: two measure at the same time, nearly."""
+    """Indices of the first receiver's messages; a second one measures at nearly the same times."""
     kept: list[int] = []
     for i in range(len(tow_s)):
         if not kept or not 0.0 <= tow_s[i] - tow_s[kept[-1]] < SAME_EPOCH_S:

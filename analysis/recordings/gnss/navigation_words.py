@@ -1,9 +1,8 @@
-"""Ephemerides from the bits that satellites send: GPS's subframes, which QZSS has taken over, and
-Galileo's I/NAV words.
+"""Decode ephemerides from raw navigation messages: GPS and QZSS subframes, Galileo I/NAV words.
 
-Fields, their bits and their scales are those of RTCM 1019 and 1046, which took them over; here
-stands where they lie [1]_ [2]_. The week of an ephemeris is the one that puts its time next to that
-of the recording: ten or twelve bits of it are sent, and a satellite sends nothing a week old.
+Fields, widths and scales are those of RTCM 1019 and 1046; the tables here give their positions [1]_
+[2]_. Satellites transmit ten or twelve bits of the week, so the week of an ephemeris is the one
+that puts its reference time nearest to the recording.
 
 References
 ----------
@@ -38,7 +37,7 @@ INAV_WORDS = (1, 2, 3, 4, 5)
 
 
 def _rows(table: tuple[Row, ...], names: str) -> tuple[Row, ...]:
-    """The rows of a table by name; a number stands for so many bits that are passed over."""
+    """The rows of a table by name; a number skips that many bits."""
     known = {row[0]: row for row in table}
     return tuple(("", int(n), 1) if n.isdigit() else known[n] for n in names.split())
 
@@ -71,14 +70,14 @@ _INAV: dict[int, tuple[Row, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Subframe:
-    """Ten words of 24 bits without their parity; `number` 1 to 5."""
+    """Ten words of 24 bits without parity; `number` is 1 to 5."""
 
     number: int
     data: bytes
 
 
 def parse_subframe(words: Sequence[int]) -> Subframe | None:
-    """A subframe of ten words of 30 bits; None where it does not begin with the preamble."""
+    """Parse a subframe from ten 30-bit words; None without the preamble."""
     if len(words) < 10:
         return None
     data = b"".join((word >> 6 & 0xFFFFFF).to_bytes(3, "big") for word in words[:10])
@@ -86,7 +85,7 @@ def parse_subframe(words: Sequence[int]) -> Subframe | None:
 
 
 def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
-    """Alpha and beta, where the subframe is the page that holds them."""
+    """Klobuchar alpha and beta; None if the subframe is not page 18 of subframe 4."""
     if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
         return None
     counts = BitReader(found.data[7:15]).many_signed(8, 8)
@@ -99,9 +98,9 @@ def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients]
 def gps_ephemeris(
     satellite: str, subframes: dict[int, Subframe], near_s: float
 ) -> Ephemeris | None:
-    """The ephemeris of the newest subframes 1, 2 and 3; None while they are of different issues.
+    """The ephemeris of the newest subframes 1, 2 and 3; None while their issues of data differ.
 
-    `near_s` is a time of GPS's count of seconds near which they were sent.
+    `near_s` is the approximate time of transmission, in s since the start of GPS time.
     """
     if not all(number in subframes for number in _SUBFRAMES):
         return None
@@ -116,9 +115,9 @@ def gps_ephemeris(
 
 
 def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
-    """Type and 128 bits of the I/NAV word in a page: even and odd part of four words of 32 bits.
+    """Type and 128 bits of a page's I/NAV word, given as even and odd part of four 32-bit words.
 
-    None where it is an alert page, or its checksum is wrong.
+    None for an alert page or a wrong CRC.
     """
     if len(words) < 8:
         return None
@@ -129,7 +128,7 @@ def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
     # The two leading bits of each part: even or odd, nominal or alert.
     if even >> 126 != 0b00 or odd >> 126 != 0b10:
         return None
-    # 114 bits of the even part and 82 of the odd one are summed up in 24 bits.
+    # The 24-bit CRC covers 114 bits of the even part and 82 of the odd part.
     summed = even >> 14 << 82 | odd >> 46
     if crc24q(summed.to_bytes(25, "big")) != odd >> 22 & 0xFFFFFF:
         return None
@@ -138,7 +137,7 @@ def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
 
 
 def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ephemeris | None:
-    """The ephemeris of the newest I/NAV words 1 to 5; None while they are of different issues."""
+    """The ephemeris of the newest I/NAV words 1 to 5; None while their issues of data differ."""
     if not all(kind in words for kind in INAV_WORDS):
         return None
     parts: dict[int, Fields] = {}
@@ -146,7 +145,7 @@ def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ep
         bits = BitReader(words[kind])
         bits.unsigned(6)  # the word's type
         parts[kind] = read_fields(bits, rows)
-    # Word 5 has no issue of its own.
+    # Word 5 has no issue of data.
     if len({parts[kind]["iode"] for kind in (1, 2, 3, 4)}) > 1:
         return None
     if int(parts[4]["prn"]) != int(satellite[1:]):
@@ -158,5 +157,5 @@ def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ep
 
 
 def week_near(toe_s: float, near_s: float) -> int:
-    """The GPS week that puts a time of the week next to a time of GPS's count of seconds."""
+    """The GPS week in which the time of week `toe_s` is nearest to `near_s` (s of GPS time)."""
     return round((near_s - toe_s) / WEEK_S)

@@ -1,4 +1,4 @@
-"""What receivers log in their own formats: u-blox (also inside autopilots' logs), Septentrio."""
+"""Read logs in receivers' own formats: u-blox (also within autopilot logs) and Septentrio."""
 
 from pathlib import Path
 
@@ -9,12 +9,12 @@ from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 
 
 def is_receiver_log(path: Path) -> bool:
-    """Whether a file is named as a receiver's own log, or as an autopilot's that may hold one."""
+    """Whether a file name is that of a receiver log or of an autopilot log that may hold one."""
     return is_ubx(path) or is_sbf(path) or is_dataflash_name(path)
 
 
 def read_receiver_log(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
-    """Its epochs, and the ephemerides and Klobuchar's coefficients in it, stamped 0.
+    """Epochs of a receiver log; and its ephemerides and Klobuchar coefficients, with timestamp 0.
 
     Raises
     ------

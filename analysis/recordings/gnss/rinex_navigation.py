@@ -1,8 +1,8 @@
-"""RINEX 2, 3 and 4 navigation files: ephemerides, and Klobuchar's coefficients.
+"""Read RINEX 2, 3 and 4 navigation files: ephemerides and Klobuchar coefficients.
 
 Galileo's I/NAV records are preferred; F/NAV, whose clock belongs to E1 and E5a, serves satellites
-that have no other [1]_. GLONASS and BeiDou are read from RINEX 3 and 4, with their stamps turned to
-GPS time. Of RINEX 4's many kinds of records those are read that RINEX 3 has too.
+that have no other [1]_. GLONASS and BeiDou are read from RINEX 3 and 4 only, with times converted
+to GPS time. Of RINEX 4, the record types that RINEX 3 has too are read.
 
 References
 ----------
@@ -40,12 +40,12 @@ ACCURACY_INDEX_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0) 
 
 
 def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
-    """Everything usable of a navigation file, in its order; all stamped 0.
+    """All usable records of a navigation file in file order, with timestamp 0.
 
     Raises
     ------
     ConfigError
-        If the file is no RINEX navigation file.
+        If the file is not a RINEX navigation file.
     """
     lines = read_rinex_text(path)
     version, start = header_of(path, lines, "NE", "a navigation file")
@@ -54,9 +54,9 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
         samples += _ionosphere(lines[:start])
         samples += _ionosphere_4(lines[start + 1 :])
     except ValueError as error:
-        raise ConfigError(f"{path}: an ionosphere field is no number ({error})") from error
+        raise ConfigError(f"{path}: an ionosphere field is not a number ({error})") from error
     records = list(_records(lines[start + 1 :], version))
-    # First all, as the order of messages in a file is free.
+    # Collected first, as records may be in any order.
     with_inav = {e.satellite for e, fnav in records if not fnav}
     for ephemeris, fnav in records:
         if not fnav or ephemeris.satellite not in with_inav:
@@ -77,7 +77,7 @@ def _ionosphere(header: list[str]) -> Iterator[IonosphereSample]:
 
 
 def _ionosphere_4(lines: list[str]) -> Iterator[IonosphereSample]:
-    """Klobuchar's coefficients from the records of RINEX 4: three, four and one of the eight."""
+    """Klobuchar coefficients of RINEX 4 records, which have three, four and one on three lines."""
     for i, line in enumerate(lines):
         if line.startswith("> ION G") and line[10:].split() == ["LNAV"] and i + 3 < len(lines):
             rows = ((lines[i + 1], 1, 4), (lines[i + 2], 0, 4), (lines[i + 3], 0, 1))
@@ -92,13 +92,13 @@ def _four(line: str, first: int) -> tuple[float, float, float, float]:
 
 
 def _float(text: str) -> float:
-    # Fortran wrote D for the exponent of double precision.
+    # Fortran writes double-precision exponents with D.
     text = text.strip().replace("D", "E").replace("d", "e")
     return float(text) if text else 0.0
 
 
 def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris | StateVector, bool]]:
-    """Each ephemeris, and whether it is an F/NAV one of Galileo."""
+    """Each ephemeris, and whether it is a Galileo F/NAV one."""
     indent = 3 if version < 3.0 else 4
     at, readable = 0, True
     while at < len(lines):
@@ -122,7 +122,7 @@ def _records(lines: list[str], version: float) -> Iterator[tuple[Ephemeris | Sta
                 yield _state_vector(name, line, body), False
             else:
                 yield _ephemeris(name, line, body, indent)
-        # A broken record is passed over line by line, until the next one shows its name.
+        # Skip a corrupted record line by line, up to the next satellite name.
         except ValueError:
             continue
         at += count
@@ -133,16 +133,16 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
     parts = head[3 if indent == 3 else 4 : start].split()
     year = int(parts[0])
     if indent == 3:
-        # GPS began in 1980: two digits are enough until 2079.
+        # GPS time began in 1980: 80 to 99 are 1980 to 1999.
         year += 1900 if year >= 80 else 2000
-    *moment, second = parts[1:]
-    month, day, hour, minute = (int(p) for p in moment)
+    *fields, second = parts[1:]
+    month, day, hour, minute = (int(p) for p in fields)
     toc = gps_time(year, month, day, hour * 3600 + minute * 60 + float(second))
     af0, af1, af2 = (_float(head[start + 19 * i : start + 19 * i + 19]) for i in range(3))
     v = [_float(line[indent + 19 * i : indent + 19 * i + 19]) for line in body for i in range(4)]
     galileo, lnav = name[0] == "E", name[0] in "GJ"
     week, toe_s = int(v[WEEK]), v[TOE]
-    # BeiDou's own weeks and seconds, 14 s behind GPS's.
+    # BeiDou time is 14 s behind GPS time and counts weeks from 2006.
     if name[0] == "C":
         week, toe_s = _time_later(week + BEIDOU_WEEK_ZERO, toe_s, BEIDOU_TIME_OFFSET_S)
         toc = _time_later(*toc, BEIDOU_TIME_OFFSET_S)
@@ -168,18 +168,18 @@ def _ephemeris(name: str, head: str, body: list[str], indent: int) -> tuple[Ephe
 
 
 def _time_later(week: int, tow_s: float, by_s: float) -> tuple[int, float]:
-    """Week and seconds of week `by_s` later."""
+    """Week and time of week, `by_s` seconds later."""
     weeks, tow_s = divmod(tow_s + by_s, WEEK_S)
     return week + int(weeks), tow_s
 
 
 def _state_vector(name: str, head: str, body: list[str]) -> StateVector:
-    """A GLONASS record: its time is UTC, its lengths are km."""
+    """A GLONASS record; its time is UTC, its lengths are in km."""
     year, month, day, hour, minute, second = (int(part) for part in head[4:23].split())
     utc = gps_time(year, month, day, hour * 3600 + minute * 60 + second)
     week, toe_s = _time_later(*utc, leap_seconds(date(year, month, day)))
     rows = [[_float(line[4 + 19 * i : 23 + 19 * i]) for i in range(4)] for line in body]
-    # A line an axis: position, velocity, acceleration; behind the first axis the health.
+    # One line per axis: position, velocity, acceleration; the first line ends with the health.
     r, v, a = (tuple(1000.0 * row[i] for row in rows) for i in range(3))
     return StateVector(
         satellite=name,

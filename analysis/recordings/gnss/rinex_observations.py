@@ -1,9 +1,9 @@
-"""RINEX 2, 3 and 4 observation files, one code range, Doppler and C/N0 per satellite.
+"""Read RINEX 2, 3 and 4 observation files: one code range, Doppler and C/N0 per satellite.
 
-Only what the detector needs is read: L1 of GPS and QZSS, Galileo E1, GLONASS G1, and B1I or B3I of
-BeiDou. Of each satellite the first code signal in `PREFERRED` that has a value is used, on the
-carrier it was first seen on [1]_ [2]_. Lines that are no observation are passed over; a file cut
-short ends with its last whole epoch.
+Only the signals that the detector uses are read: L1 of GPS and QZSS, Galileo E1, GLONASS G1, and
+B1I or B3I of BeiDou. Of each satellite the first signal of `PREFERRED` with a value is used, always
+on the carrier of its first observation [1]_ [2]_. Lines that are not observations are skipped; a
+truncated file ends with its last complete epoch.
 
 References
 ----------
@@ -36,15 +36,15 @@ BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 WEEK_DAYS = 7
 FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
-ABSENT_COLUMN = 1 << 20  # behind the end of any line
+ABSENT_COLUMN = 1 << 20  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
 CodeObservation = tuple[str, tuple[float, float, float], float, str]
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where code, Doppler and C/N0 of one signal begin in a line, its name, and its carrier (of
-    GLONASS: that of channel 0)."""
+    """Start columns of code, Doppler and C/N0 of one signal, its code and carrier (GLONASS: of
+    channel 0)."""
 
     code: int
     doppler: int
@@ -56,7 +56,7 @@ class _Columns:
 def _column_starts(
     first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ
 ) -> _Columns:
-    """Columns by their places among the observations (-1: nowhere), in lines whose fields begin at
+    """Start columns from indices of observation types (-1: absent); the first field starts at
     `first`."""
     starts = [first + FIELD_WIDTH * place if place >= 0 else ABSENT_COLUMN for place in places]
     return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
@@ -69,18 +69,18 @@ def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[in
 
 
 def read_observations(path: Path) -> list[Epoch]:
-    """All epochs of an observation file in its order; `t_us` counts from the start of GPS time.
+    """All epochs of an observation file in file order; `t_us` counts from the start of GPS time.
 
     Raises
     ------
     ConfigError
-        If the file is no RINEX observation file.
+        If the file is not a RINEX observation file.
     """
     return epochs_of(path, read_rinex_text(path))
 
 
 def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
-    """The same of the lines of a file, which `path` names in errors."""
+    """All epochs in the lines of an observation file; `path` is used in errors."""
     version, start = header_of(path, lines, "O", "an observation file")
     channels = _channels(lines[:start])
     if version < 3.0:
@@ -89,7 +89,7 @@ def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
 
 
 def _signals(system: str, types: list[str]) -> list[_Columns]:
-    """Where the signals of a system are that the file has, the preferred first."""
+    """Columns of a system's signals in the file, in order of preference."""
     return [
         _column_starts(
             3,
@@ -109,7 +109,7 @@ def _carrier_hz(system: str, signal: str) -> float:
 
 
 def _channels(header: list[str]) -> dict[str, int]:
-    """The channels of GLONASS satellites."""
+    """Frequency channels of GLONASS satellites from the header."""
     found: dict[str, int] = {}
     for line in header:
         if line[60:].startswith("GLONASS SLOT / FRQ #"):
@@ -132,16 +132,16 @@ def _types_2(header: list[str]) -> tuple[int, _Columns]:
 
 
 def _number(text: str) -> float:
-    """A field; NaN where it is blank."""
+    """The number in a field; NaN if blank."""
     return math.nan if not text or text.isspace() else float(text)
 
 
 def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
-    """Code, Doppler and C/N0 from one line of fields; None where they cannot be read."""
+    """Code, Doppler and C/N0 of one line; None without a valid code range."""
     code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
     try:
         range_m = float(line[code : code + 14])
-        # Blank, zero or NaN: RINEX knows all three for "nothing".
+        # RINEX files use blank, zero or NaN for a missing value.
         if not range_m > 0.0:
             return None
         return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
@@ -152,12 +152,12 @@ def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
 def epoch_of(
     week: int, tow_s: float, rows: list[CodeObservation], channels: dict[str, int]
 ) -> Epoch | None:
-    """An epoch of what was measured; `channels` are those of GLONASS. None without a range."""
+    """Build an epoch; `channels` are those of GLONASS. None without any range."""
     if not rows:
         return None
     table = np.array([row[1] for row in rows])
     carriers: Vector | None = None
-    # A positive Doppler shift is a satellite that comes nearer.
+    # A positive Doppler shift means an approaching satellite.
     rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
         carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz, _ in rows])
@@ -179,7 +179,7 @@ def epoch_of(
 def _epochs_3(
     lines: list[str], at: int, types: dict[str, list[_Columns]], channels: dict[str, int]
 ) -> Iterator[Epoch]:
-    carriers: dict[str, float] = {}  # of each satellite, that of its first range
+    carriers: dict[str, float] = {}  # of each satellite, at its first range
     while at < len(lines):
         head = lines[at]
         at += 1
@@ -192,7 +192,7 @@ def _epochs_3(
             continue
         rows, last = [], at + count
         for line in lines[at:last]:
-            if line.startswith(">"):  # fewer satellites than the head has announced
+            if line.startswith(">"):  # fewer satellites than the epoch header announces
                 break
             at += 1
             row = _row(line, types.get(line[:1], []), carriers)
@@ -204,7 +204,7 @@ def _epochs_3(
 
 
 def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> CodeObservation | None:
-    """A satellite's first signal that has a value, on the carrier it has always had."""
+    """A satellite's first signal with a value, on the carrier of its first range."""
     name = line[:3].replace(" ", "0")
     for columns in signals:
         values = _values(line, columns)
@@ -226,7 +226,7 @@ def _epochs_2(
     lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
 ) -> Iterator[Epoch]:
     total, columns = types
-    # RINEX 2 breaks lines after five observations.
+    # RINEX 2 has five observations per line.
     per_satellite = -(-total // 5)
     while at < len(lines):
         head = lines[at]
@@ -246,7 +246,7 @@ def _epochs_2(
             block = lines[at : at + per_satellite]
             at += per_satellite
             name = names[3 * i : 3 * i + 3].replace(" ", "0")
-            # RINEX 2 may leave the letter of GPS out.
+            # RINEX 2 may omit the letter of GPS.
             name = "G" + name[1:] if name[:1] == "0" else name
             values = _values("".join(line.ljust(80)[:80] for line in block), columns)
             if values is not None and name[:1] in "GER":

@@ -1,8 +1,8 @@
-"""Septentrio logs (SBF): pseudoranges of MeasEpoch, and the orbits the receiver has decoded.
+"""Read Septentrio logs (SBF): pseudoranges of MeasEpoch, and decoded ephemerides.
 
-A satellite's first signal stands whole, its others as differences from it, so that L1 may be
-either [1]_. What else is in the log is passed over; a block whose checksum is wrong is looked for
-again behind its first byte, so that a damaged length swallows nothing.
+The first signal of a satellite has absolute values, the others are differences from it; L1 may be
+either [1]_. Other blocks are skipped. After a block with a wrong checksum the search goes on at its
+second byte, so a corrupted length hides no other block.
 
 References
 ----------
@@ -32,23 +32,23 @@ from mavproxy_fault.numerics.constants import L1_HZ
 
 SUFFIX = re.compile(r"\.(sbf|\d\d_)(\.gz)?$", re.IGNORECASE)  # Septentrio's own: SEPT078M.21_
 SYNC = b"$@"
-OVERHEAD_BYTES = 8  # bytes of a block before its payload
-NUMBER = 0x1FFF  # of the block, below its revision
+OVERHEAD_BYTES = 8  # bytes of a block outside its payload
+NUMBER = 0x1FFF  # bits of the block number, below its revision
 MEAS_EPOCH = 4027
-# Time in ms and week; sub-blocks and the sizes of both kinds; flags.
+# Time in ms and week; number of sub-blocks, sizes of both kinds; flags.
 HEAD = Struct("<IHBBBB2x")
-# Of the first signal: type, satellite, range's high bits, low ones, Doppler, C/N0, information, and
-# how many further signals follow.
+# First signal: type, satellite, high and low bits of the range, Doppler, C/N0, information, and
+# number of further signals.
 FIRST = Struct("<xBBBIi3xB2xBB")
-# Of a further one: type, C/N0, high bits of the differences, information, low bits.
+# Further signal: type, C/N0, high bits of the differences, information, low bits.
 FURTHER = Struct("<BxBBxBH2xH")
-SCRAMBLED = 0x80  # flag: the receiver lacks the permission to tell its ranges
+SCRAMBLED = 0x80  # flag: ranges are scrambled, as the receiver lacks the permission
 STEP_M, STEP_HZ, STEP_DB, LEAST_DB = 1e-3, 1e-4, 0.25, 10.0
 NO_DOPPLER, NO_CN0 = -(2**31), 255
 NO_RANGE_STEPS, NO_RATE_STEPS = -4 << 16, -16 << 16  # of a further signal
-MORE_SIGNALS = 31  # in the signal's five bits: 32 and above stand in the information
-CHANNEL_ZERO = 8  # of GLONASS, in the information
-SIGNALS = {  # by their numbers: RINEX's letter and name
+MORE_SIGNALS = 31  # value of the five signal bits if the number, 32 or more, is in the information
+CHANNEL_ZERO = 8  # offset of GLONASS channel numbers in the information
+SIGNALS = {  # by signal number: RINEX system letter and signal code
     0: ("G", "1C"),
     6: ("J", "1C"),
     38: ("J", "1E"),
@@ -57,7 +57,7 @@ SIGNALS = {  # by their numbers: RINEX's letter and name
     28: ("C", "2I"),
 }
 L2_HZ, L5_HZ, E5B_HZ, E5_HZ, E6_HZ = 1227.6e6, 1176.45e6, 1207.14e6, 1191.795e6, 1278.75e6
-G2_HZ = 1246e6  # of channel 0, as CENTRE_HZ: their ratio is that of every channel
+G2_HZ = 1246e6  # of channel 0, as CENTRE_HZ; the ratio is equal for all channels
 CARRIERS_HZ = {
     **dict.fromkeys((0, 1, 5, 6, 13, 17, 32, 38), L1_HZ),
     **dict.fromkeys((2, 3, 7), L2_HZ),
@@ -70,28 +70,28 @@ CARRIERS_HZ = {
 
 
 def is_sbf(path: Path) -> bool:
-    """Whether a file is named as a Septentrio log."""
+    """Whether a file name is that of a Septentrio log."""
     return SUFFIX.search(path.name) is not None
 
 
 def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
-    """All epochs of a log, and the ephemerides and Klobuchar's coefficients in it, stamped 0.
+    """All epochs of a log; and its ephemerides and Klobuchar coefficients, with timestamp 0.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, or holds no block of pseudoranges.
+        If the log cannot be read or holds no MeasEpoch.
     """
     try:
         data = path.read_bytes()
         data = gzip.decompress(data) if path.name.lower().endswith(".gz") else data
     except (EOFError, OSError, zlib.error) as error:
-        raise ConfigError(f"{path}: cannot be read as a Septentrio log ({error})") from error
+        raise ConfigError(f"{path}: not a Septentrio log ({error}); give an SBF file") from error
     blocks = list(_blocks(data))
     measured = [payload for number, payload in blocks if number == MEAS_EPOCH]
     if not measured:
         raise ConfigError(
-            f"{path}: has no whole MeasEpoch; let the receiver send it (Meas3Ranges is not read),"
+            f"{path}: has no complete MeasEpoch; enable it in the receiver (not Meas3Ranges),"
             " and GPSNav, GALNav, GLONav, BDSNav, QZSNav and GPSIon"
         )
     epochs = list(_epochs(measured))
@@ -101,14 +101,14 @@ def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionosphere
 
 
 def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Number and payload of the whole blocks that are read."""
+    """Number and payload of each complete block of a supported type."""
     at = data.find(SYNC)
     while at >= 0:
         summed, kind, length = (
             int.from_bytes(data[at + k : at + k + 2], "little") for k in (2, 4, 6)
         )
         end, number = at + length, kind & NUMBER
-        # A start that was none, or a damaged length, must not swallow the blocks behind it.
+        # A false start or a corrupted length must not hide the blocks after it.
         if (number == MEAS_EPOCH or number in ORBITS) and OVERHEAD_BYTES <= length <= len(
             data
         ) - at:
@@ -120,9 +120,9 @@ def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
-    """The epochs, of which one may come in several blocks, one behind the other."""
-    whole = (payload for payload in payloads if len(payload) >= HEAD.size)
-    for (tow_ms, week), together in groupby(whole, lambda payload: HEAD.unpack_from(payload)[:2]):
+    """The epochs; one epoch may span several consecutive blocks."""
+    usable = (payload for payload in payloads if len(payload) >= HEAD.size)
+    for (tow_ms, week), together in groupby(usable, lambda payload: HEAD.unpack_from(payload)[:2]):
         rows: dict[str, CodeObservation] = {}
         channels: dict[str, int] = {}
         for tracked in (found for payload in together for found in _tracked(payload)):
@@ -139,7 +139,7 @@ def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
 
 
 class TrackedSignal(NamedTuple):
-    """One signal of a satellite, NaN for what is not known."""
+    """One tracked signal of a satellite; unknown values are NaN."""
 
     satellite: int
     kind: int
@@ -150,13 +150,13 @@ class TrackedSignal(NamedTuple):
 
     @property
     def signal(self) -> int:
-        """Its number among Septentrio's signals."""
+        """Septentrio's signal number."""
         low = self.kind & MORE_SIGNALS
         return low if low < MORE_SIGNALS else MORE_SIGNALS + 1 + (self.information >> 3)
 
     @property
     def usable(self) -> bool:
-        """Whether it has a range, and the main antenna received it."""
+        """Whether it has a range and was received by the main antenna."""
         return self.kind >> 5 == 0 and self.range_m > 0.0
 
     @property
@@ -166,7 +166,7 @@ class TrackedSignal(NamedTuple):
 
 
 def _tracked(payload: bytes) -> Iterator[TrackedSignal]:
-    """All signals in a block, as far as it goes."""
+    """All signals of a block; stops where the block is truncated."""
     _tow_ms, _week, count, first_size, further_size, flags = HEAD.unpack_from(payload)
     at = HEAD.size
     for _ in range(0 if flags & SCRAMBLED else count):
@@ -190,7 +190,7 @@ def _tracked(payload: bytes) -> Iterator[TrackedSignal]:
 def _further(
     first: TrackedSignal, kind: int, cn0: int, high: int, information: int, low: int, rate: int
 ) -> TrackedSignal:
-    """A further signal by its differences from the first; without either it has no range."""
+    """Decode a further signal from its differences to the first; a missing range is NaN."""
     range_steps = ((high & 7 ^ 4) - 4) << 16 | low
     rate_steps = ((high >> 3 ^ 16) - 16) << 16 | rate
     range_m = first.range_m + STEP_M * range_steps

@@ -1,8 +1,8 @@
-"""Orbits and Klobuchar's coefficients as Septentrio receivers tell them, decoded, in SBF blocks.
+"""Read ephemerides and Klobuchar coefficients from the navigation blocks of Septentrio SBF.
 
-Angles are in semicircles there; the numbers are the satellites' own, without a further rounding
-[1]_. BeiDou's seconds are its own, GLONASS's times are put as GPS's. Of Galileo only I/NAV is read,
-which every satellite sends on E1.
+SBF gives angles in semicircles and values as broadcast, without further rounding [1]_. BeiDou times
+are in BeiDou time, GLONASS times in GPS time. Of Galileo only I/NAV is read, which every satellite
+sends on E1.
 
 References
 ----------
@@ -20,7 +20,7 @@ from mavproxy_fault.rtcm.ephemeris_messages import SEMICIRCLE, ephemeris_of
 
 GPS_NAV, GPS_ION, GLO_NAV, GAL_NAV, BDS_NAV, QZS_NAV = 5891, 5893, 4004, 4002, 4081, 4095
 STAMP = [("tow_ms", "<u4"), ("week", "<u2")]
-# Clock and orbit, which GPS, QZSS and BeiDou have alike.
+# Clock and orbit fields common to GPS, QZSS and BeiDou.
 ELEMENTS = (
     [("toc_s", "<u4")]
     + [(name, "<f4") for name in ("af2_per_s", "af1", "af0_s", "crs_m", "delta_n_rps")]
@@ -62,13 +62,13 @@ ORBITS = {
     BDS_NAV: BEIDOU_FIELDS,
     GPS_ION: ION_FIELDS,
 }
-NOT_KNOWN = -2e10  # in place of a real number
+NOT_KNOWN = -2e10  # SBF's "do not use" value of a real number
 INAV = 2
 E1_HEALTH_VALID = 1
 SEMICIRCLES = frozenset(
     ["m0_rad", "omega0_rad", "omega_rad", "i0_rad", "delta_n_rps", "omega_dot_rps", "idot_rps"]
 )
-NUMBERS = (  # first, last, letter of the system, what is added to its own numbers
+NUMBERS = (  # first and last SVID, system letter, offset to the satellite number
     (1, 37, "G", 0),
     (38, 61, "R", 37),
     (63, 68, "R", 38),
@@ -80,7 +80,7 @@ NUMBERS = (  # first, last, letter of the system, what is added to its own numbe
 
 
 def satellite_name(number: int) -> str | None:
-    """A satellite's name; None for those that are not read (SBAS, NavIC, unknown ones)."""
+    """The name of the satellite with an SVID; None for unsupported systems (SBAS, NavIC)."""
     for first, last, letter, added in NUMBERS:
         if first <= number <= last:
             return f"{letter}{number - added:02d}"
@@ -90,9 +90,9 @@ def satellite_name(number: int) -> str | None:
 def read_orbit(
     block: int, payload: bytes, near_s: float
 ) -> EphemerisSample | IonosphereSample | None:
-    """What one of the blocks `ORBITS` holds, stamped 0; None where it tells nothing usable.
+    """Decode one block of `ORBITS`, with timestamp 0; None if its content is not usable.
 
-    `near_s` is a time of GPS's count of seconds near which it was received.
+    `near_s` is the approximate time of reception, in s since the start of GPS time.
     """
     fields = ORBITS[block]
     if len(payload) < fields.itemsize:
@@ -107,7 +107,7 @@ def read_orbit(
     name = satellite_name(int(values["satellite"]))
     if block == GAL_NAV and not _as_inav(values):
         return None
-    # Seconds of a week that are none stand for "not known", too.
+    # A time of week out of range also means "do not use".
     if name is None or not values["toe_s"] < WEEK_S or NOT_KNOWN in values.values():
         return None
     if block == BDS_NAV:
@@ -121,22 +121,22 @@ def read_orbit(
 
 
 def _as_inav(values: dict[str, float]) -> bool:
-    """Whether it is I/NAV and tells E1's health, which is put as `Ephemeris` has it.
+    """Whether it is I/NAV with E1's health; converts the health bits to the order of `Ephemeris`.
 
-    There E5b's two bits and its validity come first, then E1's; here E1's, each system's behind a
-    bit that says whether they are told.
+    `Ephemeris` has E5b's two bits and validity first, then E1's. SBF has E1's first, each preceded
+    by a bit that says whether they are valid.
     """
     bits = int(values["health"])
     e1, e5b = bits >> 1 & 7, bits >> 5 & 7  # each one's validity, below its two bits
     values["health"] = 8 * (2 * (e5b >> 1) + (e5b & 1)) + 2 * (e1 >> 1) + (e1 & 1)
-    # E1's delay against E5b is used; that against E5a may be missing.
+    # The E1-E5b group delay is used; E1-E5a may be missing.
     if values["group_delay_e5a_s"] == NOT_KNOWN:
         values["group_delay_e5a_s"] = 0.0
     return values["source"] == INAV and bool(bits & E1_HEALTH_VALID)
 
 
 def _state_vector(name: str, week: int, values: dict[str, float]) -> StateVector:
-    """A GLONASS satellite's: lengths are km, the clock's sign is that of its correction."""
+    """A GLONASS state vector; lengths are in km, the clock has the sign of the correction."""
     r, v, a = (
         (1000.0 * values[f"{k}x"], 1000.0 * values[f"{k}y"], 1000.0 * values[f"{k}z"])
         for k in ("", "d", "dd")

@@ -1,11 +1,11 @@
-"""u-blox logs: pseudoranges (UBX-RXM-RAWX) and what the satellites sent (UBX-RXM-SFRBX).
+"""Read u-blox logs: pseudoranges (UBX-RXM-RAWX) and navigation messages (UBX-RXM-SFRBX).
 
-What else is in the log is passed over. A frame whose checksum is wrong, or whose end is missing, is
-looked for again behind its first byte, so that a damaged length swallows nothing. Orbits are read
-of GPS, QZSS and Galileo; ranges of GLONASS and BeiDou too, for navigation files beside the log
-[1]_.
+Other messages are skipped. After a frame with a wrong checksum or a missing end the search goes on
+at its second byte, so a corrupted length hides no other frame. Ephemerides are read for GPS, QZSS
+and Galileo; pseudoranges also for GLONASS and BeiDou, whose ephemerides must come from navigation
+files [1]_.
 
-A PX4 log holds such bytes where GPS_DUMP_COMM had them logged (message GpsDump) [2]_.
+A PX4 log holds these bytes if GPS_DUMP_COMM is set (message GpsDump) [2]_.
 
 References
 ----------
@@ -41,7 +41,7 @@ from mavproxy_fault.numerics.constants import L1_HZ
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 SYNC = b"\xb5b"
-OVERHEAD_BYTES = 8  # bytes of a frame beside its payload
+OVERHEAD_BYTES = 8  # bytes of a frame outside its payload
 RAWX, SFRBX = b"\x02\x15", b"\x02\x13"
 HEAD = np.dtype([("tow_s", "<f8"), ("week", "<u2"), ("leap_s", "i1"), ("count", "u1"), ("", "V4")])
 RANGE = np.dtype(
@@ -50,7 +50,7 @@ RANGE = np.dtype(
     + [("lock_ms", "<u2"), ("cn0_dbhz", "u1"), ("", "V3"), ("status", "u1"), ("", "V1")]
 )
 RANGE_VALID = 1
-# By system and signal of u-blox: RINEX's letter and name, and the carrier (GLONASS: channel 0).
+# By u-blox system and signal number: RINEX letter and code, carrier (GLONASS: channel 0).
 SIGNALS = {
     (0, 0): ("G", "1C", L1_HZ),
     (2, 0): ("E", "1C", L1_HZ),
@@ -60,39 +60,39 @@ SIGNALS = {
     (5, 0): ("J", "1C", L1_HZ),
     (6, 0): ("R", "1C", CENTRE_HZ),
 }
-CHANNEL_ZERO = 7  # GLONASS's channels are sent as numbers from 0
+CHANNEL_ZERO = 7  # offset of GLONASS channel numbers
 UNKNOWN_SATELLITE = 255
-HEAD_BYTES = 8  # of SFRBX before its words; RAWX has more
+HEAD_BYTES = 8  # header of SFRBX before its words; that of RAWX is longer
 GPS, GALILEO, QZSS = 0, 2, 5
-# C/A; E1 and E5b, 0 on receivers that know E1 alone. Other signals carry other messages.
+# C/A; E1 and E5b (0 on receivers with E1 only). Other signals carry other messages.
 MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
 Broadcast = EphemerisSample | IonosphereSample
 ULOG = ".ulg"
-TO_RECEIVER = 0x80  # bit of a dump's length
+TO_RECEIVER = 0x80  # bit of `len` of a GpsDump
 MAX_DUMP_BYTES = 79
 
 
 def is_ubx(path: Path) -> bool:
-    """Whether a file is named as a u-blox log, or as a PX4 log, which may hold one."""
+    """Whether a file name is that of a u-blox log, or of a PX4 log, which may hold one."""
     return path.name.lower().endswith((".ubx", ".ubx.gz", ULOG))
 
 
 def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
-    """All epochs of a log, and the ephemerides and Klobuchar's coefficients in it, stamped 0.
+    """All epochs of a log; and its ephemerides and Klobuchar coefficients, with timestamp 0.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, or holds no frame of pseudoranges.
+        If the log cannot be read or holds no RXM-RAWX.
     """
     payloads: dict[bytes, list[bytes]] = {RAWX: [], SFRBX: []}
     for kind, payload in _frames(_bytes(path)):
-        # Its checksum is right: a payload this short was meant so, by a receiver without a fix.
+        # With a correct checksum a shorter payload is valid: the receiver has no fix.
         if len(payload) >= HEAD_BYTES:
             payloads[kind].append(payload)
     if not payloads[RAWX]:
         raise ConfigError(
-            f"{path}: has no whole UBX-RXM-RAWX; let the receiver send it, and UBX-RXM-SFRBX"
+            f"{path}: has no complete UBX-RXM-RAWX; enable it and UBX-RXM-SFRBX on the receiver"
         )
     found = (rawx_epoch(payload) for payload in payloads[RAWX])
     epochs = [epoch for epoch in found if epoch is not None]
@@ -107,11 +107,11 @@ def _bytes(path: Path) -> bytes:
         data = path.read_bytes()
         return gzip.decompress(data) if path.name.lower().endswith(".gz") else data
     except (EOFError, OSError, zlib.error) as error:
-        raise ConfigError(f"{path}: cannot be read as a u-blox log ({error})") from error
+        raise ConfigError(f"{path}: not a u-blox log ({error}); give a .ubx file") from error
 
 
 def _dumped(path: Path) -> bytes:
-    """What the first receiver of a PX4 log sent."""
+    """The bytes that the first receiver of a PX4 log sent."""
     dump = read_ulog(path).topics.get(("gps_dump", 0))
     if dump is None:
         raise ConfigError(f"{path}: has no gps_dump; set GPS_DUMP_COMM to 1 before the flight")
@@ -119,25 +119,25 @@ def _dumped(path: Path) -> bytes:
     for name in ("len", *names):
         if name not in dump or dump[name].dtype != np.uint8:
             raise ConfigError(
-                f"{path}: gps_dump has no bytes {name}, so the log is damaged or not PX4's; "
+                f"{path}: gps_dump has no bytes {name}: the log is corrupted or not from PX4; "
                 f"a dump has len and data[0] to {names[-1]}"
             )
-    # Two receivers share the topic: their bytes must not be mixed. Early PX4 knew one alone.
+    # Two receivers share the topic; older PX4 versions log a single one.
     receiver = dump.get("instance", np.zeros_like(dump["len"]))
     first = (receiver == receiver.min()) & (dump["len"] < TO_RECEIVER)
     data = np.column_stack([dump[name] for name in names])[first]
-    # A damaged length beyond the message takes all of it: the frames have checksums.
+    # A corrupted length takes the full message; checksums of the frames catch the rest.
     return bytes(data[np.arange(MAX_DUMP_BYTES) < dump["len"][first, None]])
 
 
 def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Class and number, and payload, of the whole frames of the two kinds that are read."""
+    """Class and id, and payload, of each complete RAWX and SFRBX frame."""
     at = data.find(SYNC)
     while at >= 0:
         kind, length = data[at + 2 : at + 4], int.from_bytes(data[at + 4 : at + 6], "little")
         end = at + OVERHEAD_BYTES + length
         body, summed = data[at + 2 : end - 2], data[end - 2 : end]
-        # A start that was none, or a damaged length, must not swallow the frames behind it.
+        # A false start or a corrupted length must not hide the frames after it.
         if kind in (RAWX, SFRBX) and end <= len(data) and _checksum(body) == summed:
             yield kind, data[at + 6 : end - 2]
             at = end - 1
@@ -145,15 +145,14 @@ def _frames(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _checksum(body: bytes) -> bytes:
-    """Fletcher's sum of 8 bits: the sum of the bytes, and that of its own values."""
+    """8-bit Fletcher checksum: the sum of the bytes, and the sum of its partial sums."""
     values = np.frombuffer(body, np.uint8).astype(np.int64)
     weights = np.arange(len(values), 0, -1)
     return bytes([int(values.sum()) & 255, int(values @ weights) & 255])
 
 
 def rawx_epoch(payload: bytes) -> Epoch | None:
-    """The epoch of a RAWX message; None before the receiver knows the time, and without a range
-    that it trusts."""
+    """The epoch of a RAWX message; None if the receiver has no time or no valid pseudorange."""
     count = (len(payload) - HEAD.itemsize) // RANGE.itemsize
     if count < 0:
         return None
@@ -178,7 +177,7 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
 
 
 def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
-    """What each satellite sent, once whenever it changed."""
+    """Ephemerides and ionosphere of all satellites, each once per change."""
     subframes: dict[str, dict[int, Subframe]] = {}
     inav: dict[str, dict[int, bytes]] = {}
     newest: dict[str, Ephemeris] = {}
@@ -193,7 +192,7 @@ def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
             name = f"{'G' if system == GPS else 'J'}{number:02d}"
             subframes.setdefault(name, {})[part.number] = part
             ephemeris = gps_ephemeris(name, subframes[name], near_s)
-            # QZSS's own coefficients are those of Japan alone.
+            # QZSS coefficients are valid for Japan only.
             if system == GPS and (ionosphere := klobuchar_coefficients(part)) is not None:
                 yield IonosphereSample(0, *ionosphere)
         elif system == GALILEO and (word := parse_inav_word(words)) is not None:

@@ -1,5 +1,5 @@
-"""Which field of which message is which curve, a table per kind of log, and what follows from it.
+"""Curves of a report: which field of which message gives which curve, one table per kind of log.
 
-A *curve* takes the columns of one message to the values of one `Signal`; a *spectrum* is what a
-signal holds by frequency.
+A *log curve* converts the columns of one message to the values of one `Signal`; *derived* curves
+are computed from others. A *spectrum* is the power spectral density of a signal.
 """

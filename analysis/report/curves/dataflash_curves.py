@@ -1,6 +1,6 @@
-"""Which field of which dataflash message is which curve: one table.
+"""Table of curves: which field of which dataflash message gives which curve.
 
-Fields as ArduPilot's log reference names them; old logs as they were named then.
+Fields are named as in ArduPilot's log reference; old logs as then.
 """
 
 import numpy as np
@@ -17,8 +17,8 @@ from analysis.report.curves.field_values import (
     used_field,
 )
 
-HIGH_V = 200.0  # more than any battery has: the log is old and gives hundredths
-CHANNELS, CELLS = 8, 12  # shown at the most
+HIGH_V = 200.0  # above any battery: the log is old and gives hundredths
+CHANNELS, CELLS = 8, 12  # shown at most
 
 
 def _heading(name: str) -> Reader:
@@ -27,17 +27,17 @@ def _heading(name: str) -> Reader:
 
 
 def _throttle(topic: Columns) -> Values:
-    """Percent; a share in new logs, thousandths in old ones."""
+    """Throttle in percent; a fraction in new logs, thousandths in old ones."""
     if "ThO" in topic:
         return column(topic, "ThO") * 100
     return column(topic, "ThrOut") * 0.1
 
 
 def _hundredths(name: str) -> Reader:
-    """Volts or amperes, which old logs give in hundredths."""
+    """Volts or amperes; old logs give hundredths."""
 
     def values(topic: Columns) -> Values:
-        # The median of the voltage tells the age of the log for the current too.
+        # The median voltage shows the units of both voltage and current.
         old = np.nanmedian(column(topic, "Volt")) > HIGH_V
         return column(topic, name) * (0.01 if old else 1.0)
 
@@ -45,19 +45,19 @@ def _hundredths(name: str) -> Reader:
 
 
 def _millivolts(topic: Columns) -> Values:
-    """The board's voltage, which logs of this message give in millivolts."""
+    """Board voltage in V; this message gives millivolts."""
     return column(topic, "Vcc") * 1e-3
 
 
 def _long_loops(topic: Columns) -> Values:
-    """Percent of the loops that took too long."""
+    """Percentage of overlong loops."""
     return 100.0 * column(topic, "NLon") / np.maximum(column(topic, "NLoop"), 1.0)
 
 
 def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[LogCurve, ...]:
-    """One core's state, test ratios and innovations; `core` is part of each curve's name.
+    """Curves of one estimator core: states, test ratios, innovations; `core` is their suffix.
 
-    Since EKF3, messages carry their core's number instead and every core has the same name.
+    EKF3 messages carry the core number instead, and all cores share one message name.
     """
     ratios = (
         ("SV", "velocity"), ("SP", "horizontal position"), ("SH", "vertical position"),
@@ -82,14 +82,14 @@ def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Lo
             LogCurve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
             for panel, name in states
         ),
-        # The last letter of the field is the axis.
+        # The last letter of a field is its axis.
         *(LogCurve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
           ("GX", "GY", "GZ")),
     )  # fmt: skip
 
 
 def _controller(message: str, axis: str, letter: str, up: float) -> tuple[LogCurve, ...]:
-    """Position and velocity of PSCN, PSCE, PSCD: what is and what is wanted."""
+    """Estimated and desired position and velocity of PSCN, PSCE, PSCD."""
     return tuple(
         LogCurve(message, f"{kind}-{axis}", name, field(f"{prefix}{quantity}{letter}", up))
         for kind, quantity in (("position", "P"), ("velocity", "V"))
@@ -97,7 +97,7 @@ def _controller(message: str, axis: str, letter: str, up: float) -> tuple[LogCur
     )
 
 
-# Names of curves are those of the other kinds of log: the page colours and pairs by name.
+# Curve names match those of other log formats: the page colours and pairs curves by name.
 CURVES: tuple[LogCurve, ...] = (
     LogCurve("ATT", "roll", "ATTITUDE", field("Roll"), False),
     LogCurve("ATT", "roll", "desired", field("DesRoll"), False),
@@ -181,7 +181,7 @@ CURVES: tuple[LogCurve, ...] = (
     LogCurve("CTUN", "throttle", "throttle", _throttle, False),
     *(
         LogCurve("RCOU", "outputs", f"output {i}", used_field(f"C{i}"), False)
-        # `used_field` alone decides: a channel that is never driven has no curve.
+        # A channel that is never driven has no curve.
         for i in range(1, CHANNELS + 1)
     ),
     *(

@@ -1,4 +1,4 @@
-"""Curves that follow from others: steps of a track, distances and angles to the truth."""
+"""Compute derived curves: position steps, errors against the truth, divergence, motor balance."""
 
 from dataclasses import replace
 
@@ -9,14 +9,14 @@ from analysis.report.recordings.recording import Event, FlightData, GroundTrack,
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
-LONG_STEP_S = 3.0  # fixes further apart than this say nothing about a jump
-BALANCE_S = 1.0
-RESET_M = 5.0  # an estimate that moves so far between two samples was reset
-LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log whose intervals are drawn
+LONG_STEP_S = 3.0  # chosen: over a longer interval a jump cannot be distinguished from motion
+BALANCE_S = 1.0  # averaging time; chosen to suppress manoeuvres
+RESET_M = 5.0  # chosen: a larger step of an estimate is a filter reset
+LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log for the interval curve
 
 
 def add_derived_curves(recording: FlightData) -> FlightData:
-    """A recording and the signals and events computed from its own."""
+    """Add derived signals and events to a recording."""
     signals, events = derive_curves(recording)
     return replace(
         recording,
@@ -26,10 +26,10 @@ def add_derived_curves(recording: FlightData) -> FlightData:
 
 
 def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
-    """Signals and events computed from a recording's own."""
+    """Compute derived signals and events of a recording."""
     signals, events = [], []
     for track in recording.tracks:
-        # The truth is not tested against itself; three points give two steps.
+        # The truth is exempt; two steps need three points.
         if track.name.startswith("truth") or len(track.t_s) < 3:
             continue
         step = step_beyond_speed(track, _speed_of(recording, track))
@@ -37,7 +37,7 @@ def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
         panel = "gps-jump" if is_gps else "estimate-jump"
         signals.append(Signal(panel, track.name, track.t_s[1:], step))
         if not is_gps:
-            # A receiver may jump by a fault; an estimate that jumps was reset by its filter.
+            # A receiver may jump due to a fault; a jump of an estimate is a filter reset.
             events.extend(_resets(track, step))
     signals.extend(_position_errors(recording))
     signals.extend(fused_errors(recording))
@@ -50,8 +50,8 @@ def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
 
 
 def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
-    """How much further each step of a track is than its speed explains, m; shape (n - 1,)."""
-    # A sphere is enough: steps are compared with speeds, not with maps.
+    """Length of each step of a track beyond what its speed explains, m; shape (n - 1,)."""
+    # A spherical earth is accurate enough for steps.
     north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
     east = np.radians(np.diff(track.lon_deg)) * MEAN_EARTH_RADIUS_M
     east *= np.cos(np.radians(track.lat_deg[1:]))
@@ -62,10 +62,10 @@ def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
         good = np.isfinite(speed_mps.value)
         if good.any():
             at = np.interp(track.t_s, speed_mps.t_s[good], speed_mps.value[good])
-            # The faster of both ends: a step is suspicious only beyond what speed allows.
+            # The higher speed of both ends bounds the motion.
             flown = np.maximum(at[1:], at[:-1]) * dt
     beyond: Vector = np.maximum(length - flown, 0.0)
-    # Over a long gap the vehicle may have been anywhere.
+    # Steps over a long gap are not judged.
     beyond[dt > LONG_STEP_S] = np.nan
     return beyond
 
@@ -81,7 +81,7 @@ def _resets(track: GroundTrack, step: Vector) -> list[Event]:
         Event(
             float(track.t_s[i + 1]),
             "reset",
-            f"position {track.name} moves {step[i]:.0f} m at once",
+            f"position {track.name} jumps by {step[i]:.0f} m",
             4,
         )
         for i in far.tolist()
@@ -96,7 +96,7 @@ def _position_errors(recording: FlightData) -> list[Signal]:
     for track in recording.tracks:
         if track is truth or track.on_earth != truth.on_earth:
             continue
-        # Beyond the truth's own time `interp` would hold its last value.
+        # Beyond the truth, `interp` would repeat its last value.
         inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
         if inside.sum() < 2:
             continue
@@ -110,7 +110,7 @@ def _position_errors(recording: FlightData) -> list[Signal]:
 
 
 def _attitude_errors(recording: FlightData) -> list[Signal]:
-    """The autopilot's estimate minus the truth, and minus what its controller asked for."""
+    """Attitude errors: the autopilot's estimate minus the truth, and minus the setpoint."""
     found = []
     for part in ("roll", "pitch", "yaw"):
         curves = {signal.name: signal for signal in recording.of(part)}
@@ -119,13 +119,13 @@ def _attitude_errors(recording: FlightData) -> list[Signal]:
             continue
         if "truth" in curves:
             found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
-        # Yaw may lag by much without harm, and jumps where it wraps.
+        # Yaw may lag its setpoint without harm, and wraps.
         if "desired" in curves and part != "yaw":
             found.append(_difference("control-error", part, own, curves["desired"]))
-    # One common sample is no curve.
+    # A curve needs two samples.
     found = [signal for signal in found if len(signal.t_s) > 1]
     control = [signal for signal in found if signal.panel == "control-error"]
-    # Both angles or none: the tilt needs them at the same instants.
+    # The tilt needs both angles.
     if len(control) == 2:
         roll, pitch = control
         there = np.interp(roll.t_s, pitch.t_s, pitch.value)
@@ -134,20 +134,20 @@ def _attitude_errors(recording: FlightData) -> list[Signal]:
 
 
 def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
-    """One angle minus another where both are known, degrees wrapped to (-180, 180]."""
+    """One angle minus another where both are known, in degrees within (-180, 180]."""
     inside = (own.t_s >= other.t_s[0]) & (own.t_s <= other.t_s[-1])
     t_s = own.t_s[inside]
-    # Unwrapped, or between 179 and -179 degrees there would be 0.
+    # Unwrapped: interpolation from 179 to -179 degrees must not pass 0.
     there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
     return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
 
 
 def _divergence(recording: FlightData) -> list[Signal]:
-    """How far each further instance of the estimator leans from the first, degrees: the angle
-    between where they see down, as roll and pitch leap upside down and at the zenith."""
+    """Angle in degrees between the down direction of each further estimator instance and that of
+    the first. Unlike roll and pitch it has no singularity."""
     angles = [recording.of(f"instance-{part}") for part in ("roll", "pitch")]
     found = []
-    # `strict=False`: an instance may lack one of the angles; the first is the reference.
+    # `strict=False`: an instance may lack one of the angles.
     for roll, pitch in list(zip(*angles, strict=False))[1:]:
         first = _down(angles[0][0], angles[1][0], roll.t_s)
         sine = np.linalg.norm(np.cross(first, further := _down(roll, pitch, roll.t_s)), axis=1)
@@ -157,27 +157,27 @@ def _divergence(recording: FlightData) -> list[Signal]:
 
 
 def _down(roll: Signal, pitch: Signal, t_s: Vector) -> Vector:
-    """Down in the body (n, 3) at times (n,), by angles in degrees."""
-    # Unwrapped, or between 179 and -179 degrees there would be 0.
+    """Down direction in body axes (n, 3) at times (n,), from angles in degrees."""
+    # Unwrapped: interpolation from 179 to -179 degrees must not pass 0.
     r = np.radians(np.interp(t_s, roll.t_s, np.unwrap(roll.value, period=360)))
     p = np.radians(np.interp(t_s, pitch.t_s, pitch.value))
     return np.column_stack((-np.sin(p), np.sin(r) * np.cos(p), np.cos(r) * np.cos(p)))
 
 
 def _balance(recording: FlightData) -> list[Signal]:
-    """Each motor's output less the mean of all, smoothed: a motor that is weak works more."""
+    """Smoothed deviation of each motor's output from the mean: weak motors get higher commands."""
     motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
-    # With fewer motors the mean says too little of a single one.
+    # With fewer motors the mean says too little about one of them.
     if len(motors) < 3 or any(len(s.t_s) != len(motors[0].t_s) for s in motors):
         return []
     outputs = np.stack([signal.value for signal in motors])
     t_s = motors[0].t_s
-    # Samples in a second, by the log's own rate.
+    # Number of samples in the averaging time.
     samples = max(1, round(BALANCE_S * len(t_s) / max(float(np.ptp(t_s)), 1e-6)))
     if len(t_s) < 2 * samples:
         return []
     window = np.full(samples, 1 / samples)
-    # Against the mean of the same instant, so that climbing and braking cancel.
+    # Relative to the mean at the same time, so that climbs cancel.
     off = np.nan_to_num(outputs - outputs.mean(axis=0))
     smooth = [np.convolve(row, window, "same") for row in off]
     return [
@@ -186,7 +186,7 @@ def _balance(recording: FlightData) -> list[Signal]:
 
 
 def _tilt(recording: FlightData) -> list[Signal]:
-    """The angle between the vehicle's vertical and the world's, by the autopilot's estimate."""
+    """Tilt: angle between the body z axis and the vertical, from the autopilot's estimate."""
     angles = {(part, s.name): s for part in ("roll", "pitch") for s in recording.of(part)}
     own = next((name for name in OWN_ATTITUDE if ("roll", name) in angles), None)
     if own is None or ("pitch", own) not in angles:
@@ -198,12 +198,12 @@ def _tilt(recording: FlightData) -> list[Signal]:
 
 
 def _intervals(recording: FlightData) -> list[Signal]:
-    """Time from one logged sample of the gyroscope to the next: gaps and uneven logging."""
+    """Intervals between logged gyroscope samples, which show gaps and uneven logging."""
     signal = next(iter(recording.of("gyro")), None)
     if signal is None or len(signal.t_s) < LEAST_SAMPLES:
         return []
     step_s = np.diff(signal.t_s)
-    # Of a log that was thinned on reading, steps say nothing.
+    # Intervals of a thinned log are meaningless.
     if np.mean(step_s < 2.0 * np.median(step_s)) < EVEN_SHARE:
         return []
     return [Signal("interval", "gyroscope", signal.t_s[1:], step_s * 1e3)]

@@ -1,7 +1,7 @@
-"""What the faults of a run did: its truth and its estimates less those of the twin without faults.
+"""Effects of faults: truth and estimates of a run compared with its fault-free reference flight.
 
-Both flew the same scenario with the same seed, so before the first fault the curves are zero. A
-fault's effect counts from its beginning until the next one begins, or until its echo is over.
+Both ran the same scenario with the same seed, so the deviations are zero before the first fault. A
+fault's effect is evaluated until the next fault, or until `RECOVERY_S` after its end.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,28 +18,28 @@ from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import read_columns
 
 TRUTH = "HIL_STATE_QUATERNION"
-LAST_S = 1.0  # the end of a fault's time, whose middle value is its lasting effect
+LAST_S = 1.0  # the lasting effect is the median of this last part of the evaluated time
 PANELS = {"position_m": "twin-position", "speed_mps": "twin-speed", "attitude_deg": "twin-attitude"}
 
-# Of the attitude results tell the estimate's error alone, so that its change is shown
+# Attitude results hold only the estimate's error, so the change of the error is shown
 ESTIMATE_OF = {"twin-position": "estimate", "twin-attitude": "error of the estimate"}
 
 
 class StampedValues(NamedTuple):
-    """Stamps (n,), and what was at each of them (n, k)."""
+    """Timestamps (n,) and values (n, k)."""
 
     t_us: Vector
     values: Vector
 
 
-def deviation_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
-    """How far the truth and the estimates of a run's folder are off those of its twin's."""
+def deviation_curves(folder: Path, reference: Path, t0_us: int) -> list[Signal]:
+    """Deviation of truth and estimates of a run folder from those of the reference flight."""
     found = []
-    own, clean = _truth(folder), _truth(twin)
+    own, clean = _truth(folder), _truth(reference)
     if own is not None and clean is not None:
         t_s, ours, theirs = _common(own, clean, t0_us)
         apart = ours - theirs
-        # A quaternion and its negative are the same attitude.
+        # q and -q are the same attitude.
         dot = np.abs(np.einsum("ni,ni->n", ours[:, 6:10], theirs[:, 6:10]))
         angle = np.degrees(2 * np.arccos(np.clip(dot, 0.0, 1.0)))
         found += [
@@ -47,7 +47,7 @@ def deviation_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
             Signal("twin-speed", "truth", t_s, np.linalg.norm(apart[:, 3:6], axis=1)),
             Signal("twin-attitude", "truth", t_s, angle),
         ]
-    ours_, theirs_ = _estimates(folder), _estimates(twin)
+    ours_, theirs_ = _estimates(folder), _estimates(reference)
     for panel, track in ours_.items():
         if panel in theirs_:
             t_s, values, clean_values = _common(track, theirs_[panel], t0_us)
@@ -59,12 +59,12 @@ def deviation_curves(folder: Path, twin: Path, t0_us: int) -> list[Signal]:
 def measure_effects(
     curves: Sequence[Signal], labels: Sequence[Label], t0_us: int
 ) -> list[dict[str, Any]]:
-    """By fault the greatest and the lasting change of each curve, whose axis starts at `t0_us`."""
+    """Largest and lasting deviation of each curve by fault; the axis starts at `t0_us`."""
     starts_s = [(label.start_us - t0_us) * 1e-6 for label in labels]
     rows = []
     for label, start_s in zip(labels, starts_s, strict=True):
         end_s = np.inf if label.end_us is None else (label.end_us - t0_us) * 1e-6 + RECOVERY_S
-        # Until the next fault begins: what follows is not told apart.
+        # Until the next fault: the effects of overlapping faults cannot be separated.
         end_s = min([end_s, *(other for other in starts_s if other > start_s)])
         row: dict[str, Any] = {"id": label.id}
         for key, panel in PANELS.items():
@@ -78,21 +78,21 @@ def measure_effects(
 
 def _extent(curve: Signal, inside: np.typing.NDArray[np.bool_]) -> Mapping[str, float]:
     t_s, value = curve.t_s[inside], curve.value[inside]
-    # The median of the last second: a single sample may be noise.
+    # The median, as a single sample may be noise.
     last = value[t_s >= t_s[-1] - LAST_S]
     return {"most": round(float(value.max()), 3), "lasting": round(float(np.median(last)), 3)}
 
 
 def _common(own: StampedValues, clean: StampedValues, t0_us: int) -> tuple[Vector, Vector, Vector]:
-    """Time on the report's axis and the values of both where both have one."""
-    # Equal stamps: both flew the same steps, so that no value needs interpolation.
+    """Times on the report's axis with both values, and the values of both."""
+    # Timestamps are equal in both, so no interpolation is needed.
     stamps, ours, theirs = np.intersect1d(own.t_us, clean.t_us, return_indices=True)
     return (stamps - t0_us) * 1e-6, own.values[ours], clean.values[theirs]
 
 
 def _truth(folder: Path) -> StampedValues | None:
-    """Position in ECEF, velocity and attitude that really were; the log before the faults."""
-    # Before the faults: the truth in `sent.tlog` may be falsified itself.
+    """True ECEF position, velocity and attitude, from the log before fault injection."""
+    # The truth in `sent.tlog` may be modified by faults.
     rows = read_columns(folder / "received.tlog", only={TRUTH}).get(TRUTH)
     if rows is None:
         return None
@@ -104,7 +104,7 @@ def _truth(folder: Path) -> StampedValues | None:
 
 
 def _estimates(folder: Path) -> dict[str, StampedValues]:
-    """By panel the monitor's position, and the errors of the first estimator's attitude."""
+    """The monitor's position, and attitude errors of the first estimator, by panel."""
     places: list[tuple[int, tuple[float, ...]]] = []
     angles: list[tuple[int, tuple[float, ...]]] = []
     first = ""
@@ -116,7 +116,7 @@ def _estimates(folder: Path) -> dict[str, StampedValues]:
             if result.estimator == first:
                 angles.append((result.t_us, (result.angle,)))
     found = {"twin-position": _track(places), "twin-attitude": _track(angles)}
-    # An estimator that gave nothing has no curve.
+    # Without results there is no curve.
     return {panel: track for panel, track in found.items() if len(track.t_us)}
 
 

@@ -1,4 +1,4 @@
-"""How the values of a curve follow from the columns of a message, whatever log it came from.
+"""Readers that compute the values of a curve from the columns of a message of any log format.
 
 Columns are arrays by field name, of shape (n,), or (n, k) for an array field of MAVLink.
 """
@@ -17,12 +17,12 @@ Values = NDArray[np.float64]
 Reader = Callable[[Columns], Values]
 
 DEG = 180 / np.pi
-UNKNOWN_M = 1e6  # 2^32 mm is u-blox's "unknown"
+UNKNOWN_M = 1e6  # u-blox reports an unknown accuracy as 2^32 mm
 
 
 @dataclass(frozen=True, slots=True)
 class LogCurve:
-    """One curve: of which message, in which panel, its name; of `every` instance or the first."""
+    """One curve: its message, panel, name, reader; of `every` sensor instance or the first only."""
 
     message: str
     panel: str
@@ -32,12 +32,12 @@ class LogCurve:
 
 
 def values_of(curve: LogCurve, columns: Columns) -> Values | None:
-    """The curve, or None where this version lacks a field of it, or has no value in it."""
+    """The values of a curve; None if a field is missing in this version or has no value."""
     try:
         found = curve.values(columns)
     except KeyError:
         return None
-    # A field that is there and never filled is as good as none.
+    # A field that is never filled counts as missing.
     return found if np.isfinite(found).any() else None
 
 
@@ -51,7 +51,7 @@ def field(name: str, scale: float = 1.0, unknown: float | None = None) -> Reader
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
-        # Before scaling: "unknown" is a count of the wire.
+        # Before scaling, as `unknown` is a raw value.
         if unknown is not None:
             raw = np.where(raw == unknown, np.nan, raw)
         return raw * scale
@@ -60,13 +60,13 @@ def field(name: str, scale: float = 1.0, unknown: float | None = None) -> Reader
 
 
 def element(name: str, i: int, scale: float = 1.0, unknown: float | None = None) -> Reader:
-    """One element of an array field of a MAVLink message; NaN throughout if it is never used."""
+    """One element of a MAVLink array field; all NaN if it is never used."""
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)[:, i]
-        # Read before scaling for the same reason.
+
         used = raw.any() if unknown is None else (raw != unknown).any()
-        # A channel that nobody feeds: no curve is better than one at zero.
+        # An unused channel gives no curve instead of zeros.
         if not used:
             return np.full(len(raw), np.nan)
         return np.where(raw == unknown, np.nan, raw) * scale
@@ -75,11 +75,11 @@ def element(name: str, i: int, scale: float = 1.0, unknown: float | None = None)
 
 
 def used_field(name: str, scale: float = 1.0) -> Reader:
-    """Values of a field that is zero throughout, or 65535, where nothing is connected."""
+    """Values of a field; all NaN if it is always 0 or 65535 (not connected)."""
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
-        # MAVLink's and ArduPilot's "not there" of 16 bits.
+        # 65535 means unused in MAVLink and ArduPilot.
         raw = np.where(raw == 65535, np.nan, raw)
         return raw * scale if np.nan_to_num(raw).any() else np.full(len(raw), np.nan)
 
@@ -87,7 +87,7 @@ def used_field(name: str, scale: float = 1.0) -> Reader:
 
 
 def positive_field(name: str, scale: float = 1.0) -> Reader:
-    """A value of which 0 or less means that it is unknown."""
+    """Values of a field in which 0 or less means unknown."""
 
     def values(columns: Columns) -> Values:
         raw = column(columns, name)
@@ -97,7 +97,7 @@ def positive_field(name: str, scale: float = 1.0) -> Reader:
 
 
 def accuracy_field(name: str, scale: float = 1.0) -> Reader:
-    """An accuracy, m; receivers without a fix give the earth's size and more, or zero."""
+    """An accuracy in m; NaN if zero or above 1000 km, as receivers without a fix report."""
 
     def values(columns: Columns) -> Values:
         metres = column(columns, name) * scale
@@ -117,16 +117,16 @@ def heading_field(name: str, scale: float = DEG) -> Reader:
 
 
 def norm(*names: str, scale: float = 1.0) -> Reader:
-    """Length of the vector that several fields make."""
+    """Norm of the vector of several fields."""
     return lambda columns: scale * np.sqrt(sum(column(columns, name) ** 2 for name in names))
 
 
 def largest_field(*names: str) -> Reader:
-    """The greatest magnitude among several fields."""
+    """The largest magnitude of several fields."""
     return lambda columns: np.max([np.abs(column(columns, name)) for name in names], axis=0)
 
 
 def euler_deg(q: Values) -> tuple[Values, Values, Values]:
-    """Roll, pitch and yaw in degrees of quaternions (w, x, y, z), shape (4, n)."""
+    """Roll, pitch and yaw in degrees from quaternions (w, x, y, z), shape (4, n)."""
     roll, pitch, yaw = np.degrees(euler_from_quat(q.T)).T
     return roll, pitch, yaw

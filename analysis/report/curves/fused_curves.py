@@ -1,4 +1,4 @@
-"""The fused solution against the truth: error curves with the band of three of its own sigmas."""
+"""Error curves of the fused solutions against the truth, with their 3-sigma bounds."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 AXES = ("north", "east", "down")
 FUSED = "fused"  # tracks of fused solutions begin with this
-BAND = 3.0
+BAND = 3.0  # sigmas: 99.7 % of normally distributed errors
 
 
 def fused_errors(recording: FlightData) -> list[Signal]:
-    """Errors of every fused track along each axis, and the band of the fused one."""
+    """Errors of every fused track along each axis, and the 3-sigma bound of the fused solution."""
     sigmas = {signal.name: signal for signal in recording.of("fused-sigma")}
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
@@ -22,7 +22,7 @@ def fused_errors(recording: FlightData) -> list[Signal]:
     for i, axis in enumerate(AXES):
         panel = f"fused-{axis}"
         found += [Signal(panel, name, t_s, error[:, i]) for name, t_s, error in errors]
-        # A band on both sides, so that one sees whether the error keeps its own promise.
+        # Bounds on both sides show whether the errors agree with the sigmas.
         if axis in sigmas:
             t_s, value = sigmas[axis].t_s, BAND * sigmas[axis].value
             found.append(Signal(panel, "+3 sigma", t_s, value))
@@ -31,7 +31,7 @@ def fused_errors(recording: FlightData) -> list[Signal]:
 
 
 def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]:
-    """Times (n,) within the truth's and track minus truth (n, 3) north, east, down there."""
+    """Times (n,) covered by the truth, and errors of the track (n, 3) north, east, down in m."""
     inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
     t_s = track.t_s[inside]
     lat, lon, alt = (
@@ -44,5 +44,5 @@ def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]
     )
     north = np.radians(lat) * MEAN_EARTH_RADIUS_M
     east = np.radians(lon) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
-    # Height error to down: the sign turns.
+    # Down is the negative height error.
     return t_s, np.column_stack((north, east, -alt))

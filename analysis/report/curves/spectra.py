@@ -1,7 +1,7 @@
-"""What fast signals hold by frequency: densities by Welch's method, spectrograms, filters.
+"""Spectra of fast signals: power spectral densities (Welch), spectrograms, filter frequencies.
 
-Rates below `LEAST_HZ` and signals with uneven samples (thinned logs) have no spectrum. A signal's
-highest frequency is half its logging rate, which is often far below the sensor's own.
+Signals logged below `LEAST_HZ` or unevenly (thinned logs) have no spectrum. The highest frequency
+is half the logging rate, which is often far below the sensor's rate.
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from analysis.report.recordings.recording import FlightData, Signal, Vector
 
-# Below 20 Hz nothing of motors or filters is in the signal.
+# Chosen: below 20 Hz there is no motor vibration or filter effect.
 LEAST_HZ, LEAST_SAMPLES = 20.0, 512
-# Loggers drop samples now and then: where most steps are equal, the signal can be resampled.
-EVEN_SHARE, EVEN_WITHIN = 0.8, 0.5  # of the steps must be so near the usual one
-SEGMENT, WINDOW = 1024, 256  # samples of a density's segments, of a spectrogram's windows
-COLUMNS, BINS = 300, 20  # of a spectrogram at the most, of throttle
-LEAST_WINDOWS = 3  # in a bin of throttle
+# Loggers drop samples occasionally: a signal is resampled if most of its steps are equal.
+EVEN_SHARE, EVEN_WITHIN = 0.8, 0.5  # share of steps, and their tolerance relative to the median
+SEGMENT, WINDOW = 1024, 256  # samples of Welch's segments, of a spectrogram's windows
+COLUMNS, BINS = 300, 20  # time columns at most, throttle bins
+LEAST_WINDOWS = 3  # per throttle bin
 
 # key, title, panels in order of preference, unit of the signals
 GROUPS = (
@@ -28,7 +28,7 @@ GROUPS = (
         ("rate-roll", "rate-pitch", "rate-yaw"), "deg/s",
     ),
     ("spectrum-accel", "Accelerometers", ("accel-instances", "accel"), "m/s²"),
-    ("spectrum-torque", "Torque asked for", ("torque",), "1"),
+    ("spectrum-torque", "Torque setpoint", ("torque",), "1"),
     ("spectrum-actuators", "Motors and outputs", ("actuators", "outputs"), "1"),
 )  # fmt: skip
 FILTERS = (
@@ -47,7 +47,7 @@ ENABLED = {
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """One density: unit^2/Hz over frequency, shape (n,) each."""
+    """One power spectral density: unit^2/Hz over frequency, shape (n,) each."""
 
     name: str
     frequency_hz: Vector
@@ -71,7 +71,7 @@ class Spectrogram:
 
 @dataclass(frozen=True, slots=True)
 class SpectrumPanel:
-    """The spectra of one kind of signal: densities over each other, and spectrograms."""
+    """The spectra of one kind of signal: densities in one plot, and spectrograms."""
 
     key: str
     title: str
@@ -83,8 +83,8 @@ class SpectrumPanel:
 def spectrum_panels(
     recording: FlightData, window: tuple[float, float] | None = None
 ) -> list[SpectrumPanel]:
-    """Spectra of the signals that are fast enough, within a window of time (s) if there is one."""
-    # Parameters and speeds as the log has them; no frequency is guessed.
+    """Spectra of all sufficiently fast signals, within `window` (s) if given."""
+
     found = []
     for key, title, panels, unit in GROUPS:
         fast = _fast_signals(recording, panels, window)
@@ -96,16 +96,16 @@ def spectrum_panels(
 
 
 def frequency_marks(recording: FlightData) -> list[tuple[float, str]]:
-    """Frequencies of filters by the parameters, and of motors by their speed; (Hz, name)."""
-    # The last value: a filter may have been set on the ground.
+    """Frequencies (Hz) and names of filters, from parameters, and motors, from their speed."""
+    # The last value, as a filter may have been set after the start.
     last = {name: history[-1][1] for name, history in recording.parameters.items() if history}
     found = [
         (last[name], text)
         for name, text in FILTERS
-        # Without a switch of its own a filter is on where its frequency is above zero.
+        # A filter without an enable parameter is on if its frequency is above zero.
         if last.get(name, 0) > 0 and last.get(ENABLED.get(name, name), 1) > 0
     ]
-    # Revolutions per minute to hertz; a motor that stands still has no frequency.
+    # rev/min to Hz; stopped motors are ignored.
     speeds = [s.value[s.value > 0] / 60 for s in recording.of("rpm") if (s.value > 0).any()]
     if speeds:
         middle = float(np.median(np.concatenate(speeds)))
@@ -116,7 +116,7 @@ def frequency_marks(recording: FlightData) -> list[tuple[float, str]]:
 def _fast_signals(
     recording: FlightData, panels: Sequence[str], window: tuple[float, float] | None
 ) -> list[Signal]:
-    """Evenly sampled signals: of the first panel that has some, of all where they are axes."""
+    """Evenly sampled signals of the first panel that has any; all panels if they are axes."""
     axes = panels[0].startswith("rate-")
     found: list[Signal] = []
     for panel in panels:
@@ -127,29 +127,27 @@ def _fast_signals(
             even = _even(signal, window)
             if even is not None:
                 found.append(Signal(panel, name, *even))
-        # The rates are one signal in three panels; of the others the first panel that is fast
-        # enough.
+        # Rates are in three panels, one per axis; else the first panel is enough.
         if found and not axes:
             break
     return found
 
 
 def _even(signal: Signal, window: tuple[float, float] | None) -> tuple[Vector, Vector] | None:
-    """The signal at equal steps; None if it is slow, short, constant or uneven."""
+    """The signal resampled at equal steps; None if slow, short, constant or uneven."""
     keep = np.isfinite(signal.value)
     if window is not None:
         keep &= (signal.t_s >= window[0]) & (signal.t_s <= window[1])
-    # Thinned or slow logs fall out here.
     t_s, value = signal.t_s[keep], signal.value[keep]
     if len(t_s) < LEAST_SAMPLES:
         return None
     steps = np.diff(t_s)
     step_s = float(np.median(steps))
     even = np.mean(np.abs(steps - step_s) < EVEN_WITHIN * step_s) if step_s > 0 else 0.0
-    # A constant signal has no spectrum but a division by zero.
+    # A constant signal has no spectrum.
     if even < EVEN_SHARE or step_s > 1 / LEAST_HZ or np.ptp(value) == 0:
         return None
-    # The mean step, since stamps rounded to milliseconds have a median that is off.
+    # The mean step, since the median is biased if timestamps are rounded to milliseconds.
     usual = steps[np.abs(steps - step_s) < EVEN_WITHIN * step_s]
     grid = np.arange(t_s[0], t_s[-1], float(np.mean(usual)))
     return grid, np.interp(grid, t_s, value)
@@ -160,25 +158,25 @@ def _rate_hz(signal: Signal) -> float:
 
 
 def _density(signal: Signal) -> Spectrum:
-    from matplotlib.mlab import psd  # loads in a quarter of scipy.signal's time
+    from matplotlib.mlab import psd  # loads four times faster than scipy.signal
 
     # At least four segments to average over.
     segment = min(SEGMENT, 2 ** int(np.log2(len(signal.value) / 4)))
     found = psd(signal.value, segment, _rate_hz(signal), detrend="mean", noverlap=segment // 2)
     density, frequency_hz = map(np.asarray, found)
-    # Without the mean, which lies at zero and dwarfs the rest.
+    # Without the zero frequency.
     return Spectrum(signal.name, frequency_hz[1:], density[1:])
 
 
 def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
-    """The axes of the first instance, or all motors, summed: by time, and by throttle where that is
-    logged."""
+    """Spectrograms of the sum over the axes of the first instance, or over all motors: by time, and
+    by throttle if logged."""
     from matplotlib.mlab import specgram
 
     first = [s for s in fast if s.name in ("x", "y", "z", "roll", "pitch", "yaw")] or fast
-    # Axes of one sensor may differ by a sample.
+    # Axes of one sensor may differ in length by a sample.
     n = min(len(signal.value) for signal in first)
-    # Windows overlap by three quarters; of a long log by less, so that no more columns than pixels.
+    # Windows overlap by three quarters; less in a long log, to limit the columns.
     hop = max(WINDOW // 4, -(-(n - WINDOW) // COLUMNS))
     total: NDArray[np.float64] = np.zeros(())
     for signal in first:
@@ -188,12 +186,12 @@ def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
         )
         level, frequency_hz, t_s = map(np.asarray, found)
         total = total + level
-    # Decibels, since motors stand out from the noise by orders of magnitude.
+    # Decibels, as motors exceed the noise by orders of magnitude.
     level_db = 10 * np.log10(np.maximum(total[1:], 1e-12))
     start_s = float(first[0].t_s[0])
     step_s = float(t_s[1] - t_s[0]) if len(t_s) > 1 else 1.0
     highest_hz = float(frequency_hz[-1])
-    # Half a step on both sides: a column stands for its surroundings.
+    # Columns extend by half a step on both sides.
     begin, end = start_s + float(t_s[0]) - step_s / 2, start_s + float(t_s[-1]) + step_s / 2
     images = [Spectrogram("by time", "time", begin, end, highest_hz, level_db)]
     throttle = recording.of("throttle")
@@ -207,13 +205,13 @@ def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
 def _by_throttle(
     throttle: Signal, t_s: Vector, level_db: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Mean level of the columns that fall in each bin of throttle; NaN where there are few."""
-    # Throttle at the middle of each window.
+    """Mean level of the columns in each throttle bin; NaN with too few."""
+    # Throttle at the centre of each window.
     share = np.interp(t_s, throttle.t_s, np.nan_to_num(throttle.value))
     place = np.clip((share / 100 * BINS).astype(int), 0, BINS - 1)
     table = np.full((len(level_db), BINS), np.nan)
     for i in range(BINS):
         if (place == i).sum() >= LEAST_WINDOWS:
             table[:, i] = level_db[:, place == i].mean(axis=1)
-    # One column of throttle is no picture.
+    # At least two throttle bins are needed.
     return table if np.isfinite(table[0]).sum() > 1 else None

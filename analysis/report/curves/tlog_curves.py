@@ -1,6 +1,6 @@
-"""Which field of which MAVLink message is which curve: one table.
+"""Table of curves: which field of which MAVLink message gives which curve.
 
-Units and the values that stand for "unknown" are those of MAVLink's common message set.
+Units and "unknown" values are those of MAVLink's common message set.
 """
 
 import numpy as np
@@ -24,11 +24,11 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 COUNTS_PER_RAD = 1000.0
 NO_CELL = 65535
-CHANNELS, CELLS, MOTORS = 8, 10, 8  # shown at the most
+CHANNELS, CELLS, MOTORS = 8, 10, 8  # shown at most
 
 
 def _euler(part: int) -> Reader:
-    """Roll (0), pitch (1) or yaw (2) in degrees of a quaternion message."""
+    """Roll (0), pitch (1) or yaw (2) in degrees from a message with a quaternion."""
 
     def values(rows: Columns) -> Values:
         vector = next((name for name in ("attitude_quaternion", "q") if name in rows), None)
@@ -40,20 +40,20 @@ def _euler(part: int) -> Reader:
 
 
 def _battery_v(rows: Columns) -> Values:
-    """Sum of the cells that BATTERY_STATUS gives, volts."""
+    """Sum of the cell voltages in BATTERY_STATUS, V."""
     cells = column(rows, "voltages")
     cells[cells == NO_CELL] = np.nan
     total = np.nansum(cells, axis=1) * 1e-3
-    # Sums of nothing are 0 V: such a row is unknown instead.
+    # Unknown if no cell is known.
     return np.where(np.isnan(cells).all(axis=1), np.nan, total)
 
 
 def _dilution(name: str) -> Reader:
-    """GPS_RAW_INT's eph or epv; 0 and 65535 say that it is unknown, 99.99 that there is no fix."""
+    """GPS_RAW_INT's eph or epv; NaN if unknown (0, 65535) or without a fix (99.99)."""
 
     def values(rows: Columns) -> Values:
         raw = column(rows, name)
-        # 65535 is above the limit too.
+        # Covers 65535 too.
         return np.where((raw == 0) | (raw >= 9999), np.nan, raw * 1e-2)
 
     return values
@@ -70,10 +70,10 @@ def _milli_rad(axis: str) -> Reader:
 
 
 def _noise(strongest: int) -> Reader:
-    """C/N0 of the satellite of this rank in GPS_STATUS, dB-Hz; 0 is no satellite."""
+    """C/N0 in dB-Hz of the satellite of rank `strongest` in GPS_STATUS; NaN if there is none."""
 
     def values(rows: Columns) -> Values:
-        # Sorted downwards: rank 1 is the strongest.
+        # Descending: rank 1 is the strongest.
         ranked = -np.sort(-column(rows, "satellite_snr"), axis=1)[:, strongest - 1]
         return np.where(ranked > 0, ranked, np.nan)
 
@@ -169,7 +169,7 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("POWER_STATUS", "board-voltage", "Vcc", field("Vcc", 1e-3)),
     ("RADIO_STATUS", "radio", "signal", field("rssi", 1, 255)),
     ("RADIO_STATUS", "radio", "remote signal", field("remrssi", 1, 255)),
-    # 255 is "unknown" in RADIO_STATUS.
+    # 255 means unknown in RADIO_STATUS.
     ("RADIO_STATUS", "radio", "noise", field("noise", 1, 255)),
     ("RADIO_STATUS", "radio", "remote noise", field("remnoise", 1, 255)),
     *(

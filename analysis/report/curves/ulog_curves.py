@@ -1,4 +1,5 @@
-"""Which field of which ULog topic is which curve; names as PX4's message definitions have them."""
+"""Table of curves: which field of which ULog topic gives which curve; names as in PX4's
+messages."""
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from analysis.report.curves.field_values import (
 )
 
 AXES, NED = ("roll", "pitch", "yaw"), ("north", "east", "down")
-MOTORS, CHANNELS, CELLS, IMUS = 12, 8, 14, 4  # shown at the most
-SATELLITES = 40  # places in satellite_info
+MOTORS, CHANNELS, CELLS, IMUS = 12, 8, 14, 4  # shown at most
+SATELLITES = 40  # array length of satellite_info
 
 
 def _euler(part: int, prefix: str = "q") -> Reader:
@@ -30,18 +31,18 @@ def _euler(part: int, prefix: str = "q") -> Reader:
 
 
 def _remaining(topic: Columns) -> Values:
-    """Percent; a battery that is not connected has none."""
+    """Remaining battery in percent; NaN if not connected."""
     connected = topic.get("connected", np.True_)
     return np.where(connected, 100 * column(topic, "remaining"), np.nan)
 
 
 def _dilution(name: str) -> Reader:
-    """A dilution of precision; 99.99 and more say that there is no fix."""
+    """A dilution of precision; NaN from 99 on, which means no fix."""
     return lambda topic: np.where(column(topic, name) < 99, column(topic, name), np.nan)
 
 
 def _noise(strongest: int) -> Reader:
-    """C/N0 of the satellite of this rank, dB-Hz; 0 is no satellite."""
+    """C/N0 in dB-Hz of the satellite of rank `strongest`; NaN if there is none."""
 
     def values(topic: Columns) -> Values:
         names = [f"snr[{i}]" for i in range(SATELLITES) if f"snr[{i}]" in topic]

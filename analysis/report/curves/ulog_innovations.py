@@ -1,6 +1,6 @@
-"""Innovations of PX4's estimator with the gates beyond which it refuses a measurement.
+"""Innovations of PX4's estimator, with the gates beyond which it rejects a measurement.
 
-A measurement is refused when innovation^2 > gate^2 * variance; the gates are PX4's parameters
+A measurement is rejected if innovation^2 > gate^2 * variance; the gates are PX4's parameters
 (EKF2_GPS_P_GATE and so on, in standard deviations), the variances are logged.
 """
 
@@ -33,7 +33,7 @@ GATE = "gate"  # names of gates begin with this
 def innovation_signals(
     topics: Mapping[tuple[str, int], Topic], parameters: Mapping[str, float], start_us: int
 ) -> list[Signal]:
-    """Innovations of every instance, and the gates of the first, both ways."""
+    """Innovations of every estimator instance, and positive and negative gates of the first."""
     found = []
     for (name, instance), topic in sorted(topics.items()):
         if name != "estimator_innovations":

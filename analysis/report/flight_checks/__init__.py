@@ -1,7 +1,7 @@
-"""What is checked in a flight: every file here is asked for its `checks`, a line each.
+"""The checks of a flight: each module has a function `run_checks` that returns a list of checks.
 
-Nothing here needs labels: GPS glitches, EKF variance, vibration, battery and compass are found in
-any log that carries them.
+No check needs fault labels: GPS glitches, EKF variances, vibration, battery and compass problems
+are found in any log with these data.
 """
 
 import pkgutil
@@ -16,13 +16,13 @@ from analysis.report.recordings.recording import FlightData
 
 @cache
 def _files() -> tuple[Any, ...]:
-    """The files of this folder, in the order of their names."""
+    """The modules of this package, in order of their names."""
     return tuple(
         import_module(f"{__name__}.{file.name}") for file in pkgutil.iter_modules(__path__)
     )
 
 
 def flight_checks(recording: FlightData, thresholds: Thresholds) -> list[FlightCheck]:
-    """Every check on one flight, judged or not."""
+    """Run all checks on one flight; those without data are "not judged"."""
     armed = armed_windows(recording)
-    return [check for file in _files() for check in file.checks(recording, thresholds, armed)]
+    return [check for file in _files() for check in file.run_checks(recording, thresholds, armed)]

@@ -1,4 +1,4 @@
-"""What the autopilot itself said: flags, texts, system status."""
+"""Checks of the autopilot's own reports: flags, messages, estimator switches, system status."""
 
 import numpy as np
 
@@ -7,12 +7,12 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
 from analysis.report.recordings.recording import FlightData, Span
 
-SWITCH_WINDOW_S = 10.0
-LOG_START_S, STANDSTILL_MPS = 1.0, 1.0
+SWITCH_WINDOW_S = 10.0  # chosen: repeated switches within it show an unstable choice
+LOG_START_S, STANDSTILL_MPS = 1.0, 1.0  # chosen: estimator start-up on the ground
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """One check a voice."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check each kind of report."""
     return [
         _flags(recording, armed),
         _switches(recording, th, armed),
@@ -22,13 +22,13 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
 
 
 def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
-    """Flags by which the autopilot itself says that something is wrong."""
+    """Check that the autopilot raised no flag while armed."""
     name = "flags of the autopilot"
-    # An empty list: the log says when, and it never was.
+    # An empty list means never armed; None means unknown.
     if armed == []:
         return FlightCheck(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
-    # Either end inside: flags that were raised on the ground and last count.
+    # Flags that were raised on the ground and last into the flight count too.
     spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
     if armed is None:
         spans = [s for s in spans if not _starts(recording, s)]
@@ -44,8 +44,8 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
 
 
 def _starts(recording: FlightData, span: Span) -> bool:
-    """Whether a flag is that of an estimator which starts: from the log's beginning on, while the
-    receiver says that the vehicle stands."""
+    """Whether a flag is due to estimator start-up: raised at the start of the log while the
+    receiver reports standstill."""
     speeds = [
         signal.value[(signal.t_s >= span.start_s) & (signal.t_s <= span.end_s)]
         for signal in recording.of("speed")
@@ -57,14 +57,15 @@ def _starts(recording: FlightData, span: Span) -> bool:
 
 
 def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
-    """How often the estimator in use changed: one change helps, many within seconds do not."""
+    """Check how often the estimator in use changed: one switch is normal, many in seconds are
+    not."""
     name, (warn, fail) = "estimator switches", th.estimator_switches
     limit = f"warn from {warn:g}, fail from {fail:g} within {SWITCH_WINDOW_S:g} s"
     spans = [s for s in recording.spans if s.lane == "estimator in use"]
     if not spans or armed == []:
-        reason = "never armed" if spans else "not told, or one throughout"
+        reason = "never armed" if spans else "no switch in the log"
         return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
-    # The first is the one it began with.
+    # The first span is the initial estimator.
     starts_s = np.sort([s.start_s for s in spans])[1:]
     starts_s = starts_s[[is_within(float(t_s), armed) for t_s in starts_s]]
     counts = np.arange(1, len(starts_s) + 1) - np.searchsorted(starts_s, starts_s - SWITCH_WINDOW_S)
@@ -84,7 +85,7 @@ def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
 
 def _status(recording: FlightData, armed: Windows | None) -> FlightCheck:
     name = "system status of the autopilot"
-    # Heartbeats carry the status.
+    # The system status comes in heartbeats.
     if not any(span.lane.startswith("mode") for span in recording.spans):
         return FlightCheck(name=name, verdict=NONE, evidence="no heartbeats in the log")
     if armed == []:

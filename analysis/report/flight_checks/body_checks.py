@@ -1,4 +1,4 @@
-"""Vibration, control, compass and power."""
+"""Checks of vibration, attitude control, compass and power."""
 
 import numpy as np
 
@@ -6,19 +6,19 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
 from analysis.report.recordings.recording import FlightData, Signal
 
-CONTROL_HOLD_S = 0.3  # out of control, a vehicle swings: no error stays large for long
-POWERED_V = 2.0  # that a rail had once, or it is not connected
+CONTROL_HOLD_S = 0.3  # chosen: out of control a vehicle oscillates, so large errors are brief
+POWERED_V = 2.0  # chosen: a rail that never exceeds it is not connected
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """One check a quantity."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check each quantity."""
     of, hold = recording.of, th.hold_s
     shaking = th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
     control = CheckLimits(*th.attitude_control_deg, "deg", hold_s=CONTROL_HOLD_S)
     tilt = [signal for signal in of("control-error") if signal.name == "tilt"]
     compass = CheckLimits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = CheckLimits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
-    # A rail that was never powered has no limit: it shows some hundredths of a volt.
+    # A rail that is not connected reads some hundredths of a volt.
     powered = [s for s in of("board-voltage") if s.value.max(initial=0) > POWERED_V]
     voltage = CheckLimits(*th.board_voltage_v, "V", below=True)
     return [
@@ -34,10 +34,10 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
 
 
 def _clipping(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
-    """Counts since the first one of the log, or since arming."""
+    """Check the clipping count since the start of the log, or while armed."""
     grown = []
     for signal in recording.of("clipping"):
-        # Steps only: the counter may begin anywhere, and a restart counts nothing.
+        # Increments only: the counter may start at any value and restart at zero.
         steps = np.maximum(np.diff(signal.value, prepend=signal.value[:1]), 0)
         if armed is not None:
             inside = np.zeros(len(steps), bool)
@@ -49,10 +49,10 @@ def _clipping(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
 
 
 def _compass(recording: FlightData) -> list[Signal]:
-    """How far each compass' field strength is off its own median, percent."""
+    """Deviation of each compass's field strength from its median, percent."""
     found = []
     for signal in recording.of("mag"):
-        # Its own median: the field's strength differs from place to place.
+        # Relative to its own median, as the field strength depends on the location.
         middle = float(np.nanmedian(signal.value)) if len(signal.value) else 0.0
         if middle > 0:
             change = 100 * np.abs(signal.value / middle - 1)

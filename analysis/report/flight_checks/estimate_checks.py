@@ -1,4 +1,4 @@
-"""The autopilot's estimator, by its own account and against the truth."""
+"""Checks of the autopilot's estimator: its own test ratios, and its errors against the truth."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, ch
 from analysis.report.recordings.recording import FlightData, Signal
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """One check a quantity."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check each quantity of the estimator."""
     of, hold = recording.of, th.hold_s
     ratio = CheckLimits(*th.innovation_ratio, hold_s=hold)
     variance = CheckLimits(*th.ekf_variance, hold_s=hold)
@@ -16,7 +16,7 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
     far = CheckLimits(*th.position_error_m, "m", hold_s=hold)
     high = CheckLimits(*th.height_error_m, "m", hold_s=hold)
     tilted = CheckLimits(*th.attitude_error_deg, "deg", hold_s=hold)
-    # The two that claim to be the vehicle's position.
+    # Only estimates of the vehicle position.
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
         check_level("innovation test ratios", of("ratio"), ratio, armed),
@@ -29,14 +29,14 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
 
 
 def _height_errors(recording: FlightData) -> list[Signal]:
-    """How far the estimated altitude is off the true one, m."""
+    """Absolute errors of the estimated altitudes, m."""
     tracks = {track.name: track for track in recording.tracks}
     truth = tracks.get("truth")
     found = []
     for name in ("estimate", "fused"):
         own = tracks.get(name)
         if truth is not None and own is not None:
-            # Beyond the truth's time there is nothing to compare with.
+            # The truth is not extrapolated.
             inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
             there = np.interp(own.t_s[inside], truth.t_s, truth.alt_m)
             off = np.abs(own.alt_m[inside] - there)

@@ -1,4 +1,4 @@
-"""How a flight ended: on the ground at which speed, or with the log in the air."""
+"""Checks of the end of a flight: ground impact, attitude at rest, log ending in flight."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,19 +8,19 @@ from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, 
 from analysis.report.recordings.recording import FlightData, Signal, Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
-STOP_S = 0.7  # within which the ground stops a fall
-REST_S = 2.0  # for which the vehicle then lies
-REST_MPS, REST_M = 1.0, 2.0
-IMPACT_MPS2 = 15.0  # beyond gravity: no multirotor brakes so hard
-GRID_STEP_S = 0.1  # of the axis on which it is judged
-AIRBORNE_M = 2.0
-FALLING_MPS = 3.0
-UPSET_DEG = 60.0
+STOP_S = 0.7  # chosen: the ground stops a fall within this time
+REST_S = 2.0  # chosen: the vehicle then stays at rest this long
+REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
+IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
+GRID_STEP_S = 0.1  # time step of the resampled height
+AIRBORNE_M = 2.0  # chosen: above the noise of a barometric height
+FALLING_MPS = 3.0  # chosen: a faster sink at the end of a log is a fall
+UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
 ESTIMATES = ("estimate", "CTUN", "GPS")
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """The impact on the ground, how the vehicle then lies, and whether the log ends in flight."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check the ground impact, the attitude at rest, and whether the log ends in flight."""
     return [
         _impact(recording, th, armed),
         _upright(recording, armed),
@@ -38,7 +38,7 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
     t_s, height_m, sink_mps = motion
     worst, at_s = 0.0, 0.0
     for i in np.flatnonzero(sink_mps > warn):
-        # A little after disarming: the autopilot itself disarms on an impact.
+        # Also shortly after disarming: the autopilot disarms on an impact.
         inside = armed is None or any(a <= t_s[i] <= b + REST_S for a, b in armed)
         if sink_mps[i] > worst and inside and _stopped(recording, t_s, height_m, sink_mps, int(i)):
             worst, at_s = float(sink_mps[i]), float(t_s[i])
@@ -47,7 +47,7 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
     return FlightCheck(
         name=name,
         verdict=FAIL if worst > fail else WARN,
-        evidence=f"stopped by the ground at {worst:.1f} m/s of sink, at {at_s:.1f} s",
+        evidence=f"hit the ground at a sink rate of {worst:.1f} m/s, at {at_s:.1f} s",
         limit=limit,
         windows=((at_s, at_s + STOP_S),),
         panel="climb",
@@ -55,7 +55,7 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
 
 
 def _upright(recording: FlightData, armed: Windows | None) -> FlightCheck:
-    """Whether the vehicle ends each flight as it stood before; a tail-sitter may stand on end."""
+    """Check that the vehicle ends each flight upright, unless tilted before (tail-sitter)."""
     name, limit = "vehicle ends upright", f"fail: tilted by more than {UPSET_DEG:g}°"
     tilt = next(iter(recording.of("tilt")), None)
     if tilt is None or not armed:
@@ -64,7 +64,7 @@ def _upright(recording: FlightData, armed: Windows | None) -> FlightCheck:
     fallen = {
         (end - REST_S, end + REST_S): lies
         for start, end in armed
-        # Around disarming, which the autopilot does by itself after a crash.
+        # Around disarming: the autopilot disarms after a crash.
         if (lies := _tilt(tilt, end - REST_S / 2, end + REST_S / 2)) > UPSET_DEG
         and _tilt(tilt, start - REST_S / 2, start + REST_S / 2) < UPSET_DEG
     }
@@ -72,7 +72,7 @@ def _upright(recording: FlightData, armed: Windows | None) -> FlightCheck:
     return FlightCheck(
         name=name,
         verdict=FAIL if fallen else PASS,
-        evidence=f"tilted by {worst:.0f}° when disarmed or cut off" if fallen else "it does",
+        evidence=f"tilted by {worst:.0f}° when disarmed or at the end" if fallen else "yes",
         limit=limit,
         windows=tuple(fallen),
         panel="tilt",
@@ -80,7 +80,7 @@ def _upright(recording: FlightData, armed: Windows | None) -> FlightCheck:
 
 
 def _motion(recording: FlightData) -> tuple[Vector, Vector, Vector] | None:
-    """Time, height and sink rate on an even axis; None where no height was logged."""
+    """Time, height and sink rate at equal time steps; None without a logged height."""
     heights = [*recording.of("height"), *recording.of("altitude")]
     height = _first(heights)
     if height is None:
@@ -90,16 +90,16 @@ def _motion(recording: FlightData) -> tuple[Vector, Vector, Vector] | None:
     climb = _first(recording.of("climb"))
     if climb is not None:
         return t_s, height_m, -np.interp(t_s, climb.t_s, climb.value)
-    # Three samples of smoothing: the difference of heights is noisy.
+    # Smooth over three samples, as differences of heights are noisy.
     smooth = np.convolve(height_m, np.full(3, 1 / 3), "same")
     return (t_s, height_m, -np.gradient(smooth, GRID_STEP_S)) if len(t_s) > 3 else None
 
 
 def _first(signals: list[Signal]) -> Signal | None:
-    """The autopilot's own estimate, else a receiver's, with the numbers that are some."""
+    """The finite values of the autopilot's estimate, else of a receiver."""
     for name in ESTIMATES:
         for signal in signals:
-            # A curve of a few numbers is none.
+            # More than ten values are needed.
             good = np.isfinite(signal.value)
             if signal.name == name and good.sum() > 10:
                 return Signal(signal.panel, name, signal.t_s[good], signal.value[good])
@@ -109,29 +109,29 @@ def _first(signals: list[Signal]) -> Signal | None:
 def _stopped(
     recording: FlightData, t_s: Vector, height_m: Vector, sink_mps: Vector, at: int
 ) -> bool:
-    """Whether a fall ends within a moment, near the lowest place, for good or with a blow."""
+    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact."""
     stop, rest = at + round(STOP_S / GRID_STEP_S), at + round(REST_S / GRID_STEP_S)
     if stop >= len(t_s) or np.abs(sink_mps[at : stop + 1]).min() > REST_MPS:
         return False
     lies = np.ptp(height_m[stop : rest + 1]) < REST_M
-    # Near the lowest place of the flight: the log may not begin there.
+    # Relative to the lowest height of the flight: the log may begin in the air.
     low = height_m[stop] < np.percentile(height_m, 2) + 2 * AIRBORNE_M
     blow = _felt_impact(recording, t_s[at], t_s[stop])
     return bool(lies and low and blow is not False)
 
 
 def _felt_impact(recording: FlightData, begin_s: float, end_s: float) -> bool | None:
-    """Whether the accelerometers felt it; None where they were not logged often enough."""
+    """Whether the accelerometers measured an impact; None if logged too rarely."""
     axes = {s.name: s for s in recording.of("accel") if s.name in ("x", "y", "z")}
     if len(axes) < 3 or len({len(s.t_s) for s in axes.values()}) > 1:
         return None
-    # Axes of different length cannot be added.
+    # All axes have the same length here.
     t_s = axes["x"].t_s
     near: NDArray[np.bool_] = (t_s >= begin_s - 0.3) & (t_s <= end_s + 0.3)
     if near.sum() < 10:
         return None
     force = np.linalg.norm([axes[name].value[near] for name in "xyz"], axis=0)
-    # The size alone: which axis feels the ground depends on the attitude.
+    # The norm: the affected axis depends on the attitude.
     return bool(np.nanmax(np.abs(force - STANDARD_GRAVITY_MPS2)) > IMPACT_MPS2)
 
 
@@ -145,14 +145,14 @@ def _ends_airborne(recording: FlightData, armed: Windows | None) -> FlightCheck:
     last = t_s > t_s[-1] - 1.0
     height, sink = float(np.median(height_m[last])), float(np.median(sink_mps[last]))
     up = height > np.percentile(height_m, 2) + AIRBORNE_M or abs(sink) > REST_MPS
-    # Disarmed well before the end, or low and at rest.
+    # Disarmed before the end, or low and at rest.
     if armed[-1][1] < recording.duration_s - 1.0 or not up:
-        return FlightCheck(name=name, verdict=PASS, evidence="it does", limit=limit)
+        return FlightCheck(name=name, verdict=PASS, evidence="yes", limit=limit)
     tilt = next((_tilt(s, s.t_s[-1] - 1.0, s.t_s[-1]) for s in recording.of("tilt")), 0.0)
     return FlightCheck(
         name=name,
         verdict=FAIL if sink > FALLING_MPS or tilt > UPSET_DEG else WARN,
-        evidence=f"armed at the end, {height - height_m.min():.0f} m above the lowest place, "
+        evidence=f"armed at the end, {height - height_m.min():.0f} m above the lowest height, "
         f"sinking at {sink:.1f} m/s, tilted by {tilt:.0f}°",
         limit=limit,
         windows=((float(t_s[-1]) - 1.0, float(t_s[-1])),),
@@ -161,7 +161,7 @@ def _ends_airborne(recording: FlightData, armed: Windows | None) -> FlightCheck:
 
 
 def _tilt(signal: Signal, start_s: float, end_s: float) -> float:
-    """The usual tilt within a stretch, degrees; 0 without a sample."""
+    """The median tilt within a time span, degrees; 0 without a sample."""
     inside = signal.value[(signal.t_s >= start_s) & (signal.t_s <= end_s)]
     inside = inside[np.isfinite(inside)]
     return float(np.median(inside)) if len(inside) else 0.0

@@ -1,4 +1,4 @@
-"""What a receiver says of itself: fix, satellites, dilution, jumps, jamming."""
+"""Checks of the GPS receiver: fix, satellites, dilution of precision, jumps, jamming."""
 
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import WARN, CheckLimits, FlightCheck, Windows, check_level
@@ -7,8 +7,8 @@ from analysis.report.recordings.recording import FlightData, Signal
 FIX_2D = 2
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """One check a quantity."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check each quantity of the receiver."""
     of, hold = recording.of, th.hold_s
     used = of("gps-satellites") if _has_fix(recording) else []
     satellites = CheckLimits(*th.gps_satellites, below=True, hold_s=hold)
@@ -19,23 +19,23 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
         check_level("GPS satellites", used, satellites, armed),
         check_level("GPS dilution of precision", of("gps-dilution"), dilution, armed),
         check_level("GPS jumps", of("gps-jump"), CheckLimits(*th.gps_step_m, "m"), armed),
-        # Jamming matters on the ground too.
+        # Jamming is checked on the ground too.
         check_level("GPS jamming indicator", _jamming(recording), jamming, None),
     ]
 
 
 def _has_fix(recording: FlightData) -> bool:
-    # A receiver that never had any fix is judged by `_fix`.
+    # `_fix` judges a receiver without any fix.
     return any(signal.value.max(initial=0) >= FIX_2D for signal in recording.of("gps-fix"))
 
 
 def _fix(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
-    """A receiver without any fix may be one nobody relies on: that is a warning, no failure."""
+    """Check the fix type; a receiver without any fix is a warning only, as it may be unused."""
     fixes = recording.of("gps-fix")
     limits = CheckLimits(*th.gps_fix_type, below=True, hold_s=th.hold_s)
     if not fixes or _has_fix(recording):
         return check_level("GPS fix", fixes, limits, armed)
-    evidence = "the receiver reports, but has no fix in the whole log"
+    evidence = "the receiver sends messages but has no fix in the entire log"
     return FlightCheck(
         name="GPS fix", verdict=WARN, evidence=evidence, limit=limits.text(), panel="gps-fix"
     )

@@ -1,4 +1,4 @@
-"""What the parts of a vehicle show: motors, sensors that there are twice, cells, the processor."""
+"""Checks of hardware: motors, redundant sensors and estimators, battery cells, scheduler."""
 
 import numpy as np
 
@@ -7,24 +7,24 @@ from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, ch
 from analysis.report.recordings.recording import FlightData, Signal
 
 FIRST_MOTOR, MOTORS = 33, 8  # SERVOn_FUNCTION of ArduPilot's motors 1 to 8
-PWM_US = (1000.0, 2000.0)
-FEWEST_MOTORS = 3
-FLYING_OUTPUT = 0.15  # mean output above which a multirotor flies
-MEAN_S = 2.0  # over which balance and disagreement are taken: manoeuvres and vibration pass
+PWM_US = (1000.0, 2000.0)  # ArduPilot's defaults of MOT_PWM_MIN and MOT_PWM_MAX
+FEWEST_MOTORS = 3  # with fewer the mean says too little about one motor
+FLYING_OUTPUT = 0.15  # chosen: mean output above which a multirotor is taken to fly
+MEAN_S = 2.0  # averaging time; chosen to suppress manoeuvres and vibration
 SIMULATED = "SIM_SPEEDUP"  # a parameter of ArduPilot's own simulator
-LEAST_CELL_V = 1.0  # below it a cell is not connected
-FULL_OUTPUT = 0.99
+LEAST_CELL_V = 1.0  # chosen: below it a cell is not connected
+FULL_OUTPUT = 0.99  # share of the range, below 1 for rounding
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """One check a part."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check each part."""
     of, hold = recording.of, th.hold_s
     motors = motor_outputs(recording)
     gyros = [_mean(signal) for signal in of("gyro-disagreement")]
     accelerometers = [_mean(signal) for signal in of("accel-disagreement")]
-    # Cells that are not connected read about zero.
+    # Unconnected cells read about zero.
     cells = [s for s in of("battery-cells") if np.nanmax(s.value, initial=0.0) > LEAST_CELL_V]
-    # A simulated autopilot's loops take as long as its simulator lets them.
+    # The loop times of a simulated autopilot depend on its simulator.
     loops = [] if SIMULATED in recording.parameters else of("scheduler")
     return [
         check_level(
@@ -56,28 +56,28 @@ def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list
 
 
 def motor_outputs(recording: FlightData) -> list[Signal]:
-    """The outputs of a multirotor's motors from 0 to 1, on one axis of time; else none."""
+    """The motor outputs of a multirotor from 0 to 1 on one time axis; empty for other vehicles."""
     motors = [s for s in recording.of("actuators") if s.name.startswith("motor")]
     if not motors:
         motors = _by_function(recording)
-    # Outputs that never moved are not connected.
+    # Outputs that stay at zero are not connected.
     motors = [s for s in motors if np.isfinite(s.value).any() and np.nanmax(s.value) > 0.0]
     same = all(len(s.t_s) == len(motors[0].t_s) for s in motors)
-    # Negative outputs are surfaces or reversible motors.
+    # Negative outputs belong to control surfaces or reversible motors.
     surfaces = any(np.nanmin(s.value) < 0.0 for s in motors)
     return motors if len(motors) >= FEWEST_MOTORS and same and not surfaces else []
 
 
 def _by_function(recording: FlightData) -> list[Signal]:
-    """ArduPilot's outputs, by the function that the parameters give them."""
+    """ArduPilot's motor outputs, identified by the parameters SERVOn_FUNCTION."""
     parameters = {name: values[-1][1] for name, values in recording.parameters.items()}
-    # Zero says that the parameter is not set.
+    # Zero means that the parameter is not set.
     low = parameters.get("MOT_PWM_MIN", 0.0) or PWM_US[0]
     high = parameters.get("MOT_PWM_MAX", 0.0) or PWM_US[1]
     found = []
     for signal in recording.of("outputs"):
         function = parameters.get(f"SERVO{signal.name.split()[-1]}_FUNCTION", 0.0)
-        # Motors 1 to 8 by the functions 33 to 40.
+        # Functions 33 to 40 are motors 1 to 8.
         if FIRST_MOTOR <= function < FIRST_MOTOR + MOTORS and high > low:
             share = np.clip((signal.value - low) / (high - low), 0.0, 1.0)
             name = f"motor {int(function) - FIRST_MOTOR + 1}"
@@ -86,11 +86,11 @@ def _by_function(recording: FlightData) -> list[Signal]:
 
 
 def _mean(signal: Signal) -> Signal:
-    """The size of a curve's running mean."""
+    """Absolute value of a curve's running mean."""
     count = len(signal.t_s)
     span_s = float(np.ptp(signal.t_s)) if count > 1 else 0.0
     samples = max(1, round(MEAN_S * count / span_s)) if span_s > 0 else 1
-    # Too short for one mean.
+    # Too short for averaging.
     if count < 2 * samples:
         return Signal(signal.panel, signal.name, signal.t_s[:0], signal.value[:0])
     smooth = np.convolve(np.nan_to_num(signal.value), np.full(samples, 1 / samples), "same")
@@ -98,22 +98,22 @@ def _mean(signal: Signal) -> Signal:
 
 
 def _off_mean(motors: list[Signal]) -> list[Signal]:
-    """How far each motor's output is off the mean of all while they carry the vehicle."""
+    """Deviation of each motor's output from the mean of all motors in flight."""
     if not motors:
         return []
     mean = np.nanmean([signal.value for signal in motors], axis=0)
-    # On the ground motors idle unevenly without harm.
+    # On the ground uneven idling is harmless.
     flies = mean > FLYING_OUTPUT
     off = (Signal("balance", s.name, s.t_s[flies], (s.value - mean)[flies]) for s in motors)
     return [_mean(signal) for signal in off]
 
 
 def _full(motors: list[Signal]) -> list[Signal]:
-    """For how long each motor has been at the top of its range."""
+    """The time that each motor has been at full output."""
     found = []
     for signal in motors:
         full = signal.value >= FULL_OUTPUT
-        # While it is full the start of the stretch stands still.
+        # Time of the last sample below full output.
         begin = np.maximum.accumulate(np.where(full, signal.t_s[0], signal.t_s))
         for_s = np.where(full, signal.t_s - begin, 0.0)
         found.append(Signal("actuators", signal.name, signal.t_s, for_s))

@@ -1,4 +1,4 @@
-"""Whether the log is whole, and what its links lost."""
+"""Checks of the log and its links: corrupted parts, lost frames, silences."""
 
 import re
 
@@ -6,53 +6,54 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck, Windows
 from analysis.report.recordings.recording import FlightData
 
-DAMAGE = re.compile("damaged|not read")
-MAX_LOST_SHARE = 0.9  # beyond, the sequence numbers of several links stand in one log
-FEWEST_FRAMES = 500  # of a sender, for its losses to be judged
+DAMAGE = re.compile("corrupted|not read")
+MAX_LOST_SHARE = 0.9  # chosen: a higher share means that several links are merged in one log
+FEWEST_FRAMES = 500  # chosen: fewer frames of a sender are too few for a loss rate
 
 
-def checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """The whole log, and each link."""
+def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
+    """Check the log, and each link."""
     return [_log_integrity(recording, th), *_links(recording, th)]
 
 
 def _log_integrity(recording: FlightData, th: Thresholds) -> FlightCheck:
     limits = CheckLimits(*th.broken_bytes_percent, "%")
-    # What the reader of the log noted.
+    # Notes by the reader of the log.
     damage = [note for note in recording.notes if DAMAGE.search(note)]
     if damage:
-        return FlightCheck(name="log is whole", verdict=WARN, evidence="; ".join(damage))
+        return FlightCheck(name="log is complete", verdict=WARN, evidence="; ".join(damage))
     if recording.size == 0:
         return FlightCheck(
-            name="log is whole", verdict=PASS, evidence="no part is damaged or missing"
+            name="log is complete", verdict=PASS, evidence="no part is corrupted or missing"
         )
     percent = 100 * recording.junk_bytes / recording.size
     verdict = FAIL if percent > limits.fail else WARN if percent > limits.warn else PASS
-    evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are no frame"
-    return FlightCheck(name="log is whole", verdict=verdict, evidence=evidence, limit=limits.text())
+    evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are not frames"
+    return FlightCheck(
+        name="log is complete", verdict=verdict, evidence=evidence, limit=limits.text()
+    )
 
 
 def _links(recording: FlightData, th: Thresholds) -> list[FlightCheck]:
-    """Losses and silences of the vehicles' senders that sent enough to tell."""
+    """Losses and silences of the vehicles' senders with enough frames."""
     vehicles = set(recording.systems)
     lost, silent = CheckLimits(*th.frames_lost_percent, "%"), CheckLimits(*th.silence_s, "s")
     checks = []
     for link in recording.links:
-        # Too few frames to tell a share.
         if link.frames < FEWEST_FRAMES or link.system not in vehicles:
             continue
         share = link.lost / (link.frames + link.lost)
         percent = 100 * share
         bad = percent > lost.fail or link.longest_gap_s > silent.fail
         doubtful = percent > lost.warn or link.longest_gap_s > silent.warn
-        # Links merged into one log share the numbers: nearly all seem lost.
+        # Merged links interleave their sequence numbers, so nearly all frames seem lost.
         mixed = share > MAX_LOST_SHARE
         name = f"link from {link.system}/{link.component}"
         checks.append(
             FlightCheck(
                 name=f"{name} in {link.log}" if link.log else name,
                 verdict=NONE if mixed else FAIL if bad else WARN if doubtful else PASS,
-                evidence="sequence numbers of several links in one log, losses cannot be counted"
+                evidence="several links are merged in one log; losses cannot be counted"
                 if mixed
                 else f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
                 f"longest silence {link.longest_gap_s:.1f} s",

@@ -1,1 +1,1 @@
-"""What a flight is judged by: checks with limits, a verdict, the autopilot's reactions."""
+"""Assessment of a flight: checks with limits, the verdict, the autopilot's reactions to faults."""

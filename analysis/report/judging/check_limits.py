@@ -1,11 +1,11 @@
-"""The limits of the checks; each can be set in a criteria file (YAML, `--criteria`).
+"""Limits of the checks; each can be set in a criteria file (YAML, `--criteria`).
 
 Sources: vibration, compass interference and board voltage from ArduPilot's log-analysis pages
 ("Diagnosing problems using Logs", "Measuring Vibration", "Compass interference"); EKF variance from
-its FS_EKF_THRESH default; PX4's vibration metric and the jamming indicator from PX4's pages on
-Flight Review (jamming: about 40 is good, 80 too much); attitude control lies around 30 deg, where
-ArduPilot's crash check begins to count; innovation ratios from MAVLink's ESTIMATOR_STATUS (1 is
-where a measurement is refused). The others are judgement, set so that an uneventful flight passes.
+the default of FS_EKF_THRESH; PX4's vibration metric and the jamming indicator from PX4's pages on
+Flight Review (jamming: about 40 is good, 80 is too much); attitude control is around 30 deg, where
+ArduPilot's crash check starts; innovation ratios from MAVLink's ESTIMATOR_STATUS (a measurement is
+rejected above 1). The others are chosen so that an uneventful flight passes.
 """
 
 import msgspec
@@ -15,9 +15,9 @@ from mavproxy_fault.documents.yaml_document import read_document
 
 
 class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Two limits each: beyond the first is a warning, beyond the second a failure.
+    """Pairs of limits: beyond the first is a warning, beyond the second a failure.
 
-    `hold_s` is how long a value must stay beyond a limit to count.
+    A value counts once it has been beyond a limit for `hold_s`.
     """
 
     broken_bytes_percent: tuple[float, float] = (0.5, 10.0)
@@ -26,7 +26,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     vibration_ardupilot_mps2: tuple[float, float] = (30.0, 60.0)
     vibration_px4_mps2: tuple[float, float] = (4.905, 9.81)
     clipping_count: tuple[float, float] = (10.0, 100.0)
-    # Smaller is worse for fix, satellites, battery and voltages: the first number is the larger.
+    # For fix, satellites, battery and voltages smaller is worse: the first limit is the larger.
     gps_fix_type: tuple[float, float] = (3.0, 2.0)
     gps_satellites: tuple[float, float] = (6.0, 4.0)
     gps_dilution: tuple[float, float] = (2.5, 5.0)
@@ -55,15 +55,15 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 def read_thresholds(path: str | None) -> Thresholds:
-    """The thresholds of a file, or the defaults.
+    """Read the thresholds of a file; the defaults if `path` is None.
 
     Raises
     ------
     ConfigError
-        If the file is missing, no YAML, or names something unknown.
+        If the file is missing, not YAML, or has an unknown key.
     """
     if path is None:
         return Thresholds()
     document = read_document(path)
-    # An empty file is no mistake: all defaults.
+    # An empty file is valid and means all defaults.
     return decode(document._replace(data=document.data or {}), Thresholds)

@@ -1,7 +1,7 @@
-"""The checks: limits held against curves, with windows and evidence.
+"""Checks: compare curves with limits, giving a verdict, evidence and time windows.
 
-Peaks and percentiles are judged, not means: a second of loss of control does not move a mean. A
-check whose data are missing, or too few, says so and gives no verdict.
+Peaks and percentiles are judged, not means: a one-second loss of control does not change a mean. A
+check with missing or insufficient data is "not judged".
 """
 
 import itertools
@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 from analysis.report.recordings.recording import FlightData, Signal, Vector, true_runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
-# A check that was not judged ranks below one that passed.
+# "not judged" ranks below PASS.
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
 Windows = Sequence[tuple[float, float]]  # seconds
-MIN_SAMPLES = 5  # samples below which a curve bears no verdict
-LONG_GAP_S = 5.0
-PASS_WITHOUT_FLIGHT = {  # checks that may pass without a flight
-    # These pass on a log from the bench as well.
-    "log is whole", "messages of the autopilot", "system status of the autopilot",
+MIN_SAMPLES = 5  # chosen: a curve of fewer samples is not judged
+LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
+PASS_WITHOUT_FLIGHT = {  # checks that pass on a log without a flight too
+    
+    "log is complete", "messages of the autopilot", "system status of the autopilot",
     "GPS jamming indicator", "before arming", "log ends on the ground", "scheduler",
 }  # fmt: skip
 
 
 class FlightCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """One check: what was found, against which limit, and when.
+    """Result of one check: verdict, evidence, limit and time windows.
 
-    `windows` are seconds on the report's axis; `panel` is the plot that shows it, `levels` the
-    values that warn and fail.
+    `windows` are in seconds on the report's time axis; `panel` is the plot that shows the value,
+    `levels` are the warning and failure limits.
     """
 
     name: str
@@ -45,7 +45,7 @@ class FlightCheck(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class CheckLimits:
-    """Warning and failure limit of a value; `below` where small values are bad."""
+    """Warning and failure limit of a value; `below` if small values are bad."""
 
     warn: float
     fail: float
@@ -54,7 +54,7 @@ class CheckLimits:
     hold_s: float = 0.0
 
     def text(self) -> str:
-        """For people."""
+        """The limits as text."""
         word = "below" if self.below else "above"
         hold = f" for {self.hold_s:g} s" if self.hold_s else ""
         unit = f" {self.unit}" if self.unit else ""
@@ -62,12 +62,12 @@ class CheckLimits:
 
 
 def verdict_of(checks: Sequence[FlightCheck]) -> str:
-    """The worst of all; NO VERDICT if nothing measured in flight could be judged.
+    """The worst verdict; NO VERDICT if the data are insufficient to judge the flight.
 
-    A log that is whole, or a link without losses, says nothing about the flight.
+    A complete log or a link without losses says nothing about the flight.
     """
     worst = max((check.verdict for check in checks), key=RANK.__getitem__, default=NONE)
-    # A bench log passes every formal check and shows no flight.
+    # A log from the bench passes these checks without a flight.
     if worst == PASS and all(_formal(check) for check in checks if check.verdict == PASS):
         worst = NONE
     return "NO VERDICT" if worst == NONE else worst
@@ -80,17 +80,17 @@ def _formal(check: FlightCheck) -> bool:
 def lasting_windows(
     t_s: Vector, beyond: NDArray[np.bool_], hold_s: float
 ) -> list[tuple[float, float]]:
-    """Stretches of at least `hold_s` in which a condition `beyond` (n,) was true at every sample.
+    """Windows of at least `hold_s` in which `beyond` (n,) is true at every sample.
 
-    A sample stands for the time until the next one, but not across a gap in the data.
+    A sample is valid until the next one, but not across a gap in the data.
     """
     if len(t_s) == 0:
         return []
-    # The last sample stands for as long as the usual one.
+    # The last sample is valid for one median step.
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     windows = []
     for begin, end in true_runs(beyond):
-        # The value between two samples is known only if they are close.
+        # Split at gaps: the value between distant samples is unknown.
         cuts = [begin, *(begin + 1 + np.flatnonzero(np.diff(t_s[begin:end]) > LONG_GAP_S)), end]
         for first, last in itertools.pairwise(cuts):
             stop = float(t_s[last - 1]) + step
@@ -105,10 +105,10 @@ def check_level(
     limits: CheckLimits,
     only: Sequence[tuple[float, float]] | None,
 ) -> FlightCheck:
-    """Hold curves of one panel against limits, inside the windows `only` (None: everywhere)."""
+    """Check the curves of a panel against limits, within the windows `only` (None: everywhere)."""
     panel = signals[0].panel if signals else ""
     rows = [(s.name, *_inside(s, only)) for s in signals]
-    # A handful of samples is an accident of logging, no evidence.
+    # Too few samples are no evidence.
     rows = [row for row in rows if len(row[1]) >= MIN_SAMPLES]
     if not rows:
         reason = "no data" if not signals or only is None else "no data while armed"
@@ -117,17 +117,17 @@ def check_level(
         )
     verdict, windows, worst = PASS, [], []
     for label, t_s, value in rows:
-        # One comparison for both kinds of limit.
+        # One comparison for upper and lower limits.
         sign = -1.0 if limits.below else 1.0
         failing = lasting_windows(t_s, sign * value > sign * limits.fail, limits.hold_s)
-        # Beyond the failing limit is beyond the warning one too.
+        # Values beyond the failure limit are beyond the warning limit too.
         warning = lasting_windows(t_s, sign * value > sign * limits.warn, limits.hold_s)
         found = FAIL if failing else WARN if warning else PASS
-        # The worst curve of the panel decides.
+        # The worst curve decides.
         if RANK[found] > RANK[verdict]:
             verdict = found
         windows.extend(warning)
-        # Signed, so that the largest is the worst for both kinds of limit.
+        # Signed, so that the largest is the worst for upper and lower limits.
         worst.append((sign * value.max() if sign > 0 else -value.min(), label, t_s, value))
     _, label, t_s, value = max(worst, key=lambda row: row[0])
     evidence = _evidence(label, t_s, value, limits, len(rows) > 1)
@@ -163,7 +163,7 @@ def _inside(signal: Signal, only: Sequence[tuple[float, float]] | None) -> tuple
 def _evidence(label: str, t_s: Vector, value: Vector, limits: CheckLimits, several: bool) -> str:
     at = int(value.argmin() if limits.below else value.argmax())
     word = "least" if limits.below else "peak"
-    # The percentile tells a lone peak from a habit.
+    # The percentile shows whether the peak is a single outlier.
     percent = 1 if limits.below else 99
     unit = f" {limits.unit}" if limits.unit else ""
     who = f"{label}: " if several else ""
@@ -174,10 +174,9 @@ def _evidence(label: str, t_s: Vector, value: Vector, limits: CheckLimits, sever
 
 
 def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Windows in order, those that touch as one."""
+    """Sorted windows; adjacent or overlapping ones are merged."""
     found: list[tuple[float, float]] = []
     for start, end in sorted(windows):
-        # Windows that touch are one.
         if found and start <= found[-1][1]:
             found[-1] = (found[-1][0], max(end, found[-1][1]))
         else:
@@ -186,14 +185,14 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
 
 
 def is_within(t_s: float, windows: Windows | None) -> bool:
-    """Whether an instant lies in one of some windows (None: everywhere)."""
+    """Whether an instant is within any of the windows (None: always)."""
     return windows is None or any(start <= t_s <= end for start, end in windows)
 
 
 def armed_windows(recording: FlightData) -> list[tuple[float, float]] | None:
-    """When the vehicle was armed; None if the log does not say."""
+    """Windows in which the vehicle was armed; None if the log has no arming state."""
     spans = [span for span in recording.spans if span.lane.startswith("armed")]
     if not spans:
-        # Not "never armed": the log does not say.
+        # Unknown, which differs from "never armed" (an empty list).
         return None
     return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == "armed"])

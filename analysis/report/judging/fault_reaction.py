@@ -1,8 +1,8 @@
-"""What a log without results of the monitor tells of a fault: the autopilot's reaction, our checks.
+"""Outcome of each fault in a log without monitor results, from the autopilot's reactions.
 
-The autopilot speaks by its flags, its messages and the steps of its position; the checks by their
-windows. What names a sensor blames it. The outcome follows from the same rules as a run's. In a
-recording that was edited afterwards the autopilot could not react: there only checks count.
+Reactions are flags, messages and position resets; one that names a sensor counts as isolating it.
+The outcome follows from the same rules as in a run. If faults were injected into a recorded log,
+the autopilot could not react, and failed checks take the place of its reactions.
 """
 
 import re
@@ -19,10 +19,10 @@ from analysis.scoring.fault_channels import fault_visibility
 from analysis.scoring.outcome import MISSED, NEVER_US, NOT_JUDGED, FaultOutcome, fault_outcomes
 from mavproxy_fault.wire.label import Label
 
-AFTER_FAULT_S = 15.0  # what follows a fault's end so soon is its echo
-SAMPLE_US = 1_000_000  # a check's window may begin with the sample before a fault
-REACTION_US = 10_000_000  # how long an estimator may hold out against its sensors
-AUTOPILOT = "autopilot"  # the channel of what names no sensor
+AFTER_FAULT_S = 15.0  # chosen: alarms this soon after a fault's end are attributed to it
+SAMPLE_US = 1_000_000  # a check's window may begin one sample before the fault
+REACTION_US = 10_000_000  # chosen: estimators reject a faulty sensor this long before they reset
+AUTOPILOT = "autopilot"  # channel of reactions that name no sensor
 SENSOR_PATTERNS = (
     ("gps-position", re.compile(r"gps|gnss", re.IGNORECASE)),
     ("mag", re.compile(r"compass|\bmag\b|magnet", re.IGNORECASE)),
@@ -46,23 +46,23 @@ CHECK_CHANNELS = {
 def fault_reactions(
     labels: Sequence[Label], recording: FlightData, checks: Sequence[FlightCheck]
 ) -> list[dict[str, Any]]:
-    """One row per label, in the form of `summary.json`'s `faults`, with what was said and when."""
+    """One row per label, like `faults` in `summary.json`, with the autopilot's reactions."""
     edited = [label for label in labels if label.recorded]
     spoken = [event for event in recording.events if _is_reaction(event)]
-    # The end of a trouble blames nobody.
+    # A cleared flag isolates no sensor.
     raised = [e for e in spoken if not (e.kind == "flag" and e.text.endswith("cleared"))]
     heard = [_of_event(e, recording) for e in raised]
-    # The log was changed after the flight: the autopilot never saw the fault.
+    # Faults injected after the flight: the autopilot could not react.
     if edited:
         heard = _of_checks(checks, recording, labels)
     heard.sort(key=lambda window: window.start_us)
-    # Which sensors anybody watched: an unwatched one cannot have been missed.
+    # Sensors that are monitored: a fault of any other one cannot be missed.
     watched = (
         {CHECK_CHANNELS[check.name] for check in checks if _was_judged(check)} if edited else set()
     )
     if edited or recording.autopilot:
         watched |= {AUTOPILOT, *(name for name, _ in SENSOR_PATTERNS)}
-    # Estimators hold out against their sensors for seconds before they give in.
+    # Estimators reject a faulty sensor for seconds before they reset.
     rows = fault_outcomes(labels, heard, watched, REACTION_US, witnesses=frozenset({AUTOPILOT}))
     return [
         _row(row, label, labels, [] if label.recorded else spoken, recording)
@@ -77,8 +77,8 @@ def _was_judged(check: FlightCheck) -> bool:
 def _of_checks(
     checks: Sequence[FlightCheck], recording: FlightData, labels: Sequence[Label]
 ) -> list[AlarmWindow]:
-    """What the checks hold against sensors. One that speaks where nothing was edited tells of the
-    flight as it was: for an edit of its own sensor it counts, against others it proves nothing."""
+    """Alarms from failed checks. A check that fails outside the injected faults shows a problem of
+    the original flight; its windows then count only for faults of its own sensor."""
     found = []
     for check in filter(_was_judged, checks):
         name = CHECK_CHANNELS[check.name]
@@ -87,7 +87,7 @@ def _of_checks(
         for begin_us, end_us in spans:
             own = [one for one in labels if _within((begin_us, end_us), one)]
             own = [one for one in own if fault_visibility(one).allows(name)]
-            # A window may begin with the sample before the fault.
+            # A window may begin one sample before the fault.
             begin_us = min((max(begin_us, one.start_us) for one in own), default=begin_us)
             if own or not troubled:
                 found.append(AlarmWindow(name, name, begin_us, max(begin_us, end_us), 1, True))
@@ -95,7 +95,7 @@ def _of_checks(
 
 
 def _within(span: tuple[int, int], label: Label) -> bool:
-    """Whether a stretch of time may be the doing of a fault."""
+    """Whether a time span can be caused by a fault."""
     end_us = NEVER_US if label.end_us is None else label.end_us
     return label.start_us - SAMPLE_US <= span[0] and span[1] <= end_us + round(AFTER_FAULT_S * 1e6)
 
@@ -106,7 +106,7 @@ def _stamp(t_s: float, recording: FlightData) -> int:
 
 def _of_event(event: Event, recording: FlightData) -> AlarmWindow:
     t_us = _stamp(event.t_s, recording)
-    # The first word that names a sensor.
+    # The first sensor named in the text.
     name = next((sensor for sensor, words in SENSOR_PATTERNS if words.search(event.text)), "")
     return AlarmWindow(name or AUTOPILOT, name, t_us, t_us, 1, bool(name))
 
@@ -119,13 +119,13 @@ def _row(
     recording: FlightData,
 ) -> dict[str, Any]:
     found: dict[str, Any] = msgspec.to_builtins(row)
-    # The log was changed afterwards: silence of the autopilot is no miss.
+    # Faults injected after the flight cannot be missed by the autopilot.
     if label.recorded and row.verdict == MISSED:
         found |= {"verdict": NOT_JUDGED, "reason": "the autopilot could not react (recorded)"}
     start_s = (label.start_us - recording.t0_us) * 1e-6
     end_us = label.end_us
     end_s = recording.duration_s if end_us is None else (end_us - recording.t0_us) * 1e-6
-    # What is said after the next fault began may be its doing.
+    # A reaction after the next fault began may be caused by that one.
     later = [(one.start_us - recording.t0_us) * 1e-6 for one in labels]
     until = min([end_s + AFTER_FAULT_S, *(t_s for t_s in later if t_s > start_s)])
     found["reaction"] = [

@@ -1,4 +1,4 @@
-"""What a flight was like in a few numbers: how long, how far, how high, how fast, how steep."""
+"""Key figures of a flight: duration, distance, height, speed and tilt while armed."""
 
 import numpy as np
 
@@ -8,31 +8,31 @@ from analysis.report.recordings.recording import FlightData, Signal
 
 
 def flight_facts(recording: FlightData) -> list[tuple[str, str]]:
-    """Name and value of each number that the log's own estimate gives, while armed."""
+    """Name and value of each key figure, from the autopilot's own estimate while armed."""
     armed = armed_windows(recording)
     if not armed:
         return []
     found = [("armed", f"{sum(end - start for start, end in armed):.0f} s")]
     speed = _inside(recording, "speed", ("ground", "GPS"), armed)
     if speed is not None:
-        # Gaps between the windows of arming have no speed and count for nothing.
+        # While disarmed the speed is NaN and adds no distance.
         steps = np.diff(speed.t_s) * (speed.value[1:] + speed.value[:-1]) / 2.0
-        found.append(("flown over ground", _metres(float(np.nansum(steps)))))
-        found.append(("fastest over ground", f"{np.nanmax(speed.value):.1f} m/s"))
+        found.append(("distance over ground", _metres(float(np.nansum(steps)))))
+        found.append(("highest ground speed", f"{np.nanmax(speed.value):.1f} m/s"))
     height = _inside(recording, "height", ("estimate",), armed)
     if height is not None:
         span_m = float(np.nanmax(height.value) - np.nanmin(height.value))
-        found.append(("between lowest and highest", _metres(span_m)))
+        found.append(("height range", _metres(span_m)))
     tilt = _inside(recording, "tilt", OWN_ATTITUDE, armed)
     if tilt is not None:
-        found.append(("greatest tilt", f"{np.nanmax(tilt.value):.0f}°"))
+        found.append(("largest tilt", f"{np.nanmax(tilt.value):.0f}°"))
     return found
 
 
 def _inside(
     recording: FlightData, panel: str, names: tuple[str, ...], armed: list[tuple[float, float]]
 ) -> Signal | None:
-    """The first curve of these names, NaN outside the windows; None without any value."""
+    """The first curve with one of the names, NaN outside the windows; None without any value."""
     curves = {signal.name: signal for signal in recording.of(panel)}
     signal = next((curves[name] for name in names if name in curves), None)
     if signal is None:

@@ -1,4 +1,4 @@
-"""A flight judged: its checks, its verdict and every number of the report as one summary."""
+"""Assess a flight: its checks, its verdict and all numbers of the report as one summary."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from analysis.report.recordings.flight_sources import RecordedFlight
 from analysis.report.recordings.recording import FlightData, Span
 from analysis.scoring.criteria import Criteria, check_missed_faults
 
-# Checks that hold the autopilot's own alarms: where a fault was injected they ought to speak.
+# Checks of the autopilot's own alarms, which are expected while a fault is injected.
 AUTOPILOT_ALARMS = {
     "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
     "innovation test ratios", "EKF variances", "compass field strength", "vibration",
@@ -27,7 +27,7 @@ AUTOPILOT_ALARMS = {
 
 @dataclass(frozen=True, slots=True)
 class FlightAssessment:
-    """A flight with its derived curves, its checks, their verdict and the summary."""
+    """A flight with derived curves, checks, verdict and summary."""
 
     flight: RecordedFlight
     checks: list[FlightCheck]
@@ -36,14 +36,14 @@ class FlightAssessment:
 
 
 def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAssessment:
-    """Derive what follows from the recording, check it, and sum up."""
+    """Add derived curves to a flight, run all checks, and summarise."""
     recording = add_derived_curves(flight.recording)
     raw = flight_checks(recording, thresholds)
     checks = [_expected(check, recording) for check in raw]
     faults = flight.summary.get("faults") or fault_reactions(flight.labels, recording, raw)
-    # A run's own criteria, or what any labelled log is asked for.
+    # The criteria of a run, or, for any labelled log, that no fault was missed.
     checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
-    # Findings become lanes of the timeline.
+    # Failed checks become lanes of the timeline.
     recording = replace(recording, spans=recording.spans + _found(checks))
     flight = replace(flight, recording=recording)
     verdict = verdict_of(checks)
@@ -51,18 +51,18 @@ def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAsses
 
 
 def _expected(check: FlightCheck, recording: FlightData) -> FlightCheck:
-    """An alarm raised while a fault was injected, and only then, is as it should be."""
+    """Pass a check whose alarms were all raised while a fault was injected."""
     injected = [span for span in recording.spans if span.kind == "injected"]
     if check.name not in AUTOPILOT_ALARMS or check.verdict not in (WARN, FAIL) or not injected:
         return check
     inside = all(
-        # A second before: a check's window may begin with the sample before the fault.
+        # One second earlier: a check's window may begin one sample before the fault.
         any(s.start_s - 1 <= start and end <= s.end_s + AFTER_FAULT_S for s in injected)
         for start, end in check.windows
     )
     if not inside:
         return check
-    evidence = f"{check.evidence}; only while a fault was injected, as it should be"
+    evidence = f"{check.evidence}; only while a fault was injected, as expected"
     return msgspec.structs.replace(check, verdict=PASS, evidence=evidence)
 
 
@@ -77,7 +77,7 @@ def _criterion(row: Mapping[str, Any]) -> FlightCheck:
 
 
 def _found(checks: Sequence[FlightCheck]) -> list[Span]:
-    """Windows of the checks that did not pass; what the autopilot said has lanes of its own."""
+    """Windows of failed checks as spans; the autopilot's own reports have separate lanes."""
     return [
         Span(f"found: {check.name}", start, end, check.evidence, check.verdict.lower())
         for check in checks
@@ -87,7 +87,7 @@ def _found(checks: Sequence[FlightCheck]) -> list[Span]:
 
 
 def _missed(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What is asked of every log whose faults are known: that none was missed."""
+    """The criterion for every log with labels: no fault missed."""
     return [msgspec.structs.asdict(row) for row in check_missed_faults(Criteria(), faults)]
 
 
@@ -142,25 +142,25 @@ def _rms(values: np.typing.NDArray[np.float64]) -> float | None:
 
 
 def _attitude_rmse(recording: FlightData) -> dict[str, float] | None:
-    """RMSE of the autopilot's attitude where the log holds the truth."""
+    """RMSE of the autopilot's attitude if the log holds the truth."""
     found = {}
     for part in ("roll", "pitch", "yaw"):
         own = [s for s in recording.of(f"error-{part}") if s.name == "autopilot"]
         value = _rms(own[0].value) if own else None
         if value is not None:
             found[part] = value
-    # Three axes or none: a maximum over fewer would look better than it is.
+    # All three axes are needed: a maximum over fewer would be too small.
     return {**found, "max": max(found.values())} if len(found) == 3 else None
 
 
 def _numbers(recording: FlightData) -> dict[str, dict[str, dict[str, float | int | str]]]:
-    """Peaks and percentiles of every curve."""
+    """Extremes and percentiles of every curve."""
     found: dict[str, dict[str, dict[str, float | int | str]]] = {}
     for signal in recording.signals:
         good = signal.value[np.isfinite(signal.value)]
         if len(good) == 0:
             continue
-        # Percentiles beside the extremes: one bad sample must not stand for the flight.
+        # Percentiles too: an extreme may be a single outlier.
         low, first, middle, last, high = np.percentile(good, (0, 1, 50, 99, 100)).tolist()
         found.setdefault(signal.panel, {})[signal.name] = {
             "unit": BY_KEY[signal.panel].unit,

@@ -1,1 +1,1 @@
-"""Reports as one HTML file: panels, tables and packed numbers, drawn by uPlot in the browser."""
+"""The report page: one HTML file with panels, tables and packed numbers, drawn by uPlot."""

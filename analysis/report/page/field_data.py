@@ -1,8 +1,8 @@
-"""Every field of every message, for the page's search box: packed a message at a time.
+"""Pack every field of every message for the page's search box, one message at a time.
 
-The page unpacks a message when one of its fields is asked for. Inside the file, messages are
-thinned until all fit; beside it (`report-data/`), they are whole, as scripts that hand their
-numbers over.
+The page unpacks a message when one of its fields is plotted. Within the file, messages are thinned
+to fit the size; beside it (`report-data/`) they are complete, as scripts that pass their numbers to
+the page.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,18 +17,18 @@ from analysis.report.page.packed_numbers import PackedNumbers
 from analysis.report.recordings.recording import Message, Vector
 from mavproxy_fault.documents.errors import ConfigError
 
-# The value of `--data` that puts the numbers beside the page instead of a size in MB.
+# The value of `--data` that writes the numbers beside the page, in place of a size in MB.
 BESIDE = "beside"
 INSIDE_MB = 2.0
 FOLDER = "report-data"
-BYTES_OF_A_CELL = 2.5  # of float32 deflated and base64-coded; measured on real logs 1.5 to 4
-LONGEST_ARRAY = 16  # elements of an array field that are offered
-OFFSET_ABOVE = 1e6  # numbers so far from zero are kept as differences to the first
+BYTES_OF_A_CELL = 2.5  # of a float32, deflated and base64-coded; 1.5 to 4 in real logs
+LONGEST_ARRAY = 16  # elements of an array field
+OFFSET_ABOVE = 1e6  # larger numbers are stored as differences to the first
 
 
 @dataclass(frozen=True, slots=True)
 class FieldData:
-    """What the page knows of the fields: an index, and packed numbers by message number."""
+    """Fields in the page: an index, and packed numbers by message number."""
 
     index: list[dict[str, Any]] = field(default_factory=list)
     inside: dict[int, str] = field(default_factory=dict)
@@ -42,21 +42,21 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
     messages : dict
         By name.
     where : str
-        "beside", to write them into `report-data` in `folder`, or how many MB of the page they may
-        take.
+        "beside" writes them to `report-data` in `folder`; else their size limit within the page in
+        MB.
     folder : Path
-        Of the report.
+        The report's folder.
 
     Raises
     ------
     ConfigError
-        If `where` is neither.
+        If `where` is neither "beside" nor a size.
     """
     most_mb = None if where == BESIDE else _megabytes(where)
-    # `--data 0` asks for no fields at all; the search box is then not shown.
+    # `--data 0`: no fields, and no search box.
     if most_mb == 0:
         return FieldData()
-    # Sorted, so that a message has the same number in every report of the same log.
+    # Sorted, so that message numbers are reproducible.
     tables = [(name, m.t_s, dict(_columns(m.columns))) for name, m in sorted(messages.items())]
     tables = [table for table in tables if table[2] and len(table[1])]
     # + 1: the times are a column too.
@@ -71,7 +71,7 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
             continue
         beside = folder / FOLDER / f"{number}.js"
         beside.parent.mkdir(exist_ok=True)
-        # A script, since a page opened as a file may load scripts beside it, but not fetch data.
+        # A script, since a page opened as a file can load scripts but not fetch data.
         beside.write_text(f'report.fields.arrived({number},"{text}");\n', encoding="ascii")
     return found
 
@@ -79,17 +79,17 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
 def _megabytes(where: str) -> float:
     try:
         size = float(where)
-    # Not a number: refused below like a negative one.
+    # Not a number: rejected below.
     except ValueError:
         size = -1.0
     if not 0 <= size < float("inf"):
-        raise ConfigError(f"--data {where}: neither a size nor a place; give MB or {BESIDE!r}")
+        raise ConfigError(f"--data {where}: is not a size; give MB or {BESIDE!r}")
     return size
 
 
 def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
-    """How many rows a message may keep for all together to have so many cells."""
-    # Bisection: the number of cells grows with the rows allowed.
+    """The row limit per message that keeps the total within `cells`."""
+    # Bisection: the number of cells increases with the limit.
     low, high = 2, max((rows for rows, _ in sizes), default=2)
     while low < high:
         middle = (low + high + 1) // 2
@@ -101,9 +101,9 @@ def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
 
 
 def _columns(columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Vector]]:
-    """Fields that are numbers; an array field as its elements; what is always zero stays."""
+    """Numeric fields; array fields as their elements; constant zeros are kept."""
     for name, column in columns.items():
-        # These are the times themselves, which every field already carries as its axis.
+        # The times are the axis of every field.
         if name in ("timestamp", "TimeUS") or column.dtype.kind not in "iufb":
             continue
         if column.ndim == 1:
@@ -116,15 +116,15 @@ def _columns(columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Vector]
 def _packed(
     t_s: Vector, columns: Mapping[str, Vector], most_rows: int | None
 ) -> tuple[dict[str, Any], str]:
-    """One message's entry in the index and its numbers; at equal steps of rows if it is thinned."""
-    # Rounded up, so that no message exceeds its rows.
+    """One message's index entry and packed numbers; a thinned message keeps every `step`-th row."""
+    # Rounded up, so that no message exceeds the limit.
     step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
     numbers = PackedNumbers()
     entry: dict[str, Any] = {"step": step, "t": numbers.add_times(t_s[::step]), "fields": []}
     for name, values in columns.items():
         thin = values[::step]
-        # GPS microseconds or 1e-7 degrees in float32 would lose their last digits; the differences
-        # to the first value keep them.
+        # GPS microseconds or 1e-7 degrees would lose digits in float32; differences to the first
+        # value keep them.
         first = next(
             (v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > OFFSET_ABOVE), 0.0
         )

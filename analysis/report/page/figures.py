@@ -1,4 +1,4 @@
-"""Every plot of a report as PNG, SVG and PDF in one style, for papers and slides (matplotlib)."""
+"""Export every plot of a report as PNG, SVG and PDF with matplotlib, for papers and slides."""
 
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ from analysis.report.page.panels import PANELS, Panel
 from analysis.report.page.series_colours import GATES, PALETTE, series_colours
 from analysis.report.recordings.recording import FlightData
 
-MOST_POINTS = 20_000  # of a curve; an SVG with more opens slowly
-# Font type 42 embeds TrueType, which journals ask for; matplotlib's default is type 3.
+MOST_POINTS = 20_000  # per curve; an SVG with more opens slowly
+# Font type 42 embeds TrueType fonts, which journals require; matplotlib's default is type 3.
 STYLE = {
     "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.alpha": 0.3, "lines.linewidth": 0.9, "legend.frameon": False, "legend.fontsize": 8,
@@ -24,14 +24,14 @@ SHADES = {"injected": ("#d65c1c", 0.16), "flag": ("#c2231c", 0.10)}
 
 
 def write_figures(folder: Path, recording: FlightData) -> list[Path]:
-    """Write each plot in each form into `folder`; the files written."""
+    """Write each plot in each format to `folder`; returns the files written."""
     import matplotlib as mpl
 
-    # No window system: figures are written on servers too.
+    # No display needed: figures are written on servers too.
     mpl.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    # Matplotlib names the parts of an SVG by chance; a fixed salt gives the same file again.
+    # Matplotlib uses random ids in SVG; a fixed salt makes the file reproducible.
     with mpl.rc_context({"svg.hashsalt": recording.name, **STYLE}):
         for panel in PANELS:
             if len(recording.of(panel.key)) >= panel.least:
@@ -44,7 +44,7 @@ def write_figures(folder: Path, recording: FlightData) -> list[Path]:
 
 
 def _axes(width_in: float, height_in: float) -> tuple[Any, Any]:
-    # `Figure` without pyplot: pyplot keeps every figure in a list until it is closed.
+    # `Figure` without pyplot, which would keep every figure until it is closed.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
@@ -62,9 +62,9 @@ def _figure(folder: Path, panel: Panel, recording: FlightData) -> list[Path]:
     for span in recording.spans:
         if span.kind in SHADES:
             colour_of, alpha = SHADES[span.kind]
-            # lw=0: the edge of a short span would otherwise hide it.
+            # lw=0: else the edge would hide a short span.
             axes.axvspan(span.start_s, span.end_s, color=colour_of, alpha=alpha, lw=0)
-    # A logarithmic axis without a positive value is an error of matplotlib's.
+    # Matplotlib needs a positive value on a logarithmic axis.
     if panel.log and any((signal.value > 0).any() for signal in signals):
         axes.set_yscale("log")
     axes.set(xlabel="t, s", ylabel=panel.unit, title=panel.title)
@@ -80,7 +80,7 @@ def _spectrum(folder: Path, panel: SpectrumPanel, recording: FlightData) -> list
         axes.semilogy(spectrum.frequency_hz, spectrum.density, color=line, label=label)
     highest_hz = max(float(spectrum.frequency_hz[-1]) for spectrum in panel.spectra)
     for frequency_hz, text in frequency_marks(recording):
-        # A mark beyond the spectrum would stretch the axis over empty space.
+        # Marks beyond the spectrum would extend the axis.
         if frequency_hz <= highest_hz:
             axes.axvline(frequency_hz, color="0.3", ls="--", lw=0.8)
             axes.annotate(
@@ -99,7 +99,7 @@ def _map(folder: Path, recording: FlightData) -> list[Path]:
     for track, colour in zip(tracks, colours, strict=True):
         axes.plot(track.lon_deg, track.lat_deg, color=PALETTE[colour], label=track.name)
     if tracks:
-        # A degree of longitude is shorter by cos(latitude): a circle shall look round.
+        # A degree of longitude is shorter by cos(latitude); equal scales keep shapes.
         axes.set_aspect(1 / np.cos(np.radians(float(tracks[0].lat_deg[0]))), "datalim")
     axes.set(xlabel="longitude, deg", ylabel="latitude, deg", title="Tracks")
     axes.legend()

@@ -1,4 +1,4 @@
-"""Fused with and without isolation side by side, in numbers."""
+"""Table of the errors of the fused solutions with and without fault isolation."""
 
 import numpy as np
 
@@ -7,21 +7,19 @@ from analysis.report.page.page_parts import ReportTable
 from analysis.report.recordings.recording import FlightData, GroundTrack, Vector
 
 NOTE = (
-    "Against the truth, all epochs. The squared error over its own variance, summed over three "
-    "axes, is 3 on average where the sigmas are right."
+    "Errors against the truth, all epochs. The NEES (squared error over its variance, summed over "
+    "three axes) averages 3 if the sigmas are right."
 )
 
 
 def fused_table(recording: FlightData) -> ReportTable | None:
-    """One row per fused solution; None without any or without the truth."""
+    """One row per fused solution; None without the truth or a fused solution."""
     truth = next((track for track in recording.tracks if track.name == "truth"), None)
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
     if truth is None or not tracks:
-        # Without truth there is no error to put in numbers; without fused tracks nothing to
-        # compare.
         return None
     rows = [
-        # The curves of sigmas belong to this solution only.
+        # The sigma curves are those of this solution.
         _row(track, truth, _sigmas(recording) if track.name == FUSED else None)
         for track in tracks
     ]
@@ -30,7 +28,7 @@ def fused_table(recording: FlightData) -> ReportTable | None:
 
 
 def _sigmas(recording: FlightData) -> tuple[Vector, Vector] | None:
-    """Times (n,) and sigmas (n, 3) of the fused solution."""
+    """Times (n,) and sigmas (n, 3) north, east, down of the fused solution."""
     curves = {signal.name: signal for signal in recording.of("fused-sigma")}
     if any(axis not in curves for axis in AXES):
         return None
@@ -46,10 +44,10 @@ def _row(
     length = np.sqrt((error**2).sum(axis=1))
     inside = nees = ""
     if sigmas is not None:
-        # Sigmas at the error's times: the two need not share their epochs.
+        # Sigmas interpolated to the times of the errors.
         sigma = np.column_stack([np.interp(t_s, sigmas[0], column) for column in sigmas[1].T])
         shares = error / sigma
-        # Right sigmas of a normal error give 99.7 %.
+        # Normally distributed errors with right sigmas give 99.7 %.
         inside = f"{100 * float(np.mean(np.abs(shares) < BAND)):.1f} %"
         nees = f"{float((shares**2).sum(axis=1).mean()):.2f}"
     rmse = float(np.sqrt(np.mean(length**2)))

@@ -1,4 +1,4 @@
-"""The index page of many flights: one row each, sorted and filtered in the browser."""
+"""Render the index page of many flights: one row each, sortable and filterable."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -13,7 +13,7 @@ UNREADABLE = "unreadable"
 
 
 def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """The whole file; `rows` as `fleet` makes them, links relative to the file."""
+    """The complete HTML file; `rows` as in `log_folder`, links relative to the file."""
     script, style = read_asset("index.js"), read_asset("page.css")
     head = "".join(f"<th><button>{escape(name)}</button></th>" for name in HEAD)
     counts: dict[str, int] = {}
@@ -25,7 +25,7 @@ def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
     )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        # The policy must stand before any script or style it judges.
+        # The policy must precede the scripts and styles.
         f"{security_policy(script, style)}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>"

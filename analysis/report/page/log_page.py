@@ -1,4 +1,4 @@
-"""The page of a log: its verdict and checks, what was injected, and everything the log holds."""
+"""Compose the report page of a log: verdict, checks, injected faults and tables."""
 
 from collections.abc import Sequence
 
@@ -20,11 +20,11 @@ from analysis.report.page.report_tables import (
     run_tables,
 )
 
-# Names as the projects write them.
+# Names as spelled by the projects.
 AUTOPILOTS = {"px4": "PX4", "ardupilot": "ArduPilot"}
-# Facts that only a detector's results give; from a bare log they would all read zero.
+# Facts that need monitor results; without, they would all be zero.
 NEEDS_RESULTS = {"flight", "GNSS epochs", "epochs untestable", "false alarms"}
-# Panels whose curve is the very value the check judges; on the others a line would mislead.
+# Panels whose curve is the value that the check judges; only these show its limits.
 DIRECT = {
     "vibration", "gps-satellites", "gps-fix", "gps-dilution", "gps-jump", "ratio", "variance",
     "estimate-jump", "battery-remaining", "board-voltage", "position-error",
@@ -32,7 +32,7 @@ DIRECT = {
 
 
 def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]]) -> ReportPage:
-    """The page of a log: its checks, the reactions to what was injected, links and parameters."""
+    """Build the page of a log: checks, reactions to injected faults, links and parameters."""
     flight, recording = outcome.flight, outcome.flight.recording
     summary = outcome.summary
     every = run_tables({"faults": summary["faults"], "attitude": flight.summary.get("attitude")})
@@ -67,19 +67,19 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
 
 
 def _counts(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
-    words = ((PASS, "checks passed"), (WARN, "warnings"), (FAIL, "checks failed"))
-    counts = [(text, sum(check.verdict == word for check in checks)) for word, text in words]
+    titles = ((PASS, "checks passed"), (WARN, "warnings"), (FAIL, "checks failed"))
+    counts = [(text, sum(check.verdict == word for check in checks)) for word, text in titles]
     return [(text, str(count)) for text, count in counts]
 
 
 def _run_facts(outcome: FlightAssessment) -> list[tuple[str, str]]:
-    """What a run's summary adds; counts of epochs only where there was a detector."""
-    mute = {"flight"} if outcome.flight.results else NEEDS_RESULTS
-    return [fact for fact in run_facts(outcome.summary) if fact[0] not in mute]
+    """Facts of a run's summary; epoch counts only with monitor results."""
+    hidden = {"flight"} if outcome.flight.results else NEEDS_RESULTS
+    return [fact for fact in run_facts(outcome.summary) if fact[0] not in hidden]
 
 
 def panel_limits(checks: Sequence[FlightCheck]) -> dict[str, list[LimitLine]]:
-    """Lines for the limits of each check on the plot that shows the very value it judges."""
+    """Limit lines of each check, for plots of the value that the check judges."""
     return {
         check.panel: [
             LimitLine(check.levels[0], "warn", "warn"),

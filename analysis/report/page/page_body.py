@@ -1,6 +1,6 @@
-"""The page's text: overview, sections with the places of their plots, tables.
+"""Render the body of a report page: overview, sections with plot containers, tables.
 
-What a log says is text from outside: it is escaped wherever it stands.
+Texts of a log are untrusted and always escaped.
 """
 
 import base64
@@ -22,31 +22,31 @@ from analysis.report.recordings.recording import FlightData
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"
-# Open also on a narrow screen: a reader comes for these first.
+# Open on narrow screens too, as the most important sections.
 OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
 EVENTS_SHOWN = 400
-NEAR_S = 5.0  # shown before and after an event that is clicked
+NEAR_S = 5.0  # shown before and after a clicked event
 
 
 def section_anchor(name: str) -> str:
-    """The id of a section."""
-    # Letters and digits only: it stands in addresses too.
+    """The HTML id of a section."""
+    # Letters and digits only, as it is part of addresses.
     return "to-" + "".join(c if c.isalnum() else "-" for c in name.lower())
 
 
 def css_class(word: str) -> str:
-    """The class of a verdict."""
-    # A word from outside never becomes a class.
+    """The CSS class of a verdict."""
+    # Untrusted text never becomes a class.
     return word if word in VERDICTS else "NONE"
 
 
 def sections_of(page: ReportPage, recording: FlightData, model: Model, fields: bool) -> list[str]:
-    """The sections that have something to show, in order."""
+    """The sections with content, in order."""
     with_plots = {BY_KEY[str(panel["key"])].section for panel in model["panels"]}
-    # The empty name is the overview, which is no foldable section.
+    # The empty name is the overview, which is not a foldable section.
     with_tables = {section for section, _ in page.tables if section}
     with_pictures = {section for section, _, _ in page.pictures}
-    # dict.fromkeys: each section once, in the order of the panels.
+    # Each section once, in the order of the panels.
     every = dict.fromkeys(panel.section for panel in PANELS)
     shown = with_plots | with_tables | with_pictures | ({SYSTEM} if recording.printed else set())
     sections = [name for name in every if name in shown]
@@ -61,7 +61,7 @@ def sections_of(page: ReportPage, recording: FlightData, model: Model, fields: b
         first.append(MAP)
     last = [SPECTRA] if model["spectra"] else []
     sections = first + [name for name in sections if name not in first] + last
-    # Sections known only from tables come last, by name.
+    # Sections that only have tables come last, by name.
     return sections + sorted(with_tables - set(sections))
 
 
@@ -85,7 +85,7 @@ def overview_html(page: ReportPage, recording: FlightData) -> str:
 
 
 def section_html(section: str, page: ReportPage, recording: FlightData, model: Model) -> str:
-    """One section, foldable."""
+    """One foldable section."""
     parts = []
     if section == TIMELINE and recording.spans:
         parts.append(_TIMELINE)
@@ -114,7 +114,7 @@ def section_html(section: str, page: ReportPage, recording: FlightData, model: M
         parts.append(_events(recording))
     if section == SYSTEM:
         parts.extend(_printed(title, text) for title, text in recording.printed.items())
-    # The attribute keeps it open where the style folds the others.
+    # The attribute keeps it open on narrow screens.
     narrow = " data-narrow" if section in OPEN_WHEN_NARROW else ""
     return (
         f'<details class="section" id="{section_anchor(section)}" open{narrow}><summary>'
@@ -129,7 +129,7 @@ def _plot(key: str, title: str) -> str:
 
 
 def _picture(title: str, svg: bytes) -> str:
-    """As an image of its own, since the page's policy allows no styles but its own."""
+    """As a separate image, since the page's policy forbids inline styles."""
     data = base64.b64encode(svg).decode("ascii")
     image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
     return f'<div class="plot"><h3>{escape(title)}</h3>{image}</div>'
@@ -139,7 +139,7 @@ _TIMELINE = (
     '<div class="plot"><div class="readout" id="timeline-readout"></div>'
     '<div class="area" id="timeline"></div></div>'
     '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
-    "whole flight; click a legend entry to hide its curve, a time in a table to see it.</p>"
+    "entire flight; click a legend entry to hide its curve, a time in a table to show it.</p>"
 )
 _FIELDS = (
     '<form id="field-form"><label>Plot <input id="field-text" list="field-names" '
@@ -148,7 +148,7 @@ _FIELDS = (
     '<span id="field-said" class="note" role="status"></span></form>'
     '<p class="note hint">Any field of any message; several on one axis with commas between them; '
     "expressions of + - * / ^, abs, sqrt, sin, cos, atan2, hypot, min, max, diff (by time), deg, "
-    "rad, mean(field, seconds). The address of the page keeps what is plotted.</p>"
+    "rad, mean(field, seconds). The page address stores the plotted expressions.</p>"
     '<div class="plots" id="field-plots"></div>'
 )
 _MAP = (
@@ -156,11 +156,11 @@ _MAP = (
     '<canvas id="map" role="img" aria-label="Tracks from above" tabindex="0"></canvas>'
     '<canvas id="space" role="img" aria-label="Tracks in space" tabindex="0"></canvas></div>'
     '<p class="note hint">Drag to move (left) or turn (right), wheel to zoom, double click '
-    "to reset. Ellipses hold 95 % by the accuracy that the log itself gives.</p>"
+    "to reset. Ellipses are 95 % regions, from the accuracy in the log.</p>"
 )
 _SPECTRA = (
-    '<p class="note">While armed, where the log says when. Dashed lines are filters by the '
-    "parameters and motors by their speed. A spectrum ends at half the rate of logging.</p>"
+    '<p class="note">While armed, if the log has the arming state. Dashed lines are filter '
+    "and motor frequencies. A spectrum ends at half the logging rate.</p>"
 )
 
 
@@ -210,7 +210,7 @@ def _cell(cell: Cell, head: str) -> str:
     if isinstance(cell, TimeButtons):
         return f"<td{label}>{_buttons(cell)}</td>"
     text, style = cell if isinstance(cell, tuple) else (cell, "")
-    # A sign and one point at most; the style aligns numbers.
+    # At most a sign and a point: CSS right-aligns numbers.
     number = text.replace(".", "", 1).replace("-", "", 1).isdigit()
     styles = " ".join(filter(None, (style, "number" if number else "")))
     classes = f' class="{styles}"' if styles else ""
@@ -218,7 +218,7 @@ def _cell(cell: Cell, head: str) -> str:
 
 
 def _buttons(cell: TimeButtons) -> str:
-    """Up to three stretches as buttons; the scripts write the times in the form that is chosen."""
+    """Up to three time windows as buttons; the scripts reformat their times."""
     shown = " ".join(
         f'<button class="moment" data-from="{start:.3f}" data-to="{end:.3f}" '
         f'data-panel="{escape(cell.panel)}">{start:.1f}–{end:.1f} s</button>'

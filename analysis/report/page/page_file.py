@@ -1,7 +1,7 @@
-"""A report's one HTML file: tables written out, plots as a model with packed numbers.
+"""Render a report as one self-contained HTML file.
 
-The file needs no network: uPlot (MIT, see `assets/uPlot.LICENSE`), the style and the scripts stand
-in it, and its content security policy allows nothing else.
+The file contains uPlot (MIT, see `assets/uPlot.LICENSE`), the style and the scripts, so it needs no
+network; its content security policy allows nothing else.
 """
 
 import base64
@@ -31,11 +31,11 @@ STYLES = ("uPlot.min.css", "page.css")
 
 
 def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None = None) -> str:
-    """The whole file."""
+    """The complete HTML file; `fields` are the numbers of all message fields."""
     numbers = PackedNumbers()
     model = page_model(page, recording, numbers)
     fields = fields or FieldData()
-    # The index is part of the model; the numbers stand in blocks that are unpacked when asked for.
+    # The index is part of the model; the numbers are in blocks that the page unpacks on demand.
     model["fields"] = fields.index
     sections = sections_of(page, recording, model, bool(fields.index))
     links = "".join(
@@ -44,7 +44,7 @@ def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None 
     script = "\n".join(map(read_asset, SCRIPTS))
     style = "".join(map(read_asset, STYLES))
     blocks = "".join(
-        # `text/plain` is never run: the policy's hashes need not cover it.
+        # `text/plain` is never executed, so it needs no hash in the policy.
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
         for number, text in fields.inside.items()
     )
@@ -69,24 +69,24 @@ def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None 
 
 
 def read_asset(name: str) -> str:
-    """The text of a file of the page."""
+    """The text of a file in `assets`."""
     return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _json(value: object) -> str:
-    # `</script>` inside a string would end the block early.
+    # `</script>` within a string would end the block.
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def security_policy(script: str, style: str) -> str:
-    """Nothing but this file's own script and style, and the data that may lie beside it."""
+    """Content security policy: only the file's own script and style, and data files beside it."""
     hashes = [
-        # SHA-256 of the exact text between the tags: one added blank and the browser runs nothing.
+        # SHA-256 of the exact text between the tags, else the browser refuses it.
         base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         for text in (script, style)
     ]
     policy = (
-        # 'self' and file: are for the scripts of `report-data/` beside the page.
+        # 'self' and file: allow the scripts in `report-data/` beside the page.
         f"default-src 'none'; script-src 'sha256-{hashes[0]}' 'self' file:; "
         f"style-src 'sha256-{hashes[1]}'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
@@ -98,6 +98,6 @@ def _navigation(links: str) -> str:
         f'<nav aria-label="Sections"><div>{links}<span class="tools">'
         '<label>time <select id="time-form"></select></label>'
         '<label>marks <select id="mark-form"></select></label>'
-        '<button id="reset">whole flight</button></span></div>'
+        '<button id="reset">entire flight</button></span></div>'
         '<div class="readout" id="now"></div></nav>'
     )

@@ -1,4 +1,4 @@
-"""What the page's scripts draw from: panels, spans, marks, tracks, spectra, packed numbers."""
+"""Build the data model of the page's scripts: panels, spans, events, tracks, spectra."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -27,18 +27,18 @@ from analysis.report.page.uncertainty import track_sigma
 from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
-# Angles that wrap at a full turn and may be cut there.
+# Angles whose curves are broken where they wrap.
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
-MARGIN_S = 2.0  # of a track, before arming and after
+MARGIN_S = 2.0  # of a track shown before arming and after disarming
 MARKS_SHOWN, TRACK_POINTS = 1000, 20_000
-LEVELS, RANGE_DB = 255, 60.0  # of a spectrogram's picture
+LEVELS, RANGE_DB = 255, 60.0  # of a spectrogram
 
 Model = dict[str, Any]
 
 
 def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) -> Model:
-    """The model of a page; its numbers go into `numbers`."""
-    # The axis covers curves and spans: an injected fault may outlast the data.
+    """Build the model of a page; adds its numbers to `numbers`."""
+    # The axis covers spans too: an injected fault may outlast the data.
     starts = [signal.t_s[0] for signal in recording.signals] + [s.start_s for s in recording.spans]
     ends = [signal.t_s[-1] for signal in recording.signals] + [s.end_s for s in recording.spans]
     start = float(min(starts, default=0.0))
@@ -46,7 +46,7 @@ def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) 
     spectra = spectrum_panels(recording, longest_armed(recording))
     return {
         "start": start,
-        # An axis of no length cannot be drawn.
+        # An axis needs a length.
         "end": max(float(max(ends, default=1.0)), start + 1e-3),
         "t0_us": recording.t0_us,
         "utc0_us": recording.utc0_us,
@@ -57,7 +57,7 @@ def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) 
         ],
         "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
         "tracks": _tracks(tracks, recording, numbers),
-        # Tracks are given in metres from here.
+        # Tracks are in metres from this point.
         "origin": _origin(tracks),
         "spectra": [_spectrum(panel, numbers) for panel in spectra],
         "frequencies": frequency_marks(recording),
@@ -66,7 +66,7 @@ def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) 
 
 def _panels(page: ReportPage, recording: FlightData, numbers: PackedNumbers) -> list[Model]:
     shown = {panel.key: recording.of(panel.key) for panel in PANELS}
-    # A panel of fewer curves than `least` compares nothing.
+    # A panel with fewer curves than `least` has nothing to compare.
     shown = {key: signals for key, signals in shown.items() if len(signals) >= BY_KEY[key].least}
     longest = longest_curve([len(s.t_s) for signals in shown.values() for s in signals])
     return [_panel(key, signals, page, numbers, longest) for key, signals in shown.items()]
@@ -81,31 +81,31 @@ def _panel(
     for signal, colour in zip(signals, colours, strict=True):
         t_s, value = thin_curve(*break_at_gaps(signal.t_s, signal.value), longest)
         if key in HEADINGS:
-            # After thinning, which keeps the extremes and with them both sides of a wrap.
+            # After thinning, which keeps the extremes on both sides of a wrap.
             t_s, value = break_at_wraps(t_s, value)
         places = {"t": numbers.add_times(t_s), "y": numbers.add_values(value)}
         series.append({"name": signal.name, "colour": colour, **places})
     limits = [asdict(limit) for limit in page.limits.get(key, ())]
-    words = {"key": key, "title": panel.title, "unit": panel.unit, "log": panel.log}
-    return {**words, "series": series, "limits": limits}
+    head = {"key": key, "title": panel.title, "unit": panel.unit, "log": panel.log}
+    return {**head, "series": series, "limits": limits}
 
 
 def _lane_rank(lane: str) -> int:
-    """Injected first, then what was detected, flags, modes."""
+    """Sort key of lanes: injected faults, detections, flags, modes."""
     order = ("injected", "detected", "excluded", "found", "estimator", "mode", "armed")
     return next((i for i, word in enumerate(order) if lane.startswith(word)), len(order))
 
 
 def longest_armed(recording: FlightData) -> tuple[float, float] | None:
-    """The longest stretch armed: on the ground nothing turns."""
+    """The longest armed window, for spectra: on the ground the motors are off."""
     armed = armed_windows(recording)
     return max(armed, key=lambda window: window[1] - window[0]) if armed else None
 
 
 def tracks_in_flight(recording: FlightData) -> list[GroundTrack]:
-    """Tracks while armed, where the log says when: before, there may be no position yet.
+    """Tracks while armed, if the log has the arming state: before, positions may be invalid.
 
-    A path that nobody knows the place of is not drawn beside those on the earth.
+    Tracks in a local frame are dropped if there are tracks with geographic positions.
     """
     placed = [track for track in recording.tracks if track.on_earth] or recording.tracks
     armed = armed_windows(recording)
@@ -115,7 +115,7 @@ def tracks_in_flight(recording: FlightData) -> list[GroundTrack]:
     for track in placed:
         inside = np.zeros(len(track.t_s), bool)
         for start, end in armed:
-            # Some seconds around, so that take-off itself is seen where arming was logged late.
+            # With a margin, so that take-off is shown if arming was logged late.
             inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
         if inside.sum() > 1:
             found.append(track.select(inside))
@@ -131,14 +131,14 @@ def _origin(tracks: Sequence[GroundTrack]) -> list[float] | None:
 def _tracks(
     tracks: Sequence[GroundTrack], recording: FlightData, numbers: PackedNumbers
 ) -> list[Model]:
-    """Tracks in metres east, north and up of the first one's first point."""
+    """Tracks in metres east and north of the first track's first point, and altitude."""
     if not tracks:
         return []
     lat0, lon0 = float(tracks[0].lat_deg[0]), float(tracks[0].lon_deg[0])
     colours = series_colours([track.name for track in tracks])
     found = []
     for track, colour in zip(tracks, colours, strict=True):
-        # A flat earth about the first point is enough for a picture of one flight.
+        # A flat earth is accurate enough for a map of one flight.
         east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
         north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
@@ -161,7 +161,7 @@ def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
     return {
         "key": panel.key,
         "title": panel.title,
-        # A share has no unit to square.
+        # A dimensionless signal has no unit to square.
         "unit": f"({panel.unit})²/Hz" if panel.unit != "1" else "1/Hz",
         "series": [
             {
@@ -177,8 +177,8 @@ def _spectrum(panel: SpectrumPanel, numbers: PackedNumbers) -> Model:
 
 
 def _image(image: Spectrogram, numbers: PackedNumbers) -> Model:
-    """Levels of the loudest 60 dB as numbers to 255, the lowest frequency first; -1: no data."""
-    # Relative to its own loudest cell, so that quiet vehicles show their structure too.
+    """The top 60 dB as levels from 0 to 255, the lowest frequency first; -1: no data."""
+    # Relative to its own maximum, so that low-noise vehicles show structure too.
     highest = float(np.nanmax(image.level_db))
     lowest = highest - RANGE_DB
     level = np.clip((image.level_db - lowest) / RANGE_DB, 0, 1) * LEVELS

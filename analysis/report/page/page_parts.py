@@ -1,4 +1,4 @@
-"""What stands on a page besides the recording's own plots: tables, limits, facts, reasons."""
+"""Parts of a report page besides the plots: tables, limits, facts, reasons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class TimeButtons:
-    """A cell of buttons that zoom all plots: stretches of time (s), and the plot to show."""
+    """A table cell of buttons that zoom all plots to time windows (s) and show a plot."""
 
     windows: Sequence[tuple[float, float]]
     panel: str = ""
@@ -17,7 +17,7 @@ Cell = str | tuple[str, str] | TimeButtons  # text, text with a CSS class, or bu
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """A table: head and rows."""
+    """A table of the page; `folded` ones are closed at first."""
 
     title: str
     head: Sequence[str]
@@ -36,17 +36,17 @@ class LimitLine:
     kind: str
 
 
-# The statistics are drawn over their thresholds, so that the limit of each is 1.
+# Statistics are drawn relative to their thresholds, so their limit is 1.
 SENSOR_LIMIT = {"fdi-sensor": [LimitLine(1.0, "threshold", "fail")]}
 
 
 @dataclass(frozen=True, slots=True)
 class ReportPage:
-    """What stands on the page besides the recording's own plots.
+    """The content of a report page besides the plots.
 
-    `limits` are keyed by panel; `tables` by the section they stand at the end of ("" is the
-    overview); `reasons` say in a line each what the verdict rests on: (kind, text); `pictures` are
-    (section, title, SVG).
+    `limits` are keyed by panel; `tables` by the section that ends with them ("" is the overview);
+    `reasons` are (verdict, text) lines that explain the verdict; `pictures` are (section, title,
+    SVG).
     """
 
     title: str

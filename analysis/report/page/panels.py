@@ -1,13 +1,13 @@
-"""The plots of a report, in their order: which section, what title, which unit, which limits."""
+"""The plots of a report in order: section, title and unit."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One plot over time; `key` is what signals name it by, `log` asks for a logarithmic axis.
+    """One plot over time; signals refer to it by `key`; `log` means a logarithmic axis.
 
-    It is shown if it has `least` curves.
+    It is shown if it has at least `least` curves.
     """
 
     key: str
@@ -22,7 +22,7 @@ TIMELINE = "Timeline"
 CHECKS = "Checks"
 DETECTION = "Fault detection"
 FUSION = "Fused solution"
-FAULT_EFFECTS = "What the faults did"
+FAULT_EFFECTS = "Effects of the faults"
 ATTITUDE = "Attitude"
 POSITION = "Position and speed"
 ESTIMATOR = "The autopilot's estimator"
@@ -41,14 +41,14 @@ PANELS = (
     Panel("fdi-normalised", DETECTION, "Residuals per satellite over their sigma", ""),
     Panel("fdi-sensor", DETECTION, "Sensor statistics over their thresholds", "", True),
     Panel("fdi-probability", DETECTION, "Probability of each hypothesis", ""),
-    Panel("fused-north", FUSION, "Position error north with three sigmas of the fused", "m"),
-    Panel("fused-east", FUSION, "Position error east with three sigmas of the fused", "m"),
-    Panel("fused-down", FUSION, "Position error down with three sigmas of the fused", "m"),
+    Panel("fused-north", FUSION, "Position error north, 3 sigma of the fused", "m"),
+    Panel("fused-east", FUSION, "Position error east, 3 sigma of the fused", "m"),
+    Panel("fused-down", FUSION, "Position error down, 3 sigma of the fused", "m"),
     Panel("fused-sigma", FUSION, "Position sigma", "m"),
     Panel("fused-weight", FUSION, "Weights of the sources in use", ""),
-    Panel("twin-position", FAULT_EFFECTS, "Position off that of the flight without faults", "m"),
-    Panel("twin-speed", FAULT_EFFECTS, "Velocity off that of the flight without faults", "m/s"),
-    Panel("twin-attitude", FAULT_EFFECTS, "Attitude off that of the flight without faults", "deg"),
+    Panel("twin-position", FAULT_EFFECTS, "Position deviation from the reference flight", "m"),
+    Panel("twin-speed", FAULT_EFFECTS, "Velocity deviation from the reference flight", "m/s"),
+    Panel("twin-attitude", FAULT_EFFECTS, "Attitude deviation from the reference flight", "deg"),
     Panel("error-angle", ATTITUDE, "Attitude error: total angle", "deg"),
     Panel("error-roll", ATTITUDE, "Attitude error: roll", "deg"),
     Panel("error-pitch", ATTITUDE, "Attitude error: pitch", "deg"),
@@ -75,17 +75,17 @@ PANELS = (
     Panel("position-east", ACTUATORS, "Position east", "m"),
     Panel("position-down", ACTUATORS, "Position down", "m"),
     Panel("throttle", ACTUATORS, "Throttle", "%"),
-    Panel("torque", ACTUATORS, "Torque asked for", ""),
-    Panel("unallocated", ACTUATORS, "Torque that the motors could not give", ""),
+    Panel("torque", ACTUATORS, "Torque setpoint", ""),
+    Panel("unallocated", ACTUATORS, "Unallocated torque", ""),
     Panel("actuators", ACTUATORS, "Motors", ""),
-    Panel("balance", ACTUATORS, "Motors: off their mean, over a second", ""),
-    Panel("imbalance", ACTUATORS, "Imbalance of propellers", ""),
+    Panel("balance", ACTUATORS, "Motors: deviation from their mean, 1 s average", ""),
+    Panel("imbalance", ACTUATORS, "Propeller imbalance", ""),
     Panel("rpm", ACTUATORS, "Motor speed", "rev/min"),
     Panel("servos", ACTUATORS, "Servos", ""),
     Panel("outputs", ACTUATORS, "Outputs", "µs"),
     Panel("sticks", ACTUATORS, "Sticks", ""),
     Panel("rc", ACTUATORS, "RC channels", "µs"),
-    Panel("ratio", ESTIMATOR, "Innovation test ratios (above 1: refused)", ""),
+    Panel("ratio", ESTIMATOR, "Innovation test ratios (above 1: rejected)", ""),
     Panel("variance", ESTIMATOR, "EKF variances", ""),
     Panel("innovation-position", ESTIMATOR, "Innovations: position, with gates", "m"),
     Panel("innovation-velocity", ESTIMATOR, "Innovations: velocity, with gates", "m/s"),
@@ -93,30 +93,30 @@ PANELS = (
     Panel("innovation-heading", ESTIMATOR, "Innovations: heading, with gates", "deg"),
     Panel("innovation-mag", ESTIMATOR, "Innovations: magnetometer", ""),
     Panel("innovation-airspeed", ESTIMATOR, "Innovations: airspeed", "m/s"),
-    Panel("divergence", ESTIMATOR, "Attitude of instances, angle to the first", "deg"),
-    Panel("instance-roll", ESTIMATOR, "Roll by each instance", "deg", least=2),
-    Panel("instance-pitch", ESTIMATOR, "Pitch by each instance", "deg", least=2),
-    Panel("instance-yaw", ESTIMATOR, "Yaw by each instance", "deg", least=2),
-    Panel("instance-down", ESTIMATOR, "Position down by each instance", "m", least=2),
-    Panel("gyro-bias", ESTIMATOR, "Gyroscope bias as estimated", ""),
-    Panel("accel-bias", ESTIMATOR, "Accelerometer bias as estimated", "m/s²"),
-    Panel("estimate-jump", ESTIMATOR, "Step of the estimate beyond what the speed explains", "m"),
-    Panel("accuracy", ESTIMATOR, "Accuracy as the estimator sees it", "m"),
+    Panel("divergence", ESTIMATOR, "Attitude of estimator instances, angle to the first", "deg"),
+    Panel("instance-roll", ESTIMATOR, "Roll of each estimator instance", "deg", least=2),
+    Panel("instance-pitch", ESTIMATOR, "Pitch of each estimator instance", "deg", least=2),
+    Panel("instance-yaw", ESTIMATOR, "Yaw of each estimator instance", "deg", least=2),
+    Panel("instance-down", ESTIMATOR, "Position down of each estimator instance", "m", least=2),
+    Panel("gyro-bias", ESTIMATOR, "Estimated gyroscope bias", ""),
+    Panel("accel-bias", ESTIMATOR, "Estimated accelerometer bias", "m/s²"),
+    Panel("estimate-jump", ESTIMATOR, "Position step of the estimate beyond its speed", "m"),
+    Panel("accuracy", ESTIMATOR, "Accuracy reported by the estimator", "m"),
     Panel("gps-satellites", GPS, "Satellites used", ""),
     Panel("gps-dilution", GPS, "Dilution of precision as reported (eph, epv / 100)", ""),
-    Panel("gps-accuracy", GPS, "Accuracy as the receiver sees it", "m"),
-    Panel("gps-fix", GPS, "Type of fix (3 = three-dimensional)", ""),
-    Panel("gps-jump", GPS, "Step between fixes beyond what the velocity explains", "m"),
-    Panel("gps-cn0", GPS, "Carrier to noise density (C/N0)", "dB-Hz"),
-    Panel("gps-gain", GPS, "Receiver's gain control", ""),
+    Panel("gps-accuracy", GPS, "Accuracy reported by the receiver", "m"),
+    Panel("gps-fix", GPS, "Fix type (3: 3D)", ""),
+    Panel("gps-jump", GPS, "Position step between fixes beyond the speed", "m"),
+    Panel("gps-cn0", GPS, "Carrier-to-noise density (C/N0)", "dB-Hz"),
+    Panel("gps-gain", GPS, "Automatic gain control", ""),
     Panel("gps-noise", GPS, "Jamming and noise indicators", ""),
     Panel("accel", SENSORS, "Accelerometers", "m/s²"),
     Panel("gyro", SENSORS, "Gyroscopes", "rad/s"),
-    # Three axes are one IMU: with fewer than four curves there is nothing to compare.
+    # One IMU has three axes; comparing needs at least four curves.
     Panel("accel-instances", SENSORS, "Accelerometers of every IMU", "m/s²", least=4),
     Panel("gyro-instances", SENSORS, "Gyroscopes of every IMU", "rad/s", least=4),
-    Panel("accel-disagreement", SENSORS, "Accelerometers off their mean", "m/s²"),
-    Panel("gyro-disagreement", SENSORS, "Gyroscopes off their mean", "rad/s"),
+    Panel("accel-disagreement", SENSORS, "Accelerometers, deviation from their mean", "m/s²"),
+    Panel("gyro-disagreement", SENSORS, "Gyroscopes, deviation from their mean", "rad/s"),
     Panel("mag", SENSORS, "Magnetic field strength", "gauss"),
     Panel("baro", SENSORS, "Pressure", "hPa"),
     Panel("temperature", SENSORS, "Temperature", "°C"),
@@ -127,13 +127,13 @@ PANELS = (
     Panel("battery-current", POWER, "Battery current", "A"),
     Panel("battery-remaining", POWER, "Battery remaining", "%"),
     Panel("board-voltage", POWER, "Board voltage", "V"),
-    Panel("load", SYSTEM, "Load of processor and memory", "%"),
+    Panel("load", SYSTEM, "Processor and memory load", "%"),
     Panel("memory", SYSTEM, "Free memory", "KiB"),
-    Panel("scheduler", SYSTEM, "Loops that took too long", "%"),
+    Panel("scheduler", SYSTEM, "Overlong loops", "%"),
     Panel("loop-time", SYSTEM, "Longest loop", "ms"),
-    Panel("interval", SYSTEM, "Between logged samples of the gyroscope", "ms"),
+    Panel("interval", SYSTEM, "Interval between logged gyroscope samples", "ms"),
     Panel("link-lost", LINK, "Frames lost, by sequence numbers", "%"),
-    Panel("link-drop", LINK, "Packets dropped, as the autopilot counts", "%"),
+    Panel("link-drop", LINK, "Packets dropped, counted by the autopilot", "%"),
     Panel("radio", LINK, "Radio signal strength and noise", ""),
 )
 BY_KEY = {panel.key: panel for panel in PANELS}

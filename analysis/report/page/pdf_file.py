@@ -1,4 +1,4 @@
-"""A report as PDF, printed by a browser of the Chromium family where one is installed."""
+"""Print a report to PDF with an installed Chromium-based browser."""
 
 import os
 import shutil
@@ -9,7 +9,7 @@ from pathlib import Path
 from mavproxy_fault.documents.errors import ConfigError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "msedge")
-TIMEOUT_S = 180  # that a browser may need
+TIMEOUT_S = 180  # chosen, for a long report on a slow computer
 
 
 def write_pdf(page: Path) -> Path:
@@ -18,19 +18,19 @@ def write_pdf(page: Path) -> Path:
     Raises
     ------
     ConfigError
-        If there is no browser, or it does not print.
+        If no browser is installed or printing fails.
     """
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
         raise ConfigError(f"--pdf: no browser found; install one of {', '.join(BROWSERS)}")
     target = page.with_suffix(".pdf")
-    # An old file must not pass for the new one.
+    # Remove an old file, so that a failure is noticed.
     target.unlink(missing_ok=True)
-    # A browser of root's refuses its sandbox; the page holds no foreign script (see its policy).
+    # Chromium cannot run sandboxed as root; the page runs no foreign script (see its policy).
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
-    # A profile of its own: a browser that already runs with the user's would take the command over.
+    # A separate profile: a running browser with the user's profile would take over the command.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        # The budget is in milliseconds of the page's time: its scripts draw before it is printed.
+        # The virtual time (ms) lets the scripts draw before printing.
         command = [
             browser, "--headless", "--disable-gpu", "--no-first-run", *sandbox,
             "--disable-background-networking", f"--user-data-dir={profile}",
@@ -40,7 +40,7 @@ def write_pdf(page: Path) -> Path:
         try:
             subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=True)
         except (subprocess.SubprocessError, OSError) as error:
-            raise ConfigError(f"--pdf: {browser} did not print ({error}); try another") from error
+            raise ConfigError(f"--pdf: {browser} failed ({error}); try another browser") from error
     if not target.is_file():
         raise ConfigError(f"--pdf: {browser} wrote no file; try another browser")
     return target

@@ -1,4 +1,4 @@
-"""The tables of a report."""
+"""Tables and facts of a report page."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -56,7 +56,7 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
             "to, s",
             "frames",
             "delay, s",
-            "blamed",
+            "isolated",
             "verdict",
             "note",
         )
@@ -83,13 +83,13 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
         tables.append((FAULT_EFFECTS, _effect_table(effects)))
     checks = summary.get("criteria") or []
     if checks:
-        words = {True: "PASS", False: "FAIL", None: "not judged"}
+        texts = {True: "PASS", False: "FAIL", None: "not judged"}
         cells_ = [
             (
                 str(check["name"]),
                 _shown(check["value"]),
                 _shown(check["limit"]),
-                (words[check["passed"]], words[check["passed"]]),
+                (texts[check["passed"]], texts[check["passed"]]),
             )
             for check in checks
         ]
@@ -99,32 +99,32 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
 
 
 def _remark(row: Mapping[str, Any]) -> str:
-    """What the word of the verdict leaves open."""
+    """Reason of the outcome, and false isolations during the fault."""
     wrongly = (
-        f"{blame['who']} blamed wrongly from {blame['from_s']:.1f} s for {blame['for_s']:.1f} s"
-        for blame in row.get("wrongly", ())
+        f"{one['who']} isolated wrongly from {one['from_s']:.1f} s for {one['for_s']:.1f} s"
+        for one in row.get("wrongly", ())
     )
     return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
 
 
 def _effect_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
-    """Greatest and lasting change of truth and estimate by each fault."""
+    """Largest and lasting deviation of truth and estimates caused by each fault."""
     names = dict.fromkeys(name for row in rows for kind in EFFECTS for name in row.get(kind, {}))
     kinds = [
         (key, n) for key in EFFECTS for n in names if any(n in row.get(key, {}) for row in rows)
     ]
-    head = ("fault", *(f"{EFFECTS[key]}, {name}: most / lasting" for key, name in kinds))
+    head = ("fault", *(f"{EFFECTS[key]}, {name}: largest / lasting" for key, name in kinds))
     cells = []
     for row in rows:
         extents = [row.get(key, {}).get(name) for key, name in kinds]
         shown = (f"{e['most']:.2f} / {e['lasting']:.2f}" if e else "" for e in extents)
         cells.append((str(row["id"]), *shown))
-    note = "Against the same flight without faults, from a fault's start until its echo is over."
-    return ReportTable("What the faults did", head, cells, note)
+    note = "Against the fault-free reference flight, from a fault's start until its effects end."
+    return ReportTable("Effects of the faults", head, cells, note)
 
 
 def _false_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
-    head = ("channel", "outside faults", "inside faults", "an hour", "blamed", "for, s")
+    head = ("channel", "outside faults", "inside faults", "per hour", "isolated", "for, s")
     cells = [
         (
             str(row["channel"]),
@@ -133,12 +133,12 @@ def _false_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
         )
         for row in rows
     ]
-    note = "Alarms that no fault explains; inside a fault only those that left somebody out."
+    note = "Alarms that no fault explains; inside a fault only those that isolated a sensor."
     return ReportTable("False alarms", head, cells, note)
 
 
 def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
-    """Scores of each attitude estimator: the whole, by phase of flight and by fault."""
+    """Scores of each attitude estimator: overall, by phase of flight and by fault."""
     return [
         (ATTITUDE, _attitude_table(name, scores))
         for name, scores in (summary.get("attitude") or {}).items()
@@ -146,7 +146,7 @@ def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]
 
 
 def _attitude_table(name: str, scores: Mapping[str, Any]) -> ReportTable:
-    parts = [("whole flight", scores), ("without faults", scores.get("nominal", {}))]
+    parts = [("entire flight", scores), ("without faults", scores.get("nominal", {}))]
     parts += [(f"phase: {phase}", part) for phase, part in scores.get("phases", {}).items()]
     parts += [(f"fault: {fault}", part) for fault, part in scores.get("faults", {}).items()]
     rows = [
@@ -161,21 +161,21 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> ReportTable:
         if part.get("samples")
     ]
     head = (
-        "stretch",
+        "period",
         "samples",
         "roll",
         "pitch",
         "yaw",
-        "turn",
-        "turn, 95th percentile",
-        "turn, most",
+        "total",
+        "total, 95th percentile",
+        "total, largest",
     )
-    note = "Root mean squares in degrees; the turn is the angle between estimate and truth."
+    note = "RMS errors in degrees; the total is the angle of rotation from estimate to truth."
     return ReportTable(f"Attitude errors of {name}", head, rows, note)
 
 
 def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The criteria of a run that were not met."""
+    """The criteria that a run did not meet."""
     return [
         (FAIL, f"{row['name']}: {_shown(row['value'])}, limit {_shown(row['limit'])}")
         for row in summary.get("criteria") or ()
@@ -194,25 +194,25 @@ def _short(value: float | None) -> str:
 
 
 def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTable | None:
-    """Decisions by what really acted, shaded by share of the row."""
+    """Isolation matrix: decisions by injected fault, shaded by share of the row."""
     heads, counts = isolation_matrix(labels, results)
     if not heads:
         return None
     rows = [(name, *(str(count) if count else "" for count in row)) for name, row in counts.items()]
-    note = "GNSS epochs by what acted (rows) and what the detector said or excluded (columns)."
-    return ReportTable("Isolation matrix", ("acted", *heads), rows, note, style="matrix")
+    note = "GNSS epochs by injected fault (rows) and decision of the detector (columns)."
+    return ReportTable("Isolation matrix", ("injected", *heads), rows, note, style="matrix")
 
 
 def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
-    """What did not pass, then what did and what had no data, folded."""
+    """Failed checks first, then passed and not judged ones, folded."""
     head = ("verdict", "check", "found", "limit", "when")
     rows: dict[str, list[Sequence[Cell]]] = {}
     for check in sorted(checks, key=lambda check: -RANK[check.verdict]):
-        # One table for what needs reading, and one folded for each of the two that do not.
+        # Failed and warning checks share the table that is open.
         group = check.verdict if check.verdict in (PASS, NONE) else ""
         cells = ((check.verdict, check.verdict), check.name, check.evidence, check.limit)
         rows.setdefault(group, []).append((*cells, TimeButtons(check.windows, check.panel)))
-    titles = {"": "Did not pass", PASS: "Passed ({})", NONE: "Not judged ({})"}
+    titles = {"": "Not passed", PASS: "Passed ({})", NONE: "Not judged ({})"}
     return [
         ReportTable(titles[group].format(len(some)), head, some, folded=group != "", style="cards")
         for group, some in rows.items()
@@ -220,10 +220,10 @@ def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
 
 
 def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
-    """The checks that led to a verdict other than PASS, the worst first."""
+    """Warnings and failures that determine the verdict, the worst first."""
     bad = [check for check in checks if check.verdict in (WARN, FAIL)]
     bad.sort(key=lambda check: -RANK[check.verdict])
-    # Worst first, so what is cut off is never worse than what is shown.
+    # Sorted, so that those omitted are never worse than those shown.
     lines = [(check.verdict, f"{check.name}: {check.evidence}") for check in bad[:REASONS]]
     if len(bad) > REASONS:
         lines.append((bad[REASONS].verdict, f"and {len(bad) - REASONS} more, see Checks"))
@@ -231,7 +231,7 @@ def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
 
 
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> ReportTable | None:
-    """What the autopilot said to each fault; None where that was not looked at."""
+    """The autopilot's reactions to each fault; None if they were not searched."""
     rows = [
         (
             str(fault["id"]),
@@ -242,12 +242,12 @@ def reaction_table(faults: Sequence[Mapping[str, Any]]) -> ReportTable | None:
         for fault in faults
         for reaction in fault.get("reaction", ())
     ]
-    # Asked of the faults: a reaction looked for and not found gives an empty table, not none.
+    # If reactions were searched and none was found, the table is empty.
     if not any("reaction" in fault for fault in faults):
         return None
-    head = ("fault", "t, s", "after, s", "what it said or did")
-    # A talkative autopilot shall not bury the rest of the section.
-    return ReportTable("The autopilot's reaction to what was injected", head, rows[:60])
+    head = ("fault", "t, s", "after, s", "reaction")
+    # Limited, so that many messages do not hide the rest of the section.
+    return ReportTable("The autopilot's reactions to injected faults", head, rows[:60])
 
 
 def links_table(recording: FlightData) -> ReportTable:
@@ -263,23 +263,23 @@ def links_table(recording: FlightData) -> ReportTable:
         )
         for link in recording.links
     ]
-    head = ("log", "sender", "frames", "missing", "%", "longest silence, s")
+    head = ("log", "sender", "frames", "missing", "%", "longest gap, s")
     note = "Missing frames are counted by gaps in each sender's sequence numbers (modulo 256)."
     return ReportTable("Senders", head, rows, note)
 
 
 def _differs(value: float, default: float) -> bool:
-    """Whether two float32 of a log are not the same number."""
-    # float32 has seven digits: the default and the value may come through different texts.
+    """Whether two float32 values of a log differ."""
+    # float32 has seven digits; the two may have been converted differently.
     return abs(value - default) > 1e-6 * max(abs(value), abs(default))
 
 
 def parameters_table(recording: FlightData) -> list[ReportTable]:
-    """Parameters that changed, those that are not at their default, then all of them, folded."""
+    """Parameters that changed, those not at their default, and all parameters (folded)."""
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
         for name, history in recording.parameters.items()
-        # The first entry of a history is the value at the start of the log, no change.
+        # The first entry of a history is the initial value.
         for (_, before), (t_s, value) in itertools.pairwise(history)
     ]
     every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
@@ -293,7 +293,7 @@ def parameters_table(recording: FlightData) -> list[ReportTable]:
     if unusual:
         title = f"Parameters that are not at their default ({len(unusual)})"
         head = ("parameter", "value", "default")
-        # Folded where the list is longer than a screen.
+        # Folded if longer than a screen.
         tables.insert(0, ReportTable(title, head, unusual, folded=len(unusual) > 40))
     if changed:
         moves = ("parameter", "t, s", "before", "after")

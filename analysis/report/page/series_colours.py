@@ -1,4 +1,4 @@
-"""The same colour for the same thing on every plot, map and figure.
+"""Colours of curves: the same quantity has the same colour on every plot, map and figure.
 
 A colour is a number: `--s0`, `--s1`, ... in `page.css`, and `PALETTE` here for figures.
 """
@@ -19,9 +19,9 @@ GATE_COLOUR = 7
 
 
 def series_colours(names: Sequence[str]) -> list[int]:
-    """A colour for each curve of one plot: its own where it has one, else the next free one."""
+    """A colour for each curve of one plot: its fixed one, else the next free one."""
     own = {name: KNOWN[name] for name in names if name in KNOWN}
-    # The colour of the gates is kept for them: a grey curve would be read as a limit.
+    # The grey of the gates is reserved: a grey curve would look like a limit.
     free = [i for i in range(len(PALETTE)) if i not in own.values() and i != GATE_COLOUR]
     found = []
     for name in names:
@@ -31,6 +31,6 @@ def series_colours(names: Sequence[str]) -> list[int]:
             found.append(own[name])
         else:
             found.append(free[0] if free else len(found) % len(PALETTE))
-            # In a ring: with more curves than colours they come round again.
+            # With more curves than colours the colours repeat.
             free = [*free[1:], *free[:1]]
     return found

@@ -1,26 +1,26 @@
-"""How uncertain the places of a track are, by what its own log says of their accuracy."""
+"""Uncertainty of the positions of a track, from the accuracy in its log."""
 
 import numpy as np
 
 from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 
-# Whose accuracy a track has: the panel, by the first words of its name.
+# Panel with the accuracy of a track, by the beginning of the track's name.
 PANELS_OF = (("GPS", "gps-accuracy"), ("estimate", "accuracy"), ("local estimate", "accuracy"))
 FUSED, FUSED_PANEL = "fused", "fused-sigma"
 
 
 def track_sigma(track: GroundTrack, recording: FlightData) -> tuple[Vector, Vector] | None:
-    """Sigmas north and east (n,) at the times of a track (n,), m; None where nothing tells them.
+    """Sigmas north and east (n,) of a track (n,), m; None if unknown.
 
-    A horizontal accuracy is taken for the root of the summed variances of both axes, as PX4's
-    `eph`, so each has half of it.
+    A horizontal accuracy is taken as the root of the summed variances of both axes, as PX4's `eph`,
+    so each axis has half the variance.
     """
     if track.name == FUSED:
         curves = {signal.name: signal for signal in recording.of(FUSED_PANEL)}
         found = tuple(_at(track, curves[axis]) for axis in ("north", "east") if axis in curves)
         return (found[0], found[1]) if len(found) == 2 else None
     for name, panel in PANELS_OF:
-        # The second receiver is "GPS 2", its accuracy "horizontal 2".
+        # The second receiver is "GPS 2", with the accuracy "horizontal 2".
         wanted = f"horizontal{track.name.removeprefix(name)}"
         for signal in recording.of(panel):
             if track.name.startswith(name) and signal.name == wanted:
@@ -30,7 +30,7 @@ def track_sigma(track: GroundTrack, recording: FlightData) -> tuple[Vector, Vect
 
 
 def _at(track: GroundTrack, signal: Signal) -> Vector:
-    """The last value before each place; NaN before the first."""
+    """The last value before each time of the track; NaN before the first."""
     place = np.searchsorted(signal.t_s, track.t_s, side="right") - 1
     found: Vector = np.where(place >= 0, signal.value[np.maximum(place, 0)], np.nan)
     return found

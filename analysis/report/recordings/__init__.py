@@ -1,4 +1,4 @@
-"""Logs of any kind as one `Recording`: signals, spans, events and tracks on one time axis.
+"""Logs of any kind as one `FlightData`: signals, spans, events and tracks on one time axis.
 
-`sources` finds what a path holds; `from_*` reads tlog, ULog, dataflash log or a run's results.
+`flight_sources` determines what a path holds; `from_*` convert tlog, ULog, dataflash or results.
 """

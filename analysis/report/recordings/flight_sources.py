@@ -1,4 +1,4 @@
-"""From the paths a user gives to flights: which logs belong together, and what they hold."""
+"""Read the flights behind the paths that a user gives: group logs of one flight and load them."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,15 @@ from mavproxy_fault.wire.written import written_bytes
 HEAD = 16
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 THINNED = (
-    "{} is large ({:.0f} MB): of messages that come often, some rows are left out, none of them a "
-    "peak; percentiles lean to the extremes"
+    "{} is large ({:.0f} MB): rows of frequent messages are omitted, but no peaks; percentiles are "
+    "biased to the extremes"
 )
-LEAST_SHARE = 0.01  # of a file that must be frames for it to count as a log
+LEAST_SHARE = 0.01  # chosen: least share of frames in a file that counts as a tlog
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedFlight:
-    """One flight: its recording, and what a run folder holds besides."""
+    """One flight: its data, and the labels, results and summary of a run folder."""
 
     recording: FlightData
     paths: tuple[Path, ...]
@@ -44,7 +44,8 @@ class RecordedFlight:
 
 
 def group_logs(paths: Sequence[Path]) -> list[list[Path]]:
-    """Paths by flight: tlogs whose stamps overlap belong together, everything else stands alone."""
+    """Group paths by flight: tlogs that overlap in time belong together, others are one flight
+    each."""
     groups: list[list[Path]] = []
     spans: list[tuple[int, int] | None] = []
     for path in paths:
@@ -77,12 +78,12 @@ def _head(path: Path) -> bytes:
 
 
 def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFlight:
-    """The flight that a group of paths holds.
+    """Read the flight in a group of paths.
 
     Raises
     ------
     ConfigError
-        If a file is missing, empty, or no log of a kind that can be read.
+        If a file is missing, empty, or not a supported log.
     """
     if paths[0].is_dir():
         return _run_folder(paths[0], labels)
@@ -92,8 +93,8 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
     if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
         return _results_alone(paths[0], labels)
     if is_ulog(head):
-        with reading_bar(paths[0]) as told:
-            log = read_ulog(paths[0], told)
+        with reading_bar(paths[0]) as progress:
+            log = read_ulog(paths[0], progress)
         recording = recording_of_ulog(log, name, t0_us)
     elif is_dataflash(head):
         recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
@@ -101,14 +102,14 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
         recording = _tlogs(paths, t0_us)
     if not (recording.signals or recording.spans or recording.events or recording.links):
         raise ConfigError(
-            f"{paths[0]}: the log holds nothing that a report shows; give a whole log"
+            f"{paths[0]}: the log holds no data that a report shows; give a complete log"
         )
     recording.notes.extend(filter(None, map(_unwritten, paths)))
     return _with_labels(RecordedFlight(recording, tuple(paths), labels))
 
 
 def _unwritten(path: Path) -> str:
-    """What is said of a file with a hole at its end."""
+    """A note on a file whose end was never written."""
     hole = path.stat().st_size - written_bytes(path)
     return f"the last {hole / 1e6:.1f} MB of {path.name} were never written" if hole else ""
 
@@ -116,8 +117,8 @@ def _unwritten(path: Path) -> str:
 def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
     logs = {}
     for path in paths:
-        with reading_bar(path) as told:
-            logs[path.name] = read_contents(path, told)
+        with reading_bar(path) as progress:
+            logs[path.name] = read_contents(path, progress)
     for path in paths:
         log = logs[path.name]
         if log.frames == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:
@@ -131,7 +132,7 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
         columns, name=" + ".join(Path(n).stem for n in logs), t0_us=t0_us, links=links
     )
     unknown = sum(log.unknown for log in logs.values())
-    notes = [f"{unknown} frames of messages the dialect does not know"] if unknown else []
+    notes = [f"{unknown} frames of messages unknown to the dialect"] if unknown else []
     notes += [THINNED.format(name, log.size / 1e6) for name, log in logs.items() if log.thinned]
     return replace(
         found,
@@ -142,10 +143,10 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
 
 
 def _run_folder(folder: Path, labels: Sequence[Label]) -> RecordedFlight:
-    """A run's folder: the log as sent (else as received), labels, results and summary."""
+    """Read a run folder: the log as sent (else as received), labels, results and summary."""
     log = next((p for p in (folder / "sent.tlog", folder / "received.tlog") if p.is_file()), None)
     if log is None:
-        raise ConfigError(f"{folder}: neither sent.tlog nor received.tlog; give a run's folder")
+        raise ConfigError(f"{folder}: neither sent.tlog nor received.tlog; give a run folder")
     beside = folder / "labels.jsonl"
     labels = labels or (read_labels(beside) if beside.is_file() else [])
     recording = _tlogs([log], labels[0].t0_us if labels else None)
@@ -168,7 +169,7 @@ def _results(path: Path) -> list[Result]:
 
 
 def _results_alone(path: Path, labels: Sequence[Label]) -> RecordedFlight:
-    """Results without the log they came from, from `results.jsonl` or an exported MCAP file."""
+    """Read results without their log, from `results.jsonl` or an exported MCAP file."""
     results = _results(path) if path.suffix == ".jsonl" else _mcap_results(path)
     if not results:
         raise ConfigError(f"{path}: no results in the file; give results.jsonl or its MCAP export")
@@ -192,7 +193,7 @@ def _mcap_results(path: Path) -> list[Result]:
                 if channel.topic.startswith("/results/")
             ]
     except (McapError, msgspec.DecodeError, OSError, ValueError, EOFError, struct.error) as error:
-        raise ConfigError(f"{path}: {error}; give a whole MCAP file of results") from error
+        raise ConfigError(f"{path}: {error}; give a complete MCAP file of results") from error
 
 
 def _with_labels(flight: RecordedFlight) -> RecordedFlight:

@@ -1,6 +1,6 @@
-"""An ArduPilot dataflash log to a `FlightData`.
+"""Convert an ArduPilot dataflash log to `FlightData`.
 
-Messages and fields as ArduPilot's log reference names them (old logs: as they were named then).
+Messages and fields are named as in ArduPilot's log reference (old logs: as then).
 """
 
 import itertools
@@ -21,7 +21,7 @@ from analysis.report.recordings.mode_names import (
     mode_name,
 )
 from analysis.report.recordings.recording import (
-    REFUSED_S,
+    REJECTED_S,
     UNGRADED,
     Event,
     FlightData,
@@ -35,17 +35,17 @@ from analysis.report.recordings.recording import (
 )
 
 ARMED, DISARMED = 10, 11  # EV.Id
-# Throttle was raised, it left the ground, its motors may turn: it is armed, and did not fly before.
+# EV.Id of events that occur once per flight and only while armed.
 AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED = 15, 28, 57
 COPTER = 2  # MAV_TYPE of a quadrotor
 ERROR_SEVERITY = 3  # severity of an error
 # Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
 SOLUTION = {14: "GPS glitch"}  # bits of the field SS, nav_filter_status in AP_Nav_Common.h
-# Test ratios of innovations: from 1 on a measurement is refused.
-REFUSED = {
-    "SV": "velocity refused", "SP": "position refused", "SH": "height refused",
-    "SM": "compass refused", "SVT": "airspeed refused",
+# Innovation test ratios: from 1 on a measurement is rejected.
+REJECTED = {
+    "SV": "velocity rejected", "SP": "position rejected", "SH": "height rejected",
+    "SM": "compass rejected", "SVT": "airspeed rejected",
 }  # fmt: skip
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
@@ -54,13 +54,13 @@ ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 
 
 def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = None) -> FlightData:
-    """Everything of a dataflash log that a report shows; `t0_us` or its beginning is zero."""
+    """Convert a dataflash log; the time axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
     found = FlightData(name, "ardupilot", start_us, (log.end_us - start_us) * 1e-6)
     for (kind, instance), topic in sorted(log.topics.items()):
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
-        # Spaces would end a name in the page's expressions.
+        # Names in the page's expressions cannot contain spaces.
         found.messages[f"{kind}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
         for curve in CURVES:
             if curve.message == kind and (curve.every or instance == 0):
@@ -76,9 +76,9 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     _add_parameters(found, log, start_us)
     found.events.sort(key=lambda event: event.t_s)
     if log.cut:
-        found.notes.append("the file ends in the middle of a message: it was cut short")
+        found.notes.append("the file ends within a message: the log is truncated")
     if log.corrupted:
-        found.notes.append("parts of the file are damaged and were passed over")
+        found.notes.append("parts of the file are corrupted and were skipped")
     if log.unread_bytes:
         found.notes.append(
             f"the file is large: its last {log.unread_bytes / 1e6:.0f} MB were not read, the "
@@ -99,7 +99,7 @@ def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[GroundTra
     label = {"GPS": "GPS", "POS": "estimate"}.get(kind)
     if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
         return []
-    # Zero latitude: no fix yet.
+    # A latitude of zero means no fix yet.
     keep = topic["Lat"] != 0
     if keep.sum() < 2:
         return []
@@ -112,9 +112,9 @@ def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
     if topic is None:
         return
     texts = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
-    # The log has no type; the firmware says its name among the first texts.
+    # The vehicle type is not logged; the firmware name is among the first messages.
     vehicle = FIXED_WING if "Plane" in texts else ROVERS[0] if "Rover" in texts else COPTER
-    # A mode lasts until the next one, the last one to the end.
+    # A mode lasts until the next one or the end.
     t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
     numbers = topic.get("ModeNum", topic.get("Mode", np.empty(0)))
     for i, number in enumerate(numbers.tolist()):
@@ -124,14 +124,14 @@ def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
 
 
 def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """Stretches between arming and disarming; a log may begin or end in flight."""
+    """Spans between arming and disarming; a log may begin or end in flight."""
     topic = log.topics.get(("EV", 0))
     if topic is None:
         return
     since: float | None = None
     first, began = True, 0.0
-    # By the first event: a log that begins in flight has a disarming without an arming. So has one
-    # that lost the arming, which shows by what comes only once a flight.
+    # A first disarming without arming: the log begins in flight, or the arming event is lost; then
+    # an event that occurs once per flight gives the start.
     for t_s, number in zip(_seconds(topic, start_us).tolist(), topic["Id"].tolist(), strict=True):
         if number in EVENTS:
             found.events.append(Event(t_s, "mode", EVENTS[number]))
@@ -145,7 +145,7 @@ def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
             )
             since = None
         first &= number not in (ARMED, DISARMED)
-    # It lost the arming and ends in flight.
+    # The arming event is lost, and the log ends in flight.
     if first and began:
         since = began
     if since is not None:
@@ -153,8 +153,8 @@ def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
 
 
 def _add_flags(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """What the estimator says of itself: sensors not used for too long, a receiver that jumps."""
-    # The newest filter that the log has.
+    """Add estimator flags: timeouts, rejected measurements, GPS glitches."""
+    # The newest type of filter in the log.
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
     if topic is None:
         return
@@ -167,18 +167,18 @@ def _add_flags(found: FlightData, log: DataflashFile, start_us: int) -> None:
         for bit, text in texts.items():
             lane = f"estimator: {text}"
             spans += active_spans(lane, t_s, flags >> bit & 1 == 1, text, "flag")
-    for field, text in REFUSED.items():
+    for field, text in REJECTED.items():
         if field in topic:
-            refused = topic[field] >= 1.0  # innovation over its gate
-            spans += active_spans(f"estimator: {text}", t_s, refused, text, "flag", REFUSED_S)
+            rejected = topic[field] >= 1.0  # innovation over its gate
+            spans += active_spans(f"estimator: {text}", t_s, rejected, text, "flag", REJECTED_S)
     found.spans.extend(spans)
     found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
 def _add_core(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """Which core of the estimator flies the vehicle, where there is more than one."""
+    """Add the estimator core in use, if there is more than one."""
     topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "PI" in t), None)
-    # Core 0 throughout is the rule and worth no lane.
+    # Core 0 throughout is normal and gets no lane.
     if topic is None or not topic["PI"].any():
         return
     t_s, cores = _seconds(topic, start_us), topic["PI"]
@@ -187,13 +187,13 @@ def _add_core(found: FlightData, log: DataflashFile, start_us: int) -> None:
         stop = float(t_s[min(end, len(cores) - 1)])
         text = f"core {int(cores[begin]) + 1}"
         found.spans.append(Span("estimator in use", float(t_s[begin]), stop, text, "mode"))
-        # The first row is the state at the start, no change.
+        # The first row is the initial state.
         if begin:
             found.events.append(Event(float(t_s[begin]), "mode", f"estimator: {text}", 4))
 
 
 def _utc0_us(log: DataflashFile, start_us: int) -> int:
-    """Universal time at `start_us` by the first fix, from GPS week and milliseconds; 0 if none."""
+    """UTC at `start_us` in us, from GPS week and time of the first fix; 0 if there is none."""
     topic = log.topics.get(("GPS", 0), {})
     if not {"GWk", "GMS"} <= topic.keys() or not topic["GWk"].any():
         return 0
@@ -205,7 +205,7 @@ def _utc0_us(log: DataflashFile, start_us: int) -> int:
 
 
 def _add_texts(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """Texts and errors."""
+    """Add messages and errors."""
     if (topic := log.topics.get(("MSG", 0))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
             found.events.append(Event(t_s, "text", _text(text), UNGRADED))
@@ -214,7 +214,7 @@ def _add_texts(found: FlightData, log: DataflashFile, start_us: int) -> None:
         for t_s, subsystem, code in rows:
             name = ERRORS.get(int(subsystem), f"subsystem {subsystem}")
             text = f"{name}: error {code}" if code else f"{name}: resolved"
-            # A code of zero says that the error is over.
+            # A code of zero means that the error is resolved.
             found.events.append(Event(t_s, "error", text, ERROR_SEVERITY if code else 6))
 
 
@@ -225,10 +225,10 @@ def _add_parameters(found: FlightData, log: DataflashFile, start_us: int) -> Non
     t_s_of = _seconds(topic, start_us).tolist()
     for t_s, name, value in zip(t_s_of, topic["Name"], topic["Value"], strict=True):
         history = found.parameters.setdefault(_text(name), [])
-        # Only changes: some versions repeat all parameters.
+        # Only changes, as some versions log all parameters repeatedly.
         if not history or history[-1][1] != float(value):
             history.append((t_s, float(value)))
     if "Default" in topic:
         pairs = zip(topic["Name"], topic["Default"].tolist(), strict=True)
-        # NaN where the firmware knows no default.
+        # NaN means that the firmware has no default.
         found.defaults.update((_text(name), value) for name, value in pairs if np.isfinite(value))

@@ -1,4 +1,4 @@
-"""What was injected and what the analysis said, as a `FlightData`."""
+"""Convert fault labels and monitor results to `FlightData`."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ Points = dict[tuple[str, str], list[tuple[float, float]]]
 
 
 def axis_start(labels: Sequence[Label], results: Sequence[Result]) -> int | None:
-    """The vehicle's time that is zero on an axis: the schedule's, else that of the first result."""
+    """Vehicle time of zero on the axis: the start of the schedule, else the first result."""
     if labels:
         return labels[0].t0_us
     return results[0].t_us if results else None
@@ -34,8 +34,8 @@ def axis_start(labels: Sequence[Label], results: Sequence[Result]) -> int | None
 def recording_of_results(
     labels: Sequence[Label], results: Iterable[Result], t0_us: int
 ) -> FlightData:
-    """Curves, spans and events of labels and results on the axis that starts at `t0_us`."""
-    # Gone through twice.
+    """Convert labels and results to curves, spans and events on the axis that starts at `t0_us`."""
+    # Iterated twice.
     results = list(results)
     found = FlightData("results", t0_us=t0_us)
     for label in labels:
@@ -60,7 +60,7 @@ def recording_of_results(
             if result.position_ecef_m is not None:
                 solved.append((t_s, result.position_ecef_m))
         elif isinstance(result, SensorDecision):
-            # Over the threshold, so that sensors of any unit share one plot.
+            # Relative to the threshold, so that all sensors share one plot.
             if result.statistic is not None and result.threshold:
                 points["fdi-sensor", result.sensor].append(
                     (t_s, result.statistic / result.threshold)
@@ -88,7 +88,7 @@ def recording_of_results(
 def _injected(label: Label, results: Sequence[Result], t0_us: int) -> Span:
     end_us = label.end_us
     if end_us is None:
-        # A fault that never ended lasts to the last result.
+        # A fault without end lasts until the last result.
         end_us = max((result.t_us for result in results), default=label.start_us)
     text = f"{label.preset or label.fault} on {', '.join(label.targets) or 'the link'}"
     return Span(
@@ -112,7 +112,7 @@ def _number(value: float | None) -> float:
 def _decision(decision: Decision, t_s: float, points: Points) -> None:
     points["fdi-statistic", "statistic"].append((t_s, _number(decision.statistic)))
     points["fdi-statistic", "threshold"].append((t_s, _number(decision.threshold)))
-    # `zip` stops at the shorter: a decision may leave out the residuals.
+    # `zip` stops at the shorter one: residuals may be omitted.
     for name, value in zip(decision.satellites, decision.residual_m, strict=False):
         points["fdi-residual", name].append((t_s, _number(value)))
     for name, value in zip(decision.satellites, decision.normalised, strict=False):
@@ -131,15 +131,15 @@ def _fused(state: FusedState, t_s: float, points: Points) -> None:
 
 
 def _restarted(state: FusedState, t_s: float) -> list[Event]:
-    """What the fused solution says of itself: that it began, failed, or took late data."""
+    """Events of the fused solution: start, failure, late data."""
     return [Event(t_s, "fusion", f"{state.name}: {state.reason}", 4)] if state.reason else []
 
 
 def _signal(
     panel: str, name: str, rows: list[tuple[float, float]], every: Sequence[float]
 ) -> Signal:
-    """A curve; with `every`, on all these times, with NaN at those for which there is no row."""
-    # Rows may come out of order.
+    """A curve; with `every`, at all these times, NaN where there is no row."""
+    # Rows may be out of order.
     t_s, value = np.array(sorted(rows, key=lambda row: row[0]), float).T
     if not every:
         return Signal(panel, name, t_s, value)
@@ -161,22 +161,22 @@ def _alarm_spans(lane: str, rows: list[tuple[float, bool, str]]) -> list[Span]:
     t_s: Vector = np.array([row[0] for row in rows])
     spans = []
     for begin, end in true_runs(np.array([row[1] for row in rows])):
-        # Each text once, and four at the most: a lane has little room.
+        # Each text once, and at most four, for lack of space.
         texts = list(dict.fromkeys(row[2] for row in rows[begin:end]))
         stop = t_s[min(end, len(t_s) - 1)]
-        # Up to the first row that is not in alarm, where there is one.
+        # Until the first row without alarm.
         spans.append(Span(lane, float(t_s[begin]), float(stop), "; ".join(texts[:4]), "detected"))
     return spans
 
 
 def _excluded_spans(excluded: dict[str, list[float]], epochs: list[float]) -> list[Span]:
-    """When each satellite was left out of the solution, a lane each."""
+    """Spans in which each satellite was excluded, one lane per satellite."""
     times = np.array(sorted(epochs))
     spans = []
     for satellite, out in sorted(excluded.items()):
         for begin, end in true_runs(np.isin(times, out)):
             stop = float(times[min(end, len(times) - 1)])
-            text = f"{satellite} left out"
+            text = f"{satellite} excluded"
             spans.append(
                 Span(f"excluded: {satellite}", float(times[begin]), stop, text, "detected")
             )
@@ -186,19 +186,19 @@ def _excluded_spans(excluded: dict[str, list[float]], epochs: list[float]) -> li
 def isolation_matrix(
     labels: Sequence[Label], results: Iterable[Result]
 ) -> tuple[list[str], dict[str, list[int]]]:
-    """How many epochs of each fault (and of none) ended in which decision.
+    """Isolation matrix: number of epochs by injected fault (or none) and decision.
 
     Returns
     -------
     tuple
-        The decisions that head the columns, and per row one count for each.
+        The decisions (columns), and for each fault one count per decision.
     """
     rows = [label.id for label in labels] + [RECOVERY_ROW, "no fault"]
     counts: dict[str, dict[str, int]] = {row: defaultdict(int) for row in rows}
     for result in results:
         if not isinstance(result, Decision):
             continue
-        # Excluded satellites are the answer; without, the hypothesis is.
+        # The excluded satellites; without any, the hypothesis.
         decided = result.excluded or (result.hypothesis,)
         true = [
             label.id
@@ -206,12 +206,11 @@ def isolation_matrix(
             if label.start_us <= result.t_us
             and (label.end_us is None or result.t_us <= label.end_us)
         ]
-        # After a fault its exclusions stand for a while, rightly.
+        # After a fault its exclusions rightly persist for a while.
         true = true or [RECOVERY_ROW if _just_after(labels, result.t_us) else "no fault"]
         for row in true:
             for column in decided:
                 counts[row][column] += 1
-    # Only where there was something to count.
     if not counts[RECOVERY_ROW]:
         del counts[RECOVERY_ROW]
     heads = sorted({column for row in counts.values() for column in row}, key=_rank)
@@ -225,6 +224,6 @@ def _just_after(labels: Sequence[Label], t_us: int) -> bool:
 
 
 def _rank(name: str) -> tuple[int, str]:
-    """Satellites last, "none" first."""
+    """Sort key: "none" first, satellites last."""
     order = ("none", "imu", "GPS-or-imu", "clock", "multiple-unknown", "untestable")
     return (order.index(name), "") if name in order else (len(order), name)

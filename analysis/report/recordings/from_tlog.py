@@ -1,4 +1,4 @@
-"""MAVLink columns (one or more logs of one flight) to a `FlightData`."""
+"""Convert the MAVLink messages of one or more tlogs of one flight to `FlightData`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,11 +33,11 @@ from mavproxy_fault.wire.tlog import Columns
 
 GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
-NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a camera or a gimbal beats too
-HEADER = ("t_us", "system", "component", "seq")  # columns that are no fields of the message
-WALL_US = 1_000_000_000_000_000  # stamps later than this (2001) are those of a computer's clock
+NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: heartbeats of cameras and gimbals
+HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
+WALL_US = 1_000_000_000_000_000  # timestamps later than this (2001) are Unix time
 TRUTH = "HIL_STATE_QUATERNION"
-TURNING_RPS = 0.05  # a gyroscope that spans more than this has turned
+TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 TRACKS = (
     ("HIL_STATE_QUATERNION", "truth", 1e-3),
     ("HIL_GPS", "HIL_GPS", 1e-3),
@@ -48,7 +48,7 @@ TRACKS = (
 
 @dataclass(frozen=True, slots=True)
 class _Vehicle:
-    """One vehicle's rows and what its signals are called when there are several."""
+    """One vehicle's rows, and the suffix of its signals if there are several vehicles."""
 
     system: int
     columns: Columns
@@ -59,14 +59,14 @@ class _Vehicle:
 
 
 def merge_logs(logs: Sequence[Columns]) -> Columns:
-    """The columns of several logs of one flight as those of one log, in order of their stamps."""
+    """Merge the columns of several logs of one flight, in order of their timestamps."""
     if len(logs) == 1:
         return logs[0]
     names = dict.fromkeys(name for columns in logs for name in columns)
     together = {}
     for name in names:
         rows = np.concatenate([columns[name] for columns in logs if name in columns])
-        # Stable: rows with one stamp keep the order of their logs.
+        # Stable: rows with equal timestamps keep the order of their logs.
         together[name] = rows[np.argsort(rows["t_us"], kind="stable")]
     return together
 
@@ -78,30 +78,30 @@ def recording_of_tlog(
     t0_us: int | None = None,
     links: Mapping[str, NDArray[np.void]] | None = None,
 ) -> FlightData:
-    """Everything of the vehicles in a log that a report shows.
+    """Convert the messages of all vehicles in a log to the data of a report.
 
     Parameters
     ----------
     columns : dict of structured arrays
         As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merge_logs`).
     t0_us : int, optional
-        The vehicle's time that is zero on the axis (a label's `t0_us`); the start by default.
+        Vehicle time of zero on the axis (a label's `t0_us`); the start by default.
     links : dict of structured arrays (k,), optional
-        By log name how its frames came (`link.stretches`).
+        Link statistics by log name (rows of `link_quality.sum_stretches`).
     """
     systems = vehicle_systems(columns)
     found = FlightData(name)
     vehicles = []
-    # Without any vehicle everything is shown as one.
+    # Without a vehicle all messages are shown as one.
     for system in systems or [0]:
         own = {key: rows[rows["system"] == system] for key, rows in columns.items()}
-        # A log without systems is taken whole.
+        # A log without vehicles is used entirely.
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
         own, warnings = _without_placeholder(own)
         clock, notes = clock_of(own, system, t0_us)
         notes += warnings
         found.notes.extend(notes)
-        # A single vehicle's curves need no number behind their names.
+        # A single vehicle's curves need no suffix.
         suffix = f" (system {system})" if len(systems) > 1 else ""
         vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
     for vehicle in vehicles:
@@ -109,7 +109,7 @@ def recording_of_tlog(
     quality, losses = link_quality(links or {}, vehicles[0].clock)
     found.links.extend(quality)
     found.signals.extend(losses)
-    # The first vehicle stands for the log.
+    # The first vehicle determines the autopilot.
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
@@ -122,32 +122,32 @@ def recording_of_tlog(
 
 
 def _utc0_us(columns: Columns, clock: LogClock) -> int:
-    """The log's stamp where the axis is zero; 0 if stamps are no computer's time."""
+    """UTC at zero on the axis in us; 0 if the timestamps are not Unix time."""
     first = min((int(rows["t_us"].min()) for rows in columns.values()), default=0)
-    # Small stamps count from boot and tell no date.
+    # Small timestamps count from boot.
     if first < WALL_US:
         return 0
     return round(first - float(clock.at(np.array([first], float))[0]) * 1e6)
 
 
 def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
-    """The columns without a truth that never changes, as a simulator sends that has none."""
+    """Remove a constant truth, which simulators without a truth send; returns columns and notes."""
     rows = columns.get(TRUTH)
     if rows is None or len(rows) < 2 or "HIL_SENSOR" not in columns:
         return columns, []
     same = all(
         np.all(rows[name] == rows[name][0]) for name in ("attitude_quaternion", "lat", "alt")
     )
-    # A vehicle that stands still has a truth that never changes, too.
+    # A vehicle at rest has a constant truth too.
     turning = np.ptp(columns["HIL_SENSOR"]["xgyro"]) > TURNING_RPS
     if not (same and turning):
         return columns, []
     kept = {name: rows for name, rows in columns.items() if name != TRUTH}
-    return kept, [f"{TRUTH} never changes while the gyroscopes turn: it is not taken as the truth"]
+    return kept, [f"{TRUTH} never changes while the gyroscopes show rotation: it is ignored"]
 
 
 def vehicle_systems(columns: Columns) -> list[int]:
-    """System ids of vehicles: senders of curves, not ground stations."""
+    """System ids of vehicles: senders of plotted messages, except ground stations and radios."""
     systems: set[int] = set()
     for message in {curve.message for curve in CURVES} & columns.keys():
         systems.update(np.unique(columns[message]["system"]).tolist())
@@ -155,21 +155,21 @@ def vehicle_systems(columns: Columns) -> list[int]:
         beats = columns["HEARTBEAT"]
         stations = set(np.unique(beats["system"][beats["type"] == GROUND_STATION]).tolist())
         flying = set(np.unique(beats["system"][beats["type"] != GROUND_STATION]).tolist())
-        # A station that also flies, by another heartbeat, stays.
+        # A system that also sends a vehicle's heartbeat is kept.
         systems -= stations - flying
-        # Who sends curves but no heartbeat, as telemetry radios do.
+        # Systems without a heartbeat, such as telemetry radios.
         radios = {s for s in systems if s not in flying}
         systems -= radios if flying & systems else set()
     return sorted(systems)
 
 
 def _kind(columns: Columns) -> tuple[int, int]:
-    """Autopilot and vehicle type by the autopilot's own heartbeats; zeros if there are none."""
+    """Autopilot and vehicle type from the autopilot's heartbeats; zeros without heartbeats."""
     beats = columns.get("HEARTBEAT")
     if beats is None:
         return 0, 0
     beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
-    # The last heartbeat: the type may become known late.
+    # The last heartbeat, as the type may be known late.
     return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
 
 
@@ -192,9 +192,9 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
 
 
 def _message(vehicle: _Vehicle, rows: NDArray[np.void]) -> Message:
-    """A message's rows in order of the vehicle's time, as columns."""
+    """The rows of a message as columns, in order of the vehicle's time."""
     t_s = vehicle.clock.seconds(rows)
-    # Frames may have been logged out of order; curves must not run back.
+    # Frames may have been logged out of order.
     if not np.all(np.diff(t_s) >= 0):
         order = np.argsort(t_s, kind="stable")
         t_s, rows = t_s[order], rows[order]
@@ -216,7 +216,7 @@ def _add_tracks(found: FlightData, vehicle: _Vehicle) -> None:
         rows = vehicle.columns.get(message)
         if rows is None:
             continue
-        # 0, 0 stands for no position; nobody flies there.
+        # 0, 0 means no position.
         rows = rows[(rows["lat"] != 0) | (rows["lon"] != 0)]
         if len(rows) < 2:
             continue
@@ -224,7 +224,7 @@ def _add_tracks(found: FlightData, vehicle: _Vehicle) -> None:
         t_s, lat, lon, alt = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
         found.tracks.append(GroundTrack(label + vehicle.suffix, t_s, lat, lon, alt))
     rows = vehicle.columns.get("LOCAL_POSITION_NED")
-    # Indoors there is no other position.
+    # Only without a global position, as indoors.
     if rows is not None and len(rows) > 1 and not found.tracks:
         t_s, *ned = _in_order(vehicle.clock.seconds(rows), rows["x"], rows["y"], rows["z"])
         found.tracks.append(local_track("local estimate" + vehicle.suffix, t_s, *ned))
@@ -242,7 +242,7 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
         mode_name(vehicle.autopilot, vehicle.type, mode) for mode in beats["custom_mode"].tolist()
     ]
     armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
-    # Only states that mean trouble have a name; the others are empty and make no span.
+    # Only CRITICAL and EMERGENCY have a name; other states make no span.
     states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
     for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
         found.spans.extend(value_spans(lane + vehicle.suffix, t_s, values, kind))
@@ -255,7 +255,7 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
 
 
 def _add_flags(found: FlightData, vehicle: _Vehicle) -> None:
-    """Estimator flags that mean trouble, as spans and events."""
+    """Add estimator flags as spans and events."""
     tables = (
         ("ESTIMATOR_STATUS", ESTIMATOR_FLAGS),
         ("EKF_STATUS_REPORT", {EKF_ARDUPILOT_GLITCH: "GPS glitch"}),
@@ -277,7 +277,7 @@ def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
     rows = vehicle.columns.get("STATUSTEXT")
     if rows is None:
         return
-    # These messages carry no time of their own: they stand where the log has them.
+    # STATUSTEXT has no time field: use the log's timestamp.
     t_s = vehicle.clock.at(rows["t_us"])
     for i, row in enumerate(rows):
         text = bytes(row["text"]).split(b"\0", 1)[0].decode("utf-8", "replace").strip()

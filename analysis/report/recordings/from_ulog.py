@@ -1,4 +1,4 @@
-"""A PX4 ULog to a `FlightData`; topics and fields as PX4's message definitions name them."""
+"""Convert a PX4 ULog to `FlightData`; topics and fields are named as in PX4's definitions."""
 
 from collections.abc import Mapping, Sequence
 
@@ -34,15 +34,14 @@ ARMED = 2
 JAMMING = {2: "warning", 3: "critical"}  # jamming_state of sensor_gps
 SPOOFING = {2: "indicated", 3: "multiple indications"}
 LOCAL = "local estimate"
-SATURATED = 0.99  # of a motor's range
+SATURATED = 0.99  # share of a motor's range taken as saturated
 
 
 def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> FlightData:
-    """Everything of a ULog that a report shows; the axis starts at `t0_us` or the log's start."""
+    """Convert a ULog; the time axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
     found = FlightData(name)
     log_lacks: list[str] = []
-    # Missing parts are named in the notes of the page.
     for (topic_name, instance), topic in sorted(log.topics.items()):
         t_s: Values = (topic["timestamp"].astype(np.float64) - start_us) * 1e-6
         suffix = f" {instance + 1}" if instance else ""
@@ -56,14 +55,14 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
             spans += flag_spans(topic_name, suffix, topic, t_s)
             found.spans.extend(spans)
             found.events.extend(flag_events(spans, float(t_s[-1])))
-        except KeyError:  # a definition that is damaged, or of another version of PX4
+        except KeyError:  # a corrupted definition, or another version of PX4
             log_lacks.append(topic_name)
     found.signals.extend(innovation_signals(log.topics, log.parameters, start_us))
     found.spans.extend(
         Span(
             "log dropout", at_s := (t_us - start_us) * 1e-6, at_s + for_s, f"{for_s:.2f} s", "warn"
         )
-        # In a lane of their own: they explain the gaps of the curves.
+        # In a separate lane: dropouts explain gaps in the curves.
         for t_us, for_s in log.dropouts
     )
     for t_us, severity, text in log.messages:
@@ -71,7 +70,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
     found.events.extend(_mode_events(found.spans))
     found.events.sort(key=lambda event: event.t_s)
     for parameter, value in log.parameters.items():
-        # Parameters at the start, then the changes in flight.
+        # Initial values, followed by changes in flight.
         found.parameters[parameter] = [(0.0, value)]
     for t_us, parameter, value in log.changes:
         found.parameters.setdefault(parameter, []).append(((t_us - start_us) * 1e-6, value))
@@ -84,11 +83,11 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
 
 
 def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
-    """Universal time at `start_us`, by the last fix that tells it; 0 if none does."""
+    """UTC at `start_us` in us, from the last fix with a time; 0 if there is none."""
     topic = topics.get(("vehicle_gps_position", 0), {})
     if "time_utc_usec" not in topic or not topic["time_utc_usec"].any():
         return 0
-    # The last: receivers correct their clock after the first fixes.
+    # The last one, as receivers correct their clock after the first fixes.
     last = int(np.flatnonzero(topic["time_utc_usec"])[-1])
     return int(topic["time_utc_usec"][last]) - int(topic["timestamp"][last]) + start_us
 
@@ -103,7 +102,7 @@ def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[GroundTra
         return _local_track(topic, t_s)
     if name not in labels or "latitude_deg" not in topic:
         return []
-    # Before the first fix the topic is there, with zeros.
+    # Before the first fix positions are zero.
     keep = np.isfinite(topic["latitude_deg"]) & (topic["latitude_deg"] != 0)
     if keep.sum() < 2:
         return []
@@ -114,7 +113,7 @@ def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[GroundTra
 
 
 def _local_track(topic: Topic, t_s: Values) -> list[GroundTrack]:
-    """The local estimate around its reference point, on a sphere; without one about nowhere."""
+    """The local position around its reference point, on a sphere; without one a local track."""
     lat0, lon0 = topic["ref_lat"].astype(float), topic["ref_lon"].astype(float)
     known = np.isfinite(topic["x"])
     keep = np.isfinite(lat0) & (lat0 != 0) & known
@@ -122,7 +121,7 @@ def _local_track(topic: Topic, t_s: Values) -> list[GroundTrack]:
         north, east, down = (topic[key][known].astype(float) for key in "xyz")
         return [local_track(LOCAL, t_s[known], north, east, down)] if known.sum() > 1 else []
     lat = lat0 + np.degrees(topic["x"] / MEAN_EARTH_RADIUS_M)
-    # Degrees of longitude grow towards the poles.
+    # A degree of longitude is shorter by cos(latitude).
     lon = lon0 + np.degrees(topic["y"] / MEAN_EARTH_RADIUS_M) / np.cos(np.radians(lat0))
     alt = topic["ref_alt"] - topic["z"]
     return [GroundTrack(LOCAL, t_s[keep], lat[keep], lon[keep], alt[keep].astype(float))]
@@ -133,8 +132,8 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         states = topic["nav_state"].tolist()
         armed = (topic["arming_state"] == ARMED).tolist()
         texts = [NAV_STATES.get(state, f"state {state}") for state in states]
-        words = ["armed" if now else "disarmed" for now in armed]
-        return value_spans("mode", t_s, texts) + value_spans("armed", t_s, words)
+        names = ["armed" if now else "disarmed" for now in armed]
+        return value_spans("mode", t_s, texts) + value_spans("armed", t_s, names)
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
         return value_spans("estimator in use", t_s, texts)
@@ -150,7 +149,7 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
 def _state_spans(
     lane: str, field: str, texts: Mapping[int, str], topic: Topic, t_s: Values
 ) -> list[Span]:
-    """Stretches in which a state that means trouble stood."""
+    """Spans in which a state had one of the alarming values of `texts`."""
     states = topic.get(field)
     if states is None:
         return []
@@ -159,7 +158,7 @@ def _state_spans(
 
 
 def _saturated(topic: Topic, t_s: Values) -> list[Span]:
-    """When each motor was at the top of its range."""
+    """Spans in which each motor was saturated."""
     found: list[Span] = []
     for number in range(1, 13):
         raw = topic.get(f"control[{number - 1}]")
@@ -174,23 +173,23 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
     lanes: set[str] = set()
     found = []
     for span in spans:
-        if span.kind == "mode" and span.lane in lanes:  # the first one is no change
+        if span.kind == "mode" and span.lane in lanes:  # the first one is the initial mode
             found.append(Event(span.start_s, "mode", span.text))
         lanes.add(span.lane)
     return found
 
 
 def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
-    # A branch where the build has one, else the beginning of the version.
+    # The branch of the build if there is one, else the beginning of the version hash.
     version = str(log.info.get("ver_sw_branch", "")) or str(log.info.get("ver_sw", ""))[:10]
     notes = [f"PX4 {version} on {log.info.get('ver_hw', 'unknown hardware')}"]
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
     if lacking:
-        notes.append(f"fields missing in {', '.join(lacking)}: no spans or track from there")
+        notes.append(f"fields missing in {', '.join(lacking)}: no spans or tracks from it")
     if log.cut:
-        notes.append("the file ends in the middle of a message: it was cut short")
+        notes.append("the file ends within a message: the log is truncated")
     if log.corrupted:
-        notes.append("parts of the file are damaged and were passed over")
+        notes.append("parts of the file are corrupted and were skipped")
     return notes

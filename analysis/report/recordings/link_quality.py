@@ -1,4 +1,4 @@
-"""How well a link did: frames missing by each sender's sequence numbers (modulo 256), silences."""
+"""Link quality: frames lost, from each sender's sequence numbers (modulo 256), and gaps in time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from analysis.report.recordings.log_clock import LogClock
 from analysis.report.recordings.recording import LinkQuality, Signal
 
-MOST_STRETCHES, LEAST_FRAMES = 200, 20  # of a sender in a block of a log; of a stretch
-FEWEST = 100  # frames of a sender for a curve of its losses
+MOST_STRETCHES, LEAST_FRAMES = 200, 20  # chosen: periods per sender and block; frames per period
+FEWEST = 100  # chosen: least frames of a sender for a loss curve
 
 STRETCHES = np.dtype(
     [("sender", "<i4"), ("t_us", "<i8"), ("frames", "<i8"), ("lost", "<i8"), ("gap_us", "<i8")]
@@ -19,39 +19,39 @@ STRETCHES = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class LastFrame:
-    """The last frame of a sender so far."""
+    """The last frame of a sender."""
 
     seq: int
     t_us: int
 
 
 def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArray[np.void]:
-    """Sum up the frames of a log, or of a block of it, in short stretches of each sender.
+    """Count frames, losses and gaps of each sender in short periods of a log or a block of it.
 
     Parameters
     ----------
     frames : structured array, shape (n,)
         As `mavproxy_fault.wire.tlog.Log.frames`.
     last : dict
-        The last frame of each sender (system * 256 + component) in the blocks before; brought up
-        to date.
+        The last frame of each sender (system * 256 + component) in the blocks before; updated in
+        place.
 
     Returns
     -------
     structured array
-        Per stretch the sender, the stamp of its first frame, frames, frames lost and the longest
+        Per period the sender, the timestamp of its first frame, frames, lost frames and the longest
         time between two frames.
     """
     found = [np.empty(0, STRETCHES)]
-    # System and component in one number, to group by.
+    # System and component in one number, for grouping.
     sender = frames["system"].astype(np.int32) << 8 | frames["component"]
     for key in np.unique(sender).tolist():
         rows = frames[sender == key]
-        # A sender's first frame follows nothing: no loss before it.
+        # No loss before a sender's first frame.
         before = last.get(key, LastFrame((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
-        # Modulo 256, in a type that does not wrap by itself.
+        # Modulo 256, in a wider type.
         steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
-        # Few stretches of a long log, but none so short that its share means nothing.
+        # A limited number of periods, none too short for a loss rate.
         starts = np.arange(0, len(rows), max(LEAST_FRAMES, len(rows) // MOST_STRETCHES))
         some = np.zeros(len(starts), STRETCHES)
         some["sender"] = key
@@ -67,8 +67,8 @@ def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArr
 def link_quality(
     logs: Mapping[str, NDArray[np.void]], clock: LogClock
 ) -> tuple[list[LinkQuality], list[Signal]]:
-    """Losses of every sender of each log, by name rows (k,) of `sum_stretches`, and their
-    curves."""
+    """Losses of every sender, and their curves; `logs` are rows (k,) of `sum_stretches` by log
+    name."""
     links, signals = [], []
     for log, every in logs.items():
         for key in np.unique(every["sender"]).tolist():
@@ -85,12 +85,12 @@ def link_quality(
 
 
 def _loss(name: str, t_s: NDArray[np.float64], some: NDArray[np.void]) -> Signal:
-    """Percentage of frames lost in each of some equal stretches of time."""
-    # One microsecond more, so that the last stamp falls inside.
+    """Curve of the percentage of lost frames in equal time bins."""
+    # One microsecond more, to include the last timestamp.
     edges = np.linspace(t_s.min(), t_s.max() + 1e-6, max(2, min(2 * MOST_STRETCHES, len(t_s))))
     came = np.histogram(t_s, edges, weights=some["frames"])[0]
     gone = np.histogram(t_s, edges, weights=some["lost"])[0]
-    # No frames and no losses: 0 / 0 is a gap in the curve.
+    # A bin without frames and losses is a gap (NaN).
     with np.errstate(invalid="ignore"):
         share = 100 * gone / (came + gone)
     return Signal("link-lost", name, (edges[:-1] + edges[1:]) / 2, share)

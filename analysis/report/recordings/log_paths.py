@@ -1,4 +1,4 @@
-"""The files behind the paths a user gives: there, regular, and unpacked if they are compressed."""
+"""Open the paths that a user gives: check that they are readable, and unpack compressed logs."""
 
 import gzip
 import lzma
@@ -10,23 +10,23 @@ from typing import Any
 from mavproxy_fault.documents.errors import ConfigError
 
 PACKED = (".gz", ".xz", ".zst")
-POINTER = b"version https://git-lfs.github.com/spec/"  # how a Git LFS pointer begins
+POINTER = b"version https://git-lfs.github.com/spec/"  # beginning of a Git LFS pointer
 
 
 def log_files(paths: Sequence[Path], folder: Path) -> tuple[list[Path], list[str]]:
-    """Files and folders that can be read, and a message for each path that cannot.
+    """The readable files and folders, and an error message for each other path.
 
     Parameters
     ----------
     paths : sequence of Path
-        What the user gave.
+        Paths from the command line.
     folder : Path
-        Where compressed logs are unpacked to, under their names without the ending.
+        Where compressed logs are unpacked, under their names without the suffix.
 
     Raises
     ------
     ConfigError
-        If there is a single path and it cannot be read.
+        If the only path cannot be read.
     """
     found, messages = [], []
     for path in paths:
@@ -40,19 +40,19 @@ def log_files(paths: Sequence[Path], folder: Path) -> tuple[list[Path], list[str
 
 
 def log_file(path: Path, folder: Path) -> Path:
-    """The path itself, or that of the unpacked log.
+    """The path, or that of the unpacked log.
 
     Raises
     ------
     ConfigError
-        If nothing is there, or no log can be in it.
+        If the path does not exist, or cannot be a log.
     """
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file; give the path of a log")
     if path.is_dir():
         return path
     if not path.is_file():
-        # A log is read more than once; a pipe only gives its bytes once.
+        # A log is read more than once, which a pipe does not allow.
         raise ConfigError(f"{path}: is a pipe or a device; give a file, which can be read twice")
     try:
         with path.open("rb") as file:
@@ -68,15 +68,15 @@ def _unpacked(path: Path, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / path.stem
     number = 1
-    while target.exists():  # two folders may hold logs of one name
+    while target.exists():  # logs of different folders may have one name
         number += 1
         target = folder / f"{number}-{path.stem}"
     try:
         with _reader(path) as source, target.open("wb") as file:
-            # In blocks: logs may be larger than memory.
+            # Block by block: logs may be larger than memory.
             shutil.copyfileobj(source, file, 1 << 22)
     except (OSError, EOFError, lzma.LZMAError) as error:
-        raise ConfigError(f"{path}: cannot be unpacked ({error}); give a whole file") from error
+        raise ConfigError(f"{path}: cannot be unpacked ({error}); give a complete file") from error
     return target
 
 
@@ -85,7 +85,7 @@ def _reader(path: Path) -> Any:
         return gzip.open(path)
     if path.suffix == ".xz":
         return lzma.open(path)
-    # Only for zstd, which Python's own library lacks here.
+    # For zstd, which the standard library lacks.
     import pyarrow as pa
 
     return pa.CompressedInputStream(str(path), "zstd")

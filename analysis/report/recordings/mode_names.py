@@ -1,4 +1,4 @@
-"""Names of flight modes, of estimator flags and of landed states, as the autopilots define them.
+"""Names of flight modes, estimator flags, errors and events, as the autopilots define them.
 
 PX4: `px4_custom_mode.h`. ArduPilot: the mode enumerations of each vehicle. Flags: MAVLink's
 ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS.
@@ -53,14 +53,14 @@ EKF_ARDUPILOT_GLITCH = 15  # bit of EKF_STATUS_FLAGS: EKF_GPS_GLITCHING
 
 
 def mode_name(autopilot: int, vehicle_type: int, custom_mode: int) -> str:
-    """What a ground station would show for a HEARTBEAT's custom mode."""
+    """Name of a HEARTBEAT's custom mode, as ground stations show it."""
     if autopilot == PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         # Main mode 4 is AUTO.
         if main == 4 and sub in PX4_AUTO:
             return PX4_AUTO[sub]
         return PX4_MAIN.get(main, f"mode {custom_mode}")
-    # Others define their own numbers.
+    # Other autopilots define their own numbers.
     if autopilot != ARDUPILOT:
         return f"mode {custom_mode}"
     table = COPTER

@@ -1,4 +1,4 @@
-"""How far the reading of a large log is, on a terminal."""
+"""Progress bar for reading large logs."""
 
 import multiprocessing
 import sys
@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-SHOWN_BYTES = 50_000_000  # a smaller log is read before anybody looks
+SHOWN_BYTES = 50_000_000  # chosen: smaller logs need no progress bar
 
-ReportProgress = Callable[[float], None]  # the share that is read, 0 to 1
+ReportProgress = Callable[[float], None]  # called with the share read so far, 0 to 1
 
 
 @contextmanager
 def reading_bar(path: Path) -> Iterator[ReportProgress]:
-    """A bar while a log is read; nothing of small logs, without a terminal, and in a worker."""
-    quiet = not sys.stderr.isatty() or multiprocessing.parent_process() is not None
-    if quiet or path.stat().st_size < SHOWN_BYTES:
+    """Show a progress bar; none for small logs, without a terminal, or in a worker process."""
+    hidden = not sys.stderr.isatty() or multiprocessing.parent_process() is not None
+    if hidden or path.stat().st_size < SHOWN_BYTES:
         yield lambda _: None
         return
     from rich.console import Console

@@ -1,6 +1,6 @@
-"""What a report is made of, whatever file it came from: signals, spans, events, tracks.
+"""The data of a flight for a report, independent of the log's format.
 
-Times are seconds on one axis per report (`t_s`), zero at the start of the schedule or of the log.
+Times `t_s` are in seconds on one axis per report, zero at the start of the schedule or of the log.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 Vector = NDArray[np.float64]
-UNGRADED = 8  # severity of a text in a log that gives none
+UNGRADED = 8  # severity of messages in logs without severities
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
     """One curve: `panel` is the plot it belongs to (see `panels`), `name` its legend.
 
-    `t_s` and `value` have shape (n,); `t_s` does not decrease; NaN stands for "no value".
+    `t_s` and `value` have shape (n,); `t_s` does not decrease; NaN means "no value".
     """
 
     panel: str
@@ -31,7 +31,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time on a lane of the timeline; `kind` is its colour (see page.css).
+    """A time span on a lane of the timeline; `kind` determines its colour (see page.css).
 
     Kinds: mode, flag, injected, detected, warn, fail.
     """
@@ -45,7 +45,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What was said or done at an instant; `severity` is MAVLink's, 0 (worst) to 7, or UNGRADED."""
+    """A message or event; `severity` is MAVLink's, 0 (worst) to 7, or UNGRADED."""
 
     t_s: float
     kind: str
@@ -55,9 +55,9 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class GroundTrack:
-    """A path over ground; degrees, and metres above mean sea level; shape (n,) each.
+    """A path in degrees and metres above mean sea level; shape (n,) each.
 
-    Without `on_earth` nobody knows where it was flown: it lies about 0, 0.
+    Without `on_earth` its geographic position is unknown: it is drawn around 0, 0.
     """
 
     name: str
@@ -68,7 +68,7 @@ class GroundTrack:
     on_earth: bool = True
 
     def select(self, rows: NDArray[np.bool_] | slice) -> "GroundTrack":
-        """The rows chosen."""
+        """The track restricted to some rows."""
         names = ("t_s", "lat_deg", "lon_deg", "alt_m")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
@@ -76,15 +76,15 @@ class GroundTrack:
 def local_track(
     name: str, t_s: Vector, north_m: Vector, east_m: Vector, down_m: Vector
 ) -> GroundTrack:
-    """A path (n,) about a point that nobody knows."""
-    # About the equator, where a degree of longitude is one of latitude.
+    """A track (n,) in a local frame of unknown geographic position."""
+    # Around the equator, where degrees of longitude and latitude are equal.
     lat, lon = (np.degrees(metres / MEAN_EARTH_RADIUS_M) for metres in (north_m, east_m))
     return GroundTrack(name, t_s, lat, lon, -down_m, on_earth=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Every field of one message as the log holds it: `t_s` and columns, shape (n,) or (n, k)."""
+    """All fields of one message as logged: `t_s` and columns, shape (n,) or (n, k)."""
 
     t_s: Vector
     columns: Mapping[str, NDArray[Any]]
@@ -92,7 +92,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class LinkQuality:
-    """Frames of one sender in one log, and how many its sequence numbers say are missing."""
+    """Frames of one sender in one log, and the frames lost according to its sequence numbers."""
 
     log: str
     system: int
@@ -104,28 +104,28 @@ class LinkQuality:
 
 @dataclass(frozen=True, slots=True)
 class FlightData:
-    """All that one flight's logs hold.
+    """The data of one flight from all its logs.
 
     Attributes
     ----------
     autopilot : str
         "px4", "ardupilot" or "".
     parameters : dict
-        By name every (t_s, value) the log holds, in order.
+        All (t_s, value) in the log by name, in order.
     notes : list of str
-        What a reader must know: cut data, clocks that jump.
+        Remarks for the reader: truncated data, clock jumps.
     systems : tuple of int
         MAVLink system ids of the vehicles.
     size, junk_bytes : int
-        Bytes of the logs, and those of them that belong to no frame.
+        Bytes of the logs, and bytes outside frames.
     utc0_us : int
-        Universal time at zero on the axis; 0 where the log does not tell it.
+        UTC at zero on the axis; 0 if unknown.
     messages : dict
-        By name every message of the log, whether or not a curve is made of it.
+        All messages of the log by name.
     defaults : dict
-        Values that parameters have unless someone sets them, where the log tells them.
+        Default values of parameters, if the log has them.
     printed : dict
-        By title what the system printed: console, processes, counters.
+        Console output, processes and performance counters by title.
     """
 
     name: str
@@ -153,7 +153,7 @@ class FlightData:
 
 
 def join_recordings(first: FlightData, second: FlightData) -> FlightData:
-    """Two recordings on one axis as one: lists one after the other, the first one's words."""
+    """Merge two recordings on one axis; texts such as the name are those of the first."""
     together: dict[str, Any] = {
         part.name: getattr(first, part.name) + getattr(second, part.name)
         for part in fields(FlightData)
@@ -176,14 +176,14 @@ def join_recordings(first: FlightData, second: FlightData) -> FlightData:
 
 
 def true_runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First index and index after the last of each stretch of True; shape (n,) in."""
+    """First index and index after the last of each run of True in `active` (n,)."""
     edges = np.diff(np.concatenate(([0], active.astype(np.int8), [0])))
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
     )
 
 
-REFUSED_S = 1.0  # of an estimator: single measurements are refused in sound flights too
+REJECTED_S = 1.0  # chosen: single measurements are rejected in nominal flights too
 
 
 def active_spans(
@@ -194,9 +194,9 @@ def active_spans(
     kind: str,
     least_s: float = 0.0,
 ) -> list[Span]:
-    """One span per stretch of True at the times `t_s` (n,) that lasts `least_s` or longer.
+    """One span per run of True at the times `t_s` (n,) that lasts at least `least_s`.
 
-    It ends at the first row without.
+    It ends at the first False.
     """
     last = len(t_s) - 1
     return [
@@ -207,7 +207,8 @@ def active_spans(
 
 
 def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
-    """When flags were raised and cleared; at `end_s` the log of them ends, and no flag with it."""
+    """Events of flags raised and cleared; a flag until `end_s`, the end of the log, is not
+    cleared."""
     found = []
     for span in spans:
         if span.kind == "flag":
@@ -220,7 +221,7 @@ def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
 def value_spans(
     lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
 ) -> list[Span]:
-    """One span per stretch of equal, non-empty values at the times `t_s` (n,)."""
+    """One span per run of equal, non-empty values at the times `t_s` (n,)."""
     spans: list[Span] = []
     begin = 0
     for i in range(1, len(values) + 1):

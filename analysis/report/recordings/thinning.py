@@ -1,8 +1,8 @@
-"""Fewer samples that still hold the extremes: for long curves, and for logs larger than memory.
+"""Thin long curves and large logs to fewer samples, keeping the extremes.
 
-A log beyond `WHOLE_BYTES` is read block by block. Of each message that comes often, every so many
-rows are kept, and those with the least and the greatest value of each field, so that no peak is
-lost; what is said seldom (texts, modes, parameters) is kept whenever it changes.
+A log larger than `WHOLE_BYTES` is read block by block. Of frequent messages, evenly spaced rows are
+kept, and those with the minimum and maximum of each field, so that no peak is lost; rare messages
+(texts, modes, parameters) are kept whenever they change.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,19 +18,19 @@ from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import Columns
 from mavproxy_fault.wire.written import written_bytes
 
-WHOLE_BYTES = 128_000_000  # of a log; beyond, it is thinned
-ROWS = 300_000  # of one message kept of a thinned log, at the most
-LEAST_RECORD = 32  # bytes: records are on average longer
+WHOLE_BYTES = 128_000_000  # larger logs are thinned; chosen to limit memory use
+ROWS = 300_000  # kept per message of a thinned log, at most
+LEAST_RECORD = 32  # bytes; the average record is longer
 SENDING = ("t_us", "system", "component", "seq")
-LONGEST_VECTOR = 4  # array fields whose elements are looked at one by one
-HEAD = 11  # bytes of a row that say when and by whom it was sent
+LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes
+HEAD = 11  # bytes of a row with its time and sender
 
 Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
 class TlogContents:
-    """What a report needs of a tlog; `thinned` if rows were left out."""
+    """The contents of a tlog that a report needs; `thinned` if rows were omitted."""
 
     columns: Columns
     links: NDArray[np.void]
@@ -42,26 +42,26 @@ class TlogContents:
 
 
 def extreme_indices(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
-    """Places (k,) of the least and greatest of values (n,) in each of so many equal stretches."""
+    """Indices (k,) of the minimum and maximum of values (n,) in each of `buckets` equal parts."""
     n = len(value)
     size = -(-n // buckets)
-    whole = np.full(buckets * size, np.nan)
-    whole[:n] = value
-    table = whole.reshape(buckets, size)
+    padded = np.full(buckets * size, np.nan)
+    padded[:n] = value
+    table = padded.reshape(buckets, size)
     finite = np.isfinite(table)
     some = finite.any(axis=1)
-    # NaN must never win.
+    # NaN is never an extreme.
     low = np.where(finite, table, np.inf).argmin(axis=1)
     high = np.where(finite, table, -np.inf).argmax(axis=1)
     starts = np.arange(buckets) * size
     return np.unique(np.concatenate(((starts + low)[some], (starts + high)[some])))
 
 
-def read_contents(path: Path, told: ReportProgress) -> TlogContents:
-    """A tlog, thinned if it is large; `told` is called with the share that is read."""
+def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
+    """Read a tlog, thinned if it is large; `progress` is called with the share read so far."""
     size = written_bytes(path)
     thin = size > WHOLE_BYTES
-    # What each block may keep, so that all blocks together keep ROWS.
+    # Row limit per block, so that all blocks together keep `ROWS`.
     budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
     parts: dict[str, list[Rows]] = {}
     links: list[NDArray[np.void]] = []
@@ -75,7 +75,7 @@ def read_contents(path: Path, told: ReportProgress) -> TlogContents:
         frames += len(part.frames)
         unknown += int((~part.frames["known"]).sum())
         junk_bytes += part.junk_bytes
-        told(part.end / part.size)
+        progress(part.end / part.size)
     columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
     return TlogContents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
 
@@ -91,15 +91,15 @@ def _sorted(some: Sequence[Rows]) -> Rows:
 
 
 def thin_rows(rows: Rows, budget: int) -> Rows:
-    """About `budget` rows of a message's (n,): evenly spaced ones and those of the extremes."""
+    """Thin the rows (n,) of a message to about `budget`: evenly spaced ones and the extremes."""
     if len(rows) <= budget:
         return rows
     names = rows.dtype.names or ()
-    # Texts and modes are not sampled: every change is an event.
+    # Texts and modes are kept at every change.
     if "custom_mode" in names or any(rows.dtype[name].kind == "S" for name in names):
         return rows[_changes(rows)]
     curves = [column for name in names if name not in SENDING for column in _curves(rows[name])]
-    # Half of the budget for extremes, two for each stretch and curve.
+    # Half of the budget is for extremes, two per bucket and curve.
     buckets = max(1, budget // (4 * max(len(curves), 1)))
     picked = [np.arange(0, len(rows), max(1, 2 * len(rows) // budget))]
     picked += [extreme_indices(curve, buckets) for curve in curves]
@@ -113,7 +113,7 @@ def _curves(column: NDArray[np.generic]) -> list[NDArray[np.float64]]:
 
 
 def _changes(rows: Rows) -> NDArray[np.bool_]:
-    """Rows that say something else than the one before."""
+    """Rows that differ from the row before."""
     content = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)[:, HEAD:]
     differs = (content[1:] != content[:-1]).any(axis=1)
     return np.concatenate(([True], differs))

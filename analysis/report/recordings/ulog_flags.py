@@ -1,4 +1,4 @@
-"""What PX4's estimators and failsafes say is wrong, as stretches; named as in its messages."""
+"""Flags of PX4's estimators and failsafes as spans, named after the fields of its messages."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,31 +7,31 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.ulog import Topic
 from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
-from analysis.report.recordings.recording import REFUSED_S, Span, active_spans
+from analysis.report.recordings.recording import REJECTED_S, Span, active_spans
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-UNLIKELY_FLAGS = ("fs_", "reject_")  # of estimator_status_flags: faults and refused measurements
+UNLIKELY_FLAGS = ("fs_", "reject_")  # of estimator_status_flags: faults and rejected measurements
 GPS_CHECKS = "gps_check_fail_flags"
 # Bits of estimator_status, as PX4's message definition numbers them; the last field was dropped
 # when estimator_status_flags came.
 ESTIMATOR_BITS = {
     "solution_status_flags": ESTIMATOR_FLAGS,
     GPS_CHECKS: {
-        0: "GPS fix refused", 1: "GPS satellites refused", 2: "GPS dilution refused",
-        3: "GPS horizontal accuracy refused", 4: "GPS vertical accuracy refused",
-        5: "GPS speed accuracy refused", 6: "GPS horizontal drift refused",
-        7: "GPS vertical drift refused", 8: "GPS horizontal speed refused",
-        9: "GPS vertical speed refused",
+        0: "GPS fix rejected", 1: "GPS satellites rejected", 2: "GPS dilution rejected",
+        3: "GPS horizontal accuracy rejected", 4: "GPS vertical accuracy rejected",
+        5: "GPS speed accuracy rejected", 6: "GPS horizontal drift rejected",
+        7: "GPS vertical drift rejected", 8: "GPS horizontal speed rejected",
+        9: "GPS vertical speed rejected",
     },
     "innovation_check_flags": {
-        0: "velocity refused", 1: "horizontal position refused", 2: "vertical position refused",
-        3: "compass x refused", 4: "compass y refused", 5: "compass z refused", 6: "yaw refused",
-        7: "airspeed refused",
+        0: "velocity rejected", 1: "horizontal position rejected", 2: "vertical position rejected",
+        3: "compass x rejected", 4: "compass y rejected", 5: "compass z rejected",
+        6: "yaw rejected", 7: "airspeed rejected",
     },
 }  # fmt: skip
-# estimator_aid_src_NAME: what an estimator refuses. Gravity, drag and sideslip are no sensors.
+# estimator_aid_src_NAME: rejected measurements. Gravity, drag and sideslip are not sensors.
 AID_SOURCES = {
     "baro_hgt": "baro height", "gnss_hgt": "GNSS height", "gnss_pos": "GNSS position",
     "gnss_vel": "GNSS velocity", "gnss_yaw": "GNSS heading", "mag": "compass",
@@ -49,14 +49,14 @@ FAILSAFES = (
 
 
 def flag_spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
-    """The stretches that a topic of a ULog tells, at the times `t_s` (n,); none for most topics."""
+    """The flag spans of a ULog topic with times `t_s` (n,); none for most topics."""
     if name == "failsafe_flags":
         return _flag_spans("failsafe", _flags(topic, FAILSAFES), t_s)
     if name == "estimator_status_flags":
         flags = _flags(topic, [key for key in topic if key.startswith(UNLIKELY_FLAGS)])
         return _flag_spans(f"estimator{suffix}", flags, t_s)
     if name == "estimator_status":
-        # A receiver that is not good enough yet is no alarm: the estimator goes on with the rest.
+        # A failed GPS quality check is a warning: the estimator continues without GPS.
         return [
             span
             for field, texts in ESTIMATOR_BITS.items()
@@ -69,13 +69,13 @@ def flag_spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         ]
     source = AID_SOURCES.get(name.removeprefix(AID_SOURCE)) if AID_SOURCE in name else None
     if source is not None and "innovation_rejected" in topic:
-        text, refused = f"{source} refused", topic["innovation_rejected"].astype(bool)
-        return active_spans(f"estimator{suffix}: {text}", t_s, refused, text, "flag", REFUSED_S)
+        text, rejected = f"{source} rejected", topic["innovation_rejected"].astype(bool)
+        return active_spans(f"estimator{suffix}: {text}", t_s, rejected, text, "flag", REJECTED_S)
     return []
 
 
 def _flags(topic: Topic, names: Sequence[str]) -> dict[str, Flags]:
-    """Flags that are fields of their own, by their text."""
+    """Flags in separate fields, by their text."""
     return {n.replace("_", " "): topic[n].astype(bool) for n in names if n in topic}
 
 
@@ -89,7 +89,7 @@ def _bits(topic: Topic, field: str, texts: Mapping[int, str]) -> dict[str, Flags
 def _flag_spans(
     lane: str, flags: Mapping[str, Flags], t_s: Values, kind: str = "flag"
 ) -> list[Span]:
-    """Stretches in which flags were up; one that always is tells of the set-up, not the flight."""
+    """Spans of raised flags; one that is always raised is due to the configuration and ignored."""
     return [
         span
         for text, raised in flags.items()

@@ -1,4 +1,4 @@
-"""Orbits, clocks and the atmosphere against the simulator's, written apart, and known values."""
+"""Orbits, clocks and atmosphere against the independent ones of the simulator and known values."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Orbits of GLONASS and BeiDou: RTKLIB's positions, and what real ranges make of them."""
+"""Orbits of GLONASS and BeiDou against RTKLIB and real pseudoranges."""
 
 from datetime import date
 from pathlib import Path
@@ -71,7 +71,7 @@ def test_velocities_are_the_positions_rates_of_change():
         assert now[name][3:6] == pytest.approx(after[name][:3] - before[name][:3], abs=1e-3), name
 
 
-def test_utc_falls_behind_gps_time_by_its_leap_seconds():
+def test_utc_is_behind_gps_time_by_the_leap_seconds():
     days = date(1980, 1, 6), date(2005, 12, 31), date(2006, 1, 1), date(2021, 3, 19)
     assert [leap_seconds(day) for day in days] == [0, 13, 14, 18]
 
@@ -131,7 +131,7 @@ def fix_of(samples: list, systems: str) -> Fix:
     return fix
 
 
-def test_beidou_alone_finds_the_walker_where_gps_and_galileo_do(shared_data: Path):
+def test_beidou_alone_gives_the_position_of_gps_and_galileo(shared_data: Path):
     samples = walk(shared_data, 5)
     alone, others = fix_of(samples, "C"), fix_of(samples, "GE")
     assert alone.dof >= 3
@@ -139,7 +139,7 @@ def test_beidou_alone_finds_the_walker_where_gps_and_galileo_do(shared_data: Pat
     assert np.sqrt(alone.statistic / alone.dof) < 4.0  # m
 
 
-def test_beidou_joins_with_an_offset_of_its_own(shared_data: Path):
+def test_beidou_is_used_with_its_own_clock_offset(shared_data: Path):
     config = DetectorConfig(systems="GC")
     found = run_detector(Detector(config), walk(shared_data, 40))
     decisions = [d for d in found if isinstance(d, Decision)]
@@ -149,6 +149,6 @@ def test_beidou_joins_with_an_offset_of_its_own(shared_data: Path):
     assert decisions[-1].parity_dof == satellites - 5
 
 
-def test_systems_that_are_none_are_refused():
+def test_unknown_systems_are_refused():
     with pytest.raises(ValueError, match="letters of GERCJ are known"):
         DetectorConfig(systems="GX")

@@ -1,4 +1,4 @@
-"""QZSS: real ranges of it fit GPS's on GPS's clock, and its health tells of more than L1."""
+"""QZSS: real pseudoranges fit those of GPS with one clock; its health covers more than L1."""
 
 import math
 from pathlib import Path
@@ -161,7 +161,7 @@ def test_a_u_blox_log_brings_qzss(tmp_path: Path):
     assert isinstance(sent, EphemerisSample)
     assert isinstance(sent.ephemeris, Ephemeris)
     assert sent.ephemeris.satellite == "J03"
-    # Far above the rounding of the message's own fields.
+    # Far above the resolution of the message fields.
     np.testing.assert_allclose(
         pack_ephemeris(sent.ephemeris)[:16], pack_ephemeris(wanted)[:16], rtol=1e-9, atol=1e-8
     )

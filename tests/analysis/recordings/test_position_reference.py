@@ -1,4 +1,4 @@
-"""Where an antenna was: every form it is given in, and what lies between two places."""
+"""The position reference: all its forms, and interpolation."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ WEEK_US = 604_800_000_000
 PLACE_M = ecef_from_geodetic(np.radians(35.0), np.radians(139.0), 60.0)
 
 
-def test_a_point_holds_always():
+def test_a_point_is_valid_at_all_times():
     metres = ",".join(f"{x:.4f}" for x in PLACE_M)
     for given in (metres, "35,139,60"):
         reference = read_reference(given)
@@ -39,7 +39,7 @@ def test_a_table_of_weeks_and_seconds_is_read(tmp_path, separator):
     assert np.linalg.norm(np.subtract(half, PLACE_M)) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_far_from_any_place_nothing_is_known(tmp_path):
+def test_far_from_any_known_position_the_reference_is_unknown(tmp_path):
     path = tmp_path / "truth.csv"
     path.write_text("2149,10,35,139,60\n2149,20,35,139,60\n")
     reference = read_reference(str(path))
@@ -50,19 +50,19 @@ def test_far_from_any_place_nothing_is_known(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("%  UTC  latitude(deg)\n", "GPST is needed"),
-        ("% nothing\n", "has no place"),
-        ("1,2,3\n", "no line of it"),
-        ("2149,10,95,139,60\n", "no latitude"),
+        ("%  UTC  latitude(deg)\n", "write it in GPST"),
+        ("% nothing\n", "has no position"),
+        ("1,2,3\n", "cannot be read"),
+        ("2149,10,95,139,60\n", "not latitude"),
     ],
 )
-def test_what_is_no_reference_is_refused(tmp_path, text, why):
+def test_an_invalid_reference_is_refused(tmp_path, text, why):
     path = tmp_path / "truth.csv"
     path.write_text(text)
     with pytest.raises(ConfigError, match=why):
         read_reference(str(path))
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read_reference(str(tmp_path / "absent.pos"))

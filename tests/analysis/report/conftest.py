@@ -1,4 +1,4 @@
-"""A short flight as a tlog, sound unless a test asks for trouble."""
+"""A short flight as a tlog, nominal unless a test adds a problem."""
 
 from collections.abc import Callable
 from pathlib import Path

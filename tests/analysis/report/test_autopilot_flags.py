@@ -1,9 +1,9 @@
-"""What the autopilot itself says: flags."""
+"""Checks of the autopilot's flags."""
 
 import numpy as np
 import pytest
 
-from analysis.report.flight_checks.autopilot_checks import checks
+from analysis.report.flight_checks.autopilot_checks import run_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import PASS, WARN
 from analysis.report.recordings.recording import FlightData, Signal, Span
@@ -12,14 +12,14 @@ from analysis.report.recordings.recording import FlightData, Signal, Span
 @pytest.mark.parametrize(
     ("speed_mps", "since_s", "verdict"), [(0.1, 0.1, PASS), (8.0, 0.1, WARN), (0.1, 4.0, WARN)]
 )
-def test_an_estimator_that_starts_on_the_bench_is_in_no_trouble(
+def test_flags_of_a_starting_estimator_at_rest_are_ignored(
     speed_mps: float, since_s: float, verdict: str
 ) -> None:
-    """A log of ten seconds that does not tell when it was armed."""
+    """A log of ten seconds without the arming state."""
     t_s = np.arange(0.0, 10.0, 0.2)
     found = FlightData("bench", "ardupilot", 0, 10.0)
     found.signals.append(Signal("speed", "GPS", t_s, np.full(len(t_s), speed_mps)))
     found.signals.append(Signal("ratio", "velocity", t_s, np.zeros(len(t_s))))
     found.spans.append(Span("estimator: position timeout", since_s, 10.0, "timeout", "flag"))
-    flags = checks(found, Thresholds(), None)[0]
+    flags = run_checks(found, Thresholds(), None)[0]
     assert (flags.name, flags.verdict) == ("flags of the autopilot", verdict)

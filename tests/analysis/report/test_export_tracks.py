@@ -20,7 +20,7 @@ def recording() -> FlightData:
     return FlightData("a & b", tracks=[track], spans=[span])
 
 
-def test_kml_holds_the_track_and_the_stretch_of_the_fault(tmp_path: Path) -> None:
+def test_kml_holds_the_track_and_its_part_during_the_fault(tmp_path: Path) -> None:
     root = ET.parse(export_tracks(recording(), tmp_path, "kml")).getroot()
     marks = root.findall(f".//{KML}Placemark")
     assert [mark.findtext(f"{KML}name") for mark in marks] == ["GPS", "jump on GPS"]

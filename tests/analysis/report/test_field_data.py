@@ -30,7 +30,7 @@ def numbers(text: str) -> np.ndarray:
     return np.ascontiguousarray(planes.reshape(4, -1).T).view("<f4")[:, 0]
 
 
-def test_what_does_not_fit_is_thinned_and_the_index_tells_it(tmp_path: Path) -> None:
+def test_messages_that_do_not_fit_are_thinned_and_the_index_says_so(tmp_path: Path) -> None:
     found = field_data(messages(), "0.2", tmp_path)
     fast, slow = found.index
     assert (fast["name"], fast["rows"]) == ("FAST", 100_000)
@@ -41,7 +41,7 @@ def test_what_does_not_fit_is_thinned_and_the_index_tells_it(tmp_path: Path) -> 
     assert [field["name"] for field in slow["fields"]] == ["vector[0]", "vector[1]", "vector[2]"]
 
 
-def test_far_numbers_keep_their_last_digit(tmp_path: Path) -> None:
+def test_large_numbers_keep_their_last_digit(tmp_path: Path) -> None:
     every = messages()
     found = field_data(every, "100", tmp_path)
     field = found.index[0]["fields"][0]
@@ -50,7 +50,7 @@ def test_far_numbers_keep_their_last_digit(tmp_path: Path) -> None:
     assert np.array_equal(back, every["FAST"].columns["lat"])
 
 
-def test_beside_the_file_nothing_is_thinned(tmp_path: Path) -> None:
+def test_data_beside_the_page_are_complete(tmp_path: Path) -> None:
     found = field_data(messages(), "beside", tmp_path)
     assert found.inside == {}
     assert [entry["step"] for entry in found.index] == [1, 1]
@@ -58,11 +58,13 @@ def test_beside_the_file_nothing_is_thinned(tmp_path: Path) -> None:
     assert text.startswith('report.fields.arrived(0,"')
 
 
-def test_no_fields_are_kept_if_nobody_wants_them(tmp_path: Path) -> None:
+def test_data_0_stores_no_fields(tmp_path: Path) -> None:
     assert field_data(messages(), "0", tmp_path).index == []
 
 
 @pytest.mark.parametrize("where", ["-1", "aside", "inf"])
-def test_another_size_is_refused_with_what_is_allowed(where: str, tmp_path: Path) -> None:
+def test_an_invalid_size_is_refused_and_the_valid_ones_are_named(
+    where: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError, match=f"--data {where}: .*give MB or 'beside'"):
         field_data(messages(), where, tmp_path)

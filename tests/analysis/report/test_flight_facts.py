@@ -1,4 +1,4 @@
-"""The few numbers of a flight against what was put in, and against a real log."""
+"""Key figures of a made and of a real flight."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ T = np.arange(0.0, 100.0, 0.1)
 
 
 def flight() -> FlightData:
-    """10 m/s for 80 s armed, before and after 99 m/s that nobody flew."""
+    """10 m/s for 80 s armed, before and after 99 m/s while disarmed."""
     armed = (T >= 10) & (T <= 90)
     signals = [
         Signal("speed", "ground", T, np.where(armed, 10.0, 99.0)),
@@ -26,30 +26,30 @@ def flight() -> FlightData:
     return FlightData("", signals=signals, spans=[Span("armed", 10.0, 90.0, "armed", "mode")])
 
 
-def test_numbers_are_those_while_armed() -> None:
+def test_key_figures_are_those_while_armed() -> None:
     facts = dict(flight_facts(add_derived_curves(flight())))
     assert facts["armed"] == "80 s"
-    assert facts["flown over ground"] == "800 m"
-    assert facts["fastest over ground"] == "10.0 m/s"
-    assert facts["between lowest and highest"] == "80.0 m"
+    assert facts["distance over ground"] == "800 m"
+    assert facts["highest ground speed"] == "10.0 m/s"
+    assert facts["height range"] == "80.0 m"
     # cos of the tilt is cos 30 cos 40.
-    assert facts["greatest tilt"] == "48°"
+    assert facts["largest tilt"] == "48°"
 
 
-def test_a_log_that_never_says_armed_has_no_numbers() -> None:
+def test_a_log_without_arming_has_no_key_figures() -> None:
     recording = flight()
     recording.spans.clear()
     assert flight_facts(recording) == []
 
 
-def test_numbers_of_a_real_flight_are_those_of_flight_review(shared_data: Path) -> None:
+def test_key_figures_of_a_real_flight_equal_those_of_flight_review(shared_data: Path) -> None:
     """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     facts = dict(flight_facts(add_derived_curves(recording_of_ulog(log, ""))))
-    assert float(facts["flown over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
-    assert facts["between lowest and highest"] == "0.9 m"
-    assert facts["fastest over ground"] == "0.9 m/s"
-    assert facts["greatest tilt"] == "8°"
+    assert float(facts["distance over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
+    assert facts["height range"] == "0.9 m"
+    assert facts["highest ground speed"] == "0.9 m/s"
+    assert facts["largest tilt"] == "8°"
 
 
 def test_intervals_show_gaps_but_not_those_of_a_thinned_log() -> None:

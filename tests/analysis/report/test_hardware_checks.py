@@ -1,4 +1,4 @@
-"""Checks of motors, doubled sensors, cells, and of how a flight ended."""
+"""Checks of motors, redundant sensors, cells, and the end of a flight."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def motors(last: Vector) -> list[Signal]:
     return [Signal("actuators", f"motor {i + 1}", T_S, v) for i, v in enumerate(outputs)]
 
 
-def test_a_motor_that_works_more_than_the_others_is_told() -> None:
+def test_a_motor_with_a_higher_command_fails_the_balance_check() -> None:
     assert verdict(checks(*motors(np.full_like(T_S, 0.55))), "motor balance") == "PASS"
     found = checks(*motors(np.where(T_S > 30, 0.95, 0.5)))
     assert verdict(found, "motor balance") == "FAIL"
@@ -63,7 +63,7 @@ def test_ardupilots_outputs_are_motors_by_their_function() -> None:
         ("divergence", 20.0, "estimators agree"),
     ],
 )
-def test_doubled_parts_that_disagree_fail(panel: str, value: float, name: str) -> None:
+def test_redundant_sensors_that_disagree_fail(panel: str, value: float, name: str) -> None:
     assert verdict(checks(Signal(panel, "x", T_S, NONE)), name) == "PASS"
     apart = np.where(T_S > 30, value, 0.0)
     assert verdict(checks(Signal(panel, "x", T_S, apart)), name) == "FAIL"
@@ -72,14 +72,14 @@ def test_doubled_parts_that_disagree_fail(panel: str, value: float, name: str) -
 def test_long_loops_fail_but_not_those_of_a_simulated_processor() -> None:
     loops = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 12.0))
     assert verdict(checks(loops), "scheduler") == "FAIL"
-    # Of a sound Pixhawk every twentieth loop is long.
+    # On a nominal Pixhawk every twentieth loop is long.
     often = Signal("scheduler", "long loops", T_S, np.full_like(T_S, 5.0))
     assert verdict(checks(often), "scheduler") == "PASS"
     simulated = {"SIM_SPEEDUP": [(0.0, 1.0)]}
     assert verdict(checks(loops, parameters=simulated), "scheduler") == "not judged"
 
 
-def test_a_flat_cell_fails_and_one_that_is_not_there_does_not() -> None:
+def test_an_empty_cell_fails_and_an_unconnected_one_does_not() -> None:
     flat = Signal("battery-cells", "cell 3", T_S, np.where(T_S > 40, 3.1, 3.9))
     absent = Signal("battery-cells", "cell 4", T_S, NONE)
     assert verdict(checks(flat, absent), "cell voltage") == "FAIL"
@@ -87,7 +87,7 @@ def test_a_flat_cell_fails_and_one_that_is_not_there_does_not() -> None:
 
 
 def fall(speed_mps: float) -> list[Signal]:
-    """A climb to 30 m and a fall that the ground ends."""
+    """A climb to 30 m and a fall to the ground."""
     height = np.clip(np.minimum(2 * T_S, 30 - speed_mps * (T_S - 30)), 0.0, 30.0)
     climb = np.gradient(height, T_S)
     return [Signal("height", "estimate", T_S, height), Signal("climb", "estimate", T_S, climb)]
@@ -119,10 +119,10 @@ def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> N
     ("before", "after", "word"),
     [(0.0, 2.0, "PASS"), (0.0, 178.0, "FAIL"), (0.0, 85.0, "FAIL"), (90.0, 90.0, "PASS")],
 )
-def test_a_vehicle_that_lies_on_its_back_fails_and_a_tail_sitter_may_stand(
+def test_an_overturned_vehicle_fails_and_an_upright_tail_sitter_passes(
     before: float, after: float, word: str
 ) -> None:
-    # In between it is flown upside down, which is nobody's fault.
+    # Inverted flight in between is not a failure.
     tilt = np.where(T_S < 10, before, np.where(T_S < 55, 180.0, after))
     signal = Signal("tilt", "ATTITUDE", T_S, tilt)
     for end_s in (57.0, 60.0):  # disarmed, or the log is cut off armed
@@ -130,7 +130,7 @@ def test_a_vehicle_that_lies_on_its_back_fails_and_a_tail_sitter_may_stand(
     assert verdict(checks(), "vehicle ends upright") == "not judged"
 
 
-def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:
+def test_a_wrong_height_fails_at_the_right_horizontal_position() -> None:
     place = np.full_like(T_S, 47.0), np.full_like(T_S, 8.0)
     truth = GroundTrack("truth", T_S, *place, np.full_like(T_S, 500.0))
     own = GroundTrack("estimate", T_S, *place, np.where(T_S > 30, 533.7, 500.0))
@@ -138,12 +138,12 @@ def test_a_height_off_the_truth_fails_though_the_place_is_right() -> None:
     assert verdict(found, "height against the truth") == "FAIL"
 
 
-def test_damage_of_the_file_weakens_the_verdict() -> None:
-    note = "parts of the file are damaged and were passed over"
-    assert verdict(checks(notes=[note]), "log is whole") == "WARN"
+def test_a_corrupted_file_weakens_the_verdict() -> None:
+    note = "parts of the file are corrupted and were skipped"
+    assert verdict(checks(notes=[note]), "log is complete") == "WARN"
 
 
-def test_what_lasts_until_arming_warns_and_what_ended_before_does_not() -> None:
+def test_a_problem_until_arming_warns_and_one_that_ended_before_does_not() -> None:
     late = Signal("gps-fix", "GPS", T_S, np.where(T_S < 11, 0.0, 3.0))
     early = Signal("gps-fix", "GPS", T_S, np.where(T_S < 5, 0.0, 3.0))
     assert verdict(checks(late, armed=(10.5, 60.0)), "before arming") == "WARN"
@@ -160,9 +160,7 @@ def test_what_lasts_until_arming_warns_and_what_ended_before_does_not() -> None:
         ([0.0, *np.arange(20.0, 28.0)], "FAIL"),
     ],
 )
-def test_an_estimator_that_is_changed_again_and_again_is_told(
-    starts_s: list[float], expected: str
-) -> None:
+def test_frequent_estimator_switches_fail(starts_s: list[float], expected: str) -> None:
     ends_s = [*starts_s[1:], 90.0]
     spans = [Span("armed", 1.0, 65.0, "armed", "mode")]
     spans += [
@@ -174,7 +172,7 @@ def test_an_estimator_that_is_changed_again_and_again_is_told(
     assert found["estimator switches"].verdict == expected
 
 
-def test_a_servo_rail_without_power_is_no_brown_out() -> None:
+def test_an_unpowered_servo_rail_is_not_a_brown_out() -> None:
     board = Signal("board-voltage", "Vcc", T_S, np.full_like(T_S, 5.0))
     nothing = Signal("board-voltage", "servo rail", T_S, np.where(T_S > 30, 0.12, 0.0))
     assert verdict(checks(board, nothing), "board voltage") == "PASS"

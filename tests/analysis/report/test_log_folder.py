@@ -1,4 +1,4 @@
-"""A folder of logs: a report each and an index page; only what is new is read."""
+"""A folder of logs: one report per log and an index page; only new logs are read."""
 
 import gzip
 import json
@@ -29,7 +29,7 @@ def test_a_folder_gets_an_index_and_the_second_time_only_what_is_new(
 ) -> None:
     out = tmp_path / "out"
     assert main(["report", str(folder), "--out", str(out)]) == 1
-    assert "2 flights, 2 of them new" in capsys.readouterr().out
+    assert "2 flights (2 new)" in capsys.readouterr().out
     rows = {
         name: entry["row"] for name, entry in json.loads((out / "index.json").read_text()).items()
     }
@@ -42,7 +42,7 @@ def test_a_folder_gets_an_index_and_the_second_time_only_what_is_new(
     flight("later").rename(folder / "later.tlog")
     (folder / "broken.ulg").write_bytes(b"not a log")
     assert main(["report", str(folder), "--out", str(out)]) == 2
-    assert "4 flights, 2 of them new" in capsys.readouterr().out
+    assert "4 flights (2 new)" in capsys.readouterr().out
     assert (out / rows["good.tlog"]["report"]).stat().st_mtime_ns == written
 
 

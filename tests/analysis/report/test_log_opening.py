@@ -1,4 +1,4 @@
-"""Which files are logs: compressed ones are unpacked, what cannot be one is told."""
+"""Opening of logs: compressed logs are unpacked, other files are errors."""
 
 import gzip
 import lzma
@@ -30,14 +30,14 @@ def test_a_compressed_log_is_unpacked_under_its_own_name(ending: str, tmp_path: 
 
 
 @pytest.mark.parametrize("ending", ["gz", "xz", "zst"])
-def test_a_compressed_log_that_is_cut_is_told(ending: str, tmp_path: Path) -> None:
+def test_a_truncated_compressed_log_is_an_error(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f"flight.tlog.{ending}"
     path.write_bytes(b"no such format")
     with pytest.raises(ConfigError, match="cannot be unpacked"):
         log_file(path, tmp_path)
 
 
-def test_a_pipe_and_a_pointer_are_told_and_do_not_hang(tmp_path: Path) -> None:
+def test_a_pipe_and_an_lfs_pointer_are_errors_and_do_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.tlog")
     (tmp_path / "lfs.ulg").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n")
     (tmp_path / "good.tlog").write_bytes(CONTENT)

@@ -34,7 +34,7 @@ def sentences(row: SolutionRow, folder: Path) -> dict[str, list[NMEAMessage]]:
     return found
 
 
-def test_place_time_and_quality_are_read_back(tmp_path: Path) -> None:
+def test_position_time_and_quality_are_read_back(tmp_path: Path) -> None:
     found = sentences(ROW, tmp_path)
     (fix,), (motion,), (sigma,) = found["GGA"], found["RMC"], found["GST"]
     assert (fix.lat, fix.lon) == pytest.approx((ROW.lat_deg, ROW.lon_deg), abs=1e-9)
@@ -65,16 +65,16 @@ def test_satellites_have_the_numbers_of_their_systems(tmp_path: Path) -> None:
     }
 
 
-def test_more_satellites_than_a_sentence_holds_are_in_a_second_one(tmp_path: Path) -> None:
+def test_satellites_beyond_the_limit_are_in_a_second_sentence(tmp_path: Path) -> None:
     many = replace(ROW, satellites=tuple(f"C{n:02d}" for n in range(1, 15)))
     first, second = sentences(many, tmp_path)["GSA"]
     assert (first.svid_12, second.svid_01, second.svid_02, second.svid_03) == (12, 13, 14, "")
 
 
-def test_a_position_that_nothing_bounds_is_no_fix(tmp_path: Path) -> None:
+def test_a_position_without_a_sigma_is_no_fix(tmp_path: Path) -> None:
     found = sentences(replace(ROW, sigma_ned_m=None), tmp_path)
     assert found["GGA"][0].quality == 0
-    assert (found["RMC"][0].set_status, found["RMC"][0].posMode) == ("V", "N")
+    assert (found["RMC"][0].status, found["RMC"][0].posMode) == ("V", "N")
     assert found["GST"][0].stdLat == ""
     assert {row.navMode for row in found["GSA"]} == {1}
 

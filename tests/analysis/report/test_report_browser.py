@@ -26,7 +26,7 @@ INKED = """(area) => {
 
 
 class Opened:
-    """A page with everything its console and its network said."""
+    """A page, its console messages and its network requests."""
 
     def __init__(self, browser: Any, path: Path) -> None:
         self.errors: list[str] = []
@@ -56,7 +56,7 @@ def opened(browser: Any, flight: Flight, tmp_path: Path) -> Iterator[Opened]:
     found.page.close()
 
 
-def test_a_report_opens_without_errors_and_asks_for_nothing(opened: Opened) -> None:
+def test_a_report_opens_without_errors_and_loads_nothing(opened: Opened) -> None:
     opened.page.evaluate("report.all()")
     assert opened.errors == []
     assert [url for url in opened.requests if not url.startswith("file:")] == []
@@ -103,7 +103,7 @@ def test_plots_below_the_window_are_drawn_too_and_nothing_moves(opened: Opened) 
         "() => [...document.querySelectorAll('.plots .area')].every((a) => a.dataset.drawn)"
     )
     plots = opened.page.evaluate("document.querySelectorAll('.plots .area').length")
-    # Legends of several lines are higher than the place that is kept.
+    # Legends of several lines are higher than the reserved space.
     assert opened.page.evaluate(top) == pytest.approx(before, abs=25.0 * plots)
 
 
@@ -182,18 +182,18 @@ def test_any_field_and_an_expression_are_plotted_and_the_address_keeps_them(
         ("ATTITUDE.rol", "has no field rol; it has"),
         ("ALTITUDE.roll", "no message ALTITUDE"),
         ("deg(ATTITUDE.roll", "bracket is not closed"),
-        ("alert(1)", "neither a field, a number nor a function"),
-        ("ATTITUDE.roll )", "stands after the end"),
+        ("alert(1)", "is not a field, number or function"),
+        ("ATTITUDE.roll )", "is not expected after the expression"),
     ],
 )
-def test_a_field_that_is_not_there_is_explained(opened: Opened, text: str, said: str) -> None:
+def test_a_missing_field_is_explained(opened: Opened, text: str, said: str) -> None:
     opened.page.fill("#field-text", text)
     opened.page.click("#field-form button")
     opened.page.wait_for_function("() => document.getElementById('field-said').textContent")
     assert said in opened.page.inner_text("#field-said")
 
 
-def test_fields_beside_the_file_are_loaded_when_asked_for(
+def test_fields_beside_the_file_are_loaded_on_demand(
     browser: Any, flight: Flight, tmp_path: Path
 ) -> None:
     out = tmp_path / "beside"
@@ -218,7 +218,7 @@ def test_a_click_on_a_checks_time_shows_that_stretch_and_its_plot(opened: Opened
     assert opened.page.locator("#plot-estimate-jump").is_visible()
 
 
-def test_a_script_that_a_log_smuggles_in_is_not_run(opened: Opened) -> None:
+def test_a_script_injected_by_a_log_is_not_run(opened: Opened) -> None:
     opened.page.evaluate(
         "document.body.append(Object.assign(document.createElement('script'),"
         " { textContent: 'window.smuggled = 1' }))"

@@ -1,4 +1,4 @@
-"""A run's report holds what was injected and what was said, in one file that needs no network."""
+"""A run's report holds injected faults and decisions, in one file that needs no network."""
 
 import json
 import re
@@ -92,7 +92,7 @@ def test_the_file_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
     assert "@import" not in text
 
 
-def test_injected_and_detected_stretches_stand_on_the_timeline(tmp_path: Path) -> None:
+def test_injected_and_detected_spans_are_on_the_timeline(tmp_path: Path) -> None:
     spans = model(written(tmp_path))["spans"]
     assert [(s["lane"], s["start"], s["end"]) for s in spans] == [
         ("injected: jump<1>", 10.0, 19.5),
@@ -114,7 +114,7 @@ def test_the_statistic_its_threshold_and_residuals_have_plots(tmp_path: Path) ->
     assert "error-yaw" in panels
 
 
-def test_a_satellite_left_out_has_a_gap_in_its_residuals() -> None:
+def test_an_excluded_satellite_has_a_gap_in_its_residuals() -> None:
     kept = [
         msgspec.structs.replace(d, satellites=("G01",), residual_m=(0.5,))
         if 10 <= d.t_s - T0_US * 1e-6 < 12
@@ -129,7 +129,7 @@ def test_a_satellite_left_out_has_a_gap_in_its_residuals() -> None:
     assert np.flatnonzero(np.isnan(other.value)).tolist() == [10, 11]
 
 
-def test_attitude_scores_stand_by_phase_and_fault() -> None:
+def test_attitude_scores_are_given_by_phase_and_fault() -> None:
     part = {
         "samples": 5, "rmse_deg": dict.fromkeys(("roll", "pitch", "yaw", "angle"), 1.25),
         "angle_percentiles_deg": {"95": 2.0}, "max_deg": {"angle": 3.0},
@@ -139,7 +139,7 @@ def test_attitude_scores_stand_by_phase_and_fault() -> None:
     assert section == "Attitude"
     assert all(table.head)  # a screen reader says every column
     labels = [row[0] for row in table.rows]
-    assert labels == ["whole flight", "without faults", "phase: climb", "fault: jump"]
+    assert labels == ["entire flight", "without faults", "phase: climb", "fault: jump"]
 
 
 def test_every_column_of_a_runs_page_has_a_name(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_criterion_that_is_not_met_is_the_reason_for_the_verdict(tmp_path: Pat
     assert "false alarms: 3, limit 0" in path.read_text()
 
 
-def test_the_isolation_matrix_counts_epochs_by_what_acted() -> None:
+def test_the_isolation_matrix_counts_epochs_by_injected_fault() -> None:
     heads, rows = isolation_matrix([JUMP], decisions())
     assert heads == ["none", "G05"]
     assert rows == {"jump<1>": [0, 10], "10 s after one": [10, 0], "no fault": [10, 0]}

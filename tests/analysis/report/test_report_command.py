@@ -20,7 +20,7 @@ def report(*arguments: object) -> int:
     return main(["report", *map(str, arguments)])
 
 
-def test_a_sound_flight_exits_0_and_leaves_three_files(flight: Flight, tmp_path: Path) -> None:
+def test_a_nominal_flight_exits_0_and_writes_three_files(flight: Flight, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert report(flight(), "--out", out) == 0
     assert sorted(path.name for path in out.iterdir()) == [
@@ -30,7 +30,7 @@ def test_a_sound_flight_exits_0_and_leaves_three_files(flight: Flight, tmp_path:
     ]
 
 
-def test_the_summary_holds_what_scripts_rely_on(flight: Flight, tmp_path: Path) -> None:
+def test_the_summary_has_the_keys_that_scripts_use(flight: Flight, tmp_path: Path) -> None:
     report(flight(), "--out", tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["verdict"] == "PASS"
@@ -70,7 +70,7 @@ def test_a_log_that_cannot_be_read_exits_2_and_the_others_are_reported(
     assert "none.tlog: there is no such file" in said
 
 
-def test_a_damaged_log_is_reported_and_says_how_much_is_missing(
+def test_the_report_on_a_corrupted_log_says_how_much_is_missing(
     flight: Flight, tmp_path: Path
 ) -> None:
     path = flight()
@@ -80,11 +80,11 @@ def test_a_damaged_log_is_reported_and_says_how_much_is_missing(
     report(path, "--out", tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["junk_bytes"] >= 550
-    check = next(check for check in summary["checks"] if check["name"] == "log is whole")
+    check = next(check for check in summary["checks"] if check["name"] == "log is complete")
     assert check["verdict"] == "WARN"
 
 
-def test_against_lays_curves_over_each_other_and_lists_differing_parameters(
+def test_against_overlays_curves_and_lists_differing_parameters(
     flight: Flight, tmp_path: Path
 ) -> None:
     one, other = flight("one"), flight("other", seconds=5, vibration=20.0)

@@ -1,4 +1,4 @@
-"""Curves that are computed: spectra, innovations with gates, balance of motors, instances."""
+"""Derived curves: spectra, innovations with gates, balance of motors, instances."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_a_spectrogram_shows_when_the_frequency_changed() -> None:
     assert loudest_hz[at_s > 11] == pytest.approx(80, abs=2)
 
 
-def test_what_the_motors_do_together_has_a_spectrogram_too() -> None:
+def test_the_sum_of_the_motors_has_a_spectrogram() -> None:
     hum = np.sin(2 * np.pi * 40 * T_S)
     motors = [Signal("actuators", f"motor {i}", T_S, 0.5 + 0.1 * i * hum) for i in (1, 2, 3, 4)]
     (panel,) = spectrum_panels(FlightData("r", signals=motors))
@@ -83,7 +83,7 @@ def test_an_innovation_comes_with_the_gate_of_its_parameter_both_ways() -> None:
     assert found["baro"].t_s == pytest.approx([0, 1])
 
 
-def test_a_motor_that_works_more_stands_off_the_balance() -> None:
+def test_a_motor_with_a_higher_command_deviates_from_the_mean() -> None:
     motors = [
         Signal("actuators", f"motor {i + 1}", T_S, np.full(len(T_S), 0.5 + 0.2 * (i == 2)))
         for i in range(4)
@@ -94,7 +94,7 @@ def test_a_motor_that_works_more_stands_off_the_balance() -> None:
     assert middle["motor 1"] == pytest.approx(-0.05)
 
 
-def test_instances_that_lean_apart_diverge() -> None:
+def test_estimator_instances_with_different_tilt_diverge() -> None:
     signals = [
         Signal(f"instance-{part}", name, T_S, np.full(len(T_S), lean))
         for name, lean in (("instance", 0.0), ("instance 2", 3.0))

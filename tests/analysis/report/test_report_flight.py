@@ -1,4 +1,4 @@
-"""Checks find what is wrong with a flight, and nothing in a sound one."""
+"""Checks find the problems of a flight, and none in a nominal one."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -40,13 +40,13 @@ def signal(values: list[float], step_s: float = 0.1) -> Signal:
     return Signal("vibration", "x", np.arange(len(values)) * step_s, np.array(values, float))
 
 
-def test_a_sound_flight_passes(flight: Flight) -> None:
+def test_a_nominal_flight_passes(flight: Flight) -> None:
     found = outcome(flight())
     assert found.verdict == "PASS"
     assert set(verdicts(found).values()) == {"PASS", "not judged"}
 
 
-def test_what_has_no_data_is_not_judged(flight: Flight) -> None:
+def test_a_check_without_data_is_not_judged(flight: Flight) -> None:
     found = verdicts(outcome(flight()))
     assert found["innovation test ratios"] == "not judged"
     assert found["position against the truth"] == "not judged"
@@ -87,7 +87,7 @@ def test_frames_missing_by_sequence_numbers_are_counted(flight: Flight) -> None:
     assert verdicts(found)["link from 1/1"] == "FAIL"
 
 
-def test_an_alarm_during_an_injected_fault_is_what_it_should_be(flight: Flight) -> None:
+def test_an_alarm_during_an_injected_fault_passes(flight: Flight) -> None:
     label = Label(
         id="jump", fault="bias", targets=("GPS_RAW_INT.lat",), t0_us=1_000_000,
         start_us=10_900_000, end_us=21_000_000,
@@ -97,7 +97,7 @@ def test_an_alarm_during_an_injected_fault_is_what_it_should_be(flight: Flight) 
     assert verdicts(found)["estimate steps"] == "FAIL"
     row = found.summary["faults"][0]
     assert row["detected"]
-    assert row["reaction"][0]["text"] == "position estimate moves 200 m at once"
+    assert row["reaction"][0]["text"] == "position estimate jumps by 200 m"
 
 
 def test_modes_arming_and_changed_parameters_are_events_of_the_recording(flight: Flight) -> None:
@@ -117,7 +117,7 @@ def test_a_value_counts_only_when_it_stays_beyond_the_limit() -> None:
     assert check.windows == ((pytest.approx(5.0), pytest.approx(6.5)),)
 
 
-def test_only_what_was_flown_armed_is_judged() -> None:
+def test_only_the_armed_part_of_a_flight_is_judged() -> None:
     values = signal([9.0] * 50 + [0.0] * 50)
     limits = CheckLimits(1.0, 5.0)
     assert check_level("x", [values], limits, [(6.0, 9.0)]).verdict == "PASS"
@@ -161,7 +161,7 @@ def test_two_vehicles_keep_their_curves_apart(tmp_path: Path, flight: Flight) ->
 
 
 @pytest.mark.parametrize("content", [b"", b"not a log at all " * 500, bytes(5000)])
-def test_a_foreign_or_empty_file_is_the_users_error(tmp_path: Path, content: bytes) -> None:
+def test_a_foreign_or_empty_file_is_a_config_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.tlog"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"x\.tlog"):
@@ -174,7 +174,7 @@ def test_a_recording_without_anything_has_no_verdict() -> None:
 
 
 def test_a_link_without_losses_says_nothing_about_a_flight() -> None:
-    whole = FlightCheck(name="log is whole", verdict="PASS", evidence="")
+    whole = FlightCheck(name="log is complete", verdict="PASS", evidence="")
     link = FlightCheck(name="link from 1/1", verdict="PASS", evidence="")
     assert verdict_of([whole, link]) == "NO VERDICT"
     assert (
@@ -188,7 +188,7 @@ def test_the_sequence_numbers_of_two_links_in_one_log_are_not_judged(flight: Fli
     assert verdicts(found)["link from 1/1"] == "not judged"
 
 
-def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
+def test_an_attitude_that_does_not_follow_its_setpoint_fails() -> None:
     t_s = np.arange(100) * 0.1
     roll = np.where(t_s > 5, 100.0, 0.0)
     curves = [
@@ -202,7 +202,7 @@ def test_an_attitude_that_does_not_follow_what_is_asked_for_fails() -> None:
     assert check.windows[0][0] == pytest.approx(5.1)
 
 
-def test_a_truth_that_never_changes_is_no_truth(shared_data: Path) -> None:
+def test_a_constant_truth_is_ignored(shared_data: Path) -> None:
     log = shared_data / "px4_hil" / "hover_gps_jump_hil.tlog"
     found = assess_flight(read_flight([log], []), Thresholds())
     assert verdicts(found)["position against the truth"] == "not judged"
@@ -221,7 +221,7 @@ def test_px4s_glitch_flag_and_the_accepted_jump_show_in_the_real_log(shared_data
     said = found.summary["faults"][0]["reaction"]
     assert said[0]["text"] == "estimator: GPS glitch raised"
     assert said[0]["after_s"] == pytest.approx(0.18, abs=0.01)
-    assert said[1]["text"] == "position estimate moves 200 m at once"
+    assert said[1]["text"] == "position estimate jumps by 200 m"
     assert said[1]["after_s"] == pytest.approx(7.15, abs=0.05)
     assert said[2]["text"] == "estimator: GPS glitch cleared"
 
@@ -238,7 +238,7 @@ def fault_rows(found: FlightAssessment) -> dict[str, tuple[str, str]]:
     return {row["id"]: (row["verdict"], row["reason"]) for row in found.summary["faults"]}
 
 
-def test_in_an_edited_recording_the_checks_detect_and_the_autopilot_could_not(
+def test_in_an_edited_recording_checks_detect_instead_of_the_autopilot(
     flight: Flight,
 ) -> None:
     seen = outcome(flight("seen", jump_at_s=10.0), jump(recorded=True))
@@ -249,17 +249,15 @@ def test_in_an_edited_recording_the_checks_detect_and_the_autopilot_could_not(
     assert unseen.verdict == "PASS"
 
 
-def test_an_edit_does_not_prove_another(flight: Flight) -> None:
+def test_a_failed_check_counts_only_for_faults_of_its_own_sensor(flight: Flight) -> None:
     compass = jump("compass", targets=("RAW_IMU.xmag",), recorded=True)
     found = outcome(flight(jump_at_s=10.0), jump(recorded=True), compass)
     assert fault_rows(found)["jump"][0] == "isolated"
     assert fault_rows(found)["compass"][0] == "not judged"
 
 
-def test_labels_of_a_recording_in_which_the_vehicle_restarted_count_on(
-    flight: Flight, tmp_path: Path
-) -> None:
-    """Half a minute passes between both flights: the proxy's clock, and labels, know nothing of
+def test_labels_continue_over_a_restart_of_the_vehicle(flight: Flight, tmp_path: Path) -> None:
+    """Half a minute passes between both flights: the proxy's clock, and labels, do not include
     it."""
     first, second = flight("first"), flight("second", jump_at_s=10.0)
     records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(first)]
@@ -270,7 +268,7 @@ def test_labels_of_a_recording_in_which_the_vehicle_restarted_count_on(
     assert fault_rows(outcome(path, label)) == {"jump": ("isolated", "")}
 
 
-def test_a_trouble_of_the_recording_itself_blames_nobody_for_an_edit() -> None:
+def test_a_problem_of_the_original_recording_isolates_no_sensor() -> None:
     """The real flight shook before, while and after its GPS was edited, which the edit did not."""
     shaken = FlightCheck(
         name="vibration", verdict="FAIL", evidence="", windows=((3.0, 4.0), (11.0, 12.0))
@@ -278,7 +276,7 @@ def test_a_trouble_of_the_recording_itself_blames_nobody_for_an_edit() -> None:
     jumps = FlightCheck(name="GPS jumps", verdict="FAIL", evidence="", windows=((9.8, 10.1),))
     recording = FlightData("x", "ardupilot", 1_000_000, 60.0, [])
     rows = fault_reactions([jump(recorded=True)], recording, [shaken, jumps])
-    # A window that begins with the sample before the edit is not from before it.
+    # A window that begins one sample before the edit counts.
     assert [(row["verdict"], row["delay_s"]) for row in rows] == [("isolated", 0.0)]
     calm = msgspec.structs.replace(shaken, windows=((11.0, 12.0),))
     (row,) = fault_reactions([jump(recorded=True)], recording, [calm, jumps])
@@ -292,7 +290,7 @@ def test_a_log_with_labels_needs_no_criteria_for_a_verdict(flight: Flight) -> No
     assert found.verdict == "FAIL"
 
 
-def test_a_command_of_a_sequence_is_nothing_that_an_autopilot_could_miss(flight: Flight) -> None:
+def test_a_command_of_a_sequence_is_not_a_missed_fault(flight: Flight) -> None:
     found = outcome(flight(), jump("up", fault="command", targets=()))
     assert fault_rows(found)["up"] == ("not judged", "a command to the vehicle falsifies nothing")
     assert found.verdict == "PASS"
@@ -314,12 +312,10 @@ def text(t_s: float, text: str, severity: int = UNGRADED, kind: str = "text") ->
         ("estimator: fs bad acc vertical raised", "isolated"),
         ("estimator: accelerometer error raised", "isolated"),
         ("estimator: GPS glitch raised", "wrong"),
-        ("estimator: velocity refused raised", "detected"),  # of whom is not said
+        ("estimator: velocity rejected raised", "detected"),  # names no sensor
     ],
 )
-def test_an_estimators_flag_counts_as_the_autopilots_word_on_a_fault(
-    flag: str, verdict: str
-) -> None:
+def test_an_estimator_flag_counts_as_a_reaction_of_the_autopilot(flag: str, verdict: str) -> None:
     label = jump("accel", targets=("HIL_SENSOR.zacc",))
     recording = FlightData("x", "px4", 1_000_000, 60.0, [signal([0.0] * 600)])
     recording.events.append(text(12.0, flag, 4, "flag"))

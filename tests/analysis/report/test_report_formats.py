@@ -108,13 +108,13 @@ def test_a_dataflash_log_is_judged_like_any_other(tmp_path: Path) -> None:
     ("events", "since_s", "until_s"),
     [
         ({2_000_000: 10, 9_000_000: 11}, 1.0, 8.0),
-        ({9_000_000: 11}, 0.0, 8.0),  # it begins in flight
+        ({9_000_000: 11}, 0.0, 8.0),  # the log begins in flight
         ({4_000_000: 57, 5_000_000: 28, 9_000_000: 11}, 3.0, 8.0),  # the arming was not logged
-        ({4_000_000: 57, 5_000_000: 28}, 3.0, 9.9),  # nor did it come down
+        ({4_000_000: 57, 5_000_000: 28}, 3.0, 9.9),  # nor was the disarming
         ({4_000_000: 28, 5_000_000: 10, 9_000_000: 11}, 4.0, 8.0),
     ],
 )
-def test_when_a_vehicle_was_armed_is_told_by_what_the_log_has(
+def test_arming_is_derived_from_the_events_in_the_log(
     tmp_path: Path, events: dict[int, int], since_s: float, until_s: float
 ) -> None:
     log = read_dataflash(dataflash(tmp_path / "log.bin", events))
@@ -138,7 +138,7 @@ def test_a_dataflash_log_is_exported(tmp_path: Path) -> None:
     assert tables["GPS_0"]["Lat"][0] == pytest.approx(47.0)
 
 
-def test_damaged_bytes_in_a_dataflash_log_are_passed_over(tmp_path: Path) -> None:
+def test_corrupted_bytes_in_a_dataflash_log_are_skipped(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "a.bin")
     data = bytearray(path.read_bytes())
     data[len(data) // 2 : len(data) // 2] = b"\x00\x01\x02\x03\x04"
@@ -149,7 +149,7 @@ def test_damaged_bytes_in_a_dataflash_log_are_passed_over(tmp_path: Path) -> Non
     assert len(found.topics["ATT", 0]["Roll"]) >= 98
 
 
-def test_a_dataflash_log_without_messages_is_the_users_error(tmp_path: Path) -> None:
+def test_a_dataflash_log_without_messages_is_a_config_error(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(HEAD + bytes(400))
     with pytest.raises(ConfigError, match=r"a\.bin"):
@@ -169,7 +169,7 @@ def test_the_real_ulog_shows_its_interference(shared_data: Path) -> None:
     assert "[commander] Takeoff detected" in [event.text for event in recording.events]
 
 
-def test_a_cut_ulog_gives_what_it_still_holds(tmp_path: Path, shared_data: Path) -> None:
+def test_a_truncated_ulog_gives_its_readable_part(tmp_path: Path, shared_data: Path) -> None:
     whole = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()
     path = tmp_path / "cut.ulg"
     path.write_bytes(whole[: len(whole) // 2])
@@ -177,14 +177,14 @@ def test_a_cut_ulog_gives_what_it_still_holds(tmp_path: Path, shared_data: Path)
     assert 0 < len(read_ulog(path).topics["vehicle_attitude", 0]["timestamp"]) < 1247
 
 
-def test_bytes_that_only_begin_like_a_ulog_are_the_users_error(tmp_path: Path) -> None:
+def test_a_ulog_header_without_content_is_a_config_error(tmp_path: Path) -> None:
     path = tmp_path / "a.ulg"
     path.write_bytes(b"ULog\x01\x12\x35" + bytes(3))
     with pytest.raises(ConfigError, match=r"a\.ulg"):
         read_flight([path], ())
 
 
-def test_a_ulog_that_pyulog_would_read_for_ever_is_given_up(tmp_path: Path) -> None:
+def test_reading_of_a_ulog_that_makes_pyulog_loop_is_stopped(tmp_path: Path) -> None:
     info = b"char[3] a" + b"xyz"
     good = struct.pack("<HBB", len(info) + 1, ord("I"), 9) + info
     path = tmp_path / "a.ulg"
@@ -192,11 +192,11 @@ def test_a_ulog_that_pyulog_would_read_for_ever_is_given_up(tmp_path: Path) -> N
     # good message, and begins again.
     cut = struct.pack("<HB", 6 + len(good), 0) + bytes(5)
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + 3 * good + cut)
-    with pytest.raises(ConfigError, match="damaged beyond reading"):
+    with pytest.raises(ConfigError, match="corrupted beyond reading"):
         read_ulog(path)
 
 
-def test_what_ardupilots_estimator_says_of_a_receiver_is_a_flag(tmp_path: Path) -> None:
+def test_a_gps_glitch_of_ardupilots_estimator_is_a_flag(tmp_path: Path) -> None:
     log = read_dataflash(dataflash(tmp_path / "a.bin"))
     t_us = np.arange(1_000_000, 11_000_000, 100_000)
     glitching = (t_us >= 4_000_000) & (t_us < 6_000_000)
@@ -211,7 +211,7 @@ def test_what_ardupilots_estimator_says_of_a_receiver_is_a_flag(tmp_path: Path) 
     ]
 
 
-def test_a_measurement_that_ardupilot_refuses_for_a_second_is_a_flag(tmp_path: Path) -> None:
+def test_a_measurement_that_ardupilot_rejects_for_a_second_is_a_flag(tmp_path: Path) -> None:
     log = read_dataflash(dataflash(tmp_path / "a.bin"))
     t_us = np.arange(1_000_000, 11_000_000, 100_000)
     ratio = np.where((t_us >= 4_000_000) & (t_us < 6_000_000), 1.1, 0.4)
@@ -220,10 +220,10 @@ def test_a_measurement_that_ardupilot_refuses_for_a_second_is_a_flag(tmp_path: P
     log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": zeros, "SH": ratio, "SP": short}
     found = recording_of_dataflash(log, "a")
     (span,) = [span for span in found.spans if span.kind == "flag"]
-    assert (span.lane, span.start_s, span.end_s) == ("estimator: height refused", 3.0, 5.0)
+    assert (span.lane, span.start_s, span.end_s) == ("estimator: height rejected", 3.0, 5.0)
 
 
-def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -> None:
+def test_solution_status_bits_of_px4s_estimator_are_flags(shared_data: Path) -> None:
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     topic = log.topics[("estimator_status", 0)]
     assert not [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
@@ -236,23 +236,23 @@ def test_what_px4s_estimator_says_of_its_solution_is_a_flag(shared_data: Path) -
         "innovation_check_flags": raised << 7,
     }
     spans = [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
-    # A receiver that is not good enough for the estimator is shown, and no flag.
+    # A receiver that fails the estimator's quality checks is a warning, not a flag.
     assert {(span.text, span.kind) for span in spans} == {
         ("accelerometer error", "flag"),
-        ("GPS speed accuracy refused", "warn"),
-        ("airspeed refused", "flag"),
+        ("GPS speed accuracy rejected", "warn"),
+        ("airspeed rejected", "flag"),
     }
     seconds = (topic["timestamp"][[100, 200]] - log.start_us) * 1e-6
     assert {(span.start_s, span.end_s) for span in spans} == {tuple(seconds.tolist())}
 
 
-def test_a_measurement_that_px4_refuses_for_a_second_is_a_flag(shared_data: Path) -> None:
+def test_a_measurement_that_px4_rejects_for_a_second_is_a_flag(shared_data: Path) -> None:
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     name = ("estimator_aid_src_baro_hgt", 0)
     topic = log.topics[name]
     t_s = (topic["timestamp"] - log.start_us) * 1e-6
     begin_s = float(t_s[len(t_s) // 2])
-    for for_s, texts in ((0.4, []), (3.0, ["baro height refused"])):
+    for for_s, texts in ((0.4, []), (3.0, ["baro height rejected"])):
         refused = (t_s >= begin_s) & (t_s < begin_s + for_s)
         log.topics[name] = {**topic, "innovation_rejected": refused.astype(np.uint8)}
         found = recording_of_ulog(log, "a")

@@ -15,7 +15,7 @@ METRE_DEG = 1.0 / 111_195.0  # of latitude, on the sphere that reports measure o
 
 
 def state(second, up_m, name="fused", **changes):
-    """A fused state above the place."""
+    """A fused state above the reference point."""
     at = ecef_from_geodetic(np.radians(LAT_DEG), np.radians(LON_DEG), ALT_M + up_m)
     return FusedState(
         t_us=second * 1_000_000,
@@ -31,7 +31,7 @@ def state(second, up_m, name="fused", **changes):
 
 
 def truth():
-    """A vehicle that stays where it is."""
+    """A vehicle at rest."""
     t_s = np.arange(10.0)
     columns = (np.full(10, value) for value in (LAT_DEG, LON_DEG, ALT_M))
     return GroundTrack("truth", t_s, *columns)
@@ -48,14 +48,14 @@ def curves(recording, panel):
     return {signal.name: signal.value for signal in recording.of(panel)}
 
 
-def test_the_error_of_each_axis_stands_with_three_of_its_sigmas():
+def test_errors_of_each_axis_are_drawn_with_three_sigma_bounds():
     found = curves(recorded([state(k, 3.0) for k in range(8)]), "fused-down")
     assert np.allclose(found["fused"], -3.0, atol=1e-3)
     assert set(found["+3 sigma"]) == {6.0}
     assert set(found["-3 sigma"]) == {-6.0}
 
 
-def test_both_solutions_stand_side_by_side_on_the_map_and_in_the_plots():
+def test_both_fused_solutions_are_on_the_map_and_in_the_plots():
     name = "fused without isolation"
     states = [s for k in range(8) for s in (state(k, 1.0), state(k, 9.0, name))]
     recording = recorded(states)
@@ -66,7 +66,7 @@ def test_both_solutions_stand_side_by_side_on_the_map_and_in_the_plots():
     assert table.rows[0][4:] == ("100.0 %", "0.25")  # (1 m / 2 m) squared
 
 
-def test_weights_are_curves_and_what_the_solution_says_of_itself_is_an_event():
+def test_weights_are_curves_and_reasons_of_the_fused_solution_are_events():
     states = [state(0, 0.0, reason="the graph began"), state(1, 0.0, weights={"G01": 0.5})]
     recording = recording_of_results([], states, 0)
     assert curves(recording, "fused-weight")["G01"].tolist() == [0.5]

@@ -21,7 +21,7 @@ def unpacked(numbers: PackedNumbers) -> np.typing.NDArray[np.float32]:
     return np.ascontiguousarray(planes.reshape(4, -1).T).view("<f4")[:, 0]
 
 
-def test_values_come_back_where_their_place_says() -> None:
+def test_packed_values_are_found_at_their_place() -> None:
     numbers = PackedNumbers()
     numbers.add_values(np.array([1.0, 2.0]))
     place = numbers.add_values(np.array([3.5, np.nan]))
@@ -72,14 +72,14 @@ def test_a_heading_that_wraps_has_a_gap_and_no_line_across() -> None:
     assert angle[3] == -179
 
 
-def test_curves_share_the_room_of_a_page_and_short_ones_stay_whole() -> None:
+def test_curves_share_the_size_of_a_page_and_short_ones_stay_complete() -> None:
     assert longest_curve([10, 20, 30], most=100) == MAX_CURVE_SAMPLES
     longest = longest_curve([10, 1000, 2000], most=110)
     assert longest == 50
     assert 10 + 2 * longest == 110
 
 
-def test_one_thing_has_one_colour_on_every_plot() -> None:
+def test_a_quantity_has_the_same_colour_on_every_plot() -> None:
     assert series_colours(["estimate", "desired"])[1] == series_colours(["actual", "desired"])[1]
     together = series_colours(["ATTITUDE", "ATTITUDE_QUATERNION", "desired", "gate x"])
     assert len(set(together)) == 4

@@ -1,4 +1,4 @@
-"""A log too large for memory gives a report that keeps its peaks and says what was left out."""
+"""A report on a log too large for memory keeps its peaks and says that rows were omitted."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_a_large_log_is_thinned_and_says_so(flight: Flight) -> None:
 
 
 @pytest.mark.usefixtures("small_memory")
-def test_what_is_said_seldom_is_kept_where_it_changes(flight: Flight) -> None:
+def test_rare_messages_are_kept_where_they_change(flight: Flight) -> None:
     found = outcome(flight(seconds=200, texts=((150, 2, b"Radio failsafe"),))).flight.recording
     assert "Radio failsafe" in [event.text for event in found.events]
     assert [span.text for span in found.spans if span.lane == "mode"] == ["LOITER", "AUTO"]
@@ -60,7 +60,7 @@ def test_a_single_peak_survives_thinning(flight: Flight) -> None:
     assert np.all(np.diff(kept["t_us"]) >= 0)
 
 
-def test_losses_counted_block_by_block_are_those_of_the_whole_log(
+def test_losses_counted_block_by_block_equal_those_of_the_entire_log(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = flight(seconds=60, lost=3)

@@ -1,4 +1,4 @@
-"""Where a flight was: paths without a place on the earth, uncertainty, and the receiver's sky."""
+"""Tracks of a flight: local tracks, uncertainty, and the receiver's sky plot."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ GPS = GroundTrack("GPS", T, 47.0 + T * 1e-5, 8.0 + T * 0, 500.0 + T)
 LOCAL = local_track("local estimate", T, T, 2.0 * T, -T)
 
 
-def test_a_path_that_nobody_knows_the_place_of_is_drawn_alone_only(tmp_path: Path) -> None:
+def test_a_local_track_is_drawn_only_without_global_ones(tmp_path: Path) -> None:
     both = FlightData("flight", tracks=[LOCAL, GPS])
     assert [track.name for track in tracks_in_flight(both)] == ["GPS"]
     assert [track.name for track in tracks_in_flight(replace(both, tracks=[LOCAL]))] == [
@@ -38,7 +38,7 @@ def test_a_path_that_nobody_knows_the_place_of_is_drawn_alone_only(tmp_path: Pat
     assert [line["properties"]["name"] for line in lines] == ["GPS"]
 
 
-def test_metres_of_a_local_path_are_metres_on_the_map() -> None:
+def test_metres_of_a_local_track_are_metres_on_the_map() -> None:
     radius_m = 6_371_000.0
     assert np.radians(LOCAL.lat_deg) * radius_m == pytest.approx(T, rel=2e-3)
     assert np.radians(LOCAL.lon_deg) * radius_m == pytest.approx(2.0 * T, rel=2e-3)
@@ -46,7 +46,7 @@ def test_metres_of_a_local_path_are_metres_on_the_map() -> None:
     assert not LOCAL.select(T > 1).on_earth
 
 
-def test_an_indoor_flight_of_a_real_vehicle_has_its_path(shared_data: Path) -> None:
+def test_a_real_indoor_flight_has_a_local_track(shared_data: Path) -> None:
     found = recording_of_ulog(read_ulog(shared_data / "ulog" / "gps_interference.ulg"), "indoors")
     (track,) = tracks_in_flight(found)
     # Its setpoint went from 0, 0.15 to 1, 1 m and back.
@@ -59,7 +59,7 @@ def test_an_indoor_flight_of_a_real_vehicle_has_its_path(shared_data: Path) -> N
     assert np.nanmedian(sigma[0]) == pytest.approx(0.019 / np.sqrt(2.0), abs=1e-3)
 
 
-def test_a_tlog_without_a_global_position_has_the_local_one() -> None:
+def test_a_tlog_without_a_global_position_has_a_local_track() -> None:
     rows = np.zeros(4, [("t_us", "i8"), ("system", "u1"), ("component", "u1"), ("seq", "u1"),
                         ("time_boot_ms", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4")])  # fmt: skip
     rows["t_us"], rows["system"] = np.arange(4) * 1_000_000, 1
@@ -88,12 +88,12 @@ def test_a_track_has_the_accuracy_of_its_own_source(
         assert found is None
     else:
         assert found is not None
-        # Before the first accuracy there is none.
+        # NaN before the first accuracy.
         assert np.isnan(found[0][0])
         assert found[0][1:] == pytest.approx([sigma] * 4)
 
 
-def test_the_fused_solution_has_its_own_sigma_by_axis() -> None:
+def test_the_fused_solution_has_a_sigma_per_axis() -> None:
     signals = [Signal("fused-sigma", axis, T, np.full(5, value)) for axis, value in
                (("north", 1.0), ("east", 3.0))]  # fmt: skip
     found = track_sigma(replace(GPS, name="fused"), FlightData("", signals=signals))
@@ -107,7 +107,7 @@ def _info(**columns: Any) -> FlightData:
     return FlightData("", messages={message: Message(np.zeros(1), shaped)})
 
 
-def test_the_sky_of_both_kinds_of_log_is_the_same() -> None:
+def test_a_ulog_and_a_tlog_give_the_same_sky_plot() -> None:
     ulog = {"svid": [5, 211, 0], "used": [1, 0, 0], "elevation": [40, 20, 0],
             "azimuth": [128, 64, 0]}  # fmt: skip
     spread = {f"{name}[{i}]": [v] for name, row in ulog.items() for i, v in enumerate(row)}
@@ -115,13 +115,13 @@ def test_the_sky_of_both_kinds_of_log_is_the_same() -> None:
     ((_, one),) = sky_pictures(_info(**spread))
     ((_, other),) = sky_pictures(_info(**{f"satellite_{name}": row for name, row in tlog.items()}))
     assert one == other
-    # A place without a satellite has no name; 211 is u-blox's first Galileo satellite.
+    # An empty entry has no name; 211 is u-blox's first Galileo satellite.
     assert b"<!-- G05 -->" in one
     assert b"<!-- E01 -->" in one
     assert one.count(b"<!-- G") == 1
 
 
-def test_a_log_that_tells_no_sky_has_no_picture() -> None:
+def test_a_log_without_satellite_directions_has_no_sky_plot() -> None:
     assert sky_pictures(FlightData("")) == []
     assert sky_pictures(_info(svid=[5])) == []
     empty = {f"{name}[0]": [0] for name in ("svid", "used", "elevation", "azimuth")}

@@ -17,5 +17,5 @@ def test_results_are_in_the_file_as_soon_as_they_are_written(tmp_path: Path):
     with ResultFile(tmp_path) as file:
         for t_us in range(3):
             file.write([AttitudeError(t_us=t_us, estimator="own", roll=1, pitch=0, yaw=0, angle=1)])
-            # Whoever is killed now leaves all of them.
+            # A process that is killed now leaves all of them.
             assert len(list(read_results(tmp_path / "results.jsonl"))) == t_us + 1

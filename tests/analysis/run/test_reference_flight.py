@@ -42,7 +42,7 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     assert row["position_m"]["estimate"]["most"] > 1.0
     assert set(row["attitude_deg"]) == {"truth", "error of the estimate"}
     assert (out / "clean" / "sent.tlog").stat().st_size > 100_000
-    assert "What the faults did" in (out / "report.html").read_text()
+    assert "Effects of the faults" in (out / "report.html").read_text()
 
 
 def test_the_twin_flies_no_further_than_a_run_that_was_stopped(

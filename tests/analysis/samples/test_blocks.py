@@ -1,4 +1,4 @@
-"""The same frames say the same, whether they come one by one, in heaps, or from a log."""
+"""Frames give the same samples one by one, in blocks, or from a log."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -46,7 +46,7 @@ def at_once(frames: list[bytes]) -> list[bytes]:
     return lines(Monitor(config()).push_bytes(frames, datagrams=False))
 
 
-def test_there_is_something_to_compare(at_once: list[bytes]):
+def test_the_compared_streams_hold_samples(at_once: list[bytes]):
     text = b"".join(at_once)
     wanted = (b'"Decision"', b'"baro"', b'"gps-position"', b'"ekf"', b'"complementary"')
     assert all(name in text for name in wanted)
@@ -54,7 +54,7 @@ def test_there_is_something_to_compare(at_once: list[bytes]):
 
 @settings(max_examples=6)
 @given(st.data())
-def test_a_stream_cut_anywhere_says_the_same(frames, at_once, data):
+def test_a_stream_split_anywhere_gives_the_same_samples(frames, at_once, data):
     cuts = data.draw(st.sets(st.integers(1, len(frames) - 1), max_size=40))
     monitor, found = Monitor(config()), []
     for begin, end in pairwise([0, *sorted(cuts), len(frames)]):
@@ -62,7 +62,7 @@ def test_a_stream_cut_anywhere_says_the_same(frames, at_once, data):
     assert found == at_once
 
 
-def test_frames_that_come_one_by_one_say_the_same(frames, at_once):
+def test_single_frames_give_the_same_samples(frames, at_once):
     monitor = Monitor(config())
     found = [
         line for frame in frames for line in lines(monitor.push_bytes([frame], datagrams=False))
@@ -70,7 +70,7 @@ def test_frames_that_come_one_by_one_say_the_same(frames, at_once):
     assert found == at_once
 
 
-def test_a_log_of_the_stream_says_the_same(frames, at_once, tmp_path: Path):
+def test_a_log_of_the_stream_gives_the_same_samples(frames, at_once, tmp_path: Path):
     path = tmp_path / "flight.tlog"
     tlog.write_log(path, ((1_700_000_000_000_000, frame) for frame in frames))
     monitor = Monitor(config())
@@ -88,7 +88,7 @@ def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
     assert again.beside == block.beside
 
 
-def test_a_fix_that_is_not_wanted_ends_no_piece_but_the_last():
+def test_a_fix_that_does_not_count_ends_no_slice_but_the_last():
     fixes = [GpsFix(t, 0.0, 0.0, 0.0, None, 3, 9, 1.0, 1.0, "HIL_GPS") for t in range(4)]
     broadcast = IonosphereSample(9, (0.0,) * 4, (0.0,) * 4)
     block = block_of([fixes[0], fixes[1], broadcast, fixes[2], fixes[3]])

@@ -53,7 +53,7 @@ def tunnel(message: bytes, sequence: int) -> list[Frame]:
         (0, []),
     ],
 )
-def test_hil_sensor_gives_what_its_bits_say(bits: int, kinds: list[type]):
+def test_hil_sensor_gives_the_fields_of_its_update_bits(bits: int, kinds: list[type]):
     samples = samples_of(Decoder(), frame("HIL_SENSOR", time_usec=5, fields_updated=bits))
     assert [type(sample) for sample in samples] == kinds
 
@@ -207,7 +207,7 @@ def test_broken_rtcm_is_no_sample():
     )
 
 
-def test_what_drives_the_motors_comes_in_thousands() -> None:
+def test_motor_commands_are_in_thousands() -> None:
     main = {f"servo{i + 1}_raw": 1100 + i for i in range(4)}
     frames = [
         frame("SERVO_OUTPUT_RAW", component=1, time_usec=7, port=0, **main),
@@ -222,7 +222,7 @@ def test_what_drives_the_motors_comes_in_thousands() -> None:
     assert (second.t_us, second.outputs[0]) == (9, pytest.approx(0.9))
 
 
-def test_further_imus_and_a_second_receiver_are_told_apart() -> None:
+def test_redundant_imus_and_a_second_receiver_are_distinguished() -> None:
     decoder = Decoder()
     rates = {"xgyro": 100, "time_boot_ms": 5}
     (first,) = samples_of(decoder, frame("SCALED_IMU", **rates))

@@ -1,4 +1,4 @@
-"""Outputs of a vehicle that has been on for longer than 32 bits of microseconds hold."""
+"""Actuator outputs of a vehicle whose 32-bit microsecond timestamps have wrapped."""
 
 import pytest
 
@@ -28,16 +28,16 @@ def stamps(decoder: Decoder, *frames: Frame) -> list[int]:
 
 
 @pytest.mark.parametrize("rounds", [0, 1, 5])
-def test_a_stamp_is_in_the_round_that_the_time_since_boot_tells(rounds: int) -> None:
+def test_a_timestamp_is_unwrapped_by_the_time_since_boot(rounds: int) -> None:
     at_us = rounds * ROUND_US + 3_000_000
     decoder = Decoder()
     found = stamps(decoder, outputs(at_us), attitude(at_us), outputs(at_us + 50_000))
     assert found == [at_us, at_us + 50_000]
-    # A block without it goes on by the one before.
+    # A block without boot time continues from the block before.
     assert stamps(decoder, outputs(at_us + 100_000)) == [at_us + 100_000]
 
 
-def test_the_end_of_a_round_is_no_leap() -> None:
+def test_a_wrap_is_no_time_jump() -> None:
     """The stamps of outputs and attitude lie on either side of it."""
     end_us = 2 * ROUND_US
     frames = [attitude(end_us - 20_000), outputs(end_us + 10_000), attitude(end_us + 20_000)]
@@ -45,5 +45,5 @@ def test_the_end_of_a_round_is_no_leap() -> None:
     assert found == [end_us - 30_000, end_us + 10_000, end_us - 5_000]
 
 
-def test_without_a_time_since_boot_stamps_stay_as_they_are() -> None:
+def test_without_a_time_since_boot_timestamps_are_unchanged() -> None:
     assert stamps(Decoder(), outputs(ROUND_US + 7)) == [7]

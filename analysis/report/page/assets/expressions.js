@@ -1,6 +1,6 @@
 "use strict";
-// Small expressions over fields, such as `deg(ATTITUDE.roll) - mean(ATTITUDE.pitch, 2)`: read, and worked out
-// at the times of the first field; others are interpolated there.
+// Expressions over fields, such as `deg(ATTITUDE.roll) - mean(ATTITUDE.pitch, 2)`: parsed, and evaluated
+// at the times of the first field; others are interpolated.
 
 const FIELD = /^[A-Za-z_][\w@]*(?:\.\w+(?:\[\d+\])?)+/;
 const FUNCTIONS = { abs: Math.abs, sqrt: Math.sqrt, sin: Math.sin, cos: Math.cos, tan: Math.tan, asin: Math.asin, acos: Math.acos,
@@ -12,7 +12,7 @@ function diff(t, y) {
   return y.map((value, i) => i && t[i] > t[i - 1] ? (value - y[i - 1]) / (t[i] - t[i - 1]) : NaN);
 }
 
-// The mean of the last so many seconds.
+// The mean of the last seconds.
 function mean(t, y, seconds) {
   let first = 0, sum = 0, count = 0;
   return y.map((value, i) => {
@@ -57,19 +57,19 @@ function parse(text) {
     if (field) return { field };
     const name = eat(/^[a-z]\w*/i);
     if (name === "pi") return { number: Math.PI };
-    if (!name || !(name in FUNCTIONS || name in OVER_TIME)) throw new Error(`${JSON.stringify(name || rest || text)} is neither a field, a number nor a function`);
-    if (!eat(/^\(/)) throw new Error(`${name} needs brackets`);
+    if (!name || !(name in FUNCTIONS || name in OVER_TIME)) throw new Error(`${JSON.stringify(name || rest || text)} is not a field, number or function`);
+    if (!eat(/^\(/)) throw new Error(`${name} needs arguments in brackets`);
     const of = [sum()];
     while (eat(/^,/)) of.push(sum());
     if (!eat(/^\)/)) throw new Error("a bracket is not closed");
     return { call: name, of };
   };
   const tree = sum();
-  if (rest) throw new Error(`${JSON.stringify(rest)} stands after the end`);
+  if (rest) throw new Error(`${JSON.stringify(rest)} is not expected after the expression`);
   return tree;
 }
 
-// The expressions of a text with commas between them, but not those within brackets.
+// Splits a text at commas outside brackets into expressions.
 function parts(text) {
   const found = [""];
   let depth = 0;

@@ -1,5 +1,5 @@
 "use strict";
-// Plots of any field: a message's numbers are unpacked, or loaded from beside the file, when asked for.
+// Plots of any field: a message's numbers are unpacked, or loaded from `report-data/`, on demand.
 
 class Fields {
   constructor(page, axis, address, plotted) {
@@ -28,7 +28,7 @@ class Fields {
       const curves = new Map(), notes = [];
       for (const [part, tree] of trees) {
         const names = fieldsOf(tree);
-        if (!names.length) throw new Error(`${part} holds no field`);
+        if (!names.length) throw new Error(`${part} contains no field`);
         for (const name of names) if (!curves.has(name)) curves.set(name, await this.curve(name, notes));
       }
       this.show(text, trees.map(([part, tree]) => ({ name: part, ...evaluate(tree, curves) })), notes);
@@ -48,7 +48,7 @@ class Fields {
     const field = entry.fields.find((one) => one.name === name.slice(at + 1));
     if (!field) throw new Error(`${entry.name} has no field ${name.slice(at + 1)}; it has ${entry.fields.slice(0, 12).map((one) => one.name).join(", ")}`);
     const numbers = await this.numbers(entry);
-    if (entry.step > 1) notes.push(`${entry.name}: each ${entry.step}th of ${entry.rows} rows; --data beside keeps all`);
+    if (entry.step > 1) notes.push(`${entry.name}: thinned to every ${entry.step}th of ${entry.rows} rows; --data beside keeps all`);
     const y = decodeValues(field.y, numbers, false);
     if (field.add) for (let i = 0; i < y.length; i++) if (y[i] !== null) y[i] += field.add;
     return { t: entry.times ??= decodeTimes(entry.t, numbers, entry.number), y };
@@ -60,13 +60,13 @@ class Fields {
     }
     return this.messages.get(entry.number);
   }
-  // A script beside the file hands its numbers to `arrived`: a page opened from a disk can load nothing else.
+  // A script beside the file passes its numbers to `arrived`: a page opened as a file can load nothing else.
   fetched(entry) {
     return new Promise((resolve, reject) => {
       const script = document.createElement("script");
       this.waiting.set(entry.number, resolve);
       script.src = `report-data/${entry.number}.js`;
-      script.onerror = () => { this.messages.delete(entry.number); reject(new Error(`report-data/${entry.number}.js is not beside this file`)); };
+      script.onerror = () => { this.messages.delete(entry.number); reject(new Error(`report-data/${entry.number}.js is missing; keep report-data beside this file`)); };
       document.head.append(script);
     });
   }

@@ -1,5 +1,5 @@
 "use strict";
-// The index of many flights: a click on a head sorts by it (again: the other way), the field filters.
+// The index of many flights: a click on a column header sorts by it (again: reversed), the input field filters.
 
 const body = document.querySelector("#flights tbody"), rows = [...body.rows];
 let sorted = -1, upwards = true;

@@ -2,13 +2,13 @@
 // Unpack the numbers, then draw each plot when it comes into view (all of them before printing).
 
 const NARROW_PX = 760;
-const IDLE_MS = 10; // that drawing a plot takes
+const IDLE_MS = 10; // needed to draw a plot
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 4;
-  const whole = new Uint8Array(planes.length); // the bytes stand in four planes (see pack.py)
+  const whole = new Uint8Array(planes.length); // the bytes are stored in four planes (see packed_numbers.py)
   for (let k = 0; k < 4; k++) for (let i = 0; i < n; i++) whole[4 * i + k] = planes[k * n + i];
   return new Float32Array(whole.buffer);
 }
@@ -40,7 +40,7 @@ class Report {
     this.pending.set(area, () => make(area));
     this.seen.observe(area);
   }
-  // A plot of any fields; what is given back removes it.
+  // Adds a plot of any fields; the returned function removes it.
   plotted(area, title, curves) {
     const panel = { key: title, title, unit: "", series: curves.map(({ name }, colour) => ({ name, colour })) };
     const ready = curves.map((curve, colour) => ({ ...curve, colour, y: curve.y.map((value) => Number.isFinite(value) ? value : null) }));
@@ -60,7 +60,7 @@ class Report {
     this.drawn.set(area, { make, plot: make() });
     area.dataset.drawn = "yes";
   }
-  // The rest while nothing else is to do: whoever scrolls, searches or captures finds it drawn.
+  // Draw the rest while idle, for scrolling, searching and screenshots.
   rest() {
     requestIdleCallback((free) => {
       const open = [...this.pending.keys()].filter((area) => area.clientWidth);
@@ -95,7 +95,7 @@ class Report {
   }
 }
 
-// -- what is pressed ----------------------------------------------------------------------------
+// -- user input ------ ----------------------------------------------------------------------------
 
 function choices(id, pairs, chosen, changed) {
   const list = document.getElementById(id);
@@ -135,7 +135,7 @@ function connect(report) {
   return asked.plots.reduce((before, text) => before.then(() => report.fields.ask(text)), Promise.resolve());
 }
 
-// The mode and whatever else stands at a time, and the last that was said.
+// The mode and other spans at a time, and the last message.
 function happening(page, t) {
   const spans = page.spans.filter((s) => s.start <= t && t <= s.end).map((s) => s.kind === "mode" ? s.text : s.lane);
   const last = page.marks.filter((mark) => mark.kind === "text" && mark.t_s <= t && mark.t_s > t - 10).at(-1);

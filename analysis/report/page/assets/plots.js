@@ -1,16 +1,16 @@
 "use strict";
 // The plots of a report: curves by uPlot, the timeline's lanes, all on one linked time axis.
-// `page` is the model that page.py wrote, `numbers` the float32 block (see pack.py).
+// `page` is the model from page_model.py, `numbers` the float32 block (see packed_numbers.py).
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const seriesColour = (i) => colour(`--s${i % 12}`);
 const NULL_EXPAND = 2; // a null stays a gap even between the samples of other curves
-const DECADES = 5; // that a logarithmic axis shows below its largest value
+const DECADES = 5; // shown by a logarithmic axis below its largest value
 const LIMIT_NAME = /^(gate|threshold|[+-]3 sigma)/;
 
-const decoded = new Map(); // time axes by where they stand: curves of one message share one
+const decoded = new Map(); // time axes by their place: curves of one message share one
 
-// `block` tells the blocks of numbers apart.
+// `block` identifies the block of numbers.
 function decodeTimes(place, numbers, block = "") {
   const key = `${block} ${place.offset} ${place.step} ${place.n} ${place.at}`;
   if (decoded.has(key)) return decoded.get(key);
@@ -66,11 +66,11 @@ function options(area, axis, height, more) {
   };
 }
 
-// Stretches that are drawn behind every plot, by kind, and moments that cross it as lines.
+// Spans drawn as bands behind every plot, by kind, and events drawn as lines.
 const BANDS = { injected: "--injected", flag: "--flagged", fail: "--flagged", warn: "--warned" };
 const MARKS = {
   "faults, flags, modes": { bands: ["injected", "flag"], lines: ["mode"] },
-  "all with checks and texts": { bands: ["injected", "flag", "fail", "warn"], lines: ["mode", "text", "error", "fault", "flag", "reset", "fusion"] },
+  "all with checks and messages": { bands: ["injected", "flag", "fail", "warn"], lines: ["mode", "text", "error", "fault", "flag", "reset", "fusion"] },
   "injected faults": { bands: ["injected"], lines: [] },
   "none": { bands: [], lines: [] },
 };
@@ -131,7 +131,7 @@ function logRange(u, min, max, decades = DECADES) {
 }
 
 function powerOfTen(tick) {
-  if (tick == null) return ""; // one that uPlot left out
+  if (tick == null) return ""; // omitted by uPlot
   const power = Math.log10(tick);
   if (Math.abs(power - Math.round(power)) > 1e-6) return "";
   return Math.abs(power) > 3 ? tick.toExponential(0) : String(+tick.toPrecision(1));
@@ -139,7 +139,7 @@ function powerOfTen(tick) {
 
 function plotWidth(area) { return Math.max(280, area.clientWidth); }
 
-// `curves` are those of the panel with their times and values.
+// `curves` are the panel's curves with times and values.
 function drawPanel(area, panel, page, curves, axis) {
   const tables = curves.map(({ t, y }) => [t, y]);
   const same = tables.every((table) => table[0] === tables[0][0]);
@@ -164,7 +164,7 @@ function drawPanel(area, panel, page, curves, axis) {
   return labelled(plot, `${panel.title}: ${panel.series.map((s) => s.name).join(", ")}`);
 }
 
-// What a screen reader says of a plot.
+// Labels a plot for screen readers.
 function labelled(plot, text) {
   plot.ctx.canvas.setAttribute("role", "img");
   plot.ctx.canvas.setAttribute("aria-label", text);

@@ -45,7 +45,7 @@ function markFrequencies(u, marks, scale, left, right) {
   ctx.restore();
 }
 
-// A share from 0 to 1 as red, green and blue, dark to bright.
+// A value from 0 to 1 as red, green and blue, dark to bright.
 function heat(share) {
   const level = share * (COLOURS.length - 1), low = Math.min(COLOURS.length - 2, Math.floor(level));
   return COLOURS[low].map((part, k) => Math.round(part + (COLOURS[low + 1][k] - part) * (level - low)));

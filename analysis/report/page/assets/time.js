@@ -1,5 +1,5 @@
 "use strict";
-// The stretch of time that all plots show, how times are written, and the address that keeps both.
+// The time window of all plots, the format of times, and the page address that stores both.
 
 const STEPS_S = [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300,
   600, 900, 1800, 3600, 7200, 14400, 43200, 86400];
@@ -30,7 +30,7 @@ class TimeAxis {
     for (const plot of this.plots) plot.redraw(true, true);
     for (const listen of this.listeners) listen({ form });
   }
-  // A time in the form that is chosen, with so many digits after the seconds.
+  // A time in the selected format, with `digits` decimals of a second.
   text(t, digits = 3) {
     if (this.form === "s") return `${+t.toFixed(digits)} s`;
     if (this.form === "boot") return `${+(t + this.boot_s).toFixed(digits)} s`;
@@ -44,7 +44,7 @@ class TimeAxis {
   }
 }
 
-// `#t=67,73&plot=IMU.AccX&time=utc`: what a link shows is what its sender saw.
+// `#t=67,73&plot=IMU.AccX&time=utc`: a link reproduces the view.
 class Address {
   constructor(axis) {
     this.axis = axis;

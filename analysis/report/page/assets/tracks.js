@@ -2,8 +2,8 @@
 // The tracks of a report on a canvas: from above (a map without tiles) and in space.
 // Drag to move (from above) or to turn (in space), wheel to zoom, double click to reset.
 
-const ELLIPSE_SIGMAS = 2.448; // hold 95 % of a normal error in the plane
-const ELLIPSES = 12; // along the stretch that is shown
+const ELLIPSE_SIGMAS = 2.448; // contain 95 % of normally distributed horizontal errors
+const ELLIPSES = 12; // along the shown part of a track
 
 class TrackView {
   constructor(canvas, tracks, axis, solid, faults) {
@@ -95,7 +95,7 @@ class TrackView {
     }
     ctx.stroke();
   }
-  // By value: a stroke for each stretch of about one colour.
+  // By value: one stroke per run of similar colour.
   coloured(ctx, place, track, shown) {
     const { low, high, at } = this.value;
     let last = null, step = -1;
@@ -130,7 +130,7 @@ class TrackView {
     ctx.fillStyle = stroke; ctx.beginPath();
     ctx.arc(...place(track.e[i], track.n[i], track.u[i]), 4.5, 0, 7); ctx.fill();
   }
-  // Where the track's own log believes it to be with 95 %.
+  // The 95 % region, from the accuracy in the log.
   ellipse(ctx, place, track, i, stroke, alpha) {
     const east = ELLIPSE_SIGMAS * track.se[i], north = ELLIPSE_SIGMAS * track.sn[i];
     if (track.e[i] == null || !(east * north > 0)) return;
@@ -145,7 +145,7 @@ class TrackView {
   }
 }
 
-// The last place of a time axis that is not after `time`.
+// The last index of a time axis that is not after `time`.
 function placeAt(t, time) {
   let i = 0, j = t.length - 1;
   while (j - i > 1) { const k = (i + j) >> 1; if (t[k] <= time) i = k; else j = k; }
@@ -177,7 +177,7 @@ function trackViews(page, numbers, axis) {
   return views;
 }
 
-// Any curve of the report as the colour of the tracks.
+// Selects any curve of the report as the colour of the tracks.
 function valueChoice(page, numbers, views) {
   const label = document.createElement("label"), list = document.createElement("select"), scale = document.createElement("span");
   list.id = "track-value";
@@ -198,7 +198,7 @@ function valueChoice(page, numbers, views) {
   return label;
 }
 
-// A curve as a function of time, with the range that nine tenths of it lie in.
+// A curve as a function of time, and the range of 90 % of its values.
 function curveAt(t, y) {
   const sorted = y.filter((value) => value !== null).sort((one, other) => one - other);
   return { low: sorted[Math.floor(0.05 * (sorted.length - 1))], high: sorted[Math.ceil(0.95 * (sorted.length - 1))],

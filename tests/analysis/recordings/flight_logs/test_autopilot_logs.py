@@ -60,7 +60,7 @@ def dataflash(path: Path, *names: str, rate: float = 6.0) -> Path:
 
 
 @pytest.mark.parametrize("rate", [5.0, 500.0])
-def test_rates_are_degrees_also_where_the_log_has_hundredths(tmp_path: Path, rate: float) -> None:
+def test_rates_are_in_degrees_even_if_the_log_has_hundredths(tmp_path: Path, rate: float) -> None:
     topics = read_dataflash(dataflash(tmp_path / "a.bin", "IMU", "RATE", rate=rate)).topics
     assert topics["RATE", 0]["R"] == pytest.approx([5.0] * 10)
     assert topics["RATE", 0]["RDes"] == pytest.approx([5.0] * 10)
@@ -81,7 +81,7 @@ def test_a_dataflash_log_holds_what_the_monitor_needs(tmp_path: Path) -> None:
     assert block.sample(4).q_nb == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 
 
-def test_what_a_receiver_says_of_its_accuracy_is_read_from_where_it_is_logged(
+def test_the_accuracy_of_a_receiver_is_read_from_gpa(
     tmp_path: Path,
 ) -> None:
     for names, said in ((("GPS", "GPA", "IMU"), (0.8, 1.2)), (("GPS", "IMU"), (np.nan, np.nan))):
@@ -93,7 +93,7 @@ def test_what_a_receiver_says_of_its_accuracy_is_read_from_where_it_is_logged(
             assert (fix.eph_m, fix.epv_m) == pytest.approx(said, nan_ok=True)
 
 
-def test_a_message_of_an_impossible_time_is_damage(tmp_path: Path) -> None:
+def test_a_message_with_an_impossible_time_is_corruption(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
     data = bytearray(path.read_bytes())
     data[data.index(row("IMU", 1_500_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)) + 3 + 4] ^= 0x40
@@ -109,7 +109,7 @@ def test_a_message_of_an_impossible_time_is_damage(tmp_path: Path) -> None:
 def test_a_file_without_any_message_of_a_sensor_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="nothing in it can be tested"):
+    with pytest.raises(ConfigError, match="holds no sensor message; give a log"):
         list(read_log(path))
 
 
@@ -128,7 +128,7 @@ def test_the_outputs_of_a_dataflash_log_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("names", "missing"), [(("IMU", "MAG"), "GPS"), (("GPS",), "IMU")])
-def test_a_log_that_cannot_be_tested_is_refused(
+def test_a_log_without_imu_or_gps_is_refused(
     tmp_path: Path, names: tuple[str, ...], missing: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"no samples of {missing}; the monitor needs"):
@@ -163,7 +163,7 @@ def test_without_outputs_the_commands_to_the_motors_are_read(
         assert np.corrcoef(output, motor)[0, 1] > 0.99
 
 
-def test_what_a_log_has_lost_is_told(tmp_path: Path) -> None:
+def test_lost_parts_of_a_log_are_reported(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
     whole = LogCondition()
     list(read_log(path, whole))
@@ -178,18 +178,18 @@ def test_what_a_log_has_lost_is_told(tmp_path: Path) -> None:
     path.write_bytes(data)
     broken = LogCondition()
     list(read_log(path, broken))
-    assert broken.damage == ["parts of the file are damaged and were passed over"]
+    assert broken.damage == ["parts of the file are corrupted and were skipped"]
 
 
-def test_a_tlog_with_foreign_bytes_is_damaged() -> None:
+def test_a_tlog_with_foreign_bytes_is_corrupted() -> None:
     condition = LogCondition()
     condition.note_junk(20, 100_000)
     assert condition.damage == []
     condition.note_junk(2_000, 100_000)
-    assert condition.damage == ["2000 of 100000 bytes (2 %) are no frame"]
+    assert condition.damage == ["2000 of 100000 bytes (2 %) are not frames"]
 
 
-def test_what_a_driver_calls_unhealthy_was_not_measured(tmp_path: Path) -> None:
+def test_unhealthy_measurements_are_ignored(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "a.bin", "GPS", "IMU")
     rows = [row("MAG3", 1_000_000 + 100_000 * k, 200, 0, 400, int(k < 4)) for k in range(10)]
     path.write_bytes(path.read_bytes() + b"".join(rows))

@@ -19,7 +19,7 @@ def log(texts: list[tuple[int, str]], events: list[tuple[int, str, str]], monkey
     return SimpleNamespace(logged_messages=said)
 
 
-def test_what_comes_as_text_and_as_event_comes_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_logged_as_text_and_event_is_kept_once(monkeypatch: pytest.MonkeyPatch) -> None:
     found = logged_texts(
         log(
             [(5_000_000, "[commander] Takeoff detected"), (9_000_000, "[x] bye")],
@@ -43,7 +43,7 @@ def test_what_comes_as_text_and_as_event_comes_once(monkeypatch: pytest.MonkeyPa
     ]
 
 
-def test_a_damaged_log_has_its_texts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_corrupted_log_keeps_its_texts(monkeypatch: pytest.MonkeyPatch) -> None:
     from pyulog.px4_events import PX4Events
 
     def broken(self: PX4Events, log: Any) -> None:
@@ -65,10 +65,10 @@ def test_printed_texts_are_cut_and_joined() -> None:
     assert len(found) == 3
 
 
-def test_a_real_log_tells_what_flight_review_shows_of_it(shared_data: Path) -> None:
+def test_a_real_log_has_the_texts_that_flight_review_shows(shared_data: Path) -> None:
     found = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     said = [text for _, _, text in found.messages]
-    # Five of its events are texts too, or say what a text says in other words.
+    # Five of its events are texts too, partly in other words.
     assert sum("Takeoff detected" in text for text in said) == 1
     assert "HW arch: CUAV_7_NANO" in found.printed["Console"]
     assert "wq:rate_ctrl" in found.printed["Processes after the flight"]
@@ -77,7 +77,7 @@ def test_a_real_log_tells_what_flight_review_shows_of_it(shared_data: Path) -> N
     ]  # fmt: skip
 
 
-def test_a_log_in_reserved_space_is_read_as_far_as_it_was_written(
+def test_a_preallocated_log_is_read_as_far_as_it_was_written(
     shared_data: Path, tmp_path: Path
 ) -> None:
     data = (shared_data / "ulog" / "gps_interference.ulg").read_bytes()

@@ -70,9 +70,7 @@ def test_a_log_gives_positions_with_a_navigation_file_beside_it(
     assert main([*given, str(data / "SEPT078M.21P"), f"--truth={ANTENNA}"]) == 0
     assert "epochs          20, untestable 0, alarms 0" in capsys.readouterr().out
     assert main(given) == 2
-    assert "flight.BIN: no ephemeris that can be read; give a navigation file" in (
-        capsys.readouterr().err
-    )
+    assert "flight.BIN: no readable ephemeris; give a navigation file" in (capsys.readouterr().err)
 
 
 def test_of_two_receivers_in_a_log_the_first_is_read(tmp_path: Path):
@@ -83,7 +81,7 @@ def test_of_two_receivers_in_a_log_the_first_is_read(tmp_path: Path):
     assert [epoch.t_us for epoch in found] == [epoch.t_us for epoch in read_ubx(UBX)[0]]
 
 
-def test_a_range_without_a_phase_is_passed_over(tmp_path: Path):
+def test_a_range_without_a_phase_is_skipped(tmp_path: Path):
     message = bytearray(payloads()[0])
     whole = read_dataflash_ranges(written(tmp_path / "a.bin", raw_log([bytes(message)])))[0]
     phase = 16 + 32 + 8  # of the second range, G03's
@@ -103,11 +101,11 @@ def test_a_log_without_raw_ranges_says_how_to_get_them(tmp_path: Path, capsys):
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_a_damaged_log_raises_nothing_but_what_a_user_can_read(
+def test_a_corrupted_log_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ):
     whole = bytearray(raw_log(payloads()[:2]))
-    # Most damage is put where the log says what its messages hold.
+    # Most corruption is put into the definitions of the messages.
     places = st.one_of(st.integers(0, 3 * 89), st.integers(0, len(whole) - 1))
     for at in data.draw(st.lists(places, max_size=8)):
         whole[at] = data.draw(st.integers(0, 255))

@@ -47,7 +47,7 @@ def test_rinex_2_with_short_lines_and_blank_digits(tmp_path: Path):
 
 
 @pytest.mark.parametrize("suffix", ["05d", "05d.gz"])
-def test_hatanaka_s_compression_of_rinex_2_is_undone(tmp_path: Path, suffix: str):
+def test_hatanaka_compressed_rinex_2_is_read(tmp_path: Path, suffix: str):
     plain = tmp_path / "a.05o"
     plain.write_text(RINEX_2)
     packed = hatanaka.rnx2crx(RINEX_2.encode())
@@ -65,7 +65,7 @@ def first_epochs(data: Path, count: int) -> str:
     return "".join(text[: start[count]])
 
 
-def test_hatanaka_s_compression_of_rinex_3_is_undone(tmp_path: Path, shared_data: Path):
+def test_hatanaka_compressed_rinex_3_is_read(tmp_path: Path, shared_data: Path):
     text = first_epochs(shared_data, 20)
     plain, packed = tmp_path / "a.rnx", tmp_path / "a.crx"
     plain.write_text(text)
@@ -113,9 +113,7 @@ def rinex_4(text: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def test_navigation_of_rinex_4_gives_what_the_same_of_rinex_3_gives(
-    tmp_path: Path, shared_data: Path
-):
+def test_navigation_data_of_rinex_4_equal_those_of_rinex_3(tmp_path: Path, shared_data: Path):
     three = shared_data / "gnss_static/SEPT078M.21P"
     four = tmp_path / "a.rnx"
     four.write_text(rinex_4(three.read_text()))
@@ -129,7 +127,7 @@ def test_navigation_of_rinex_4_gives_what_the_same_of_rinex_3_gives(
     ]
 
 
-def test_a_file_cut_inside_an_epoch_ends_with_the_last_whole_one(tmp_path: Path, shared_data: Path):
+def test_a_truncated_file_ends_with_its_last_complete_epoch(tmp_path: Path, shared_data: Path):
     text = (shared_data / "gnss_static/SEPT078M.21O").read_text().splitlines(keepends=True)
     start = [i for i, line in enumerate(text) if line.startswith(">")]
     path = tmp_path / "cut.21O"
@@ -137,7 +135,7 @@ def test_a_file_cut_inside_an_epoch_ends_with_the_last_whole_one(tmp_path: Path,
     assert len(read_observations(path)) == 3
 
 
-def test_what_is_no_rinex_is_refused(tmp_path: Path):
+def test_a_file_that_is_not_rinex_is_refused(tmp_path: Path):
     path = tmp_path / "x.txt"
     path.write_text("hello\n")
     with pytest.raises(ConfigError, match="is not a RINEX file"):

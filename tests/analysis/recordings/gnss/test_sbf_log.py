@@ -113,14 +113,14 @@ def test_orbits_of_a_real_log_are_those_that_rtklib_finds_in_it():
 
 
 @pytest.mark.parametrize(("systems", "satellites"), [("GE", 16), ("GEC", 25)])
-def test_a_real_log_gives_the_place_that_its_receiver_tells(systems: str, satellites: int):
-    data, at, told = LOG.read_bytes(), 0, []
+def test_a_real_log_gives_the_position_of_its_receiver(systems: str, satellites: int):
+    data, at, positions = LOG.read_bytes(), 0, []
     while at < len(data):
         number, length = unpack_from("<HH", data, at + 4)
         if number & 0x1FFF == PVT_GEODETIC:
-            told.append(unpack_from("<ddd", data, at + 16))
+            positions.append(unpack_from("<ddd", data, at + 16))
         at += length
-    lat, lon, height = told[-1]
+    lat, lon, height = positions[-1]
     decisions = [
         d for d in run_detector(Detector(DetectorConfig(systems=systems)), read_rinex_samples(LOG,
         [])) if isinstance(d, Decision)
@@ -176,7 +176,7 @@ def test_a_further_signal_is_read_by_its_difference(tmp_path: Path):
     assert epoch.cn0_dbhz[0] == 35.0
 
 
-def test_what_is_not_known_is_not_made_up(tmp_path: Path):
+def test_unknown_values_stay_unknown(tmp_path: Path):
     none = first(1, 0, 0.0, others=further(0, 5, 5))
     no_rate = first(2, 0, 21e6, math.nan)
     no_difference = first(71, 21, 24e6, others=further(17, -4 << 16, -16 << 16))
@@ -201,7 +201,7 @@ def test_qzss_on_either_code_is_read_and_glonass_has_its_channel(tmp_path: Path)
     assert epoch.carrier_hz[2] == 1602e6 - 7 * 0.5625e6
 
 
-def test_qzss_s_orbits_are_told_as_gps_s(tmp_path: Path):
+def test_qzss_ephemerides_are_read_like_those_of_gps(tmp_path: Path):
     data = LOG.read_bytes()
     at = next(
         i for i in range(len(data)) if data[i : i + 2] == b"$@" and number_at(data, i) == GPS_NAV
@@ -231,12 +231,12 @@ def test_an_epoch_may_come_in_several_blocks(tmp_path: Path):
     ]  # fmt: skip
 
 
-def test_scrambled_ranges_are_none(tmp_path: Path):
+def test_scrambled_ranges_are_ignored(tmp_path: Path):
     whole = meas_epoch(first(1, 0, 21e6))
     assert len(read_bytes(tmp_path, whole + meas_epoch(first(2, 0, 22e6), flags=0x80))) == 1
 
 
-def test_a_damaged_length_swallows_no_other_block(tmp_path: Path):
+def test_a_corrupted_length_hides_no_other_block(tmp_path: Path):
     whole = meas_epoch(first(1, 0, 21e6))
     damaged = whole[:6] + b"\xfc\x7f" + whole[8:]
     assert len(read_bytes(tmp_path, damaged + whole + whole[:-4])) == 1
@@ -244,7 +244,7 @@ def test_a_damaged_length_swallows_no_other_block(tmp_path: Path):
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_damage_anywhere_raises_nothing_but_what_a_user_can_read(
+def test_corruption_anywhere_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ):
     log = tmp_path_factory.mktemp("sbf") / "a.sbf"
@@ -273,14 +273,14 @@ def test_a_rinex_file_is_no_receiver_s_log(name: str):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.sbf", b"no blocks here", "has no whole MeasEpoch"),
-        ("a.sbf.gz", gzip.compress(LOG.read_bytes())[:-9], "cannot be read as a Septentrio log"),
-        ("b.sbf", meas_epoch(first(1, 0, 21e6)), "no ephemeris that can be read"),
-        ("c.sbf", meas_epoch(tow_ms=2**32 - 1), "has no epoch with a pseudorange"),
+        ("a.sbf", b"no blocks here", "has no complete MeasEpoch"),
+        ("a.sbf.gz", gzip.compress(LOG.read_bytes())[:-9], "not a Septentrio log"),
+        ("b.sbf", meas_epoch(first(1, 0, 21e6)), "no readable ephemeris"),
+        ("c.sbf", meas_epoch(tow_ms=2**32 - 1), "no epoch has a readable pseudorange"),
     ],
     ids=["no blocks", "cut", "no orbits", "no time"],
 )
-def test_what_cannot_be_judged_ends_in_a_line(
+def test_unusable_input_ends_in_a_one_line_error(
     name: str, content: bytes, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     log = tmp_path / name

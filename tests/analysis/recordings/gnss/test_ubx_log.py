@@ -98,14 +98,14 @@ def test_two_issues_of_galileo_in_a_real_log_agree(cold_start: Path):
         np.testing.assert_allclose(one[:, :4], two[:, :4], atol=1.0)
 
 
-def test_a_real_log_is_read_whole(cold_start: Path):
+def test_a_real_log_is_read_completely(cold_start: Path):
     samples = read_rinex_samples(cold_start / "cold_start.ubx.gz", [])
     epochs = [s for s in samples if isinstance(s, Epoch)]
     assert len(epochs) == 562
     assert {name[0] for epoch in epochs for name in epoch.satellites} == {"G", "E"}
 
 
-def test_what_satellites_send_is_read_back(shared_data: Path, tmp_path: Path):
+def test_navigation_messages_are_read_back(shared_data: Path, tmp_path: Path):
     wanted = known(shared_data / "gnss_static" / "SEPT078M.21P")
     assert {e.satellite[0] for e in wanted} == {"G", "E"}
     for i, ephemeris in enumerate(wanted):
@@ -119,7 +119,7 @@ def test_what_satellites_send_is_read_back(shared_data: Path, tmp_path: Path):
         np.testing.assert_allclose(places(only.ephemeris), places(ephemeris), atol=1e-2)
 
 
-def test_an_orbit_of_next_week_is_put_into_it(shared_data: Path, tmp_path: Path):
+def test_an_ephemeris_of_next_week_gets_that_week(shared_data: Path, tmp_path: Path):
     first = known(shared_data / "gnss_static" / "SEPT078M.21P")[0]
     late = replace(EPOCH, week=first.week, tow_s=604_799.0)
     log = tmp_path / "late.ubx"
@@ -168,7 +168,7 @@ def test_a_library_reads_the_same_from_a_real_log(cold_start: Path):
     assert compared > 50
 
 
-def test_a_damaged_length_swallows_no_other_frame(tmp_path: Path):
+def test_a_corrupted_length_hides_no_other_frame(tmp_path: Path):
     whole = rawx(EPOCH)
     damaged = whole[:4] + b"\xff\x7f" + whole[6:]
     log = tmp_path / "a.ubx"
@@ -178,7 +178,7 @@ def test_a_damaged_length_swallows_no_other_frame(tmp_path: Path):
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_damage_anywhere_raises_nothing_but_what_a_user_can_read(
+def test_corruption_anywhere_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ):
     log = tmp_path_factory.mktemp("ubx") / "a.ubx"
@@ -191,23 +191,23 @@ def test_damage_anywhere_raises_nothing_but_what_a_user_can_read(
         assert len(epochs) <= 3
 
 
-def test_a_receiver_that_does_not_know_the_time_yet_has_no_epochs(tmp_path: Path):
+def test_a_receiver_without_time_has_no_epochs(tmp_path: Path):
     log = tmp_path / "a.ubx"
     log.write_bytes(rawx(replace(EPOCH, week=0, tow_s=18.0)))
-    with pytest.raises(ConfigError, match="no epoch with a pseudorange"):
+    with pytest.raises(ConfigError, match="no epoch has a readable pseudorange"):
         read_rinex(log, [])
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.ubx", b"no frames here", "has no whole UBX-RXM-RAWX"),
-        ("a.ubx.gz", gzip.compress(rawx(EPOCH))[:-9], "cannot be read as a u-blox log"),
-        ("b.ubx", rawx(EPOCH), "no ephemeris that can be read"),
+        ("a.ubx", b"no frames here", "has no complete UBX-RXM-RAWX"),
+        ("a.ubx.gz", gzip.compress(rawx(EPOCH))[:-9], "not a u-blox log"),
+        ("b.ubx", rawx(EPOCH), "no readable ephemeris"),
     ],
     ids=["no frames", "cut", "no orbits"],
 )
-def test_what_cannot_be_judged_ends_in_a_line(
+def test_unusable_input_ends_in_a_one_line_error(
     name: str, content: bytes, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     log = tmp_path / name
@@ -225,7 +225,7 @@ def test_faults_are_put_into_rinex_files_alone(tmp_path: Path, capsys: pytest.Ca
     assert "is a receiver's log" in capsys.readouterr().err
 
 
-def test_what_a_receiver_sent_into_a_px4_log_is_read_as_its_own_log(tmp_path: Path) -> None:
+def test_a_gps_dump_in_a_px4_log_is_read_like_a_ubx_log(tmp_path: Path) -> None:
     sent = b"".join(rawx(replace(EPOCH, tow_s=TOW_S + i)) for i in range(5))
     path, straight = tmp_path / "flight.ulg", tmp_path / "same.ubx"
     straight.write_bytes(sent)
@@ -255,14 +255,16 @@ def test_a_px4_log_without_a_dump_says_how_to_get_one(tmp_path: Path, capsys) ->
     ],
     ids=["no length", "no bytes", "too few bytes", "a length of eight bytes"],
 )
-def test_a_dump_with_other_fields_ends_in_a_line(wrong: str, missing: str, tmp_path: Path) -> None:
+def test_a_dump_with_other_fields_ends_in_a_one_line_error(
+    wrong: str, missing: str, tmp_path: Path
+) -> None:
     path = tmp_path / "flight.ulg"
     path.write_bytes(dump_log(rawx(EPOCH), fields=wrong))
-    with pytest.raises(ConfigError, match=f"flight.ulg: gps_dump has no bytes {missing}, "):
+    with pytest.raises(ConfigError, match=f"flight.ulg: gps_dump has no bytes {missing}: "):
         read_ubx(path)
 
 
-def test_an_early_px4_log_tells_no_receiver_and_has_one(tmp_path: Path) -> None:
+def test_an_early_px4_log_without_receiver_numbers_has_one_receiver(tmp_path: Path) -> None:
     path = tmp_path / "flight.ulg"
     path.write_bytes(dump_log(rawx(EPOCH), fields=FIELDS.replace("instance", "unnamed")))
     assert [epoch.tow_s for epoch in read_ubx(path)[0]] == [TOW_S]
@@ -270,12 +272,12 @@ def test_an_early_px4_log_tells_no_receiver_and_has_one(tmp_path: Path) -> None:
 
 @given(data=st.data())
 @settings(deadline=None)
-def test_a_damaged_px4_log_raises_nothing_but_what_a_user_can_read(
+def test_a_corrupted_px4_log_raises_only_config_errors(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("ulg") / "flight.ulg"
     whole = bytearray(dump_log(3 * rawx(EPOCH)))
-    # Most damage is put where the log says what its messages hold.
+    # Most corruption is put into the definitions of the messages.
     head = whole.index(b"A", whole.index(FIELDS.encode()) + len(FIELDS))
     places = st.one_of(st.integers(0, head), st.integers(0, len(whole) - 1))
     for at in data.draw(st.lists(places, max_size=8)):
