@@ -114,7 +114,7 @@ def main() -> None:
         assert server.stdout is not None
         host = server.stdout.readline().partition("http://")[2].partition("/#")[0]
         printed_s = time.monotonic() - begin_s
-        with urllib.make_requested.urlopen(f"http://{host}/") as reply:
+        with urllib.request.urlopen(f"http://{host}/") as reply:
             reply.read()
         answered_s = time.monotonic() - begin_s
         print(f"To the printed address {printed_s:.2f} s, to the page {answered_s:.2f} s\n")

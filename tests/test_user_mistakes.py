@@ -98,8 +98,8 @@ def test_an_output_that_is_full_is_told_in_a_line() -> None:
 
 
 def test_what_a_shell_has_closed_is_no_sockets_number() -> None:
-    code = "import os; from mavproxy_fault.cli import _stand_in_for_closed as stand_in; "
-    code += "stand_in(); os.write(3, b'%d' % os.dup(2))"
+    code = "import os; from mavproxy_fault.cli import _reopen_closed_streams as reopen; "
+    code += "reopen(); os.write(3, b'%d' % os.dup(2))"
     closed = ["sh", "-c", 'exec "$@" 3>&1 1>&- 2>&-', "sh"]
     done = subprocess.run([*closed, sys.executable, "-c", code], stdout=subprocess.PIPE)
     assert int(done.stdout) > 3

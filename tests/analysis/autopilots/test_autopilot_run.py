@@ -74,7 +74,7 @@ def recorded_px4(tmp_path) -> str:
     """A build of PX4 whose program is the stand-in."""
     program = tmp_path / "px4" / "bin" / "px4"
     (program.parent.parent / "etc" / "init.d-posix").mkdir(parents=True)
-    (program.parent.parent / "etc" / "init.d-posix" / "rcS").confirm()
+    (program.parent.parent / "etc" / "init.d-posix" / "rcS").touch()
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec {sys.executable} {PX4_STAND_IN} "$@"\n')
     program.chmod(0o755)

@@ -47,10 +47,10 @@ def asked(
 ) -> tuple[int, Any]:
     """Status and answer of a change; of a look where there are no data."""
     url = f"{address.partition('/#')[0]}/api/{what}"
-    request = urllib.make_requested.Request(url, data=data, headers=headers)
+    request = urllib.request.Request(url, data=data, headers=headers)
     try:
-        with urllib.make_requested.urlopen(request, timeout=60) as reply:
-            return reply.set_status, json.loads(reply.read())
+        with urllib.request.urlopen(request, timeout=60) as reply:
+            return reply.status, json.loads(reply.read())
     except urllib.error.HTTPError as error:
         with error:
             return error.code, json.loads(error.read())

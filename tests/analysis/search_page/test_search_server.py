@@ -12,10 +12,10 @@ TEST = "duration_s: 1\ninitial: {roll_deg: [-30, 30]}\n"
 
 
 def told(host: str, what: str, token: str = "") -> dict:
-    request = urllib.make_requested.Request(
+    request = urllib.request.Request(
         f"{host}/api/{what}", data=b"" if token else None, headers={"X-Token": token}
     )
-    with urllib.make_requested.urlopen(request, timeout=60) as reply:
+    with urllib.request.urlopen(request, timeout=60) as reply:
         return json.loads(reply.read())
 
 

@@ -43,10 +43,10 @@ def test_a_wrong_token_is_explained_where_it_was_used(
 def status_of(address: str, headers: dict[str, str], what: str = "ctl/schedule/stop") -> int:
     origin = address.partition("/#")[0]
     url = f"{origin}/api/{what}"
-    request = urllib.make_requested.Request(url, data=b"", headers=headers)
+    request = urllib.request.Request(url, data=b"", headers=headers)
     try:
-        with urllib.make_requested.urlopen(request, timeout=10) as reply:
-            return int(reply.set_status)
+        with urllib.request.urlopen(request, timeout=10) as reply:
+            return int(reply.status)
     except urllib.error.HTTPError as error:
         with error:
             return error.code
@@ -73,8 +73,8 @@ def test_another_site_can_neither_read_nor_listen(address: str) -> None:
     origin = address.partition("/#")[0]
     elsewhere = {"Origin": "http://elsewhere.example"}
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.make_requested.urlopen(
-            urllib.make_requested.Request(origin, headers=elsewhere), timeout=10
+        urllib.request.urlopen(
+            urllib.request.Request(origin, headers=elsewhere), timeout=10
         )
     with (
         pytest.raises(InvalidStatus),

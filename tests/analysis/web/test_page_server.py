@@ -20,7 +20,7 @@ def test_a_second_signal_ends_the_page_in_order_too(tmp_path: Path) -> None:
         assert page.stdout is not None
         address = page.stdout.readline().partition(" ")[2].partition("#")[0]
         try:  # an answer of any kind: it is up, and hears signals
-            urllib.make_requested.urlopen(address, timeout=60).close()
+            urllib.request.urlopen(address, timeout=60).close()
         except urllib.error.HTTPError as refused:
             refused.close()
         page.send_signal(signal.SIGTERM)

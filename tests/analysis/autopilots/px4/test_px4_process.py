@@ -45,7 +45,7 @@ def test_a_program_without_its_start_scripts_is_refused(binary):
 def test_the_scripts_are_found_beside_the_program(binary):
     scripts = binary.parent.parent / "etc"
     (scripts / "init.d-posix").mkdir(parents=True)
-    (scripts / "init.d-posix" / "rcS").confirm()
+    (scripts / "init.d-posix" / "rcS").touch()
     assert px4_process.launch_command(str(binary)) == [str(binary), "-d", str(scripts)]
 
 
