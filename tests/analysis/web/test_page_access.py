@@ -73,9 +73,7 @@ def test_another_site_can_neither_read_nor_listen(address: str) -> None:
     origin = address.partition("/#")[0]
     elsewhere = {"Origin": "http://elsewhere.example"}
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(
-            urllib.request.Request(origin, headers=elsewhere), timeout=10
-        )
+        urllib.request.urlopen(urllib.request.Request(origin, headers=elsewhere), timeout=10)
     with (
         pytest.raises(InvalidStatus),
         connect(
