@@ -1,4 +1,4 @@
-"""A mission path as waypoints: the corners that an autopilot or a ground station exchanges."""
+"""A mission path as waypoints, for an autopilot or a ground station."""
 
 import math
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.guidance.mission import MissionPath
 from simvehicle.scenario.scenario_file import StartConfig
 
-# Longest leg [m], and largest distance [m] between a leg and the path that it replaces. A
-# multirotor stops at corners, so more of them would slow it down; a plane flies past them.
+# Longest leg [m], and largest distance [m] between a leg and the path that it approximates; chosen:
+# a multirotor stops at waypoints, so more of them slow it down; a plane flies past them.
 LONGEST_LEG_M = {"multirotor": 20.0, "fixedwing": 100.0}
 CHORD_TOLERANCE_M = {"multirotor": 1.0, "fixedwing": 5.0}
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """One corner of a mission, and how fast to fly to it."""
+    """A waypoint of a mission, with the speed of the leg to it."""
 
     lat_deg: float
     lon_deg: float
@@ -27,45 +27,45 @@ class Waypoint:
 
 
 def path_waypoints(path: MissionPath, start: StartConfig, kind: str) -> tuple[Waypoint, ...]:
-    """The corners of a path for a vehicle of this kind ("multirotor", "fixedwing")."""
-    corners = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
+    """The waypoints of a path for a kind of vehicle ("multirotor" or "fixedwing")."""
+    indices = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
     return tuple(
         make_waypoint(
             start,
             (float(path.north_m[at]), float(path.east_m[at]), float(path.height_m[at])),
             float(path.speed_mps[at]),
         )
-        for at in corners
+        for at in indices
     )
 
 
 def simplify_path(path: MissionPath, longest_m: float, chord_m: float) -> list[int]:
     """Indices of points whose straight connections stay within `chord_m` of the path."""
-    places = path.north_m + 1j * path.east_m
-    most = max(round(longest_m / path.spacing_m), 1)
+    points = path.north_m + 1j * path.east_m
+    max_points = max(round(longest_m / path.spacing_m), 1)
     chosen = [0]
-    while (first := chosen[-1]) < len(places) - 1:
-        last = min(first + most, len(places) - 1)
+    while (first := chosen[-1]) < len(points) - 1:
+        last = min(first + max_points, len(points) - 1)
         # Shorten the leg until every point between its ends is close enough to the chord.
-        while last > first + 1 and _chord_deviation(places[first : last + 1]) > chord_m:
+        while last > first + 1 and _chord_deviation(points[first : last + 1]) > chord_m:
             last -= 1
         chosen.append(last)
     return chosen
 
 
-def _chord_deviation(places: NDArray[np.complex128]) -> float:
-    """The largest distance of points (n,) of the plane from the chord of the first and last."""
-    chord = places[-1] - places[0]
+def _chord_deviation(points: NDArray[np.complex128]) -> float:
+    """Largest distance [m] of points (n,), as complex numbers, from the chord of their ends."""
+    chord = points[-1] - points[0]
     if abs(chord) == 0.0:
-        return float(np.abs(places - places[0]).max())
-    return float(np.abs(((places - places[0]) * chord.conjugate()).imag).max() / abs(chord))
+        return float(np.abs(points - points[0]).max())
+    return float(np.abs(((points - points[0]) * chord.conjugate()).imag).max() / abs(chord))
 
 
 def make_waypoint(
-    start: StartConfig, place_m: tuple[float, float, float], speed_mps: float
+    start: StartConfig, position_m: tuple[float, float, float], speed_mps: float
 ) -> Waypoint:
-    """A waypoint at `place_m`: north, east and above the start [m]."""
-    north_m, east_m, height_m = place_m
+    """A waypoint at `position_m`: north, east and above the start [m]."""
+    north_m, east_m, height_m = position_m
     meridian_m, normal_m = (float(r) for r in curvature_radii(math.radians(start.lat_deg)))
     parallel_m = normal_m * math.cos(math.radians(start.lat_deg))
     return Waypoint(
