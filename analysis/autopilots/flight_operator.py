@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Protocol
 
-from analysis.autopilots.flight_plan import FlightPlan, Waypoint
+from analysis.autopilots.flight_plan import FlightPlan
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
+from simvehicle.guidance.waypoints import Waypoint
 
 HEARTBEAT = message_layout("HEARTBEAT")
 GROUND_STATION, TYPE_GCS, NO_AUTOPILOT = 255, 6, 8

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
-from analysis.autopilots.flight_plan import Waypoint
 from analysis.autopilots.mission_items import (
     ItemFields,
     landing_items,
@@ -13,6 +12,7 @@ from analysis.autopilots.mission_items import (
 )
 from mavproxy_fault.wire.dialect import Layout, message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
+from simvehicle.guidance.waypoints import Waypoint
 
 COMMAND_LONG, MISSION_COUNT = message_layout("COMMAND_LONG"), message_layout("MISSION_COUNT")
 MISSION_ITEM_INT = message_layout("MISSION_ITEM_INT")
