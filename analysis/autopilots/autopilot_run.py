@@ -1,8 +1,7 @@
-"""`run --autopilot`: a scenario flown by a real autopilot, watched, recorded and reported.
+"""`run --autopilot`: fly a scenario with a real autopilot, monitor, record and report it.
 
-Simulator and proxy run here in one process, the monitor in one of its own; the autopilot's program
-is started and ended with the flight. The schedule counts from a moment of the flight, by default
-from leaving the ground.
+Simulator and proxy share this process, the monitor has its own; the autopilot's process starts and
+ends with the flight. The schedule's times count from a flight event, by default the take-off.
 """
 
 import argparse
@@ -34,10 +33,10 @@ from analysis.autopilots.user_parameters import read_parameters
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.monitor_process import MonitorProcess
 from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
-from analysis.run.run_command import EXIT_CODES, write_flight_report
+from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import print_summary
+from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
@@ -59,27 +58,24 @@ from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
-RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
-CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot's program to come
+CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot to connect
 AUTOPILOTS = {"ardupilot": ardupilot_process, "px4": px4_process}
 LOAD_TOPIC = "@ctl/schedule/load"
 START_EVENTS = ("first-stamp", "arming", "take-off", "landing")
-THREAD_PRIORITY = (
-    80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
-)
+THREAD_PRIORITY = 80  # between PX4's logger and telemetry (74 and below) and its control (90)
 
 
 @contextlib.contextmanager
 def real_time_priority() -> Iterator[None]:
-    """Run this thread at a real-time priority where that is allowed.
+    """Run this thread at a real-time priority where permitted.
 
-    PX4 started by root runs all its threads so: its logger would hold up the step that it waits
-    for. Threads and processes begun meanwhile do not inherit it.
+    PX4, if started by root, runs all its threads at real-time priorities: its logger would delay
+    this thread, and so the next step. Threads and processes started inside do not inherit it.
     """
-    gc.freeze()  # what is loaded stays; to look it through would hold up a step by 0.1 s
+    gc.freeze()  # a collection over all loaded modules would delay a step by 0.1 s
     with contextlib.ExitStack() as undo:
         undo.callback(gc.unfreeze)
-        # Not on every system, and not for every user.
+        # Some systems have no scheduler call, and some users no permission.
         with contextlib.suppress(AttributeError, PermissionError):
             before = os.sched_getscheduler(0), os.sched_getparam(0)
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -89,7 +85,7 @@ def real_time_priority() -> Iterator[None]:
 
 
 def _restore_priority(policy: int, priority: "os.sched_param") -> None:
-    """Give a real-time priority back; the flag about forks only a privileged thread may drop."""
+    """Restore the priority; only a privileged thread may clear the reset-on-fork flag."""
     try:
         os.sched_setscheduler(0, policy, priority)
     except PermissionError:
@@ -97,56 +93,56 @@ def _restore_priority(policy: int, priority: "os.sched_param") -> None:
 
 
 class FlightOverError(Exception):
-    """The operator has nothing more to do, or somebody wants the flight to end."""
+    """The operator has finished, or a user has stopped the flight."""
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
+    """Fly, report, and return the exit code: also 1 if the flight ended early."""
     name, _, vehicle = args.autopilot.partition(":")
     autopilot = AUTOPILOTS[name]
     if args.against_clean:
         raise ConfigError(
-            f"--against-clean: two flights of {name} differ without any fault, too; run both"
-            " schedules, and hold their logs against each other by report --against"
+            f"--against-clean: cannot be used with --autopilot, since two flights of {name} differ"
+            " even without a fault; run both schedules and compare the logs with report --against"
         )
     check_start_event(args.count_from)
-    own = read_parameters(args.parameters)
+    overrides = read_parameters(args.parameters)
     setup = setup_from_args(args)
     check_vehicle(setup.scenario)
     binary = autopilot.BINARIES[setup.scenario.vehicle.kind]
     if vehicle and binary != f"ardu{vehicle}":
         raise ConfigError(
             f"--autopilot {args.autopilot}: the scenario's vehicle is a "
-            f"{setup.scenario.vehicle.kind}, which {binary} flies"
+            f"{setup.scenario.vehicle.kind}; it needs {binary}"
         )
-    words = autopilot.command(args.binary or binary)
+    arguments = autopilot.launch_command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
-        flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
-        # At full speed nobody watches, and every message costs: only where somebody asks.
+        run = AutopilotRun(setup, folder, args.count_from, monitor, stop)
+        # At full speed, publishing only costs time: publish only if requested.
         if args.ui or args.zenoh != "auto":
             bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
-            flown.attach_bus(stack.enter_context(bus))
-        simulation = flown.flight.simulation
-        requests = stack.enter_context(autopilot.requests(simulation))
-        program = autopilot.started(words, simulation, folder, own)
-        reason = flown.run_flight(
-            program, requests, parse_speed(args.speed or ("1" if args.ui else "max"))
+            run.attach_bus(stack.enter_context(bus))
+        simulation = run.flight.simulation
+        commands = stack.enter_context(autopilot.open_commands(simulation))
+        launch = autopilot.start_autopilot(arguments, simulation, folder, overrides)
+        reason = run.run_flight(
+            launch, commands, parse_speed(args.speed or ("1" if args.ui else "max"))
         )
         columns = read_columns(folder / "sent.tlog")
-        file.write(flown.results + monitor.results())
+        file.write(run.results + monitor.results())
         wall_s = time.monotonic() - started_s
-        labels = flown.flight.completed_labels()
+        labels = run.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
         report_early_end(summary, reason)
-    summary["autopilot"] = flown.summary(reason)
-    summary["edited"] = flown.edit_lines(folder)
+    summary["autopilot"] = run.summary(reason)
+    summary["edited"] = run.edit_lines(folder)
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns)
@@ -155,50 +151,50 @@ def main(args: argparse.Namespace) -> int:
 
 
 def report_early_end(summary: dict[str, Any], reason: str) -> None:
-    """Put into a summary that the flight was not flown to its end: whatever was seen, it fails."""
-    check = CriterionCheck(name="flown to the landing", limit="landed", value=reason, passed=False)
+    """Add the failed check of an early end to a summary; its verdict becomes FAIL."""
+    check = CriterionCheck(name="flight completed", limit="landed", value=reason, passed=False)
     summary["criteria"].append(msgspec.structs.asdict(check))
     summary["verdict"] = "FAIL"
 
 
 def check_vehicle(scenario: Scenario) -> None:
-    """Refuse what no autopilot flies here.
+    """Refuse scenarios that no supported autopilot can fly.
 
     Raises
     ------
     ConfigError
-        With what is wrong.
+        If the vehicle's kind is unsupported or the flight starts in the air.
     """
     if scenario.vehicle.kind not in DEFAULT_HEIGHTS_M:
         raise ConfigError(
-            f"vehicle.kind = {scenario.vehicle.kind} is not flown by an autopilot here; "
-            f"{' or '.join(DEFAULT_HEIGHTS_M)} is"
+            f"vehicle.kind = {scenario.vehicle.kind} cannot be flown by an autopilot; "
+            f"use {' or '.join(DEFAULT_HEIGHTS_M)}"
         )
     if scenario.start.height_m > 0.0:
         raise ConfigError(
-            f"start.height_m = {scenario.start.height_m:g} is in the air; an autopilot "
-            "takes off by itself, so leave it out"
+            f"start.height_m = {scenario.start.height_m:g} starts in the air; remove it, since an "
+            "autopilot takes off from the ground"
         )
 
 
-def check_start_event(moment: str) -> None:
-    """Refuse a moment that no flight has.
+def check_start_event(event: str) -> None:
+    """Refuse a flight event that does not exist.
 
     Raises
     ------
     ConfigError
-        If it is none.
+        If it is unknown.
     """
-    head, _, number = moment.partition(":")
-    if moment not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
+    head, _, number = event.partition(":")
+    if event not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
         raise ConfigError(
-            f"--from {moment}: is no moment of a flight; known: {', '.join(START_EVENTS)}, "
+            f"--from {event}: is not a flight event; known: {', '.join(START_EVENTS)}, "
             "mission-item:N"
         )
 
 
 class AutopilotRun:
-    """One flight: what is recorded, and when the schedule begins."""
+    """One flight under an autopilot: connects its parts, records it, and starts the schedule."""
 
     def __init__(
         self,
@@ -208,80 +204,80 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: StopCheck,
     ) -> None:
-        # The faults come once the chosen moment is there, but for those that name one themselves.
-        own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
-        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, own))
+        # The other faults are loaded at the chosen flight event; these name their own.
+        event_entries = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
+        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, event_entries))
         self.results: list[Any] = []
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
         self._monitor = monitor
-        self._journal = EditLog(self.flight.core, self.flight.capture)
-        self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
+        self._edit_log = EditLog(self.flight.core, self.flight.capture)
+        self._edit_log.note(JOIN, b"", self._edit_log.begin(self.flight.now_us))
         self._recorder = Recorder(
             folder, recorder_session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.capture)
-        self._unhurried = RealTimePacer()
+        self._real_time_pacer = RealTimePacer()
         self._recorded_us = self._operator_us = 0
-        self._loaded: str | None = None  # the schedule as it began
+        self._loaded_schedule: str | None = None  # the schedule as it was loaded
         self._progress = Progress(time.monotonic())
         self._phase = ""
-        self._onlookers: AutopilotBusSession | None = None
+        self._bus_session: AutopilotBusSession | None = None
 
     def attach_bus(self, bus: Bus | None) -> None:
-        """Publish the flight on a bus, and let faults be armed from there."""
+        """Publish the flight on a bus, and accept fault control from it."""
         if bus is not None:
-            self._onlookers = AutopilotBusSession(bus, self.flight, self._journal)
+            self._bus_session = AutopilotBusSession(bus, self.flight, self._edit_log)
 
     def run_flight(
         self,
-        program: AbstractContextManager[RunningAutopilot],
-        requests: AutopilotCommands,
+        launch: AbstractContextManager[RunningAutopilot],
+        commands: AutopilotCommands,
         speed: float,
     ) -> str:
-        """Fly to the landing; why it did not come to it, or nothing."""
+        """Fly to the landing; return the reason of an early end, or an empty string."""
         simulation = self.flight.simulation
-        self._requests = requests
-        self._operator = Operator(flight_plan(simulation), requests)
+        self._autopilot_commands = commands
+        self._operator = Operator(flight_plan(simulation), commands)
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(mav_type=mav_type)
         plain = plain_flight(simulation, hil, self._passage)
-        with program as flying:
-            self._start = StartupPacer(flying)
-            patience = ConnectionDeadline(flying.links[0], flying.process, CONNECT_TIMEOUT_S)
+        with launch as running:
+            self._startup_pacer = StartupPacer(running)
+            deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
             lockstep = Lockstep()
-            outward = AutopilotSender(
+            sender = AutopilotSender(
                 self.flight,
                 hil,
                 self._deliver,
-                self._commands,
-                flying.links[-1],
-                flying.step_message,
+                self._step_operator,
+                running.links[-1],
+                running.step_message,
                 self._passage,
             )
-            inward = AutopilotReceiver(outward, flying.links, patience, lockstep)
+            receiver = AutopilotReceiver(sender, running.links, deadline, lockstep)
             loop = LockstepLoop(
                 simulation,
-                outward,
-                inward,
+                sender,
+                receiver,
                 mix,
                 speed,
                 self._progress,
                 lockstep,
-                plain if plain and plain.join(outward, inward, lockstep) else None,
+                plain if plain and plain.join(sender, receiver, lockstep) else None,
             )
             reason = ""
             try:
                 with real_time_priority():
                     loop.run()
-            except FlightOverError as over:
-                reason = str(over)
-            except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.exit_details()}"
-            except ConfigError as wrong:
-                reason = f"{wrong}{flying.exit_details()}"
-        outward.deliver_all()
+            except FlightOverError as ended:
+                reason = str(ended)
+            except (PeerGoneError, AutopilotSilentError) as lost:
+                reason = f"{lost} at {loop.t_us * 1e-6:.1f} s{running.exit_details()}"
+            except ConfigError as refused:
+                reason = f"{refused}{running.exit_details()}"
+        sender.deliver_all()
         self._close()
         if reason and simulation.truth.battery_remaining <= 0.0:
             reason += "; the simulated battery was empty"
@@ -290,7 +286,7 @@ class AutopilotRun:
         return reason
 
     def summary(self, reason: str) -> dict[str, Any]:
-        """What `summary.json` tells of the autopilot; times are the vehicle's in seconds."""
+        """Return the section `autopilot` of `summary.json`; times are vehicle time [s]."""
         operator = self._operator
         return {
             "landed": operator.phase == "landed",
@@ -301,8 +297,10 @@ class AutopilotRun:
         }
 
     def edit_lines(self, folder: Path) -> list[str]:
-        """What was asked live, for people; not that the schedule began."""
-        edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
+        """Describe the live edits, without the loading of the schedule."""
+        edits = [
+            edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded_schedule
+        ]
         return describe_edits(edits, self.flight.core.clock.t0_us or 0)
 
     def _deliver(self, sends: list[Send]) -> None:
@@ -314,29 +312,29 @@ class AutopilotRun:
 
     def _add_results(self, results: list[Any]) -> None:
         self.results += results
-        if self._onlookers is not None:
-            self._onlookers.publish_results(results)
+        if self._bus_session is not None:
+            self._bus_session.publish_results(results)
 
-    def _commands(self) -> list[bytes]:
-        """Called before each step: what the operator sends, and what has to be written."""
-        if self._onlookers is not None:
-            self._onlookers.serve()
+    def _step_operator(self) -> list[bytes]:
+        """Return the operator's frames and write the logs when due; called before each step."""
+        if self._bus_session is not None:
+            self._bus_session.serve()
         t_us = self.flight.vehicle_us
-        self._start.wait_for_pace(t_us)
-        self._unhurried.wait_for_pace(t_us, awaiting=self._requests.awaiting_reply)
+        self._startup_pacer.wait_for_pace(t_us)
+        self._real_time_pacer.wait_for_pace(t_us, awaiting=self._autopilot_commands.awaiting_reply)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self.flight.simulation.truth.on_ground
-            # Before the first stamp there is no time.
-            started = self._start.finished
+            # Before the first timestamp there is no vehicle time.
+            started = self._startup_pacer.finished
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
-        if self._loaded is None and self._count_from in self._operator.events_us:
+        if self._loaded_schedule is None and self._count_from in self._operator.events_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
-        # Ctrl-C is looked at here as well: between two writes the logs are whole.
+        # Ctrl-C is handled here too: the logs are complete between two writes.
         if self.flight.t_us - self._recorded_us >= RECORD_PERIOD_US:
             self._record()
             if self._stop():
@@ -346,17 +344,17 @@ class AutopilotRun:
         return frames
 
     def _begin_schedule(self, t_us: int) -> None:
-        """Load the schedule, its times counted from now; the journal lets a replay do the same."""
-        # The schedule counts from the first stamp; this moment lies so much later.
-        late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
+        """Load the schedule, its times counted from now; the edit log lets a replay repeat it."""
+        # The schedule counts from the first timestamp; the event is this much later.
+        offset_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [
-            (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
+            (entry, 0.0 if "from" in entry.written else offset_s) for entry in self._schedule.faults
         ]
-        self._loaded = write_schedule(self._schedule.seed, entries)
-        text = self._loaded.encode()
-        at_us = self._journal.begin(self.flight.now_us)
+        self._loaded_schedule = write_schedule(self._schedule.seed, entries)
+        text = self._loaded_schedule.encode()
+        at_us = self._edit_log.begin(self.flight.now_us)
         self.flight.control.answer(LOAD_TOPIC, text, at_us)
-        self._journal.note(LOAD_TOPIC, text, at_us)
+        self._edit_log.note(LOAD_TOPIC, text, at_us)
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
@@ -364,16 +362,16 @@ class AutopilotRun:
         if self._passage is not None:
             self._passage.count()
         sent = bytes(self.flight.capture.sent)
-        self._recorder.write(self.flight.capture, labels, self._journal.drain())
-        # Somebody may watch: results must not wait for a full batch then.
-        self._add_results(self._monitor.feed(sent, now=self._onlookers is not None))
-        if self._onlookers is not None:
-            self._onlookers.publish_labels(labels)
+        self._recorder.write(self.flight.capture, labels, self._edit_log.drain())
+        # A live viewer must not wait for a full batch of results.
+        self._add_results(self._monitor.feed(sent, now=self._bus_session is not None))
+        if self._bus_session is not None:
+            self._bus_session.publish_labels(labels)
 
     def _close(self) -> None:
         self._deliver(self.flight.core.finish(self.flight.now_us))
         self._record()
-        if self._onlookers is not None:
-            self._onlookers.close()
+        if self._bus_session is not None:
+            self._bus_session.close()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
         self._progress.end(self.flight.t_us, time.monotonic())

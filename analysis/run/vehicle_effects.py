@@ -1,7 +1,7 @@
-"""What commands do to a scenario's vehicle, by small changes about its steady flight.
+"""Linearise the actuator response of a scenario's vehicle about steady flight.
 
-The vehicle is held in steady flight until its motors follow the commands; the motion that the last
-step begins is what they lead to. Everything is told in the channels of HIL_ACTUATOR_CONTROLS.
+The vehicle is held in steady flight until its motors have followed the commands; the acceleration
+of the last step is their effect. All values are in the channels of HIL_ACTUATOR_CONTROLS.
 """
 
 from collections.abc import Callable
@@ -35,13 +35,13 @@ from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import pack_surroundings
 
 Array = NDArray[np.float64]
-STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
-HEIGHT_M = 100.0  # nothing is touched there
+STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
+HEIGHT_M = 100.0  # free of ground contact
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS = 12
-FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # behind the angular accelerations
+FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations
 BODY_AXES = 6
-MIN_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
+MIN_WING_HZ = 0.1  # m/s^2 per m/s of cross flow; chosen: below it the vehicle has no wing
 
 
 class _TrimmedVehicle:
@@ -49,81 +49,81 @@ class _TrimmedVehicle:
 
     def __init__(self, vehicle: Any, names: list[str]) -> None:
         self._vehicle = vehicle
-        self._still = np.zeros(3)
+        self._zero = np.zeros(3)
         gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
-        self._around = pack_surroundings(self._still, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
+        self._around = pack_surroundings(self._zero, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
         speed_mps = vehicle.parameters.cruise_mps
-        place = np.array([0.0, 0.0, -HEIGHT_M])
+        position = np.array([0.0, 0.0, -HEIGHT_M])
         self._state = vehicle.cruise(
-            place, 0.0, self._still, speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
+            position, 0.0, self._zero, speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
         )
         self.trim = self._trim(names)
 
     def motion(self, commands: Array, change: Array) -> Array:
-        """Angular acceleration and specific force (6,) that commands (n,) lead to, with the body's
+        """Return angular acceleration and specific force (6,) for commands (n,), with the body
         state changed by `change` (13,)."""
         motion: Array = self._motions(commands, change)[-1]
         return motion
 
     def lag_s(self, number: int) -> float:
-        """How long a command's effect lasts to come: the mean delay of a step."""
-        step, still = 0.0 * self.trim, np.zeros(RIGID_SIZE)
+        """Return the lag of an actuator [s]: the mean delay of its step response."""
+        step, zero = 0.0 * self.trim, np.zeros(RIGID_SIZE)
         step[number] = COMMAND_STEP
-        rise = self._motions(self.trim + step, still) - self._motions(self.trim - step, still)
-        whole = float(rise[-1] @ rise[-1])
-        if whole == 0.0:  # a rudder that is not there
+        rise = self._motions(self.trim + step, zero) - self._motions(self.trim - step, zero)
+        total = float(rise[-1] @ rise[-1])
+        if total == 0.0:  # an actuator without effect
             return 0.0
-        return float((1.0 - rise @ rise[-1] / whole).sum() * STEP_S)
+        return float((1.0 - rise @ rise[-1] / total).sum() * STEP_S)
 
     def _motions(self, commands: Array, change: Array) -> Array:
-        """The motion after each step (STEPS, 6) since the commands came."""
+        """Return the motion (STEPS, 6) after each step since the commands changed."""
         state = self._state.copy()
-        held = state[:RIGID_SIZE] + change
+        body = state[:RIGID_SIZE] + change
         motions = np.empty((STEPS, BODY_AXES))
         for row in motions:
-            state[:RIGID_SIZE] = held
+            state[:RIGID_SIZE] = body
             state, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
-            row[:ANGULAR] = (state[P:RIGID_SIZE] - held[P:RIGID_SIZE]) / STEP_S
+            row[:ANGULAR] = (state[P:RIGID_SIZE] - body[P:RIGID_SIZE]) / STEP_S
             row[ANGULAR:] = load[:3]
         return motions
 
     def _trim(self, names: list[str]) -> Array:
-        """Commands (n,) of steady flight: surfaces in the middle, motors that carry the weight up
-        or the drag forward."""
+        """Return commands (n,) of steady flight: centred surfaces, and motors that balance weight
+        or drag."""
         motors = 1.0 - _surfaces(names)
         axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
         q = self._state[E0 : E0 + 4]
-        carried_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
+        needed_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             force = self.motion(middle * motors, np.zeros(RIGID_SIZE))[ANGULAR:]
-            carries = sign * force[axis] > carried_mps2
-            low, high = (low, middle) if carries else (middle, high)
+            sufficient = sign * force[axis] > needed_mps2
+            low, high = (low, middle) if sufficient else (middle, high)
         return high * motors
 
 
 def vehicle_effects(scenario: Scenario) -> Effects:
-    """The effects of a scenario's vehicle."""
+    """Compute the actuator effects of a scenario's vehicle."""
     kind = find_vehicle_kind(scenario.vehicle.kind)
     vehicle = kind.read(scenario.vehicle.parameters)
     names = kind.actuators(vehicle)
-    held = _TrimmedVehicle(vehicle, names)
+    trimmed = _TrimmedVehicle(vehicle, names)
 
     def by_state(entry: int, step: float) -> Array:
-        return _slope(lambda change: held.motion(held.trim, change), RIGID_SIZE, entry, step)
+        return _slope(lambda change: trimmed.motion(trimmed.trim, change), RIGID_SIZE, entry, step)
 
     def by_command(number: int, step: float) -> Array:
         at_rest = np.zeros(RIGID_SIZE)
         return _slope(
-            lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
+            lambda change: trimmed.motion(trimmed.trim + change, at_rest), len(names), number, step
         )
 
     coefficients, mix = np.zeros((BODY_AXES, TERMS)), np.zeros((COMMANDS, COMMANDS))
     lags_s = np.zeros(COMMANDS)
     for i, name in enumerate(names[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
-        lags_s[i] = held.lag_s(i)
+        lags_s[i] = trimmed.lag_s(i)
         channels = [pair for pair in ACTUATOR_CHANNELS.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
@@ -131,7 +131,7 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         coefficients[:, RATE + i] = by_state(P + i, RATE_STEP_RPS)
     air = np.column_stack([by_state(U + i, SPEED_STEP_MPS) for i in range(3)])
     _express_by_force(coefficients, air)
-    # Of the force across, which tells the air's angle and no actuator, there is no axis.
+    # The lateral force is left out: it depends on the sideslip and on no actuator.
     rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
     coefficients, air = coefficients[rows], air[rows]
     powers, cruise_mps = np.zeros(TERMS), np.inf
@@ -144,33 +144,33 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         powers[CONSTANT] = 2.0
         powers[OUTPUT : OUTPUT + len(names)] = 2.0 * _surfaces(names)
         powers[RATE:FORCE] = 1.0
-        air[:ANGULAR, 0] = 0.0  # as the powers say it
-    # Actuators have their names from their kind, `motor 1` or `elevator`.
+        air[:ANGULAR, 0] = 0.0  # the powers include it
+    # Actuators are named by the vehicle kind, such as `motor 1` or `elevator`.
     return Effects(tuple(names[:COMMANDS]), mix, coefficients, air, lags_s, powers, cruise_mps)
 
 
 def _surfaces(names: list[str]) -> Array:
-    """1 for each actuator that is no motor (n,)."""
+    """Return 1 for each control surface and 0 for each motor (n,)."""
     motors = [name == "throttle" or name.startswith("motor") for name in names]
     return np.array([0.0 if motor else 1.0 for motor in motors])
 
 
 def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float) -> Array:
-    """How motion changes with one entry of a change (size,)."""
+    """Return the central difference of `motion` with respect to one entry of (size,)."""
     change = np.zeros(size)
     change[entry] = step
     return (motion(change) - motion(-change)) / (2.0 * step)
 
 
 def _express_by_force(coefficients: Array, air: Array) -> None:
-    """Tell what the air does by the force across that comes with it; (6, TERMS), (6, 3)."""
-    told = slice(0, FORCE_Y)
+    """Express the effect of the air by the lateral force; changes (6, TERMS), (6, 3) in place."""
+    rows = slice(0, FORCE_Y)
     for i, axis in enumerate((FORCE_Y, FORCE_Z)):
-        pushed = air[axis, i + 1]
-        if abs(pushed) > MIN_WING_HZ:
-            coefficients[told, FORCE + i] = air[told, i + 1] / pushed
-    across = coefficients[told, FORCE:AIRSPEED]
+        lateral_force = air[axis, i + 1]
+        if abs(lateral_force) > MIN_WING_HZ:
+            coefficients[rows, FORCE + i] = air[rows, i + 1] / lateral_force
+    across = coefficients[rows, FORCE:AIRSPEED]
     forces = slice(FORCE_Y, BODY_AXES)
-    # What a command or a rate does by way of the force is in the force's term already.
-    coefficients[told, :FORCE] -= across @ coefficients[forces, :FORCE]
-    air[told] -= across @ air[forces]
+    # The force's term already contains the effects of commands and rates through the force.
+    coefficients[rows, :FORCE] -= across @ coefficients[forces, :FORCE]
+    air[rows] -= across @ air[forces]

@@ -1,4 +1,4 @@
-"""`sim`, `proxy` and `monitor` as three processes against `run` as one."""
+"""`sim`, `proxy` and `monitor` as three processes, compared with `run` as one."""
 
 import socket
 import subprocess
@@ -24,7 +24,7 @@ def free_port() -> int:
 
 @contextmanager
 def started(ready: str, *arguments: str | Path) -> Iterator["subprocess.Popen[str]"]:
-    """A process of ours, once it has said that it is ready."""
+    """Start a process and wait until it reports that it is ready."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", *map(str, arguments)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -44,7 +44,7 @@ def decisions(folder: Path) -> list[Decision]:
     return [r for r in read_results(folder / "results.jsonl") if isinstance(r, Decision)]
 
 
-def test_three_processes_decide_as_one(tmp_path: Path) -> None:
+def test_three_processes_give_the_same_decisions_as_one(tmp_path: Path) -> None:
     schedule = tmp_path / "schedule.yaml"
     section = yaml.safe_load(SHORT.read_text())["schedule"]
     schedule.write_text(yaml.safe_dump({"seed": 7, **section}))
@@ -53,7 +53,7 @@ def test_three_processes_decide_as_one(tmp_path: Path) -> None:
     with ExitStack() as stack:
         monitor = stack.enter_context(
             started(
-                "watching", "monitor", "--link", f"udpin:127.0.0.1:{to_monitor}",
+                "monitoring", "monitor", "--link", f"udpin:127.0.0.1:{to_monitor}",
                 "--scenario", SHORT, "--for", "7.9", "--out", tmp_path / "parts", "--zenoh", "off",
             )
         )  # fmt: skip

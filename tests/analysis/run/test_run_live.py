@@ -1,4 +1,4 @@
-"""A run in real time: a MAVSDK client sees it fly, an edit is told, and Ctrl-C ends it cleanly."""
+"""A run in real time: MAVSDK receives telemetry, an edit is reported, Ctrl-C ends it cleanly."""
 
 import json
 import queue
@@ -44,7 +44,7 @@ def started(tmp_path: Path) -> Iterator[Started]:
     process.communicate()
 
 
-def test_mavsdk_sees_it_fly_and_ctrl_c_leaves_everything_readable(started: Started) -> None:
+def test_mavsdk_receives_telemetry_and_ctrl_c_leaves_readable_files(started: Started) -> None:
     process, port, bus, folder = started
     log_subscribe(lambda *_: True)
     seen: queue.Queue[tuple[float, float]] = queue.Queue()
@@ -62,7 +62,7 @@ def test_mavsdk_sees_it_fly_and_ctrl_c_leaves_everything_readable(started: Start
         while abs(seen.get(timeout=20)[0] - first_lat) * 111_320 < 40.0:
             pass  # it flies north at 25 m/s
 
-    # The newest edits are in the logs too, though nothing is recorded between this and the end.
+    # The newest edits are in the logs too, although no write happens between them and the end.
     assert main(["inject", "baro-freeze", "--zenoh", bus]) == 0
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=60)

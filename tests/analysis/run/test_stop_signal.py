@@ -1,4 +1,4 @@
-"""The first request to stop is asked for between steps; the second one interrupts."""
+"""The first stop request is handled between steps; the second one interrupts."""
 
 import signal
 from collections.abc import Iterator
@@ -10,21 +10,21 @@ from analysis.run.stop_signal import stop_requests
 
 @pytest.fixture(autouse=True)
 def python_handles_sigint() -> Iterator[None]:
-    """A shell ignores SIGINT for what it runs in the background; here Python handles it."""
+    """Let Python handle SIGINT, which a shell ignores for background processes."""
     inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, inherited)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_request_interrupts_nothing_and_is_told(
+def test_the_first_request_interrupts_nothing_and_is_reported(
     number: signal.Signals, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with stop_requests() as stop:
         assert not stop()
         signal.raise_signal(number)
         assert stop()
-    assert "once more ends at once" in capfd.readouterr().err
+    assert "press Ctrl-C again to end at once" in capfd.readouterr().err
 
 
 def test_the_second_ctrl_c_interrupts() -> None:

@@ -1,4 +1,4 @@
-"""PX4's parameters of a vehicle, held against PX4's own airframe of it."""
+"""PX4 parameters of a vehicle, compared with PX4's own airframe."""
 
 import pytest
 
@@ -15,13 +15,13 @@ def simulation(tmp_path, kind, name):
     return Simulation(read_scenario(str(file)))
 
 
-def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
+def test_the_motors_of_a_quad_are_those_of_px4s_own_airframe(tmp_path):
     found = rotor_parameters(simulation(tmp_path, "multirotor", "iris").vehicle)
     signs = [
         tuple(found[f"CA_ROTOR{number}_{name}"] > 0 for name in ("PX", "PY", "KM"))
         for number in range(4)
     ]
-    # none_iris (10016): front right and rear left turn counter-clockwise, which PX4 counts positive
+    # none_iris (10016): front right and rear left turn counter-clockwise, positive in PX4
     assert signs == [
         (True, True, True),
         (False, False, True),
@@ -31,7 +31,7 @@ def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
     assert [found[f"PWM_MAIN_FUNC{number}"] for number in range(1, 5)] == [101, 102, 103, 104]
 
 
-def test_every_rotor_of_a_hexa_is_told(tmp_path):
+def test_every_rotor_of_a_hexa_has_its_parameters(tmp_path):
     found = rotor_parameters(simulation(tmp_path, "multirotor", "hexa").vehicle)
     assert found["CA_ROTOR_COUNT"] == 6
     assert found["CA_ROTOR1_PY"] == pytest.approx(-0.3)

@@ -1,4 +1,4 @@
-"""A flight that tells nothing of its fault is flown again, and is no outcome in the end."""
+"""A flight without take-off or fault is repeated, and finally reported as an error."""
 
 import json
 from pathlib import Path
@@ -17,12 +17,12 @@ NONE: dict[str, Any] = {"seed": 1, "faults": []}
 
 
 def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]]) -> list[int]:
-    """Have flights end with summaries of (it took off, its fault acted); counts them."""
-    flown: list[int] = []
+    """Let flights end with summaries of (took off, fault acted), and count them."""
+    tries: list[int] = []
 
     def fly(subject: str, run: Any, schedule: Any, folder: Path, *, kept: bool) -> Path:
-        took_off, acted = summaries[len(flown)]
-        flown.append(len(flown))
+        took_off, acted = summaries[len(tries)]
+        tries.append(len(tries))
         moments = {"take-off": 12.0} if took_off else {}
         autopilot = {"moments_s": moments, "ended_early": "" if took_off else "gave up"}
         (folder / "run").mkdir()
@@ -32,29 +32,34 @@ def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]])
 
     monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
     monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
-    return flown
+    return tries
 
 
-def test_a_fault_that_never_acted_is_flown_again(
+def test_a_flight_whose_fault_never_acted_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    flown = flights(monkeypatch, [(False, False), (True, False), (True, True)])
+    tries = flights(monkeypatch, [(False, False), (True, False), (True, True)])
     found = run_autopilot_cell("px4", [], ONE, tmp_path, kept=True)
-    assert len(flown) == 3
+    assert len(tries) == 3
     assert found.verdict == CellVerdict("isolated", "imu", 0.5)
 
 
-def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    flown = flights(monkeypatch, [(False, False), (True, False)])
+def test_a_reference_flight_without_take_off_is_repeated(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    tries = flights(monkeypatch, [(False, False), (True, False)])
     assert run_autopilot_cell("px4", [], NONE, tmp_path, kept=True).verdict == CellVerdict()
-    assert len(flown) == 2
+    assert len(tries) == 2
 
 
 @pytest.mark.parametrize(
     ("took_off", "error"),
-    [(True, "px4: the fault never acted, 3 times"), (False, "it never left the ground, 3 times")],
+    [
+        (True, "px4: the fault never acted in 3 tries"),
+        (False, "the vehicle did not take off in 3 tries"),
+    ],
 )
-def test_in_the_end_there_is_no_outcome(
+def test_without_a_valid_flight_there_is_no_outcome(
     took_off: bool, error: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     flights(monkeypatch, [(took_off, False)] * MAX_TRIES)
