@@ -102,7 +102,7 @@ def test_a_graph_that_leaves_the_filter_tells_the_filter_s_answer_and_goes_on(mo
     results = results_of(short)
     states = [r for r in results if isinstance(r, FusedState)]
     assert seen
-    assert [s.t_us for s in states if "off the filter; it began anew there" in s.reason] == [
+    assert [s.t_us for s in states if "off the filter; it was restarted there" in s.reason] == [
         FAILS_US
     ]
     places = {r.t_us: r.position_ecef_m for r in results if isinstance(r, Decision)}

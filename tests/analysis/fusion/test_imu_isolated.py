@@ -25,7 +25,7 @@ def flown(flights):
 
 
 def test_the_graph_does_not_begin_anew(flown):
-    assert [state.reason for state in flown[0] if state.reason] == ["the graph began"]
+    assert [state.reason for state in flown[0] if state.reason] == ["the graph started"]
 
 
 def test_the_imu_weighs_nothing_from_the_fault_on(flown):

@@ -86,12 +86,12 @@ TRUTH = {
     "another satellite": (
         G12,
         [decision(12, ["E05"])],
-        *("wrong", (), ("E05",), "in truth missed"),
+        *("wrong", (), ("E05",), "otherwise missed"),
     ),
     "the right one, and a healthy one on another channel": (
         G12,
         [*BLAMED, *(sensor(t, "imu") for t in from_to(12, 15))],
-        *("wrong", ("G12",), ("imu",), "in truth isolated"),
+        *("wrong", ("G12",), ("imu",), "otherwise isolated"),
     ),
     "healthy ones inside, and the right one only after the end": (
         G12,
@@ -99,17 +99,17 @@ TRUTH = {
             *(sensor(t, name) for name in ("imu", "mag", "baro") for t in from_to(11, 14)),
             decision(20.9, ["G12"]),
         ],
-        *("wrong", (), ("imu", "mag", "baro"), "in truth found 0.9 s after its end"),
+        *("wrong", (), ("imu", "mag", "baro"), "otherwise detected 0.9 s after its end"),
     ),
     "an alarm that blames nobody": (
         G12,
         [decision(11, hypothesis="multiple-unknown")],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
     "the same for an IMU, which the epoch's test can see": (
         GYRO,
         [decision(11, hypothesis="multiple-unknown")],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
     "an alarm that cannot tell between two": (
         GYRO,
@@ -124,12 +124,12 @@ TRUTH = {
     "a sensor suspected, not left out": (
         "HIL_SENSOR.xmag",
         [sensor(11, "mag", isolated=False)],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
     "one of two satellites": (
         f"{G12} PSEUDORANGE.E05",
         BLAMED,
-        *("detected", ("G12",), (), "not blamed: E05"),
+        *("detected", ("G12",), (), "not isolated: E05"),
     ),
     "a receiver's velocity for its position": (
         FIX,
@@ -151,23 +151,23 @@ TRUTH = {
         [decision(20.1, ["G12"])],
         *("isolated", ("G12",), (), ""),
     ),
-    "later": (G12, [decision(23, ["G12"])], "late", (), (), "found 3.0 s after its end"),
+    "later": (G12, [decision(23, ["G12"])], "late", (), (), "detected 3.0 s after its end"),
     "after its echo": (G12, [decision(31, ["G12"])], "missed", (), (), ""),
     "nothing": (G12, [], "missed", (), (), ""),
     "an alarm from before": (
         G12,
         [decision(t, ["G12"]) for t in from_to(8, 12)],
-        *("not judged", (), (), "G12 was under alarm from before"),
+        *("not judged", (), (), "G12 had an alarm before the fault"),
     ),
     "no channel": (
         "BATTERY_STATUS.voltages[0]",
         [],
-        *("not judged", (), (), "no channel watches BATTERY_STATUS.voltages[0]"),
+        *("not judged", (), (), "no channel monitors BATTERY_STATUS.voltages[0]"),
     ),
     "a satellite that is lost": (
         "PLANT.satellite_lost[G12]",
         [],
-        *("not judged", (), (), "a hill hides a satellite as well: it is no error"),
+        *("not judged", (), (), "a lost satellite is no error: terrain hides satellites too"),
     ),
     "no such sensor": (
         "HIL_SENSOR.diff_pressure",
@@ -177,7 +177,7 @@ TRUTH = {
     "a healthy sensor while the plant is at fault": (
         "PLANT.mass_kg_add",
         [sensor(12, "mag")],
-        *("wrong", (), ("mag",), "in truth no channel watches the plant (mass_kg_add)"),
+        *("wrong", (), ("mag",), "otherwise no channel monitors the plant (mass_kg_add)"),
     ),
     "the motor that is weak": (
         "PLANT.motor_efficiency[1]",
@@ -187,7 +187,7 @@ TRUTH = {
     "another motor": (
         "PLANT.motor_efficiency[1]",
         [actuator(12, "motor 3")],
-        *("wrong", (), ("motor 3",), "in truth missed"),
+        *("wrong", (), ("motor 3",), "otherwise missed"),
     ),
     "one of two motors": (
         "PLANT.motor_efficiency[1]",

@@ -79,7 +79,7 @@ def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
             for what in ("next", "save"):
                 status, answer = asked(address, what, token_of(address))
                 assert status == 400
-                assert answer["error"] == "a test is being flown; wait until it is down"
+                assert answer["error"] == "a test is in flight; wait until it ends"
         finally:
             session.go_on.set()
 
@@ -94,7 +94,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     flights = make_flights(TEST, tmp_path / "found")
     flights.next()
     flights.close()
-    with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder by --out"):
+    with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder with --out"):
         flights.save()
 
 
@@ -114,7 +114,7 @@ def test_a_flight_that_fails_is_told_and_saves_nothing(tmp_path: Path) -> None:
         flights.next()
         flights.close()
     assert json.loads(flights.state()) == {"number": 0, "flying": False, "failed": True}
-    with pytest.raises(ConfigError, match="no test is on show that could be saved"):
+    with pytest.raises(ConfigError, match="no test is displayed; fly one first"):
         flights.save()
     assert not (tmp_path / "found").exists()
 
@@ -142,9 +142,9 @@ def test_the_next_test_is_flown_shown_and_saved(page: Any, tmp_path: Path) -> No
     assert page.text_content("#values") != first
     assert "bias on HIL_SENSOR.xgyro from 0.50 s on" in page.text_content("#acting")
     page.click("#save:not([disabled])")
-    page.wait_for_selector("#said:has-text('saved:')")
+    page.wait_for_selector("#message:has-text('saved:')")
     files = [tmp_path / "found" / f"test-0001.{kind}" for kind in ("csv", "yaml")]
-    assert page.text_content("#said").splitlines()[1:] == [str(one) for one in files]
+    assert page.text_content("#message").splitlines()[1:] == [str(one) for one in files]
     assert all(one.is_file() for one in files)
 
 

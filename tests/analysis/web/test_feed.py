@@ -108,5 +108,5 @@ def test_more_viewers_than_a_page_is_for_are_turned_away() -> None:
     feed = Feed()
     for _ in range(MAX_VIEWERS):
         feed.add_viewer()
-    with pytest.raises(ConfigError, match="viewers already"):
+    with pytest.raises(ConfigError, match="the page already has"):
         feed.add_viewer()

@@ -36,7 +36,7 @@ def test_a_wrong_token_is_explained_where_it_was_used(
     page = open_page(address.replace("token=", "token=not-"))
     page.select_option("#kind", "preset:gyro-bias")
     page.click("#arm")
-    page.wait_for_selector("#form-said:has-text('the token is wrong')")
+    page.wait_for_selector("#form-message:has-text('the token is wrong')")
     assert loop.engine.ids() == []
 
 
