@@ -20,9 +20,9 @@ from mavproxy_fault.numerics.compile import compiled
 
 # Time constants: long against an epoch, short against a flight.
 IMU_S, RATE_S, SLOW_S = 5.0, 20.0, 10.0
-PRIOR_S = 0.3  # age given to the configured rate noise, which may be five times too large
+PRIOR_S = 0.3  # age of the configured rate noise, up to five times too large: benchmarks/fusion.py
 MIN_SAMPLES = 11  # 9 second differences
-GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz, as simulated flights leave
+GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz: benchmarks/fusion.py
 NOISE_RISE = 2.0  # times the variance: a step to be followed at once, not averaged
 CHANGE_FACTOR = 1.05  # smaller changes are ignored: each new density recomputes parameters
 VARIANCE_RATIO_LIMITS = (0.01, 25.0)  # learned over configured: 0.1 to 5 times the sigma

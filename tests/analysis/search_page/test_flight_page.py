@@ -85,7 +85,7 @@ def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
 
 
 def test_what_the_simulator_flies_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--interactive: shows flights of the compiled kernels"):
+    with pytest.raises(ConfigError, match="--interactive: shows only flights of the compiled kernels"):
         make_flights(TestFile(estimator="fusion"), tmp_path)
 
 

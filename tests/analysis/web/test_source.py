@@ -20,7 +20,7 @@ class Statuses(Feed):
         self.heard: queue.Queue[tuple[str, object]] = queue.Queue()
 
     def add_sample(self, key: str, payload: bytes) -> None:
-        super().push(key, payload)
+        super().add_sample(key, payload)
         self.heard.put((key, msgspec.json.decode(payload)))
 
     def next_run(self) -> object:
