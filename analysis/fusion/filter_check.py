@@ -57,9 +57,9 @@ def filter_contradiction(graph: Graph, motion: MotionEstimate | None, correlatio
     distance_m, q, ratio = compared.tolist()
     # Written so that NaN counts as a contradiction, here and below.
     if not q <= chi_square_threshold(3, P_CONTRADICTION):
-        return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) off the filter"
+        return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) from the filter"
     if not ratio <= MAX_SIGMA_RATIO * correlation:
-        return f"the graph was {ratio:.0f} times less sure than the filter"
+        return f"the graph's sigma was {ratio:.0f} times the filter's"
     return ""
 
 

@@ -161,13 +161,13 @@ class Fusion:
         trusted = silent or not ("imu" in isolated or state.attitude_lost)
         jumped_m = CLOCK_JUMP_M if now.decision.hypothesis == "clock" else 0.0
         edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
-        sound = graph.extend(t_us, edge, attitude)
+        connected = graph.extend(t_us, edge, attitude)
         # Once the IMU was missing the attitude is uncertain until `_update_imu_trust` finds it
         # known again.
         state.attitude_lost = state.attitude_lost or (
-            graph.aligned and not sound and attitude is None
+            graph.aligned and not connected and attitude is None
         )
-        used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
+        used = {"imu": float(connected)} | self._attach_ranges(graph, now, state)
         assert state.sensor_factors is not None
         tested = sensor_weights(now.results, isolated, self.config) if state.pending else {}
         for source, sample in state.pending.items():
@@ -277,15 +277,15 @@ class Fusion:
         observed = record.observed if record else observe_epoch(now.sample, now.core.chosen)
         if observed is None:
             return {}
-        core, config, decision, learnt = now.core, self.config, now.decision, state.noise
+        core, config, decision, noise = now.core, self.config, now.decision, state.noise
         if config.decide:
             observed = observed.without_rates(faulty_rates(now.results))
         ranges = EpochRanges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in NOISE_HYPOTHESES:
-                learnt.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
-            ranges.scale_rates(learnt)
+                noise.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
+            ranges.scale_rates(noise)
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
@@ -293,7 +293,7 @@ class Fusion:
         sky = (*used, decision.t_us // SLOW_UPDATE_US)
         if sky != state.slow_key:
             share = (
-                learnt.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
+                noise.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
             )
             slow = ranges.slow_covariance(weights, share)
             if slow is not None:

@@ -135,15 +135,15 @@ def _epoch_share(summary: Mapping[str, Any], key: str) -> float | None:
 
 def _check_faults(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
     """The checks of every flight with known faults."""
-    blamed = [
+    isolated = [
         name
         for row in summary["false_by_channel"]
         for name in row["blamed"]
         # By the isolated sensor or by the channel that isolated it.
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
-    found = _none_or(dict.fromkeys(blamed))
-    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=found, passed=not blamed)
+    found = _none_or(dict.fromkeys(isolated))
+    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=found, passed=not isolated)
     return [*check_missed_faults(criteria, summary["faults"]), wrong]
 
 

@@ -1,8 +1,8 @@
 """Which channels of the monitor can observe a fault, and what they may correctly isolate.
 
 A *channel* is what one test of the monitor covers: the satellites, the receiver's own position and
-velocity, the IMU, another sensor, the link. The targets of a fault tell what it falsifies; without
-targets its kind does.
+velocity, the IMU, another sensor, the link. The targets of a fault determine what it falsifies;
+without targets its kind does.
 """
 
 import re
@@ -48,12 +48,10 @@ def _sensor(name: str) -> FaultVisibility:
     return FaultVisibility(own, (own,), own)
 
 
-def _any_of(*sights: FaultVisibility) -> FaultVisibility:
+def _any_of(*parts: FaultVisibility) -> FaultVisibility:
     """One source of all of these: isolating any of them is enough."""
-    names = frozenset().union(*(sight.may_isolate for sight in sights))
-    return FaultVisibility(
-        frozenset().union(*(sight.channels for sight in sights)), (names,), names
-    )
+    names = frozenset().union(*(part.may_isolate for part in parts))
+    return FaultVisibility(frozenset().union(*(part.channels for part in parts)), (names,), names)
 
 
 # Epochs and fixes are tested against the IMU: their alarm may be caused by the IMU.

@@ -125,7 +125,7 @@ def search_cases(
     rejected: Counter[str],
     progress: Progress | None,
 ) -> tuple[int, int]:
-    """Ask, fly and report until the budget or time is used up; returns numbers of tests and steps."""
+    """Search until the budget or time is used up; returns the numbers of tests and steps."""
     dimension = make_evaluator(test).space.dimension
     # With a time limit only, the budget is out of reach.
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)

@@ -115,9 +115,9 @@ class EpochRanges:
             }
         )
 
-    def scale_rates(self, learnt: LearnedNoise) -> None:
+    def scale_rates(self, noise: LearnedNoise) -> None:
         """Scale the rates' sigmas by the learned factors."""
-        learnt.scale_rates(self.satellites, self.table[:, RATE_SIGMA])
+        noise.scale_rates(self.satellites, self.table[:, RATE_SIGMA])
 
     def factor(
         self,

@@ -89,7 +89,7 @@ def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, ch
     assert flown[0]["words"][1:] == ["--autopilot", "px4"]
 
 
-def test_a_flight_that_never_began_is_flown_again_and_then_told(flights, choice):
+def test_a_failed_take_off_is_repeated_and_then_reported(flights, choice):
     coming, _ = flights
     coming += [{"error_deg": 0.0, "off_ground": False}] * 2 + [{"error_deg": FAULTED_DEG}]
     found, _ = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
@@ -99,7 +99,7 @@ def test_a_flight_that_never_began_is_flown_again_and_then_told(flights, choice)
         autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
 
 
-def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
+def test_a_flight_that_does_not_land_by_itself_counts_as_a_crash(flights):
     coming, _ = flights
     coming += [{"error_deg": FAULTED_DEG, "landed": False}]
     flown = SimulatedBatch(read_test(EXAMPLE))

@@ -60,7 +60,7 @@ def token_of(address: str) -> dict[str, str]:
     return {"X-Token": address.partition("token=")[2]}
 
 
-def test_looking_is_free_and_flying_needs_the_token(address: str) -> None:
+def test_reading_is_open_and_flying_needs_the_token(address: str) -> None:
     assert asked(address, "state", {}, None)[0] == 200
     assert asked(address, "state", {"Host": "elsewhere.example"}, None)[0] == 403
     for what in ("next", "save"):
@@ -69,7 +69,7 @@ def test_looking_is_free_and_flying_needs_the_token(address: str) -> None:
         assert "the token is wrong" in answer["error"]
 
 
-def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
+def test_the_page_responds_while_a_test_is_in_flight(tmp_path: Path) -> None:
     session = HeldSession(TEST, tmp_path)
     with serve_search_page(Flights(session), port=0) as address:
         try:
@@ -84,12 +84,14 @@ def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
             session.go_on.set()
 
 
-def test_what_the_simulator_flies_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--interactive: shows only flights of the compiled kernels"):
+def test_a_test_for_the_simulator_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match="--interactive: shows only flights of the compiled kernels"
+    ):
         make_flights(TestFile(estimator="fusion"), tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "found").write_text("in the way")
     flights = make_flights(TEST, tmp_path / "found")
     flights.next()
@@ -108,7 +110,7 @@ class BrokenSession(SearchSession):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_flight_that_fails_is_told_and_saves_nothing(tmp_path: Path) -> None:
+def test_a_flight_that_fails_is_reported_and_saves_nothing(tmp_path: Path) -> None:
     flights = Flights(BrokenSession(TEST, tmp_path / "found"))
     for _ in range(2):
         flights.next()
@@ -199,7 +201,7 @@ def test_a_narrow_screen_shows_all_of_a_flight(page: Any) -> None:
 
 
 @pytest.mark.browser
-def test_the_end_of_the_search_is_told(browser: Any, tmp_path: Path) -> None:
+def test_the_end_of_the_search_is_shown(browser: Any, tmp_path: Path) -> None:
     viewer = browser.new_page()
     with serve_search_page(make_flights(TEST, tmp_path), port=0) as address:
         viewer.goto(address)

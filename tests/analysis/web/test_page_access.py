@@ -61,7 +61,7 @@ def status_of(address: str, headers: dict[str, str], what: str = "ctl/schedule/s
         {"X-Token": "TOKEN", "Host": "rebound.example:8350"},
     ],
 )
-def test_what_comes_without_the_token_or_from_elsewhere_is_refused(
+def test_requests_without_the_token_or_from_elsewhere_are_refused(
     address: str, headers: dict[str, str]
 ) -> None:
     token = address.partition("token=")[2]

@@ -48,7 +48,7 @@ def compose(page: Any, for_s: str = "0.3") -> None:
 
 
 def test_a_sequence_is_composed_run_and_watched(page: Any, loop: Any) -> None:
-    compose(page, for_s="")  # for good: what is waited for stays
+    compose(page, for_s="")  # without an end: the condition stays true
     page.click("#run-sequence")
     page.wait_for_selector("#sequence-state:has-text('2 of 3 steps done; running: bias')")
     page.wait_for_selector("#steps li.active[aria-current=step] b:text-is('bias')")
@@ -58,7 +58,7 @@ def test_a_sequence_is_composed_run_and_watched(page: Any, loop: Any) -> None:
     assert page.complaints == []
 
 
-def test_a_sequence_is_downloaded_kept_and_opened_again(
+def test_a_sequence_is_downloaded_stored_and_opened_again(
     page: Any, loop: Any, tmp_path: Path
 ) -> None:
     compose(page)
@@ -81,9 +81,7 @@ def test_a_sequence_is_downloaded_kept_and_opened_again(
     assert page.complaints == []
 
 
-def test_a_sequence_from_a_file_keeps_all_that_it_says(
-    page: Any, loop: Any, tmp_path: Path
-) -> None:
+def test_a_sequence_from_a_file_keeps_all_its_keys(page: Any, loop: Any, tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(SEQUENCE)
     page.click("#sequence summary")
@@ -115,7 +113,7 @@ def test_a_wrong_step_is_explained_and_nothing_runs(page: Any, loop: Any) -> Non
     assert loop.engine.ids() == []
 
 
-def test_a_button_commands_the_vehicle_until_it_grants_it(page: Any, loop: Any) -> None:
+def test_a_button_commands_the_vehicle_until_it_accepts(page: Any, loop: Any) -> None:
     page.fill("#height", "25")
     page.click("#commands button:has-text('take off')")
     page.wait_for_selector("#faults li.done:has-text('command-take-off')")
@@ -123,7 +121,7 @@ def test_a_button_commands_the_vehicle_until_it_grants_it(page: Any, loop: Any) 
     assert page.complaints == []
 
 
-def test_without_the_option_the_page_commands_nothing(
+def test_without_the_option_commands_are_refused(
     loop: Any, open_page: Callable[[str], Any]
 ) -> None:
     with serve_page(loop.bus.url, port=0) as address:
@@ -151,7 +149,7 @@ def test_a_folder_of_sequences_that_is_not_there_is_refused(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["../out.yaml", ".hidden.yaml", "no-yaml.txt", "link.yaml"])
-def test_a_sequence_is_kept_in_its_folder_only(
+def test_a_sequence_is_stored_in_its_folder_only(
     page: Any, loop: Any, tmp_path: Path, name: str
 ) -> None:
     (tmp_path / "link.yaml").symlink_to(tmp_path.parent / "target.yaml")

@@ -1,4 +1,4 @@
-"""What a proxy and a monitor tell is seen on the page, in a real browser."""
+"""Data of a proxy and a monitor on the page, in a real browser."""
 
 import csv
 import math
@@ -36,9 +36,7 @@ def test_autopilot_and_estimator_say_how_they_are(page: Any) -> None:
     ]  # fmt: skip
 
 
-def test_a_recording_that_stops_is_told_and_what_it_lost_stays_in_sight(
-    page: Any, loop: Any
-) -> None:
+def test_a_stopped_recording_is_shown_and_its_losses_stay_visible(page: Any, loop: Any) -> None:
     assert page.is_hidden("#recording")
     loop.live.publish_recording("[Errno 28] No space left on device", 0)
     page.wait_for_selector("#recording.gone:has-text('Recording has stopped: [Errno 28] No')")
@@ -66,7 +64,7 @@ def test_what_was_received_is_saved_by_time(page: Any, loop: Any) -> None:
     assert float(epoch["attitude error ekf.angle_deg"]) == 0.3
 
 
-def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
+def test_a_proxy_that_restarts_is_shown_and_followed(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
@@ -82,7 +80,7 @@ def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
             second.close()
 
 
-def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
+def test_the_faults_of_a_lost_proxy_can_be_restored(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
@@ -173,13 +171,13 @@ def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(page: Any) -> None:
 
 
 ISOLATED = """() => {
-  const tell = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
+  const show = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
     statistic, threshold: statistic === null ? null : 10, alarm: isolated, isolated });
-  tell(1, 5, false);
-  tell(2, 20, true);
-  tell(3, null, true);
-  tell(4, null, true);
-  tell(5, 4, false);
+  show(1, 5, false);
+  show(2, 20, true);
+  show(3, null, true);
+  show(4, null, true);
+  show(5, 4, false);
   others.draw();
   return others.names.map((name, i) => [name, others.rows.get(name).filter((y) => y !== null),
     others.plot.series[i + 1].dash?.length]).filter(([name]) => name.startsWith("magnetometer"));
@@ -194,8 +192,8 @@ def test_the_curve_of_an_isolated_sensor_goes_on_dashed(page: Any) -> None:
     ]
 
 
-def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
-    loop.steps_left = 0  # or the blame ends by itself on a slow machine
+def test_the_header_shows_when_an_isolation_ended_and_why(page: Any, loop: Any) -> None:
+    loop.steps_left = 0  # or the isolation ends by itself on a slow machine
     loop.epoch(10.0)
     loop.epoch(12.0, excluded=("G12",))
     page.wait_for_selector("#verdict:has-text('fault in satellites G12')")
@@ -207,7 +205,7 @@ def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
     assert "isolation ended: fault in satellites G12" in page.text_content("#events")
 
 
-def test_blame_is_told_without_any_satellite_epoch(page: Any, loop: Any) -> None:
+def test_isolation_is_shown_without_any_satellite_epoch(page: Any, loop: Any) -> None:
     # As where there is no receiver: verdicts on sensors alone.
     loop.steps_left = 0
     loop.sensor(10.0, "baro", 2.0)
@@ -223,7 +221,7 @@ def test_blame_is_told_without_any_satellite_epoch(page: Any, loop: Any) -> None
 
 
 def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
-    # What watches a stream speaks only while it is silent; nobody says that it is well again.
+    # A stream monitor reports only silence, never that the stream is back.
     loop.steps_left = 0
     loop.sensor(10.0, "mag", bad=True)
     page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
@@ -235,7 +233,7 @@ def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
     page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: no fault found now')")
 
 
-def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> None:
+def test_an_isolation_ends_without_further_verdicts(page: Any, loop: Any) -> None:
     # Without a receiver nothing is tested, and what watches the streams is silent again.
     loop.steps_left = 0
     loop.sensor(loop.now_s, "mag", bad=True)
@@ -247,7 +245,7 @@ def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> No
     page.wait_for_selector("#events li:has-text('isolation ended: fault in magnetometer')")
 
 
-def test_the_end_of_a_fault_explains_that_of_a_blame_without_satellites(
+def test_the_end_of_a_fault_explains_that_of_an_isolation_without_satellites(
     page: Any, loop: Any
 ) -> None:
     off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
