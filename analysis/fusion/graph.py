@@ -203,8 +203,8 @@ class Graph:
             return
         if not weights.any():
             return
-        found = pseudorange_factors(ranges, weights, epoch, self.frame, clock, self._robust)
-        for name, factor in found.items():
+        factors = pseudorange_factors(ranges, weights, epoch, self.frame, clock, self._robust)
+        for name, factor in factors.items():
             self.attach(name, epoch, factor)
         initial, tie = clock_seconds_factor(epoch)
         self.window.insert(initial, (variable_key("r", epoch),), at.stamp_s)

@@ -65,8 +65,8 @@ class Fusion:
         states: list[Result] = []
         for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
-            found, state = self.step(piece.block.sample(row), of_row, core, state)
-            states += found
+            fused, state = self.step(piece.block.sample(row), of_row, core, state)
+            states += fused
         return states, state
 
     def step(
@@ -227,10 +227,10 @@ class Fusion:
     @staticmethod
     def _drop_outliers(graph: Graph) -> None:
         known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
-        found = find_outliers(graph.window, frozenset(name for names in known for name in names))
-        for name, epoch in found:
+        outliers = find_outliers(graph.window, frozenset(name for names in known for name in names))
+        for name, epoch in outliers:
             graph.window.remove(name, epoch)
-        if found:
+        if outliers:
             graph.commit()
 
     def _update_imu_trust(

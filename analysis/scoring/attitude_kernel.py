@@ -114,10 +114,10 @@ def score_estimates(
         waiting[waiting_count] = next_estimate
         waiting_count += 1
         next_estimate += 1
-    found = ScoredEstimates(
+    completed = ScoredEstimates(
         scored.estimator_index[:done], scored.row[:done], scored.truth[:done], scored.error[:done]
     )
-    return found, waiting[:waiting_count], oldest
+    return completed, waiting[:waiting_count], oldest
 
 
 @compiled

@@ -123,8 +123,8 @@ class AttitudeScorer:
     ) -> tuple[list[AttitudeError], ScorerState]:
         """Score a block of samples, or a single one; returns errors thinned to `rate_hz`."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        found, state = self.step_rows(block, state)
-        return [error for _, error in found], state
+        errors, state = self.step_rows(block, state)
+        return [error for _, error in errors], state
 
     def step_rows(
         self, block: Block, state: ScorerState

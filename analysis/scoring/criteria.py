@@ -142,8 +142,8 @@ def _check_faults(criteria: Criteria, summary: Mapping[str, Any]) -> list[Criter
         # By the isolated sensor or by the channel that isolated it.
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
-    found = _none_or(dict.fromkeys(isolated))
-    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=found, passed=not isolated)
+    names = _none_or(dict.fromkeys(isolated))
+    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=names, passed=not isolated)
     return [*check_missed_faults(criteria, summary["faults"]), wrong]
 
 
@@ -162,9 +162,9 @@ def check_missed_faults(
     ]
     # Faults that no channel can observe give no verdict.
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
-    found = _none_or(dict.fromkeys(missed)) if judged else None
+    names = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
-    return [CriterionCheck(name="faults missed", limit="none", value=found, passed=passed)]
+    return [CriterionCheck(name="faults missed", limit="none", value=names, passed=passed)]
 
 
 def _none_or(names: Mapping[str, None]) -> str:

@@ -111,20 +111,20 @@ def fault_visibility(label: Label) -> FaultVisibility:
         return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
     if not label.targets:
         return _link_visibility(label.fault)
-    found = [
+    parts = [
         _lost_satellite(target)
         if label.fault in LOSS_FAULTS and _is_satellite(target)
         else target_visibility(target, label.parameters)
         for target in label.targets
     ]
     # An unmonitored target does not hide the monitored ones.
-    seen = [one for one in found if one.channels]
-    if not seen:
-        return found[0]
+    observable = [one for one in parts if one.channels]
+    if not observable:
+        return parts[0]
     merged = FaultVisibility(
-        frozenset().union(*(one.channels for one in seen)),
-        tuple(dict.fromkeys(names for one in seen for names in one.must_isolate)),
-        frozenset().union(*(one.may_isolate for one in seen)),
+        frozenset().union(*(one.channels for one in observable)),
+        tuple(dict.fromkeys(names for one in observable for names in one.must_isolate)),
+        frozenset().union(*(one.may_isolate for one in observable)),
     )
     if label.fault in LOSS_FAULTS:  # lost frames are also missing in the link's count
         merged = merged._replace(

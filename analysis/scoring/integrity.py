@@ -47,12 +47,12 @@ class Integrity:
         """By direction: epochs, those with a level, the median level, epochs with an error above it
         (misleading), the largest error over its level, the share within the alert limit, and the
         assumptions of the levels with their number of epochs."""
-        found: dict[str, dict[str, Any]] = {}
+        summary: dict[str, dict[str, Any]] = {}
         for name, limit_m in ALERT_LIMITS_M.items():
             table = self.table(name)
             if not len(table):
                 continue
-            found[name] = {
+            summary[name] = {
                 "epochs": self._epochs,
                 "with_level": len(table),
                 "median_level_m": round(float(np.median(table[:, LEVEL])), 2),
@@ -62,7 +62,7 @@ class Integrity:
                 "available_share": round(float((table[:, LEVEL] <= limit_m).mean()), 4),
                 "assumes": dict(self.assumed.most_common()),
             }
-        return found
+        return summary
 
     def table(self, name: str) -> Vector:
         """Errors and levels (n, 2) in one direction."""

@@ -256,19 +256,19 @@ def false_alarms(
             if window.isolated or not inside:
                 row = window, inside, (end_us - start_us) * 1e-6
                 rows.setdefault(window.channel, []).append(row)
-    return [_false_row(channel, found, span_s) for channel, found in sorted(rows.items())]
+    return [_false_row(channel, alarms, span_s) for channel, alarms in sorted(rows.items())]
 
 
 def _false_row(
-    channel: str, found: Sequence[tuple[AlarmWindow, bool, float]], span_s: float
+    channel: str, alarms: Sequence[tuple[AlarmWindow, bool, float]], span_s: float
 ) -> FalseAlarms:
-    inside = sum(within for _, within, _ in found)
+    inside = sum(within for _, within, _ in alarms)
     return FalseAlarms(
         channel=channel,
-        outside=len(found) - inside,
+        outside=len(alarms) - inside,
         inside=inside,
-        blamed=tuple(sorted({window.name for window, _, _ in found if window.isolated})),
-        seconds=round(sum(seconds for window, _, seconds in found if window.isolated), 3),
+        blamed=tuple(sorted({window.name for window, _, _ in alarms if window.isolated})),
+        seconds=round(sum(seconds for window, _, seconds in alarms if window.isolated), 3),
         # Windows, not epochs: a long false alarm counts once.
-        per_hour=round(3600.0 * len(found) / span_s, 2) if span_s > 0 else 0.0,
+        per_hour=round(3600.0 * len(alarms) / span_s, 2) if span_s > 0 else 0.0,
     )

@@ -59,7 +59,7 @@ class Tally:
         # n epochs have n - 1 gaps.
         return (last_us - first_us) // (self.epochs - 1) if self.epochs > 1 else EPOCH_US
 
-    def add(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
+    def add(self, block: Block, results: Sequence[tuple[int, Result]]) -> None:
         """Add a block of samples, and its results with the rows that led to them."""
         # Ephemerides and ionosphere have no stamp of the vehicle's clock.
         stamps = block.t_us[block.kind < EPHEMERIS]
@@ -68,26 +68,28 @@ class Tally:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
         # Most rows of a block have a sensor result, mostly without an alarm.
-        sensors = [result for _, result in found if isinstance(result, SensorDecision)]
-        positioned = [(row, result) for row, result in found if isinstance(result, PositionResult)]
+        sensors = [result for _, result in results if isinstance(result, SensorDecision)]
+        located = [(row, result) for row, result in results if isinstance(result, PositionResult)]
         reporting: list[Result] = [result for result in sensors if result.alarm]
-        reporting += [result for _, result in positioned]
+        reporting += [result for _, result in located]
         self._watched.update({result.sensor for result in sensors if result.statistic is not None})
         self._watched.update(filter(None, map(channel_of, reporting)))
         for result in reporting:
             self.alarms += alarms_of(result)
             if isinstance(result, Decision):
                 self._count(result)
-        self._add_errors(positioned, self._true_positions(block, positioned))
+        self._add_errors(located, self._true_positions(block, located))
 
-    def _true_positions(self, block: Block, found: Sequence[tuple[int, PositionResult]]) -> Vector:
+    def _true_positions(
+        self, block: Block, located: Sequence[tuple[int, PositionResult]]
+    ) -> Vector:
         """The true position at each result, ECEF (n, 3); NaN where it is unknown."""
         if self._reference is not None:
-            known = [self._reference.at(result.t_us) for _, result in found]
+            known = [self._reference.at(result.t_us) for _, result in located]
             return np.array([UNKNOWN if place is None else place for place in known]).reshape(-1, 3)
         truths = block.rows(TRUTH)
         # The newest truth at or before the row that led to each result.
-        at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
+        at = np.searchsorted(truths, [row for row, _ in located], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
         # Before the block's first truth: that of the previous block, if there was one.
         places[at < 0] = np.nan if self._truth is None else self._truth
@@ -105,19 +107,19 @@ class Tally:
             self.untestable[result.reason] += 1
         self.unexplained += result.hypothesis == "multiple-unknown"
         self.without_imu += result.mode in ("free", "start")
-        positioned = result.position_ecef_m is not None
-        self.unbounded += positioned and result.position_sigma_m is None
+        located = result.position_ecef_m is not None
+        self.unbounded += located and result.position_sigma_m is None
 
-    def _add_errors(self, positioned: Sequence[tuple[int, PositionResult]], true_m: Vector) -> None:
+    def _add_errors(self, located: Sequence[tuple[int, PositionResult]], true_m: Vector) -> None:
         """Errors by solution, of the results with a position, where `true_m` (n, 3) does."""
         numbers: dict[str, list[int]] = {}
-        for number, (_, result) in enumerate(positioned):
+        for number, (_, result) in enumerate(located):
             # One test for all three: they are known together.
             if result.position_ecef_m is not None and not np.isnan(true_m[number, 0]):
                 name = FILTER if isinstance(result, Decision) else result.name.replace(" ", "_")
                 numbers.setdefault(name, []).append(number)
         for name, mine in numbers.items():
-            results = [positioned[number][1] for number in mine]
+            results = [located[number][1] for number in mine]
             places = [result.position_ecef_m or UNKNOWN for result in results]
             sigmas = [result.position_sigma_m or UNKNOWN for result in results]
             self.positions.add(name, places, sigmas, true_m[mine])
@@ -151,10 +153,10 @@ class Tally:
         false = None
         if labels is not None:
             false = false_alarms(labels, windows, self.span_s, self.epoch_us)
-        found_faults = fault_outcomes(labels or (), windows, self._watched, self.epoch_us)
+        outcomes = fault_outcomes(labels or (), windows, self._watched, self.epoch_us)
         # An autopilot that repeats the truth would make every criterion pass.
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
-        found: dict[str, Any] = {
+        content: dict[str, Any] = {
             "verdict": "NO VERDICT",
             "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
@@ -172,10 +174,10 @@ class Tally:
             "position_rmse_m": self.positions.rmse_m(FILTER),
             **self._fused_summary(),
             "position_error": self.positions.summary(),
-            "faults": msgspec.to_builtins(found_faults),
+            "faults": msgspec.to_builtins(outcomes),
             "attitude": dict(attitude),
         }
-        checks = check_criteria(criteria, found)
-        found["verdict"] = overall_verdict(checks)
-        found["criteria"] = [msgspec.structs.asdict(check) for check in checks]
-        return found
+        checks = check_criteria(criteria, content)
+        content["verdict"] = overall_verdict(checks)
+        content["criteria"] = [msgspec.structs.asdict(check) for check in checks]
+        return content

@@ -178,11 +178,11 @@ def part_lines(parts: Mapping[str, Any]) -> list[str]:
     if "angle_percentiles_deg" in parts:
         shares = ", ".join(f"{p} % {v:.4g}" for p, v in parts["angle_percentiles_deg"].items())
         lines.append(f"  angle, percentiles      {shares} deg")
-    for label, found in (("phase", parts.get("phases", {})), ("fault", parts.get("faults", {}))):
+    for label, groups in (("phase", parts.get("phases", {})), ("fault", parts.get("faults", {}))):
         lines += [
             f"  {label} {name:17} {scores['rmse_deg']['max']:.4g} deg, angle "
             f"{scores['rmse_deg']['angle']:.4g} deg"
-            for name, scores in found.items()
+            for name, scores in groups.items()
             if scores["samples"]
         ]
     if "state_rmse" in parts:

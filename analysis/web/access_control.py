@@ -67,8 +67,8 @@ class AccessControl(NamedTuple):
         refusal = self.refusal(request)
         if refusal:
             return refusal_answer(403, refusal)
-        found = await run_in_threadpool(data)
-        return Response(found, media_type="application/json", headers=HEADERS)
+        content = await run_in_threadpool(data)
+        return Response(content, media_type="application/json", headers=HEADERS)
 
     async def run_action(
         self, request: Request, act: Callable[[bytes], dict[str, Any]]

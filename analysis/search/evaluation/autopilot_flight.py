@@ -52,8 +52,8 @@ def measure_autopilot_error(
     # One seed for all: each test has its own seed and would need its own reference.
     reference = {**document, "seed": REFERENCE_SEED, "schedule": {"faults": []}}
     base = _reference_flight(choice, json.dumps(reference, sort_keys=True), settle_s)
-    found = _fly_with_retries(choice, document, settle_s)
-    return found, np.sqrt(np.maximum(found.mean_square - base.mean_square, 0.0))
+    errors = _fly_with_retries(choice, document, settle_s)
+    return errors, np.sqrt(np.maximum(errors.mean_square - base.mean_square, 0.0))
 
 
 @cache
@@ -68,10 +68,10 @@ def _fly_with_retries(
     """Fly, and repeat a failed take-off, in which no fault had started."""
     reason = ""
     for _ in range(MAX_ATTEMPTS):
-        found = _fly_once(choice, document, settle_s)
-        if not isinstance(found, str):
-            return found
-        reason = found
+        result = _fly_once(choice, document, settle_s)
+        if not isinstance(result, str):
+            return result
+        reason = result
     raise ConfigError(f"autopilot: {MAX_ATTEMPTS} flights failed; {reason}")
 
 
