@@ -64,7 +64,7 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
             scenario = {**document_of(test, values, case.run_seed), "name": name}
             texts = {
                 f"{name}.yaml": scenario_yaml(test, scenario),
-                f"{name}-test.yaml": test_file_text(pin_values(test, values)),
+                f"{name}-test.yaml": yaml_of_test(pin_values(test, values)),
             }
             faults = faults_of(test, values)
             # A test cell of a campaign has one fault.
@@ -117,7 +117,7 @@ def _without_none(node: Any) -> Any:
     return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node
 
 
-def test_file_text(test: TestFile) -> str:
+def yaml_of_test(test: TestFile) -> str:
     """The YAML text of a test file that reads back as `test`."""
     document = _without_none(msgspec.to_builtins(test))
     # A drawn target is written as `target`; with its list it would be drawn again.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.breakdown import trace_case
-from analysis.search.cases import test_file_text
+from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.traced_flight import FlightTrace
 from analysis.search.searchers import make_searcher
@@ -96,7 +96,7 @@ class SearchSession:
             writer.writerow(COLUMNS)
             writer.writerows(table_of(self.trace).tolist())
         case = self.folder / f"test-{self.number:04}.yaml"
-        case.write_text(test_file_text(pin_values(self.test, self.values)))
+        case.write_text(yaml_of_test(pin_values(self.test, self.values)))
         return [table, case]
 
 

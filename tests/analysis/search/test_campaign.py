@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
-from analysis.search.cases import test_file_text
+from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
 from analysis.search.evaluation.pool import InProcessPool, LocalProcessPool
 from analysis.search.history import RECORD
@@ -133,7 +133,7 @@ def test_another_test_is_refused_in_the_same_folder(tmp_path):
 
 def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, capsys):
     path = tmp_path / "test.yaml"
-    path.write_text(test_file_text(TEST))
+    path.write_text(yaml_of_test(TEST))
     out = tmp_path / "out"
     arguments = argparse.Namespace(
         testfile=str(path), budget=80, method="random", seed=2, workers=None, ray=None,
@@ -174,7 +174,7 @@ def test_the_archive_keeps_cases_apart():
 def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
     test = TestFile(mission=Mission(), initial=InitialState(roll_deg=3.0), seed=9)
     path = tmp_path / "t.yaml"
-    path.write_text(test_file_text(test))
+    path.write_text(yaml_of_test(test))
     assert read_test(path) == test
 
 

@@ -59,7 +59,7 @@ def test_a_stream_stays_stopped_though_a_value_waited_to_be_sent(page: Any, loop
     page.click("#faults button[aria-pressed=true]")
     with page.expect_response("**/value"):
         held[0].continue_()
-    page.wait_for_selector("#events li:has-text('bias: fault begins')")
+    page.wait_for_selector("#events li:has-text('bias: fault starts')")
     page.wait_for_selector(".signal .now:has-text('received 0.5, forwarded 0.5')")
     assert page.get_attribute("#faults button[aria-pressed]", "aria-pressed") == "false"
     assert [label.value for label in loop.labels if label.value is not None] == [4.0]
