@@ -66,7 +66,7 @@ SETTINGS = {
     "no decisions, GNC": FusionConfig(decide=False, robust="gnc"),
 }
 DEFAULT = DetectorConfig()
-NOISES = {"learnt (default)": FusionConfig(), "as configured": FusionConfig(learn=False)}
+NOISES = {"learned (default)": FusionConfig(), "as configured": FusionConfig(learn=False)}
 WALK_GEOID_M = 21.387  # of the folder's README: heights of the reference are above sea level
 STEP_M, STEP_FROM_S, STEP_FOR_S = 50.0, 60.0, 30.0
 TIMED_S, TIMED_RUNS = 40.0, 4
@@ -362,7 +362,7 @@ def blocks(samples: Iterable[Sample]) -> Iterable[Block]:
 
 
 def with_others(samples: list[Sample]) -> list[Sample]:
-    """The flight with sound barometer, magnetometer and airspeed at 10 Hz, where truth is near."""
+    """The flight with a healthy barometer, magnetometer and airspeed at 10 Hz, where truth is near."""
     rng = np.random.default_rng(5)
     first = next(s for s in samples if isinstance(s, TruthSample))
     lat, lon = math.radians(first.lat_deg), math.radians(first.lon_deg)
@@ -399,7 +399,7 @@ def pressure_pa(height_m: float) -> float:
 
 
 def demo_flight(seed: int) -> tuple[list[Sample], DetectorConfig]:
-    """The demo scenario's flight without faults, and what its monitor is told."""
+    """The demo scenario's flight without faults, and the input of its monitor."""
     setup = read_setup(None, None, seed)
     flown = ProxiedFlight(msgspec.structs.replace(setup.scenario, duration_s=NEES_S), Schedule())
     parser, decoder = Parser(), Decoder()

@@ -3,7 +3,7 @@
     python benchmarks/page.py
 
 Prints what each viewer saw, the share of a core that the server's process took, and how long a
-publication held up whoever published while one viewer was frozen. The signals come once as a proxy
+publication blocked the publisher while one viewer was frozen. The signals come once as a proxy
 sends them, 8 values of a message as received and as sent in one batch, and once as 8 streams.
 """
 
@@ -74,7 +74,7 @@ async def view(address: str, over: asyncio.Event) -> int:
             except TimeoutError:
                 continue
             samples = json.loads(message)
-            if samples[0][0] != "page/picture":  # the past, told once at the start
+            if samples[0][0] != "page/picture":  # the snapshot, sent once at the start
                 seen += sum(key in (STREAMS[0], "proxy/watched") for key, _ in samples)
     return seen
 

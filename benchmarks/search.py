@@ -224,7 +224,7 @@ def one_search(batch, method, seed):
         points = made.ask()[: BUDGET - tests]
         outcome = batch.evaluate(points, seed, tests)
         if tests + len(points) < BUDGET:
-            made.tell(points, outcome.fitness)
+            made.report(points, outcome.fitness)
         archive.add(tests, points, outcome.fitness)
         best.append(outcome.fitness)
         tests += len(points)

@@ -1,4 +1,4 @@
-"""Attitude estimators under test, one file each; others' by entry point.
+"""Attitude estimators under test, one file each; plugins register by entry point.
 
 An entry point of the group `mavproxy_fault.estimators` names a function without arguments that
 returns an `Estimator` (see `estimator`).
@@ -37,7 +37,7 @@ def estimator_names() -> list[str]:
 
 
 def make_estimator(name: str) -> Estimator:
-    """The estimator of that name with its default parameters.
+    """Create the estimator of that name with its default parameters.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def make_estimator(name: str) -> Estimator:
         module, _, attribute = BUILT_IN[name].partition(":")
         factory = getattr(import_module(module), attribute)
         return factory()
-    # Others come after ours: a plugin cannot take a name of ours.
+    # Built-in names come first: a plugin cannot replace one.
     for point in entry_points(group=GROUP, name=name):
         factory = point.load()
         return factory()

@@ -1,9 +1,10 @@
-"""The complementary filters: gyro for the fast part, gravity and the magnetic field for the slow.
+"""Complementary filters: gyro for the high frequencies, gravity and magnetic field for the low.
 
 `Mahony` is the explicit complementary filter with bias on the rotation group [1]_; with its
 integral gain at zero it is the plain complementary filter, whose crossover lies at `tilt_gain`
-rad/s. Gravity is freed of the centripetal acceleration by airspeed times rate, as that work
-proposes for fixed wings; the field corrects heading only, so that a magnetic fault cannot tilt.
+rad/s. The centripetal acceleration, airspeed times rate, is removed from the specific force, as
+that work proposes for fixed wings; the field corrects the heading only, so that a magnetic fault
+cannot disturb roll and pitch.
 
 References
 ----------
@@ -46,12 +47,12 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
 )
 
 Vector = NDArray[np.float64]
-BIAS, SIZE = 4, 7  # where it begins in x, and its length
+BIAS, SIZE = 4, 7  # start of the bias in x; length of x
 STATE, FIELD = 0, 1  # stamps: of the state, of the newest field sample
 
 
 class Gains(NamedTuple):
-    """For tilt and heading in 1/s, for the bias in 1/s^2."""
+    """Gains of tilt and heading in 1/s, of the bias in 1/s^2."""
 
     tilt: float
     heading: float
@@ -72,7 +73,7 @@ class FilterState(NamedTuple):
 def predict(
     x: Vector, gyro: Vector, accel: Vector, speed_mps: float, dt_s: float, gains: Gains
 ) -> Vector:
-    """x (7,) after one IMU sample: the rate less its bias, drawn towards measured gravity."""
+    """Propagate x (7,) over one IMU sample and correct it toward the measured gravity."""
     rate = gyro - x[BIAS:]
     error = gravity_error(x[:BIAS], accel, rate, speed_mps, STANDARD_GRAVITY_MPS2)
     step = (rate + gains.tilt * error) * dt_s
@@ -86,10 +87,10 @@ def predict(
 def correct_heading(
     x: Vector, field: Vector, declination_rad: float, dt_s: float, gains: Gains
 ) -> Vector:
-    """x (7,) after one field sample (3,): turned about down towards the declination."""
+    """Correct the heading in x (7,) by one field sample (3,), toward the declination."""
     error = heading_error(x[:BIAS], field, declination_rad)
     down = rotation_matrix(x[:BIAS])[2]
-    # After a gap at most to where the field points, never beyond.
+    # After a gap the step may reach the field's heading but not overshoot it.
     step = min(1.0, gains.heading * dt_s) * error * down
     out = np.empty(SIZE)
     out[:BIAS] = rotate_attitude(x[:BIAS], step[0], step[1], step[2])
@@ -108,7 +109,7 @@ def filter_block(
     declination_rad: float,
     gains: Gains,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
-    """The filter over a block (see `analysis.samples.block`).
+    """Run the filter over a block (see `analysis.samples.block`).
 
     `stamps` (2,) are those of the state and of the newest field sample. Returns stamps (m,) and
     q_nb (m, 4) after each IMU sample, then the state.
@@ -119,12 +120,11 @@ def filter_block(
     for i in range(len(kind)):
         if kind[i] == IMU:
             dt_s = (t_us[i] - stamps[STATE]) * 1e-6
-            # A longer pause is not integrated over; the estimate waits for the field and for
-            # gravity.
+            # A longer gap is not integrated; field and gravity correct the estimate afterwards.
             if 0.0 < dt_s <= MAX_GAP_S:
                 gyro, accel = values[i, RATES:FORCE], values[i, FORCE:IMU_ID]
                 x = predict(x, gyro, accel, speed_mps, dt_s, gains)
-            # The newest stamp: a late sample must not set the clock back.
+            # A late sample must not set the clock back.
             stamps[STATE] = max(t_us[i], stamps[STATE])
             when[done] = stamps[STATE]
             for k in range(BIAS):
@@ -132,7 +132,7 @@ def filter_block(
             done += 1
         # A repeated stamp is the same sample again: it must not count twice.
         elif kind[i] == MAG and t_us[i] > stamps[FIELD]:
-            # Bounded: after a long pause the field may not turn the attitude by more than it knows.
+            # Bounded: after a long gap one field sample must not turn the attitude at once.
             dt_s = min((t_us[i] - stamps[FIELD]) * 1e-6, MAX_GAP_S)
             x = correct_heading(x, values[i, 0:3], declination_rad, dt_s, gains)
             stamps[FIELD] = t_us[i]
@@ -151,7 +151,7 @@ class Mahony:
 
     @property
     def gains(self) -> Gains:
-        """As the kernel takes them."""
+        """The gains for the kernel."""
         return Gains(self.tilt_gain, self.heading_gain, self.bias_gain)
 
     def start(self, prior: Prior) -> FilterState:
@@ -160,12 +160,13 @@ class Mahony:
         return FilterState(prior.t_us, x, 0.0, prior.declination_rad, prior.t_us)
 
     def update(self, reading: Sample, state: FilterState) -> tuple[AttitudeEstimate, FilterState]:
-        """IMU moves, field turns, airspeed is kept for the centripetal part."""
+        """The IMU propagates, the field corrects the heading, airspeed gives the centripetal
+        part."""
         _, _, state = self.update_block(block_of(reading), state)
         return AttitudeEstimate(state.t_us, state.x[:BIAS]), state
 
     def update_block(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
-        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
         t_us, q_nb, x, stamps, airspeed_mps = filter_block(
             block.kind,
             block.t_us,

@@ -1,9 +1,10 @@
 """A quaternion EKF: attitude, gyro bias and velocity; nine error states.
 
-The error is a small rotation in body axes beside the errors of bias and velocity [1]_. The IMU
+The error state is a small rotation in body axes and the errors of bias and velocity [1]_. The IMU
 drives the prediction; velocity over ground from GPS, compared with the integrated specific force,
-shows the tilt in turning flight too, where gravity alone would not. The field shows the heading.
-Without GPS velocity for `gps_timeout_s`, gravity freed of the centripetal part takes over.
+observes the tilt in turning flight too, where gravity alone does not. The field observes the
+heading. After `gps_timeout_s` without GPS velocity, the specific force less its centripetal part
+serves as gravity.
 
 References
 ----------
@@ -56,13 +57,13 @@ class Ekf:
     start_sigma: tuple[float, float, float] = (0.05, 0.05, 0.5)  # rad, rad/s, m/s
 
     def start(self, prior: Prior) -> EkfState:
-        """The prior with `start_sigma`; GPS is taken as missing until its first fix."""
+        """The prior with `start_sigma`; GPS counts as missing until its first fix."""
         # The same for the three axes of each error.
         sigma = np.repeat(self.start_sigma, 3)
         # The bias is unknown at start, so that it begins at zero with its sigma.
         x = np.concatenate([prior.q_nb, np.zeros(3), prior.v_ned_mps, np.diag(sigma**2).ravel()])
         timeout_us = round(self.gps_timeout_s * 1e6)
-        # As if the last velocity were too long ago: gravity serves until GPS is there.
+        # The last velocity counts as timed out: gravity is used until the first GPS fix.
         return EkfState(
             prior.t_us, x, 0.0, prior.declination_rad, prior.t_us - timeout_us, prior.t_us
         )
@@ -73,7 +74,7 @@ class Ekf:
         return AttitudeEstimate(state.t_us, state.x[:4]), state
 
     def update_block(self, block: Block, state: EkfState) -> tuple[Stamps, Vector, EkfState]:
-        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
         stamps = np.array([state.t_us, state.gps_t_us, state.tilt_t_us])
         t_us, q_nb, x, stamps, airspeed_mps = ekf_kernel.filter_block(
             block.kind,
@@ -91,7 +92,7 @@ class Ekf:
 
     @property
     def tuning(self) -> ekf_kernel.Tuning:
-        """The parameters as the kernel takes them."""
+        """The parameters for the kernel."""
         return ekf_kernel.Tuning(
             self.gyro_density,
             self.bias_density,

@@ -1,7 +1,7 @@
-"""The arithmetic of the quaternion EKF, compiled; see `ekf` for the layout of x (91,).
+"""Compiled equations of the quaternion EKF; see `ekf` for the layout of x (91,).
 
-What takes a measurement changes the state in place. Plain loops, no slices: assignments of slices
-cost seconds of compilation.
+Measurement updates change the state in place. Plain loops, no slices: slice assignments cost
+seconds of compilation.
 """
 
 from math import atan2
@@ -33,19 +33,19 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
 )
 
 Vector = NDArray[np.float64]
-BIAS, VELOCITY, P = 4, 7, 10  # where they and the covariance begin in x, behind the quaternion
+BIAS, VELOCITY, P = 4, 7, 10  # offsets in x, after the quaternion
 N = 9  # error states: attitude, bias, velocity
-D_BIAS, D_VELOCITY = 3, 6  # where these begin among them
+D_BIAS, D_VELOCITY = 3, 6  # offsets in the error state
 MIN_FIX = 3  # GPS_FIX_TYPE_3D_FIX
 STATE, GPS, TILT = 0, 1, 2  # stamps: of the state, of the newest velocity, of gravity's last use
 
-Workspace = NDArray[np.float64]  # (6, 12), for what is only needed in between
-FP = 3  # where the rows of F P begin in it, behind the three columns of F
+Workspace = NDArray[np.float64]  # (6, 12), for intermediate results
+FP = 3  # column at which F P begins, after three columns of F
 
 
 class Tuning(NamedTuple):
-    """Densities of the noise of gyro [rad/s/rt(Hz)], its bias and the acceleration, variances of
-    velocity, heading and gravity, how often gravity is used and after which silence of GPS [s]."""
+    """Noise densities of gyro [rad/s/rt(Hz)], gyro bias and acceleration; variances of velocity,
+    heading and gravity; period of the gravity update and GPS timeout in s."""
 
     gyro_density: float
     bias_density: float
@@ -59,7 +59,7 @@ class Tuning(NamedTuple):
 
 @compiled
 def new_workspace() -> Workspace:
-    """Room to work in: made once, used at every sample."""
+    """Allocate the work once; every sample reuses it."""
     return np.empty((6, 12))
 
 
@@ -69,31 +69,31 @@ def predict(
     imu: Vector,
     dt_s: float,
     tuning: Tuning,
-    room: Workspace,
+    work: Workspace,
 ) -> None:
-    """Move state and covariance over one IMU sample, rates and specific force (6,).
+    """Propagate state and covariance over one IMU sample, rates and specific force (6,).
 
     The attitude error obeys t' = -omega x t - b, the velocity's v' = -rot (f x t).
     """
     rx, ry, rz = imu[0] - x[BIAS], imu[1] - x[BIAS + 1], imu[2] - x[BIAS + 2]
     fx, fy, fz = imu[FORCE], imu[FORCE + 1], imu[FORCE + 2]
-    # The force is turned to NED by the attitude in the middle of the step: exact to second order.
-    half_way = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
-    rotate_in_place(x, half_way)
+    # The force is rotated to NED by the attitude at mid-step: exact to second order.
+    half_turn = quaternion_of_rotation(0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s)
+    rotate_in_place(x, half_turn)
     rows = body_axes(x)
-    rotate_in_place(x, half_way)
+    rotate_in_place(x, half_turn)
     for i in range(3):
         a, b, c = rows[i]
         x[VELOCITY + i] += dt_s * (a * fx + b * fy + c * fz)
-        room[3 + i, 0] = -dt_s * (b * fz - c * fy)
-        room[3 + i, 1] = -dt_s * (c * fx - a * fz)
-        room[3 + i, 2] = -dt_s * (a * fy - b * fx)
+        work[3 + i, 0] = -dt_s * (b * fz - c * fy)
+        work[3 + i, 1] = -dt_s * (c * fx - a * fz)
+        work[3 + i, 2] = -dt_s * (a * fy - b * fx)
     # The specific force of free fall is zero; down is positive.
     x[VELOCITY + 2] += dt_s * STANDARD_GRAVITY_MPS2
-    room[0, 0], room[0, 1], room[0, 2] = 1.0, dt_s * rz, -dt_s * ry
-    room[1, 0], room[1, 1], room[1, 2] = -dt_s * rz, 1.0, dt_s * rx
-    room[2, 0], room[2, 1], room[2, 2] = dt_s * ry, -dt_s * rx, 1.0
-    propagate_covariance(x, room, dt_s)
+    work[0, 0], work[0, 1], work[0, 2] = 1.0, dt_s * rz, -dt_s * ry
+    work[1, 0], work[1, 1], work[1, 2] = -dt_s * rz, 1.0, dt_s * rx
+    work[2, 0], work[2, 1], work[2, 2] = dt_s * ry, -dt_s * rx, 1.0
+    propagate_covariance(x, work, dt_s)
     for i in range(3):
         x[P + (N + 1) * i] += dt_s * tuning.gyro_density * tuning.gyro_density
         x[P + (N + 1) * (D_BIAS + i)] += dt_s * tuning.bias_density * tuning.bias_density
@@ -101,54 +101,54 @@ def predict(
 
 
 @compiled
-def propagate_covariance(x: Vector, room: Workspace, dt_s: float) -> None:
-    """Put F P F' in the place of P in x (91,), in place.
+def propagate_covariance(x: Vector, work: Workspace, dt_s: float) -> None:
+    """Replace P by F P F' in x (91,), in place.
 
-    F is the identity but for what the attitude error does to itself and to the velocity's, the
-    first three columns of `room`, and for what the bias does to the attitude in `dt_s`. The rows of
-    F P that are not P's, attitude and velocity, are put behind those columns.
+    F is the identity except for the effect of the attitude error on attitude and velocity (the
+    first three columns of `work`) and of the bias on the attitude over `dt_s`. The rows of F P
+    that differ from those of P, attitude and velocity, are stored after these columns.
     """
     for j in range(N):
         attitude_0, attitude_1, attitude_2 = x[P + j], x[P + N + j], x[P + 2 * N + j]
         for i in range(3):
-            sum_ = room[i, 0] * attitude_0 + room[i, 1] * attitude_1 + room[i, 2] * attitude_2
-            room[i, FP + j] = sum_ - dt_s * x[P + N * (D_BIAS + i) + j]
+            sum_ = work[i, 0] * attitude_0 + work[i, 1] * attitude_1 + work[i, 2] * attitude_2
+            work[i, FP + j] = sum_ - dt_s * x[P + N * (D_BIAS + i) + j]
             sum_ = (
-                room[3 + i, 0] * attitude_0
-                + room[3 + i, 1] * attitude_1
-                + room[3 + i, 2] * attitude_2
+                work[3 + i, 0] * attitude_0
+                + work[3 + i, 1] * attitude_1
+                + work[3 + i, 2] * attitude_2
             )
-            room[3 + i, FP + j] = sum_ + x[P + N * (D_VELOCITY + i) + j]
+            work[3 + i, FP + j] = sum_ + x[P + N * (D_VELOCITY + i) + j]
     for i in range(3):
         for j in range(3):
-            set_symmetric(x, i, D_BIAS + j, room[i, FP + D_BIAS + j])
-            set_symmetric(x, D_BIAS + j, D_VELOCITY + i, room[3 + i, FP + D_BIAS + j])
-            moved_velocity = attitude_product(room, i, 3 + j) + room[i, FP + D_VELOCITY + j]
+            set_symmetric(x, i, D_BIAS + j, work[i, FP + D_BIAS + j])
+            set_symmetric(x, D_BIAS + j, D_VELOCITY + i, work[3 + i, FP + D_BIAS + j])
+            moved_velocity = attitude_product(work, i, 3 + j) + work[i, FP + D_VELOCITY + j]
             set_symmetric(x, i, D_VELOCITY + j, moved_velocity)
         for j in range(i, 3):
-            set_symmetric(x, i, j, attitude_product(room, i, j) - dt_s * room[i, FP + D_BIAS + j])
-            moved_velocity = attitude_product(room, 3 + i, 3 + j) + room[3 + i, FP + D_VELOCITY + j]
+            set_symmetric(x, i, j, attitude_product(work, i, j) - dt_s * work[i, FP + D_BIAS + j])
+            moved_velocity = attitude_product(work, 3 + i, 3 + j) + work[3 + i, FP + D_VELOCITY + j]
             set_symmetric(x, D_VELOCITY + i, D_VELOCITY + j, moved_velocity)
 
 
 @inlined
 def set_symmetric(x: Vector, i: int, j: int, value: float) -> None:
-    """Write an element of the covariance in x (91,) and its mirror image."""
+    """Set a covariance element in x (91,) and its symmetric counterpart."""
     x[P + N * i + j] = value
     x[P + N * j + i] = value
 
 
 @inlined
-def attitude_product(room: Workspace, i: int, j: int) -> float:
-    """What row i of F P, in `room`, brings about by row j of the attitude's columns."""
-    row, column = room[i], room[j]
+def attitude_product(work: Workspace, i: int, j: int) -> float:
+    """Row i of F P in `work` times row j of F, attitude columns only."""
+    row, column = work[i], work[j]
     value: float = row[FP] * column[0] + row[FP + 1] * column[1] + row[FP + 2] * column[2]
     return value
 
 
 @compiled
 def apply_correction(x: Vector, gain: Vector, innovation: float, variance: float) -> None:
-    """Take one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
+    """Apply one scalar measurement of innovation variance `variance`; `gain` (9,) is P h."""
     for i in range(N):
         # The upper half; `set_symmetric` mirrors it, so that the covariance stays symmetric to the
         # last bit.
@@ -163,10 +163,10 @@ def apply_correction(x: Vector, gain: Vector, innovation: float, variance: float
 
 @compiled
 def correct_by_rotation(
-    x: Vector, h: Axis, innovation: float, variance: float, room: Workspace
+    x: Vector, h: Axis, innovation: float, variance: float, work: Workspace
 ) -> None:
-    """Take a scalar measurement that only the attitude error moves, by h (3,), into x (91,)."""
-    gain = room[0]
+    """Apply a scalar measurement that depends on the attitude error only, by h (3,)."""
+    gain = work[0]
     for i in range(N):
         gain[i] = x[P + N * i] * h[0] + x[P + N * i + 1] * h[1] + x[P + N * i + 2] * h[2]
     variance = variance + h[0] * gain[0] + h[1] * gain[1] + h[2] * gain[2]
@@ -174,12 +174,12 @@ def correct_by_rotation(
 
 
 @compiled
-def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Workspace) -> None:
-    """Take a velocity over ground (3,), axis by axis."""
-    gain = room[0]
+def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, work: Workspace) -> None:
+    """Apply a velocity over ground (3,), axis by axis."""
+    gain = work[0]
     for axis in range(3):
         for i in range(N):
-            # h picks one velocity out, so that P h is a column of P.
+            # h selects one velocity, so that P h is a column of P.
             gain[i] = x[P + N * i + D_VELOCITY + axis]
         innovation = v_ned_mps[axis] - x[VELOCITY + axis]
         apply_correction(x, gain, innovation, variance + gain[D_VELOCITY + axis])
@@ -187,7 +187,7 @@ def correct_velocity(x: Vector, v_ned_mps: Vector, variance: float, room: Worksp
 
 @compiled
 def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
-    """Take the velocity (3,) in m/s as measured into x (91,) and forget what it had to do with the
+    """Set the velocity in x (91,) to the measurement (3,) in m/s and clear its correlation with the
     other errors."""
     for i in range(D_VELOCITY, N):
         for j in range(N):
@@ -199,17 +199,17 @@ def restart_velocity(x: Vector, v_ned_mps: Vector, variance: float) -> None:
 
 @compiled
 def correct_heading(
-    x: Vector, field: Vector, declination_rad: float, variance: float, room: Workspace
+    x: Vector, field: Vector, declination_rad: float, variance: float, work: Workspace
 ) -> None:
-    """Take the heading of the field (3,): a small rotation e in NED moves it by
+    """Apply the heading of the field (3,): a small rotation e in NED changes it by
 
-    e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not taken for heading.
+    e_d - m_d (e_n m_n + e_e m_e) / (m_n^2 + m_e^2), so that a tilt is not mistaken for heading.
     """
     fx, fy, fz = field[0], field[1], field[2]
     (n_x, n_y, n_z), (e_x, e_y, e_z), (d_x, d_y, d_z) = body_axes(x)
     north = n_x * fx + n_y * fy + n_z * fz
     east = e_x * fx + e_y * fy + e_z * fz
-    # Over a magnetic pole the field has no heading: the small number keeps it finite.
+    # Over a magnetic pole the field has no heading: the small number keeps h finite.
     tilt = -(d_x * fx + d_y * fy + d_z * fz) / (north * north + east * east + 1e-12)
     h = (
         d_x + tilt * (north * n_x + east * e_x),
@@ -217,20 +217,20 @@ def correct_heading(
         d_z + tilt * (north * n_z + east * e_z),
     )
     innovation = wrap_angle(declination_rad - atan2(east, north))
-    correct_by_rotation(x, h, innovation, variance, room)
+    correct_by_rotation(x, h, innovation, variance, work)
 
 
 @compiled
 def correct_tilt(
-    x: Vector, imu: Vector, speed_mps: float, variance: float, room: Workspace
+    x: Vector, imu: Vector, speed_mps: float, variance: float, work: Workspace
 ) -> None:
-    """Take the specific force of an IMU sample (6,) as gravity plus the centripetal part of a
-    flight along the nose, axis by axis.
+    """Apply the specific force of an IMU sample (6,) as gravity plus the centripetal part of flight
+    along the nose, axis by axis.
 
-    The attitude error moves gravity in body axes by g x t.
+    The attitude error changes gravity in body axes by g x t.
     """
     for axis in range(3):
-        # Anew for each axis, as the one before has moved the attitude.
+        # Recomputed for each axis, since the last correction moved the attitude.
         down = body_axes(x)[2]
         gx, gy, gz = (
             -STANDARD_GRAVITY_MPS2 * down[0],
@@ -243,7 +243,7 @@ def correct_tilt(
             h, expected = (gz, 0.0, -gx), gy + (imu[2] - x[BIAS + 2]) * speed_mps
         else:
             h, expected = (-gy, gx, 0.0), gz - (imu[1] - x[BIAS + 1]) * speed_mps
-        correct_by_rotation(x, h, imu[FORCE + axis] - expected, variance, room)
+        correct_by_rotation(x, h, imu[FORCE + axis] - expected, variance, work)
 
 
 @compiled
@@ -254,35 +254,35 @@ def advance_to_sample(
     imu: Vector,
     speed_mps: float,
     tuning: Tuning,
-    room: Workspace,
+    work: Workspace,
 ) -> None:
-    """Move the state to an IMU sample (6,), and its `stamps` with it."""
+    """Propagate the state and its `stamps` to an IMU sample (6,)."""
     dt_s = (t_us - stamps[STATE]) * 1e-6
     if dt_s <= 0.0:
         return
-    # Over a longer gap the IMU tells nothing: the state waits for the other sensors.
+    # A longer gap is not integrated; the other sensors correct the state afterwards.
     if dt_s <= MAX_GAP_S:
-        predict(x, imu, dt_s, tuning, room)
+        predict(x, imu, dt_s, tuning, work)
     due = t_us - stamps[TILT] >= 1e6 * tuning.gravity_period_s
     if due and t_us - stamps[GPS] >= 1e6 * tuning.gps_timeout_s:
-        correct_tilt(x, imu, speed_mps, tuning.gravity_variance, room)
+        correct_tilt(x, imu, speed_mps, tuning.gravity_variance, work)
         stamps[TILT] = t_us
     stamps[STATE] = t_us
 
 
 @compiled
 def correct_from_fix(
-    x: Vector, stamps: Stamps, t_us: int, fix: Vector, tuning: Tuning, room: Workspace
+    x: Vector, stamps: Stamps, t_us: int, fix: Vector, tuning: Tuning, work: Workspace
 ) -> None:
-    """Take the numbers (11,) of a fix; one that does not tell the climb is no use."""
+    """Apply the velocity of a fix (11,); a fix without vertical velocity is ignored."""
     v_ned_mps = fix[FIX_VELOCITY:FIX_TYPE]
     if fix[FIX_TYPE] < MIN_FIX or not np.isfinite(v_ned_mps).all():
         return
     if t_us - stamps[GPS] >= 1e6 * tuning.gps_timeout_s:
         restart_velocity(x, v_ned_mps, tuning.velocity_variance)
     else:
-        correct_velocity(x, v_ned_mps, tuning.velocity_variance, room)
-    # Fixes may come out of order; the silence counts from the newest.
+        correct_velocity(x, v_ned_mps, tuning.velocity_variance, work)
+    # Fixes may come out of order; the timeout counts from the newest.
     stamps[GPS] = max(t_us, stamps[GPS])
 
 
@@ -297,7 +297,7 @@ def filter_block(
     declination_rad: float,
     tuning: Tuning,
 ) -> tuple[Stamps, Vector, Vector, Stamps, float]:
-    """The filter over a block (see `analysis.samples.block`).
+    """Run the filter over a block (see `analysis.samples.block`).
 
     Parameters
     ----------
@@ -310,19 +310,19 @@ def filter_block(
     Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
     """
     when, q_nb = empty_estimates(kind)
-    x, stamps, room = x.copy(), stamps.copy(), new_workspace()
+    x, stamps, work = x.copy(), stamps.copy(), new_workspace()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
-            advance_to_sample(x, stamps, t_us[i], values[i], speed_mps, tuning, room)
+            advance_to_sample(x, stamps, t_us[i], values[i], speed_mps, tuning, work)
             when[done] = stamps[STATE]
             for k in range(4):
                 q_nb[done, k] = x[k]
             done += 1
         elif kind[i] == MAG:
-            correct_heading(x, values[i], declination_rad, tuning.heading_variance, room)
+            correct_heading(x, values[i], declination_rad, tuning.heading_variance, work)
         elif kind[i] == FIX:
-            correct_from_fix(x, stamps, t_us[i], values[i], tuning, room)
+            correct_from_fix(x, stamps, t_us[i], values[i], tuning, work)
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
     return when, q_nb, x, stamps, speed_mps

@@ -1,9 +1,8 @@
-"""What an attitude estimator is: readings in, an attitude out.
+"""The interface of attitude estimators: readings in, attitude out.
 
-An estimator is a frozen set of parameters; what moves is the state it hands back. Readings are the
-samples of `analysis.samples.sample`; one that an estimator has no use for changes nothing.
-Attitudes are unit quaternions (w, x, y, z) that take body axes (forward, right, down) to north,
-east, down.
+An estimator holds fixed parameters; its state is passed in and returned. Readings are the samples
+of `analysis.samples.sample`; an estimator ignores those it does not use. Attitudes are unit
+quaternions (w, x, y, z) that take body axes (forward, right, down) to north, east, down.
 """
 
 from dataclasses import dataclass, field
@@ -19,12 +18,12 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
 Vector = NDArray[np.float64]
-MAX_GAP_S = 0.5  # a longer pause between IMU samples is not integrated over
+MAX_GAP_S = 0.5  # longer gaps are not integrated: at 1 rad/s they hide 30 degrees
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known at the start: q_nb (4,), velocity over ground (3,), position (3,), declination.
+    """Initial q_nb (4,), velocity over ground (3,), position (3,) and magnetic declination.
 
     `declination_rad` is the magnetic declination of the place, positive to the east.
     """
@@ -45,10 +44,10 @@ class AttitudeEstimate:
 
 
 class Estimator(Protocol):
-    """The contract; `state` is whatever `start` returned.
+    """The contract; `state` is what `start` returned.
 
-    One that can take many samples at once, compiled, also has a method `follow(block, state)`: see
-    the function below.
+    An optional method `update_block(block, state)` processes many samples at once and returns what
+    `estimate_block` does.
     """
 
     def start(self, prior: Prior) -> Any:
@@ -59,15 +58,15 @@ class Estimator(Protocol):
 
 
 def estimate_block(estimator: Estimator, block: Block, state: Any) -> tuple[Stamps, Vector, Any]:
-    """Estimates of a block, stamps (m,) and q_nb (m, 4) at its m IMU samples; the next state."""
-    at_once = getattr(estimator, "follow", None)
-    # A compiled estimator takes the block at once; any other sample by sample.
-    if at_once is not None:
-        found: tuple[Stamps, Vector, Any] = at_once(block, state)
-        return found
+    """Run an estimator over a block: stamps (m,), q_nb (m, 4) at its m IMU samples, next state."""
+    update_block = getattr(estimator, "update_block", None)
+    # A compiled estimator processes the block at once; any other sample by sample.
+    if update_block is not None:
+        estimates: tuple[Stamps, Vector, Any] = update_block(block, state)
+        return estimates
     stamps, attitudes = [], []
     for row, kind in enumerate(block.kind.tolist()):
-        # Truth is for the scores, and another's attitude is no measurement.
+        # Truth is for scoring, and another estimator's attitude is no measurement.
         if kind not in (TRUTH, ATTITUDE):
             estimate, state = estimator.update(block.sample(row), state)
             if kind == IMU:
@@ -78,7 +77,7 @@ def estimate_block(estimator: Estimator, block: Block, state: Any) -> tuple[Stam
 
 @compiled
 def empty_estimates(kind: Indices) -> tuple[Stamps, Vector]:
-    """Stamps (m,) and q_nb (m, 4), to be filled, of the m IMU samples among some kinds."""
+    """Empty stamps (m,) and q_nb (m, 4) for the m IMU samples among `kind` (n,)."""
     count = 0
     for i in range(len(kind)):
         count += kind[i] == IMU

@@ -1,7 +1,7 @@
 """The factor graph as an attitude estimator, for the scores and the search.
 
-It contains the detector and the tests of the other sensors. Between GNSS epochs the gyro turns the
-newest attitude of the graph, less the graph's bias.
+It contains the detector and the tests of the other sensors. Between GNSS epochs the gyro, less the
+graph's bias, propagates the newest attitude of the graph.
 """
 
 from collections import deque
@@ -24,13 +24,13 @@ from analysis.samples.sample import ImuSample, Sample, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
-PRIOR_SIGMA_RAD = 0.05  # how sure the first attitude is
+PRIOR_SIGMA_RAD = 0.05  # sigma of the first attitude, as in `Ekf.start_sigma`
 
 
 @dataclass(slots=True)
 class FusedAttitudeState:
-    """What moves, in place: the detector and the graph, the attitude (4,) and its time, gyro bias
-    (3,), the rates (time, rate (3,), length in s) since the last epoch."""
+    """State, changed in place: detector and graph, attitude (4,) and its time, gyro bias (3,), the
+    rates (time, rate (3,), length in s) since the last epoch."""
 
     detector: NavigationState
     fusion: FusionState
@@ -88,11 +88,11 @@ class FusedAttitude:
 
     @staticmethod
     def _align_detector(motion: MotionEstimate, state: FusedAttitudeState) -> None:
-        """The detector's filter begins with the attitude that is known here."""
+        """Initialise the attitude of the detector's filter with that of this estimator."""
         x, p = motion.x.copy(), motion.p.copy()
         lat, lon, _ = geodetic_position(x[R : R + 3])
         x[X_Q : X_Q + 4] = quaternion_of_matrix(ned_axes(lat, lon).T @ rotation_matrix(state.q_nb))
-        # The prior has nothing to do with the other errors.
+        # The prior attitude is not correlated with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_SIGMA_RAD**2 * np.eye(3)
         inner = state.detector.detector
@@ -101,9 +101,9 @@ class FusedAttitude:
 
     @staticmethod
     def _adopt(fused: FusedState, state: FusedAttitudeState) -> None:
-        """The graph's attitude, turned from its epoch to the newest IMU sample."""
+        """Adopt the graph's attitude, propagated from its epoch to the newest IMU sample."""
         graph = state.fusion.graph
-        # What the graph has seen; the rest leads from its epoch to now.
+        # The graph has used these already; the rest propagates its attitude to now.
         while state.rates and state.rates[0][0] <= fused.t_us:
             state.rates.popleft()
         if graph is None or not graph.aligned:

@@ -1,15 +1,15 @@
 """Dead reckoning on the inverse sensor models, integrated by Heun.
 
 The state is (roll, pitch, yaw, u, v, w, north, east, down). Rates and specific force of the IMU
-take the place of the moments and forces in the equations of the rigid body [1]_:
+replace the moments and forces in the equations of the rigid body [1]_:
 
     roll'  = p + (q sin roll + r cos roll) tan pitch
     pitch' = q cos roll - r sin roll
     yaw'   = (q sin roll + r cos roll) / cos pitch
     v_b'   = a - omega x v_b + rot_bn g,    r' = rot_nb v_b
 
-The attitude follows from the gyro alone, so that this estimator shows what a gyro fault does when
-nothing corrects it. Heun's step uses both samples that bound it.
+The attitude comes from the gyro alone, so that this estimator shows the effect of a gyro fault that
+nothing corrects. Heun's step uses the samples at both of its ends.
 
 References
 ----------
@@ -35,8 +35,8 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
 )
 
 Vector = NDArray[np.float64]
-VELOCITY, POSITION, SIZE = 3, 6, 9  # where they begin in x, behind the angles; its length
-MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at the pole
+VELOCITY, POSITION, SIZE = 3, 6, 9  # offsets in x, after the angles; length of x
+MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 
 
 @compiled
@@ -68,7 +68,7 @@ def heun_step(
     """One step of x (9,) of length `dt_s` between two samples, rates (3,) in rad/s and specific
     force (3,) in m/s^2 each."""
     slope0 = state_derivative(x, gyro0, accel0)
-    # With the sample at its own end: that is why the step uses both.
+    # The second slope is that at the end of the step, with the sample there.
     slope1 = state_derivative(x + dt_s * slope0, gyro1, accel1)
     return x + 0.5 * dt_s * (slope0 + slope1)
 
@@ -79,8 +79,8 @@ def integrate_block(
 ) -> tuple[Stamps, Vector, Vector, int, Vector]:
     """Integrate over a block (see `analysis.samples.block`).
 
-    `before` holds the numbers of the sample at `now_us`; nothing finite means that it is not known.
-    Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
+    `before` (6,) is the IMU sample at `now_us`, NaN where it is unknown. Returns stamps (m,) and
+    q_nb (m, 4) after each IMU sample, then the state.
     """
     count = 0
     for i in range(len(kind)):
@@ -91,7 +91,7 @@ def integrate_block(
         if kind[i] != IMU:
             continue
         v = values[i, :IMU_ID]
-        # The first sample stands for the one before it: Euler's step, once.
+        # The first sample also serves as the previous one: a single Euler step.
         if np.isnan(before[0]):
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6
@@ -107,7 +107,7 @@ def integrate_block(
 
 
 class HeunState(NamedTuple):
-    """x (9,) as above and the numbers (6,) of the IMU sample before, NaN without one."""
+    """x (9,) as above and the previous IMU sample (6,), NaN without one."""
 
     t_us: int
     x: Vector
@@ -116,7 +116,7 @@ class HeunState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InverseModel:
-    """The reference estimator of random-testing programs; starts at the prior."""
+    """Dead reckoning from the prior, without parameters."""
 
     def start(self, prior: Prior) -> HeunState:
         """The prior as Euler angles, body velocity and position."""
@@ -130,13 +130,13 @@ class InverseModel:
         return HeunState(prior.t_us, start, np.full(6, np.nan))
 
     def update(self, reading: Sample, state: HeunState) -> tuple[AttitudeEstimate, HeunState]:
-        """Integrate from the sample before to this one."""
+        """Integrate from the previous sample to this one."""
         _, _, state = self.update_block(block_of(reading), state)
         q_nb = quaternion_of_euler(state.x[0], state.x[1], state.x[2])
         return AttitudeEstimate(state.t_us, q_nb), state
 
     def update_block(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
-        """The same for a block of samples: stamps (m,) and q_nb (m, 4) after each of the IMU's."""
+        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
         t_us, q_nb, x, now_us, before = integrate_block(
             block.kind, block.t_us, block.values, state.x, state.t_us, state.before
         )

@@ -1,8 +1,8 @@
-"""Madgwick's gradient filter, by the `ahrs` package.
+"""Madgwick's gradient filter, from the `ahrs` package.
 
-`ahrs` takes the third axis as that on which gravity reads positive; the specific force of a vehicle
-in forward-right-down axes is negative there at rest, so its sign is turned. The filter's north is
-magnetic: the attitude handed out is turned by the declination.
+`ahrs` expects gravity to read positive on the third axis; the specific force in forward-right-down
+axes is negative there at rest, so its sign is reversed. The filter's north is magnetic: the
+returned attitude is rotated by the declination.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 
 class MadgwickState(NamedTuple):
-    """The attitude against magnetic north and the field since the last IMU sample (or None)."""
+    """Attitude relative to magnetic north; the field sample since the last IMU sample, or None."""
 
     t_us: int
     q_mb: Vector
@@ -41,21 +41,21 @@ class Madgwick:
         return Filter(gain=self.gain)
 
     def start(self, prior: Prior) -> MadgwickState:
-        """The prior's attitude, seen from magnetic north."""
-        q = _yawed(prior.q_nb, -prior.declination_rad)
+        """The prior's attitude, relative to magnetic north."""
+        q = _rotate_yaw(prior.q_nb, -prior.declination_rad)
         return MadgwickState(prior.t_us, q, None, prior.declination_rad)
 
     def update(
         self, reading: Sample, state: MadgwickState
     ) -> tuple[AttitudeEstimate, MadgwickState]:
-        """A field sample waits for the next IMU sample; that moves the filter."""
+        """Keep a field sample for the next IMU sample, which advances the filter."""
         if isinstance(reading, MagSample):
             state = state._replace(field=reading.field_b_gauss)
         elif isinstance(reading, ImuSample) and reading.t_us > state.t_us:
-            state = self._moved(reading, state)
-        return AttitudeEstimate(state.t_us, _yawed(state.q_mb, state.declination_rad)), state
+            state = self._advance(reading, state)
+        return AttitudeEstimate(state.t_us, _rotate_yaw(state.q_mb, state.declination_rad)), state
 
-    def _moved(self, reading: ImuSample, state: MadgwickState) -> MadgwickState:
+    def _advance(self, reading: ImuSample, state: MadgwickState) -> MadgwickState:
         dt_s = (reading.t_us - state.t_us) * 1e-6
         if dt_s > MAX_GAP_S:
             return state._replace(t_us=reading.t_us)
@@ -64,12 +64,12 @@ class Madgwick:
             q = self._filter.updateIMU(state.q_mb, gyro, accel, dt=dt_s)
         else:
             q = self._filter.updateMARG(state.q_mb, gyro, accel, state.field, dt=dt_s)
-        # A field sample serves once: used again it would pull as two.
+        # A field sample is used once: a second use would count it twice.
         return MadgwickState(reading.t_us, q, None, state.declination_rad)
 
 
-def _yawed(q: Vector, angle_rad: float) -> Vector:
-    """q (4,) turned by an angle about down."""
+def _rotate_yaw(q: Vector, angle_rad: float) -> Vector:
+    """q (4,) rotated by an angle about down."""
     c, s = cos(0.5 * angle_rad), sin(0.5 * angle_rad)
     w, x, y, z = q
     return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])

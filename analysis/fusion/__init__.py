@@ -1,5 +1,5 @@
-"""Fusion of what the detector finds healthy: a fixed-lag smoother on a factor graph (GTSAM).
+"""Sensor fusion behind the detector's exclusions: a fixed-lag smoother on a factor graph (GTSAM).
 
-`fusion_config` and `factors.factor_weights` need no GTSAM; `smoother`, the rest's entrance,
-does. See docs/fusion.md.
+`smoother` is the entry point; `fusion_config` and `factors.factor_weights` import without GTSAM.
+See docs/fusion.md.
 """

@@ -1,4 +1,4 @@
-"""The smoother's newest epoch as the state of the detector's filter."""
+"""Feedback: the smoother's newest epoch replaces the state of the detector's filter."""
 
 import numpy as np
 
@@ -22,13 +22,14 @@ from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
-NODE_ERRORS = 17  # errors of a node: rotation, shift (body axes), velocity, biases, clock, drift
+NODE_ERRORS = 17  # of a node: rotation, translation (body axes), velocity, biases, clock, drift
 
 
 def feed_back(core: DetectorCore, graph: Graph | None) -> DetectorCore:
-    """The detector's state with its filter taken from the graph.
+    """The detector's state with the filter state and covariance of the graph.
 
-    Both must be at the same epoch and know the attitude; systems' offsets stay the filter's own.
+    Both must be aligned and at the same epoch, else nothing changes; inter-system biases stay the
+    filter's own.
     """
     motion = core.motion
     if motion is None or graph is None or not (motion.inertial and graph.aligned):
@@ -46,7 +47,7 @@ def feed_back(core: DetectorCore, graph: Graph | None) -> DetectorCore:
 
 
 def _to_filter(to_ecef: Vector, rot_eb: Vector) -> Vector:
-    """Errors (20) of the filter from those (17) of a node: (20, 17)."""
+    """Jacobian (20, 17) of the filter's errors with respect to those of a node."""
     jacobian = np.zeros((ERROR_SIZE, NODE_ERRORS))
     jacobian[PSI : PSI + 3, 0:3] = rot_eb
     jacobian[R : R + 3, 3:6] = rot_eb

@@ -1,13 +1,14 @@
-"""The graph against the detector's filter, which has had the same data: it must not be worse.
+"""Consistency check of the graph against the detector's filter, which has the same data.
 
-The graph keeps a window and weighs sources by what the flight shows of their noise, so it may well
-differ from the filter, but not by more than both allow; and it knows no less. Where either fails,
-as when taking a satellite's past back leaves the window underdetermined, the filter is right.
+The graph keeps a window and weights sources by the noise learned in flight, so it may differ from
+the filter, but not by more than both covariances allow, and its own covariance must not be much
+larger. Where either fails, as when removing a satellite's past leaves the window underdetermined,
+the filter's solution is used.
 
-Most of the position's error lasts for minutes and is in both. Where they differ by much less than
-that, neither is known to be nearer, and the filter's position is told: a graph that is not told
-apart cannot be worse. Where nothing ties the graph's epochs but a model of motion it is told, too:
-a graph believes ranges less than the filter does, so that it would lag in every turn.
+Most of the position error lasts for minutes and is common to both. Where they differ by much less
+than that, neither is known to be better, and the filter's position is reported, so that the fusion
+cannot be worse. It is also reported where only the motion model connects the graph's epochs: the
+graph trusts ranges less than the filter does and would lag in every turn.
 """
 
 import math
@@ -30,18 +31,19 @@ from mavproxy_fault.numerics.linear import (
     transpose_matrix,
 )
 
-P_CONTRADICTION = 1e-4  # sound flights and walks reach 17, a chi-square of 3 has 21 here
+P_CONTRADICTION = 1e-4  # fault-free flights and walks reach 17; the threshold of 3 dof is 21
 MAX_SIGMA_RATIO = (
-    2.0  # times the graph's own `correlation`, by which it begins less sure than the filter
+    2.0  # of the graph's `correlation`, by which its initial sigma exceeds the filter's
 )
-POSE_SHIFT = 3  # where the shift is among the errors of a pose
+POSE_SHIFT = 3  # offset of the translation in a pose's errors
 DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2
-USE_FILTER_BELOW, USE_GRAPH_ABOVE = 0.25, 0.5  # of the filter's sigma, which holds what lasts
+# Of the filter's sigma, which includes lasting errors.
+USE_FILTER_BELOW, USE_GRAPH_ABOVE = 0.25, 0.5
 FILTER = "filter"  # the source's name among the weights
 
 
 def filter_contradiction(graph: Graph, motion: MotionEstimate | None, correlation: float) -> str:
-    """Why the filter's answer is to be used in place of the graph's; empty where it is not."""
+    """Why the filter's solution must replace the graph's; empty if it need not."""
     if motion is None:
         return ""
     frame = graph.frame
@@ -53,18 +55,18 @@ def filter_contradiction(graph: Graph, motion: MotionEstimate | None, correlatio
         frame.axes,
     )
     distance_m, q, ratio = compared.tolist()
-    # Written so that NaN contradicts, here and below.
+    # Written so that NaN counts as a contradiction, here and below.
     if not q <= chi_square_threshold(3, P_CONTRADICTION):
-        return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) off the filter"
+        return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) from the filter"
     if not ratio <= MAX_SIGMA_RATIO * correlation:
-        return f"the graph was {ratio:.0f} times less sure than the filter"
+        return f"the graph's sigma was {ratio:.0f} times the filter's"
     return ""
 
 
 def blend_with_filter(fused: FusedState, decision: Decision, tied: bool = True) -> FusedState:
-    """The fused state with the filter's position where the two are not told apart or nothing `tied`
-    the epoch to the last, smoothly the graph's where they are; the weights say how much of it is
-    the filter's."""
+    """The fused state with the filter's position where the two are indistinguishable or the epoch
+    is not `tied` to the last, blending smoothly into the graph's; the weight `filter` is the
+    filter's share."""
     if decision.position_ecef_m is None or decision.position_sigma_m is None:
         return fused
     ours, theirs = np.array(fused.position_ecef_m), np.array(decision.position_ecef_m)
@@ -78,12 +80,12 @@ def blend_with_filter(fused: FusedState, decision: Decision, tied: bool = True) 
 
 @compiled
 def _compare(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes: Vector) -> Vector:
-    """Distance in m, its square over both covariances, and the graph's sigma over the filter's.
+    """Distance in m, its normalised square, and the ratio of the graph's sigma to the filter's.
 
     `pose` (4, 4) and `p` (9, 9) are the graph's, in its own frame and in body axes; `filter_m` (3,)
     is in that frame, `filter_p` (3, 3) in ECEF, `axes` (3, 3) the frame's rows.
     """
-    # Copies lie in a row: for slices the products would be compiled once more.
+    # Contiguous copies: products of slices would be compiled separately.
     rot = pose[:3, :3].copy()
     shift = p[POSE_SHIFT : POSE_SHIFT + 3, POSE_SHIFT : POSE_SHIFT + 3].copy()
     own = multiply_matrices(multiply_matrices(rot, shift), transpose_matrix(rot))

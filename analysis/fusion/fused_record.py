@@ -1,4 +1,4 @@
-"""The newest epoch of a graph in the words of `analysis.results`."""
+"""The newest epoch of a graph as a `FusedState`."""
 
 import math
 from typing import Any
@@ -18,8 +18,8 @@ UNKNOWN_DEG = (180.0, 180.0, 180.0)
 
 
 def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str) -> FusedState:
-    """Position, velocity and attitude with sigmas; those of position and velocity north, east,
-    down, those of attitude about the body's axes."""
+    """Position, velocity and attitude with sigmas: those of position and velocity north, east,
+    down, those of attitude about the body axes."""
     node, frame = graph.node, graph.frame
     rows = _state_numbers(
         node.pose.matrix(),
@@ -39,7 +39,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
         q_nb=tuple(numbers[15:]),
         position_sigma_m=each[2],
         velocity_sigma_mps=each[3],
-        # Before it is aligned the graph holds its attitude still, so its small sigma says nothing.
+        # Before alignment the graph holds its attitude fixed; its small sigma is meaningless.
         attitude_sigma_deg=each[4] if graph.aligned else UNKNOWN_DEG,
         weights=weights,
         reason=reason,
@@ -47,7 +47,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
 
 
 def repeat_last_state(last: FusedState, t_us: int, why: str) -> FusedState:
-    """The last good state once more, where there is no other."""
+    """Repeat the last good state, where there is no other."""
     return msgspec.structs.replace(
         last,
         t_us=t_us,
@@ -72,13 +72,13 @@ def _state_numbers(
     to_ned = multiply_matrices(ned, transpose_matrix(axes))
     rotation = multiply_matrices(to_ned, pose[0:3, 0:3])
     speed, q = multiply_vector(to_ned, velocity), quaternion_of_matrix(rotation)
-    here, slow = _variances(rotation, p[3:6, 3:6]), _variances(ned, slow_m2)
-    change = _variances(to_ned, p[6:9, 6:9])
+    position, lasting = _variances(rotation, p[3:6, 3:6]), _variances(ned, slow_m2)
+    velocity_variance = _variances(to_ned, p[6:9, 6:9])
     for i in range(3):
         out[3 + i] = speed[i]
-        # The graph takes range errors for independent: what averaging leaves of them is added.
-        out[6 + i] = math.sqrt(here[i] + slow[i])
-        out[9 + i] = math.sqrt(change[i])
+        # The graph takes range errors as independent: their lasting part is added.
+        out[6 + i] = math.sqrt(position[i] + lasting[i])
+        out[9 + i] = math.sqrt(velocity_variance[i])
         out[12 + i] = math.degrees(math.sqrt(p[i, i]))
     for i in range(4):
         out[15 + i] = q[i]

@@ -6,18 +6,18 @@ ROBUST = ("none", "huber", "geman-mcclure", "gnc")
 
 
 class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """How the smoother weighs what it is given.
+    """Weights, noise and window of the smoother.
 
-    `lag_s` is how far back it can change its mind. A normalised residual below `suspicious` has
-    weight 1, above `hopeless` weight 0. With `feedback` the detector goes on from the fused state;
-    with `compare` a second graph takes every measurement as it comes, to show what isolation did.
-    `decide` False takes every measurement as it comes, and `robust` is a loss of GTSAM's on the
-    pseudoranges (or its graduated non-convexity): both for comparison. What is wrong with
-    a satellite's pseudorange stays wrong for seconds to minutes while the graph takes every
-    measurement for independent: `correlation` multiplies their sigmas, and the reported covariance
-    of position has a bias of `slow` sigmas per satellite added. With `learn` that share, the
-    rates' sigmas and the IMU's noise are taken from the flight itself. The other sigmas are per
-    GNSS epoch, walks per square root of a second.
+    `lag_s` is the length of the smoothed window. A normalised residual below `suspicious` has
+    weight 1, above `hopeless` weight 0. With `feedback` the detector continues from the fused
+    state; with `compare` a second graph uses all measurements without exclusions, to show the
+    effect of isolation. `decide` False uses all measurements without exclusions, and `robust` is
+    one of GTSAM's losses on the pseudoranges (or its graduated non-convexity): both for comparison.
+    Pseudorange errors last for seconds to minutes while the graph takes every measurement as
+    independent: `correlation` multiplies their sigmas, and a bias of `slow` sigmas per satellite is
+    added to the reported covariance of position. With `learn` that share, the rates' sigmas and the
+    IMU's noise are estimated in flight. The other sigmas are per GNSS epoch, random walks per
+    square root of a second.
     """
 
     lag_s: float = 5.0
@@ -40,7 +40,7 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     gps_mps: float = 0.4
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be meant.
+        """Check the ranges of the values.
 
         Raises
         ------
@@ -49,13 +49,13 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
-            # Written so that NaN is refused, too.
+            # Written so that NaN is refused too.
             if isinstance(value, float) and not value > 0.0:
-                raise ValueError(f"{name} = {value} is not positive; it must be")
+                raise ValueError(f"{name} = {value} is not positive; give a number above 0")
         if not self.suspicious < self.hopeless:
             raise ValueError(
                 f"hopeless = {self.hopeless} is not above suspicious = "
-                f"{self.suspicious}; it must be"
+                f"{self.suspicious}; give a larger number"
             )
         if self.robust not in ROBUST:
             raise ValueError(f"robust = {self.robust!r} is unknown; known: {', '.join(ROBUST)}")

@@ -1,4 +1,4 @@
-"""What moves in the fusion step, and what it is told of an epoch."""
+"""State of the fusion step, and its input of one epoch."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
 
 class FusionEpoch(Value, frozen=True):
-    """One epoch: the sample that made it, what the detector said, and its state after it."""
+    """One epoch: its sample, the detector's results, and the detector's state after it."""
 
     sample: Sample
     decision: Decision
@@ -40,13 +40,13 @@ class FusionEpoch(Value, frozen=True):
 
     @property
     def record(self) -> EpochRecord | None:
-        """What the detector keeps of this epoch, where it does."""
+        """The detector's record of this epoch, if there is one."""
         history = self.core.history
         return history[-1] if history and history[-1].t_us == self.decision.t_us else None
 
 
 class LastGoodState(NamedTuple):
-    """What a graph was after its last commit."""
+    """The graph's solution after its last commit."""
 
     frame: LocalFrame
     node: Node
@@ -56,13 +56,13 @@ class LastGoodState(NamedTuple):
 
 @dataclass(slots=True)
 class FusionState:
-    """What moves; changed in place, as the graph in it must be.
+    """State of the fusion; changed in place, as GTSAM's smoother in it is.
 
-    `imu` and `pending` are runs and samples for the next epoch.
-    `noise` is what the flight has shown of its noise. `excluded` and `isolated` are what was left
-    out there, `attitude_lost` says that the graph has missed the IMU since it knew its attitude,
-    `imu_suspect_us` since when the IMU has been suspicious. `slow_key` are the satellites that the
-    slow covariance is of, and when; `notes` are for the next result's reason.
+    `imu` and `pending` are runs and samples for the next epoch, `noise` the noise learned in
+    flight. `excluded` and `isolated` were left out of the last epoch. `attitude_lost`: the IMU was
+    missing since the attitude was known; `imu_suspect_us`: since when the IMU has been suspicious.
+    `slow_key` holds satellites and time of the slow covariance; `notes` are for the next result's
+    reason.
     """
 
     imu: deque[ImuRun] = field(default_factory=deque)
@@ -81,9 +81,10 @@ class FusionState:
     last: FusedState | None = None
 
     def add_imu(self, run: ImuRun) -> None:
-        """Take IMU samples: the graph those from before its newest epoch, the next epoch the rest.
+        """Add IMU samples: those before the graph's newest epoch to the graph, the rest to the
+        next.
 
-        The oldest are forgotten where there are too many.
+        Beyond `PENDING_MAX` the oldest are dropped.
         """
         if self.graph is not None and _count_later(run.t_us, self.graph.node.t_us) < len(run.t_us):
             late = run.t_us <= self.graph.node.t_us
@@ -93,12 +94,12 @@ class FusionState:
         if len(run.t_us):
             self.imu.append(run)
             self.imu_count += len(run.t_us)
-        # Without epochs nobody fetches them, and memory would grow for ever.
+        # Without epochs they are never used, and memory would grow without bound.
         while self.imu_count > PENDING_MAX and len(self.imu) > 1:
             self.imu_count -= len(self.imu.popleft().t_us)
 
     def imu_until(self, until_us: int) -> ImuRun:
-        """What has come up to a time, put together in order of time."""
+        """The samples up to a time as one run, in order of time."""
         stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
         values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
         # In order of time, each stamp once: late runs may overlap others.
@@ -107,7 +108,7 @@ class FusionState:
         return ImuRun(stamps[:end], values[first[:end]])
 
     def drop_imu_until(self, until_us: int) -> None:
-        """Drop what is not later than a time."""
+        """Drop the samples up to a time."""
         runs, self.imu, self.imu_count = self.imu, deque(), 0
         for run in runs:
             count = _count_later(run.t_us, until_us)
@@ -129,7 +130,7 @@ def _count_later(t_us: Stamps, than_us: int) -> int:
 
 @compiled
 def sample_rows(kind: Indices, first: int, last: int) -> Indices:
-    """The rows from `first` to `last` that are taken one by one: the IMU's are taken as a whole.
+    """Rows from `first` to `last` that are processed singly: not IMU, truth or attitude.
 
     `kind` (n,) is that of the block's rows.
     """

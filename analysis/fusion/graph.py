@@ -1,4 +1,4 @@
-"""The graph between two restarts: a chain of epochs, the factors on each, the newest estimate."""
+"""The factor graph between two restarts: a chain of epochs, their factors, the newest estimate."""
 
 import math
 from bisect import bisect_left, insort
@@ -25,16 +25,16 @@ from analysis.fusion.window import FactorWindow, variable_key
 from analysis.samples.sample import ImuSample, Vector
 from mavproxy_fault.numerics.compile import compiled
 
-SAME_GRAVITY_M = 100.0  # gravity turns by 2e-5 rad over it
-SAME_EPOCH_US = 1000  # epochs closer than this are one
+SAME_GRAVITY_M = 100.0  # gravity rotates by 2e-5 rad over it
+SAME_EPOCH_US = 1000  # epochs closer than this are one: far below any epoch interval
 RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
 
 
 @dataclass(slots=True)
 class GraphEpoch:
-    """What the graph remembers of an epoch in the window: its first guess, as a node and as GTSAM's
-    values, its stamp in the window, and the pose `vision_pose` by vision among it."""
+    """An epoch in the window: its initial value as a node and as GTSAM's values, its stamp in the
+    window, the edge to it, its ranges with weights, and its pose by vision."""
 
     first: Node
     values: Any
@@ -46,12 +46,12 @@ class GraphEpoch:
 
     @property
     def t_us(self) -> int:
-        """When it is."""
+        """The epoch's time."""
         return self.first.t_us
 
 
 class Graph:
-    """Epochs of the last `lag_s` seconds; the older ones live on in their marginal.
+    """Epochs of the last `lag_s` seconds; older ones are marginalised into a prior.
 
     GTSAM's smoother changes in place, so this object does. After `commit`, `node` is the newest
     epoch and `covariance` (9, 9) that of its pose and velocity.
@@ -62,18 +62,18 @@ class Graph:
     ) -> None:
         self.frame, self.node = beginning.frame, beginning.node
         self.aligned = beginning.aligned
-        self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, what averaging leaves of the position
+        self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, covariance of the lasting position error
         self.covariance: Vector = np.zeros((9, 9))
         self.window = FactorWindow(config.lag_s, any_scale=beginning.uncertain)
         self.epochs: dict[int, GraphEpoch] = {}
         self._began = beginning.node
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
-        self._free: list[int] = []  # numbers of epochs that are gone
+        self._free: list[int] = []  # numbers of marginalised epochs, for reuse
         self._late_imu: dict[int, list[ImuSample]] = {}
         self._robust = config.robust
         self._place_m = [0.0, 0.0, 0.0]
-        self._noise: ProcessNoise | None = None  # of what `_params` are
+        self._noise: ProcessNoise | None = None  # of `_params`
         self._params: Any = None
         self._insert(self.node)
         self.attach("prior", 0, *beginning.priors())
@@ -83,24 +83,24 @@ class Graph:
         return (t_us - self._began.t_us) * 1e-6
 
     def clock_at(self, t_us: int) -> ClockState:
-        """Clock in m and drift in m/s that the graph's are counted from."""
+        """Reference clock in m and drift in m/s, relative to which the graph's variables are."""
         clock, drift = self._began.clock
         return clock + drift * self.seconds(t_us), drift
 
     def attach(self, source: str, epoch: int, *factors: Any, since: int | None = None) -> None:
-        """Factors of a source on an epoch (and on the one `since`), for the next `commit`."""
+        """Add factors of a source on an epoch (and on the one `since`) at the next `commit`."""
         oldest = self.epochs[epoch if since is None else since]
         self.window.attach(source, epoch, oldest.stamp_s, *factors)
 
     def nearest(self, t_us: int, within_us: int) -> int | None:
-        """The epoch in the window nearest to a time."""
+        """The epoch in the window nearest to a time, None if none is within `within_us`."""
         at = bisect_left(self._track, (t_us, -1))
         around = self._track[max(at - 1, 0) : at + 1]
         best = min(around, key=lambda entry: abs(entry[0] - t_us))
         return best[1] if abs(best[0] - t_us) <= within_us else None
 
     def pose(self, epoch: int) -> Any:
-        """The newest guess of an epoch's pose."""
+        """The newest estimate of an epoch's pose."""
         return (self.node if epoch == self.node.epoch else self.estimate(epoch)).pose
 
     def neighbours(self, epoch: int) -> tuple[int | None, int | None]:
@@ -111,7 +111,7 @@ class Graph:
         return before, after
 
     def vision_neighbours(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
-        """The nearest epochs before and after one that vision has seen."""
+        """The nearest epochs with a vision pose before and after one."""
         t_us = self.epochs[epoch].t_us
         seen = [(at, i) for at, i in self._track if self.epochs[i].vision_pose is not None]
         before = [i for at, i in seen if 0 < t_us - at <= within_us]
@@ -124,17 +124,17 @@ class Graph:
         return before is not None and self.span(before) != self.span(self.node.epoch)
 
     def span(self, epoch: int) -> int:
-        """The span of the window that an epoch is in."""
+        """The span of the window that contains an epoch."""
         return self.window.span(self.seconds(self.epochs[epoch].t_us))
 
     def extend(self, t_us: int, edge: Edge, attitude: Attitude | None = None) -> bool:
-        """One epoch more after the newest, with its attitude where that becomes known.
+        """Append an epoch after the newest, with its attitude if that becomes known.
 
-        Returns whether the IMU ties it to the one before.
+        Returns whether the IMU connects it to the previous one.
         """
         old = self.node
         if attitude is not None:
-            # The attitude leaps here from unknown to known: no IMU may tie the two.
+            # The attitude jumps here from unknown to known: the IMU must not connect the two.
             edge = edge._replace(trusted=False, rate_sigma_rps=FREE_RATE_RPS)
         elif not self.aligned:
             edge = edge._replace(trusted=False)
@@ -154,17 +154,17 @@ class Graph:
         return self.uses_imu(edge)
 
     def uses_imu(self, edge: Edge) -> bool:
-        """Whether the IMU ties the ends of an edge."""
+        """Whether the IMU connects the ends of an edge."""
         return edge.uses_imu(self._detector.gap_s)
 
     def insert_late(self, t_us: int) -> Node | None:
-        """An epoch between two of the window; None where there is no place for it."""
+        """Insert an epoch between two of the window; None if there is no place for it."""
         at = bisect_left(self._track, (t_us, -1))
         if not 0 < at < len(self._track):
             return None
         (start_us, i), (end_us, j) = self._track[at - 1], self._track[at]
         edge = self.epochs[j].edge
-        # Two epochs as close as this would be one, twice.
+        # Two epochs as close as this would be duplicates.
         if edge is None or min(t_us - start_us, end_us - t_us) < SAME_EPOCH_US:
             return None
         first, second = split_segment(edge.part, start_us, t_us, end_us)
@@ -179,20 +179,20 @@ class Graph:
         return node
 
     def add_late_imu(self, sample: ImuSample) -> None:
-        """An IMU sample from between two epochs of the window: it is used at the next commit."""
+        """Add a late IMU sample between two epochs of the window; the next commit uses it."""
         at = bisect_left(self._track, (sample.t_us, -1))
         if 0 < at < len(self._track):
             self._late_imu.setdefault(self._track[at][1], []).append(sample)
 
     def drop_imu_since(self, since_us: int) -> None:
-        """Take back the IMU from a time on."""
+        """Remove the IMU's factors from a time on."""
         for t_us, epoch in self._track:
             edge = self._edge(epoch)
             if t_us > since_us and edge is not None and edge.trusted:
                 self._reconnect(epoch, edge._replace(trusted=False))
 
     def attach_ranges(self, epoch: int, ranges: EpochRanges, weights: Vector) -> None:
-        """The pseudoranges and rates of an epoch with their weights (n,)."""
+        """Attach the pseudoranges and rates of an epoch with their weights (n,)."""
         at = self.epochs[epoch]
         at.ranges, at.weights = ranges, weights
         clock, alone = self.clock_at(at.t_us), self._robust == "none"
@@ -203,33 +203,33 @@ class Graph:
             return
         if not weights.any():
             return
-        found = pseudorange_factors(ranges, weights, epoch, self.frame, clock, self._robust)
-        for name, factor in found.items():
+        factors = pseudorange_factors(ranges, weights, epoch, self.frame, clock, self._robust)
+        for name, factor in factors.items():
             self.attach(name, epoch, factor)
-        guess, tie = clock_seconds_factor(epoch)
-        self.window.insert(guess, (variable_key("r", epoch),), at.stamp_s)
+        initial, tie = clock_seconds_factor(epoch)
+        self.window.insert(initial, (variable_key("r", epoch),), at.stamp_s)
         self.attach(RANGES, epoch, tie, *([] if rows is None else [rows]))
 
     def remove_satellite(self, name: str, since_us: int) -> None:
-        """Take back a satellite from a time on: the epoch's other ranges are attached anew."""
+        """Remove a satellite from a time on: the other ranges of each epoch are attached again."""
         for t_us, epoch in self._track:
             at = self.epochs[epoch]
             if t_us < since_us or at.ranges is None or name not in at.ranges.satellites:
                 continue
             i = at.ranges.satellites.index(name)
-            # A satellite that weighs nothing is as good as gone.
+            # A satellite of weight 0 has no row in the factor.
             if at.weights[i] > 0.0 and self.window.remove(RANGES, epoch):
                 others = at.weights.copy()
                 others[i] = 0.0
                 self.attach_ranges(epoch, at.ranges, others)
 
     def estimate(self, epoch: int) -> Node:
-        """What the smoother thinks of an epoch since the last commit.
+        """The smoother's estimate of an epoch at the last commit.
 
         Raises
         ------
         RuntimeError
-            If it is not finite.
+            If the estimate is not finite.
         """
         smoother, t_us = self.window.smoother, self.epochs[epoch].t_us
         pose = smoother.calculateEstimatePose3(variable_key("x", epoch))
@@ -238,16 +238,16 @@ class Graph:
         if not _finite(pose.matrix(), velocity, clock):
             raise RuntimeError("the estimate is not finite")
         bias = smoother.calculateEstimateConstantBias(variable_key("b", epoch))
-        known, (ahead_m, faster_mps) = self.clock_at(t_us), clock.tolist()
-        return Node(epoch, t_us, pose, velocity, bias, (known[0] + ahead_m, known[1] + faster_mps))
+        known, (clock_m, drift_mps) = self.clock_at(t_us), clock.tolist()
+        return Node(epoch, t_us, pose, velocity, bias, (known[0] + clock_m, known[1] + drift_mps))
 
     def commit(self) -> None:
-        """Solve with what was attached and take over the estimate.
+        """Solve with the attached factors and update the estimate.
 
         Raises
         ------
         RuntimeError
-            By GTSAM, when the system cannot be solved; or when the estimate is not finite.
+            From GTSAM, if the system cannot be solved; or if the estimate is not finite.
         """
         for epoch, late in self._late_imu.items():
             edge = self._edge(epoch)
@@ -256,7 +256,7 @@ class Graph:
                 part = add_late_samples(edge.part, start_us, end_us, late)
                 self._reconnect(epoch, edge._replace(part=part))
         self._late_imu = {}
-        # Before solving, as the smoother drops these variables while it does.
+        # Before solving, since the smoother drops these variables in the update.
         self._drop_marginalised()
         self.window.commit()
         epoch = self.node.epoch
@@ -266,14 +266,14 @@ class Graph:
         )
 
     def _edge(self, epoch: int) -> Edge | None:
-        """The edge to an epoch if it can still be changed: it and both ends are in the window."""
+        """The edge to an epoch if it can still be changed: edge and both ends are in the window."""
         at = self.epochs.get(epoch)
         if at is None or at.edge is None or not self.window.slots("imu", epoch):
             return None
         return at.edge if at.edge.before in self.epochs else None
 
     def _drop_marginalised(self) -> None:
-        """Epochs that the next commit marginalises."""
+        """Drop the epochs that the next commit marginalises."""
         oldest_s = self.window.oldest_s
         while self._track and self.epochs[self._track[0][1]].stamp_s < oldest_s:
             _, epoch = self._track.pop(0)
@@ -281,14 +281,14 @@ class Graph:
             self._free.append(epoch)
 
     def _new_node(self, start: Node, t_us: int, motion: Any) -> Node:
-        guess = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
-        # Numbers are used again, as GTSAM's keys and our caches are per number.
+        predicted = motion.predict(gtsam.NavState(start.pose, start.velocity), start.bias)
+        # Numbers are reused: keys and cached factors are per number.
         epoch = self._free.pop() if self._free else len(self.epochs)
         if epoch == MAX_EPOCHS:
             raise RuntimeError(f"more than {MAX_EPOCHS} epochs in the window")
         drift = start.clock[1]
         clock = start.clock[0] + drift * (t_us - start.t_us) * 1e-6, drift
-        return Node(epoch, t_us, guess.pose(), guess.velocity(), start.bias, clock)
+        return Node(epoch, t_us, predicted.pose(), predicted.velocity(), start.bias, clock)
 
     def _insert(self, node: Node) -> None:
         values = first_guess(node)
@@ -299,10 +299,10 @@ class Graph:
         insort(self._track, (node.t_us, node.epoch))
 
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
-        """The preintegrated IMU of an edge, or a model of motion in its place."""
+        """The preintegrated IMU of an edge, or the motion model in its place."""
         if self.uses_imu(edge):
             place_m = start.pose.translation().tolist()
-            # Preintegration takes gravity as constant; a new place has another one.
+            # Preintegration takes gravity as constant; recompute it after a long distance.
             far = math.dist(place_m, self._place_m) > SAME_GRAVITY_M
             if far or edge.noise is not self._noise:
                 self._place_m, self._noise = place_m, edge.noise
@@ -317,14 +317,14 @@ class Graph:
         (x0, v0, b0), (x1, v1, b1) = (
             [variable_key(letter, at) for letter in "xvb"] for at in (edge.before, epoch)
         )
-        moved = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
-        self.attach("imu", epoch, moved, since=edge.before)
+        imu = gtsam.CombinedImuFactor(x0, v0, x1, v1, b0, b1, motion)
+        self.attach("imu", epoch, imu, since=edge.before)
         dt_s = (after.t_us - before.t_us) * 1e-6
-        walked = clock_factor(edge.before, epoch, dt_s, edge.clock_jump_m, self._detector.noise)
-        self.attach("clock", epoch, walked, since=edge.before)
+        clock = clock_factor(edge.before, epoch, dt_s, edge.clock_jump_m, self._detector.noise)
+        self.attach("clock", epoch, clock, since=edge.before)
 
     def _reconnect(self, epoch: int, edge: Edge, start: Node | None = None) -> None:
-        """Another edge to an epoch in place of the one it has."""
+        """Replace the edge to an epoch."""
         for source in ("imu", "clock"):
             self.window.remove(source, epoch)
         start = start or self.estimate(edge.before)
@@ -333,7 +333,7 @@ class Graph:
 
 @compiled
 def _finite(pose: Vector, velocity: Vector, clock: Vector) -> bool:
-    """Whether the numbers of a node are."""
+    """Whether pose, velocity and clock of a node are finite."""
     total = 0.0
     for i in range(3):
         total += velocity[i]

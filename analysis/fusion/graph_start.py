@@ -1,4 +1,4 @@
-"""Where a graph begins: at the detector's filter, or where the last one was good."""
+"""Initial state of a graph: from the detector's filter, or from the last good state."""
 
 import math
 from dataclasses import dataclass
@@ -36,12 +36,10 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 ClockState = tuple[float, float]  # clock in m, drift in m/s
 ZERO_VELOCITY = np.zeros(3)
 MIN_VARIANCE = 1e-12  # keeps a covariance positive definite
-UNKNOWN_CLOCK_SIGMA = (1e5, 300.0)  # next to nothing beside a range, and no zero to Cholesky
-FIXED_ATTITUDE_RAD = 0.1
-UNCERTAIN_POSITION_M = (
-    20.0  # a position as unsure as this begins with the epoch's own ranges, and by QR
-)
-RESTART_SIGMA_FACTOR = 2.0  # the sigmas of the last good state times this
+UNKNOWN_CLOCK_SIGMA = (1e5, 300.0)  # uninformative beside a range, yet not singular for Cholesky
+FIXED_ATTITUDE_RAD = 0.1  # chosen: an unknown attitude must not drift while nothing observes it
+UNCERTAIN_POSITION_M = 20.0  # above this sigma the first epoch's ranges are attached and QR is used
+RESTART_SIGMA_FACTOR = 2.0  # of the last good state's sigmas: the solver failed since then
 
 
 class Node(Value, frozen=True):
@@ -57,10 +55,10 @@ class Node(Value, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class GraphStart:
-    """A first node with its covariances: pose (6, 6) rotation then shift in body axes, velocity (3,
-    3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
+    """The first node with its covariances: pose (6, 6), rotation then translation in body axes,
+    velocity (3, 3) in the frame's, bias (6, 6), and sigmas (2,) of clock and drift.
 
-    `aligned` says that its attitude is known.
+    `aligned`: its attitude is known.
     """
 
     frame: LocalFrame
@@ -73,11 +71,11 @@ class GraphStart:
 
     @property
     def uncertain(self) -> bool:
-        """Whether the position is so unsure that more than priors is needed."""
+        """Whether the position needs more than priors."""
         return math.sqrt(np.trace(self.pose_p[3:, 3:])) > UNCERTAIN_POSITION_M
 
     def priors(self) -> list[Any]:
-        """The first node's factors."""
+        """The prior factors of the first node."""
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         node, epoch = self.node, self.node.epoch
         return [
@@ -106,7 +104,7 @@ class GraphStart:
 
 @lru_cache(maxsize=MAX_EPOCHS)
 def _at_rest(epoch: int) -> Any:
-    """The variables of an epoch at zero; not to be changed."""
+    """The variables of an epoch at zero; read-only."""
     values = gtsam.Values()
     values.insert(variable_key("x", epoch), gtsam.Pose3())
     values.insert(variable_key("v", epoch), ZERO_VELOCITY)
@@ -116,9 +114,9 @@ def _at_rest(epoch: int) -> Any:
 
 
 def first_guess(node: Node) -> Any:
-    """A node as GTSAM's values, its clock at zero: what the graph's is counted from.
+    """A node as GTSAM's values; its clock is zero, the graph's reference.
 
-    By a step from rest, since the bindings try forty overloads for a bias and take 70 us.
+    By a step from zero: the bindings try forty overloads to insert a bias, which takes 70 us.
     """
     step, epoch = gtsam.VectorValues(), node.epoch
     step.insert(variable_key("x", epoch), gtsam.Pose3.Logmap(node.pose))
@@ -128,7 +126,7 @@ def first_guess(node: Node) -> Any:
 
 
 def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
-    """The detector's filter, its position and clock `correlation` times less sure."""
+    """The detector's filter; the sigmas of position and clock are multiplied by `correlation`."""
     x, p = motion.x, motion.p
     frame = frame_at(x[R : R + 3], motion.t_us)
     rot = frame.axes @ rotation_matrix(x[X_Q : X_Q + 4])
@@ -136,10 +134,10 @@ def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
     both = np.zeros((6, 6))
     # GTSAM's pose errors are in body axes, the filter's in ECEF.
     both[:3, :3] = both[3:, 3:] = to_body
-    spots = [*range(PSI, PSI + 3), *range(R, R + 3)]
+    states = [*range(PSI, PSI + 3), *range(R, R + 3)]
     widen = np.diag([1.0] * 3 + [correlation] * 3)
-    pose_p = widen @ both @ p[np.ix_(spots, spots)] @ both.T @ widen
-    if not motion.inertial:  # it tells nothing, and must not wander while nothing else does
+    pose_p = widen @ both @ p[np.ix_(states, states)] @ both.T @ widen
+    if not motion.inertial:  # nothing observes it, so it must not drift
         pose_p[:3, :] = pose_p[:, :3] = 0.0
         pose_p[:3, :3] = FIXED_ATTITUDE_RAD**2 * np.eye(3)
     biases = [*range(BA, BA + 3), *range(BG, BG + 3)]
@@ -157,7 +155,7 @@ def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
         pose_p,
         frame.axes @ p[V : V + 3, V : V + 3] @ frame.axes.T,
         p[np.ix_(biases, biases)],
-        # Range errors last: many epochs of them tell less than they seem to.
+        # Range errors are correlated over epochs: the filter's clock sigma is too small.
         correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
         motion.inertial,
     )
@@ -165,7 +163,7 @@ def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
 
 def start_from_node(frame: LocalFrame, node: Node, covariance: Vector, aligned: bool) -> GraphStart:
     """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
-    # Something went wrong since then: it is believed, but less.
+    # The solver failed since then, so the sigmas are increased.
     wide = RESTART_SIGMA_FACTOR**2 * covariance
     bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
     first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)

@@ -1,4 +1,4 @@
-"""What lies between two epochs: the IMU's samples, split and mended when data come late."""
+"""The constraint between two epochs: IMU samples, split or extended when data come late."""
 
 from collections.abc import Sequence
 
@@ -20,8 +20,8 @@ EMPTY: Vector = np.empty(0)
 
 
 class Edge(Value, frozen=True):
-    """From the epoch `before`: the IMU between, its noise and whether it is trusted, how far the
-    clock may have leapt in m, how fast the body may have turned where there is no IMU in rad/s."""
+    """From the epoch `before`: the IMU segment, its noise and whether it is trusted; how far the
+    clock may have jumped in m; the sigma of the body's rate in rad/s where there is no IMU."""
 
     before: int
     part: ImuSegment
@@ -31,18 +31,18 @@ class Edge(Value, frozen=True):
     rate_sigma_rps: float = RATE_SIGMA_RPS
 
     def uses_imu(self, gap_s: float) -> bool:
-        """Whether the IMU ties the two epochs; silence longer than `gap_s` is not bridged."""
+        """Whether the IMU connects the two epochs; a gap longer than `gap_s` is not bridged."""
         return self.trusted and self.part.any_sample and 0.0 <= self.part.gap_s <= gap_s
 
 
 def segment_between(run: ImuRun, start_us: int, end_us: int) -> ImuSegment:
-    """The samples of a run between two times."""
+    """The segment of a run between two times."""
     return imu_segment(run, MotionEstimate(start_us, EMPTY, EMPTY), end_us)
 
 
 def imu_samples(part: ImuSegment, start_us: int) -> list[ImuSample]:
-    """The samples a segment was made of."""
-    # Steps are seconds; the stamps they came from were whole microseconds.
+    """The samples of a segment."""
+    # Steps are seconds; the original stamps were whole microseconds.
     stamps = start_us + np.rint(np.cumsum(part.samples[:-1, 0]) * 1e6).astype(int)
     return [
         ImuSample(int(t_us), row[1:4], row[4:7])
@@ -64,6 +64,6 @@ def add_late_samples(
     part: ImuSegment, start_us: int, end_us: int, late: Sequence[ImuSample]
 ) -> ImuSegment:
     """The segment with samples that came late."""
-    # By stamp, as a late sample may have been heard before.
+    # By stamp, as a late sample may have arrived before.
     known = {sample.t_us: sample for sample in (*imu_samples(part, start_us), *late)}
     return segment_between(imu_run_of(known[t_us] for t_us in sorted(known)), start_us, end_us)

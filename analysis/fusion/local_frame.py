@@ -26,7 +26,7 @@ class LocalFrame:
 
     @cached_property
     def pose(self) -> Any:
-        """This frame in ECEF as GTSAM takes it."""
+        """This frame in ECEF as a GTSAM pose."""
         return gtsam.Pose3(gtsam.Rot3(self.axes.T), self.anchor_m)
 
     def local(self, r_ecef_m: Vector) -> Vector:
@@ -46,13 +46,13 @@ class LocalFrame:
 
     def earth_rate(self) -> Vector:
         """The earth's rotation (3,) in rad/s."""
-        # The earth turns about z of ECEF: the third column is that axis as seen here.
+        # The earth rotates about z of ECEF: the third column is that axis in this frame.
         result: Vector = self.axes[:, 2] * GNSS_EARTH_RATE_RPS
         return result
 
     @cached_property
     def field_gauss(self) -> Vector:
-        """The magnetic field (3,) at the anchor on the day of the stamp, as `date_of` reads it."""
+        """The magnetic field (3,) in gauss at the anchor on the day of the stamp (`date_of`)."""
         lat, lon, height = geodetic_position(self.anchor_m)
         lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
         day = date_of(self.stamp_us)
@@ -65,7 +65,8 @@ class LocalFrame:
 def quaternion_of_matrix(rot: Vector) -> Vector:
     """A rotation matrix as a unit quaternion (w, x, y, z) with w >= 0.
 
-    By its largest part: four times its square is what the signs make of the diagonal.
+    Computed from its largest component, whose square is a quarter of 1 plus a signed sum of the
+    diagonal.
     """
     best, most = -1, rot[0, 0] + rot[1, 1] + rot[2, 2]
     for i in range(3):

@@ -1,4 +1,4 @@
-"""The fusion step: samples and the detector's verdicts in, a fused state per GNSS epoch out."""
+"""The fusion step: samples and the detector's results in, a fused state per GNSS epoch out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -37,54 +37,50 @@ from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples.block import BlockSlice
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
-GOOD_ATTITUDE_RAD = 0.1  # an attitude as sure as this needs no help from the detector
-IMU_SUSPECT_SHARE = (
-    0.5  # of the threshold: above it the IMU is suspicious, and taken back if it is isolated
-)
-NOISE_HYPOTHESES = ("none", "satellites")  # hypotheses under which residuals are noise
-SLOW_UPDATE_US = 2_000_000  # satellites move little meanwhile
-CLOCK_JUMP_M = (
-    1e5  # how far a clock may leap where the detector says that it did, as the ranges allow
-)
-SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # what GTSAM and numpy raise
+GOOD_ATTITUDE_RAD = 0.1  # with a smaller sigma the attitude needs no help from the detector
+IMU_SUSPECT_SHARE = 0.5  # of the threshold: an isolated IMU's factors are removed from here on
+NOISE_HYPOTHESES = ("none", "satellites")  # under which residuals are noise
+SLOW_UPDATE_US = 2_000_000  # satellites move by less than 0.02 degrees meanwhile
+CLOCK_JUMP_M = 1e5  # sigma of a jump that the detector reported: leaves the clock to the ranges
+SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # raised by GTSAM and numpy
 
 
 @dataclass(frozen=True)
 class Fusion:
-    """Smooths what the detector finds healthy; noise and masks are the detector's."""
+    """Smooths the measurements that the detector did not exclude; uses its noise and masks."""
 
     config: FusionConfig = field(default_factory=FusionConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
     name: str = "fused"
 
     def new_state(self) -> FusionState:
-        """Nothing known."""
+        """The state before the first sample."""
         return FusionState()
 
     def step_piece(
         self, piece: BlockSlice, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
-        """The same as `step` for samples up to an event, with the results of that."""
+        """Like `step`, for the samples up to an event and the event's results."""
         state.add_imu(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
         states: list[Result] = []
         for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
-            found, state = self.step(piece.block.sample(row), of_row, core, state)
-            states += found
+            fused, state = self.step(piece.block.sample(row), of_row, core, state)
+            states += fused
         return states, state
 
     def step(
         self, sample: Sample, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
-        """The fused state at an epoch, and the next state.
+        """Process one sample; returns the fused state at an epoch, and the next state.
 
         Parameters
         ----------
         sample : Sample
         results : sequence of Result
-            What the detector and the tests of other sensors found of this sample.
+            Results of the detector and the tests of other sensors for this sample.
         core : Core
-            The detector's state after it: where the graph begins, and the orbits in use.
+            The detector's state after it: the graph's initial state, and the orbits in use.
         state : FusionState
             Changed in place.
         """
@@ -94,7 +90,7 @@ class Fusion:
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, SOURCE_NAMES.get(type(sample))
-        # Behind the newest node: it belongs between older ones.
+        # Older than the newest node: it belongs between older ones.
         if graph is not None and sample.t_us < graph.node.t_us:
             self._attach_late(graph, sample, source, core, state)
             return [], state
@@ -107,7 +103,7 @@ class Fusion:
             fused = self._next_epoch(now, state)
         except SOLVER_ERRORS as error:
             fused = self._recover(now, state, _first_line(error))
-        # Even where no state came of it: the next epoch begins after this one.
+        # Also without a fused state: the next epoch begins after this one.
         state.drop_imu_until(decision.t_us)
         if fused is None:
             return [], state
@@ -121,23 +117,23 @@ class Fusion:
     def _next_epoch(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """The next epoch of the graph, or the first of a new one."""
         graph, motion = state.graph, now.motion
-        if now.core.motion is None:  # the detector has lost its place, and nothing else keeps one
+        if now.core.motion is None:  # the detector has no position, so there is none to fuse
             state.graph = None
             return None
         if graph is not None and not self._must_restart(graph, now.decision):
             return self._continue(graph, now, state)
         if motion is None:
             return None
-        state.notes.append("the graph began")
+        state.notes.append("the graph started")
         return self._begin(motion, now, state)
 
     def _must_restart(self, graph: Graph, decision: Decision) -> bool:
-        """Where the detector began anew, and after a long silence."""
+        """Whether the detector restarted or the gap is too long."""
         silent_s = (decision.t_us - graph.node.t_us) * 1e-6
         return decision.mode == "start" or silent_s > self.detector.reset_s
 
     def _begin(self, motion: MotionEstimate, now: FusionEpoch, state: FusionState) -> FusedState:
-        """A new graph where the detector is."""
+        """Start a new graph at the detector's solution."""
         beginning = start_from_filter(motion, self.config.correlation)
         graph = self._new_graph(beginning, state)
         used = {"imu": float(motion.inertial)}
@@ -150,28 +146,28 @@ class Fusion:
         graph = state.graph = Graph(beginning, self.config, self.detector)
         state.sensor_factors = SensorFactors(graph, self.config)
         state.attitude_lost = False
-        # The satellites are the same, and so is what averaging leaves of their errors.
+        # The satellites are the same, and so are their lasting errors.
         if before is not None:
             graph.slow_m2 = before.slow_m2
         return graph
 
     def _continue(self, graph: Graph, now: FusionEpoch, state: FusionState) -> FusedState | None:
-        """One epoch more on a graph."""
+        """Append one epoch to the graph."""
         isolated = isolated_sensors(now.results, self.config)
         attitude = self._update_imu_trust(graph, now, isolated, state)
         t_us, node = now.decision.t_us, graph.node
         part = self._imu_segment(node.t_us, now, state)
-        silent = part.gap_s > self.detector.gap_s  # what is missing may still come
+        silent = part.gap_s > self.detector.gap_s  # missing samples may still arrive
         trusted = silent or not ("imu" in isolated or state.attitude_lost)
         jumped_m = CLOCK_JUMP_M if now.decision.hypothesis == "clock" else 0.0
         edge = Edge(node.epoch, part, self._imu_noise(part, trusted, state), trusted, jumped_m)
-        sound = graph.extend(t_us, edge, attitude)
-        # Once the IMU was missed the attitude is a guess, until `_update_imu_trust` finds it known
-        # again.
+        connected = graph.extend(t_us, edge, attitude)
+        # Once the IMU was missing the attitude is uncertain until `_update_imu_trust` finds it
+        # known again.
         state.attitude_lost = state.attitude_lost or (
-            graph.aligned and not sound and attitude is None
+            graph.aligned and not connected and attitude is None
         )
-        used = {"imu": float(sound)} | self._attach_ranges(graph, now, state)
+        used = {"imu": float(connected)} | self._attach_ranges(graph, now, state)
         assert state.sensor_factors is not None
         tested = sensor_weights(now.results, isolated, self.config) if state.pending else {}
         for source, sample in state.pending.items():
@@ -180,16 +176,16 @@ class Fusion:
                 used[source] = share
         state.isolated = isolated
         fused = self._commit(graph, used, now, state)
-        worse = filter_contradiction(graph, now.motion, self.config.correlation)
-        if worse and self.config.decide:
-            return self._use_filter(worse, now, state)
-        return fused if any(used.values()) else None  # of a guess alone nothing is told
+        contradiction = filter_contradiction(graph, now.motion, self.config.correlation)
+        if contradiction and self.config.decide:
+            return self._use_filter(contradiction, now, state)
+        return fused if any(used.values()) else None  # without any source there is no fused state
 
-    def _use_filter(self, worse: str, now: FusionEpoch, state: FusionState) -> FusedState:
-        """The filter's answer in place of the graph's, which goes on from there."""
+    def _use_filter(self, contradiction: str, now: FusionEpoch, state: FusionState) -> FusedState:
+        """Return the filter's solution in place of the graph's, and restart the graph there."""
         motion = now.motion
         assert motion is not None
-        state.notes = [f"{worse}; it began anew there"]
+        state.notes = [f"{contradiction}; it was restarted there"]
         return self._begin(motion, now, state)
 
     def _imu_noise(self, part: ImuSegment, trusted: bool, state: FusionState) -> ProcessNoise:
@@ -201,7 +197,7 @@ class Fusion:
 
     @staticmethod
     def _imu_segment(since_us: int, now: FusionEpoch, state: FusionState) -> ImuSegment:
-        """The IMU since the last epoch: the detector has mostly put it together already."""
+        """The IMU since the last epoch: usually the detector's own segment."""
         record = now.record
         before = record.core.motion if record is not None else None
         if record is not None and before is not None and before.t_us == since_us:
@@ -212,9 +208,9 @@ class Fusion:
     def _commit(
         self, graph: Graph, used: dict[str, float], now: FusionEpoch, state: FusionState
     ) -> FusedState:
-        """Take back what was found faulty since the last epoch, solve, and say it."""
+        """Remove what was found faulty since the last epoch, solve, and build the fused state."""
         excluded = frozenset(now.decision.excluded) if self.config.decide else frozenset()
-        # Only those that are new: the others were taken back when they were found.
+        # Only new ones: the others were removed when they were excluded.
         for name in excluded - state.excluded:
             if name in now.core.excluded:
                 graph.remove_satellite(name, now.core.excluded[name].onset_us)
@@ -231,27 +227,27 @@ class Fusion:
     @staticmethod
     def _drop_outliers(graph: Graph) -> None:
         known = [at.ranges.satellites for at in graph.epochs.values() if at.ranges]
-        found = find_outliers(graph.window, frozenset(name for names in known for name in names))
-        for name, epoch in found:
+        outliers = find_outliers(graph.window, frozenset(name for names in known for name in names))
+        for name, epoch in outliers:
             graph.window.remove(name, epoch)
-        if found:
+        if outliers:
             graph.commit()
 
     def _update_imu_trust(
         self, graph: Graph, now: FusionEpoch, isolated: frozenset[str], state: FusionState
     ) -> Attitude | None:
-        """Take the IMU back to where it became suspicious when it is isolated.
+        """If the IMU is isolated, remove its factors since it became suspicious.
 
-        After it was missed the graph goes on without it until its own attitude or the detector's
-        is good enough again; the latter is given back where it is better.
+        Afterwards the graph continues without it until its own attitude or the detector's is good
+        enough; returns the detector's attitude where that is better.
         """
         node = graph.node
         tests = [r for r in now.results if isinstance(r, SensorDecision) and r.sensor == "imu"]
         for test in tests:
             limit = IMU_SUSPECT_SHARE * (test.threshold or 0.0)
-            calm = test.statistic is None or test.statistic <= limit
+            nominal = test.statistic is None or test.statistic <= limit
             since_us = node.t_us if state.imu_suspect_us is None else state.imu_suspect_us
-            state.imu_suspect_us = None if calm else since_us
+            state.imu_suspect_us = None if nominal else since_us
         if "imu" in isolated:
             if "imu" not in state.isolated and state.imu_suspect_us is not None:
                 graph.drop_imu_since(state.imu_suspect_us)
@@ -266,7 +262,7 @@ class Fusion:
             return None
         state.attitude_lost = False
         rotation, p = attitude_in_frame(graph.frame, motion)
-        # Only a better attitude is put in: a worse one would draw the graph off.
+        # Only a better attitude is used: a worse one would degrade the graph.
         if graph.aligned and np.trace(p) >= np.trace(graph.covariance[:3, :3]):
             return None
         return rotation, p
@@ -274,30 +270,30 @@ class Fusion:
     def _attach_ranges(
         self, graph: Graph, now: FusionEpoch, state: FusionState
     ) -> dict[str, float]:
-        """The epoch's own ranges; the weights of those used."""
+        """Attach the epoch's ranges; returns the weights of those used."""
         if not isinstance(now.sample, Epoch) or now.motion is None or now.core.chosen is None:
             return {}
         record = now.record
         observed = record.observed if record else observe_epoch(now.sample, now.core.chosen)
         if observed is None:
             return {}
-        core, config, decision, learnt = now.core, self.config, now.decision, state.noise
+        core, config, decision, noise = now.core, self.config, now.decision, state.noise
         if config.decide:
             observed = observed.without_rates(faulty_rates(now.results))
         ranges = EpochRanges(observed, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in NOISE_HYPOTHESES:
-                learnt.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
-            ranges.scale_rates(learnt)
+                noise.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
+            ranges.scale_rates(noise)
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
-        # What averaging leaves changes with the satellites, and slowly with their motion.
+        # The lasting error depends on the satellites, and slowly on their motion.
         sky = (*used, decision.t_us // SLOW_UPDATE_US)
         if sky != state.slow_key:
             share = (
-                learnt.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
+                noise.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
             )
             slow = ranges.slow_covariance(weights, share)
             if slow is not None:
@@ -312,7 +308,7 @@ class Fusion:
         core: DetectorCore,
         state: FusionState,
     ) -> None:
-        """Put a sample from before the newest epoch where it belongs."""
+        """Attach a sample that is older than the newest epoch."""
         try:
             if isinstance(sample, Epoch):
                 self._late_epoch(graph, sample, core, state)
@@ -324,12 +320,13 @@ class Fusion:
                 state.sensor_factors.attach(sample, None)
         except SOLVER_ERRORS as error:
             self._restart_from_good(state)
-            state.notes.append(f"the graph failed ({_first_line(error)}) and began anew")
+            state.notes.append(f"the graph failed ({_first_line(error)}) and was restarted")
 
     def _late_epoch(
         self, graph: Graph, sample: Epoch, core: DetectorCore, state: FusionState
     ) -> None:
-        """Ranges that came late: the detector cannot test them, so their own residuals weigh."""
+        """Attach late ranges: the detector cannot test them, so their residuals give the
+        weights."""
         chosen = select_ephemerides(sample, core.ephemerides, self.detector.systems)
         observed = observe_epoch(sample, chosen)
         if observed is None or core.motion is None:
@@ -345,22 +342,22 @@ class Fusion:
         graph.attach_ranges(node.epoch, ranges, weights)
         graph.commit()
         late_s = (graph.node.t_us - sample.t_us) * 1e-6
-        state.notes.append(f"an epoch came {late_s:.2f} s late and was put in")
+        state.notes.append(f"an epoch came {late_s:.2f} s late and was inserted")
 
     def _restart_from_good(self, state: FusionState) -> Graph | None:
-        """A new graph at the last good state, None without any."""
+        """Start a new graph at the last good state; None without one."""
         good = state.last_good
         if good is None:
             state.graph = None
             return None
-        where = start_from_node(good.frame, good.node, good.covariance, good.aligned)
-        return self._new_graph(where, state)
+        start = start_from_node(good.frame, good.node, good.covariance, good.aligned)
+        return self._new_graph(start, state)
 
     def _recover(self, now: FusionEpoch, state: FusionState, why: str) -> FusedState | None:
-        """After a failure: the filter's answer where it has tested the epoch, else on from the last
-        good state; where that fails too the gap is reported and the next epoch tries again."""
+        """After a solver failure use the filter's solution if it tested the epoch, else restart
+        from the last good state; if that fails too, repeat that state until the next epoch."""
         for begin in (self._recover_from_detector, self._recover_from_good):
-            state.notes = [f"the graph failed ({why}) and began anew"]
+            state.notes = [f"the graph failed ({why}) and was restarted"]
             try:
                 fused = begin(now, state)
             except SOLVER_ERRORS:
@@ -389,13 +386,13 @@ class Fusion:
 
 
 def _unbounded(sample: Sample, decision: Decision) -> bool:
-    """Whether the filter follows ranges that nothing bounds: what is made of them is told by it."""
+    """Whether the filter follows ranges without a bound on their errors, as the fusion would."""
     placed = decision.position_ecef_m is not None
     return isinstance(sample, Epoch) and placed and decision.position_sigma_m is None
 
 
 def _tied(fused: FusedState, state: FusionState) -> bool:
-    """Whether something measured what happened since the last epoch, or another sensor sees it."""
+    """Whether IMU, Doppler or another sensor measured the motion since the last epoch."""
     graph = state.graph
     ranges = graph.epochs[graph.node.epoch].ranges if graph is not None else None
     if ranges is None or ranges.has_rates:

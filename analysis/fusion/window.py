@@ -1,13 +1,13 @@
-"""GTSAM's fixed-lag smoother with names for its factors, so that they can be taken back.
+"""GTSAM's fixed-lag smoother with names for its factors, so that they can be removed.
 
-`IncrementalFixedLagSmoother` as set up here costs a fraction of its defaults. Time stamps are cut
-to intervals as long as the lag, and an interval is marginalised as a whole when the next but one
-begins. In the updates between, the newest variables become the root of GTSAM's tree, so that those
-of an interval hang on it in order of time and leave it without any other being eliminated anew. Of
-shorter intervals what stays has been put in another order by the last marginalisation, and is so by
-each. Variables are relinearised only when they moved so far that it matters. Cholesky takes half
-the time of QR; it asks for variables of like scale (see `factors`), which a pose that is known to
-thousandths of a radian and tens of metres is not: a graph that begins so has QR (`any_scale`).
+`IncrementalFixedLagSmoother` as configured here costs a fraction of its defaults. Time stamps are
+rounded down to intervals as long as the lag, and an interval is marginalised at once when the next
+but one begins. In the updates between, the newest variables become the root of GTSAM's Bayes tree;
+those of an interval are ordered in time below it and are removed without eliminating others again.
+With shorter intervals each marginalisation would reorder the remaining variables. Variables are
+relinearised only when they moved far enough. Cholesky takes half the time of QR but needs variables
+of similar scale (see `factors`); a graph whose first pose is known to milliradians but tens of
+metres uses QR (`any_scale`).
 """
 
 import math
@@ -21,15 +21,15 @@ import numpy as np
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-SPANS_PER_INTERVAL = 2  # per interval, for what changes slowly
-LAG_INTERVALS = 1.5  # intervals: the newest's and the one before, whatever the rounding
-SPAN_OFFSET = 1 << 20  # keeps the numbers of spans positive
+SPANS_PER_INTERVAL = 2  # per interval, for slow states
+LAG_INTERVALS = 1.5  # intervals: the newest and the one before, robust to rounding
+SPAN_OFFSET = 1 << 20  # keeps span numbers positive
 ROUNDING = 1e-9
 NEVER = 1e9
 WILDFIRE_THRESHOLD = 0.02  # m, rad, m/s: older variables that moved less keep their estimate
-# How far a variable moves before it is relinearised, in its own units (rad, m, m/s; m/s^2, rad/s):
-# ranges, clocks and what an accelerometer's bias does are as good as linear, turns are not. Older
-# variables are looked at only where newer ones moved as far.
+# How far a variable moves before it is relinearised, in its units (rad, m, m/s; m/s^2, rad/s):
+# ranges, clocks and accelerometer biases are almost linear, rotations are not. Older variables are
+# checked only where newer ones moved as far. Measured: docs/fusion.md.
 RELINEARISE = {
     "x": [0.02] * 3 + [3.0] * 3,
     "v": [2.0] * 3,
@@ -42,7 +42,7 @@ RELINEARISE = {
 
 
 class FactorSlots(Value, frozen=True):
-    """The slots of some factors and the stamp of the oldest variable they touch."""
+    """The slots of some factors and the stamp of the oldest variable they involve."""
 
     stamp_s: float
     slots: tuple[int, ...]
@@ -50,15 +50,14 @@ class FactorSlots(Value, frozen=True):
 
 @lru_cache(maxsize=16 * 1024)
 def variable_key(letter: str, epoch: int) -> int:
-    """The key of a variable."""
+    """GTSAM's key of a variable."""
     return int(gtsam.symbol(letter, epoch))
 
 
 class FactorWindow:
-    """The variables and factors of the last `lag_s` seconds; changes in place, as GTSAM's does.
+    """Variables and factors of the last `lag_s` seconds; changed in place, as GTSAM's smoother is.
 
-    Factors are named by their source and epoch. What is inserted, attached and taken back counts
-    from the next `commit` on.
+    Factors are named by source and epoch. Insertions and removals take effect at the next `commit`.
     """
 
     def __init__(self, lag_s: float, any_scale: bool = False) -> None:
@@ -88,7 +87,7 @@ class FactorWindow:
         self._removed: list[int] = []
 
     def stamp(self, t_s: float) -> float:
-        """The start of the interval a time is in."""
+        """The start of the interval that contains a time."""
         return math.floor(t_s / self._interval_s + ROUNDING) * self._interval_s
 
     @property
@@ -97,32 +96,33 @@ class FactorWindow:
         return self._interval_s / SPANS_PER_INTERVAL
 
     def span(self, t_s: float) -> int:
-        """The number, above zero, of the span a time is in."""
+        """The number, above zero, of the span that contains a time."""
         return math.floor(t_s / self.span_s + ROUNDING) + SPAN_OFFSET
 
     def span_stamp(self, span: int) -> float:
-        """The start of the interval a span is in."""
+        """The start of the interval that contains a span."""
         return self.stamp((span - SPAN_OFFSET) * self.span_s)
 
     @property
     def oldest_s(self) -> float:
-        """Variables with an older stamp are gone after the next commit."""
+        """Variables with an older stamp are marginalised by the next commit."""
         return self._newest_s - LAG_INTERVALS * self._interval_s
 
     def insert(self, values: Any, names: Iterable[int], stamp_s: float) -> None:
-        """Variables with their first guesses and the `stamp` of their time."""
+        """Insert variables with their initial values and the `stamp` of their time."""
         self._values.insert(values)
         self._newest_s = max(self._newest_s, stamp_s)
         self._stamps.update(dict.fromkeys(names, stamp_s))
 
     def attach(self, source: str, epoch: int, stamp_s: float, *factors: Any) -> None:
-        """Factors of a source at an epoch, with the stamp of the oldest variable they touch."""
+        """Attach factors of a source at an epoch, with the stamp of the oldest variable they
+        involve."""
         for factor in factors:
             self._batch.add(factor)
         self._staged.append(((source, epoch), stamp_s, len(factors)))
 
     def remove(self, source: str, epoch: int) -> bool:
-        """Remove the factors of a source at an epoch; whether there were any."""
+        """Remove the factors of a source at an epoch; returns whether there were any."""
         entry = self._entries.pop((source, epoch), None)
         if entry is None:
             return False
@@ -135,23 +135,23 @@ class FactorWindow:
         return name in self._entries or any(staged == name for staged, _, _ in self._staged)
 
     def committed(self) -> list[tuple[str, int]]:
-        """Source and epoch of what is in the window."""
+        """Source and epoch of all committed factors."""
         return list(self._entries)
 
     def slots(self, source: str, epoch: int) -> tuple[int, ...]:
-        """Where GTSAM keeps the factors of a source at an epoch."""
+        """GTSAM's slots of the factors of a source at an epoch."""
         entry = self._entries.get((source, epoch))
         return entry.slots if entry is not None else ()
 
     def commit(self) -> None:
-        """Solve with everything since the last commit.
+        """Solve with all changes since the last commit.
 
         Raises
         ------
         RuntimeError
-            By GTSAM, when the system cannot be solved.
+            From GTSAM, if the system cannot be solved.
         """
-        # Slots of marginalised factors are used again: forget them before that happens.
+        # GTSAM reuses the slots of marginalised factors: drop them first.
         if self.oldest_s > self._forgotten_s:
             self._forgotten_s = self.oldest_s
             self._entries = {
@@ -166,17 +166,17 @@ class FactorWindow:
         for name, stamp_s, count in self._staged:
             known = self._entries.get(name)
             before = known.slots if known is not None else ()
-            if stamp_s >= self.oldest_s:  # others went with their variables in the same update
+            if stamp_s >= self.oldest_s:  # others were marginalised in the same update
                 self._entries[name] = FactorSlots(
                     stamp_s, before + tuple(slots[start : start + count])
                 )
             start += count
-        again = bool(self._removed)
+        removed = bool(self._removed)
         self._clear()
-        if again:
-            smoother.update()  # the first only takes them out
+        if removed:
+            smoother.update()  # the first update only removes them
 
     def covariance(self, names: list[int]) -> Vector:
-        """Joint marginal covariance of variables."""
+        """Joint marginal covariance of some variables."""
         result: Vector = self.smoother.getISAM2().jointMarginalCovariance(names).fullMatrix()
         return result

@@ -1,1 +1,1 @@
-"""How good it was: attitude errors against the truth, alarms against the labels, criteria."""
+"""Scores: attitude errors against the truth, alarms against the fault labels, pass criteria."""

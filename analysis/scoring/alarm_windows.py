@@ -1,6 +1,6 @@
-"""Alarms of the monitor as windows of time: who was blamed, from when to when.
+"""Alarms of the monitor as time windows: what was isolated, from when to when.
 
-A detector speaks once an epoch; what it says without a pause is one window.
+A detector reports once per epoch; alarms without a gap are one window.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,14 +10,14 @@ import msgspec
 
 from analysis.results import OR_SEPARATOR, Decision, Result, SensorDecision
 
-MERGE_GAP_US = 1_000_000  # alarms further apart are two
+MERGE_GAP_US = 1_000_000  # alarms further apart are two: five epochs at 5 Hz
 
 
 class Alarm(NamedTuple):
     """An alarm of one channel at one instant.
 
-    `name` is who is suspected: a satellite, a sensor, several joined by `-or-`, or "" for nobody;
-    `isolated` says that the detector left it out.
+    `name` is the hypothesis: a satellite, a sensor, several joined by `-or-`, or "" for none;
+    `isolated`: the detector excluded it.
     """
 
     t_us: int
@@ -27,7 +27,7 @@ class Alarm(NamedTuple):
 
 
 class AlarmWindow(msgspec.Struct, frozen=True):
-    """What one channel held against one name without a pause; `isolated` if it ever blamed it."""
+    """Alarms of one channel for one name without a gap; `isolated` if it was ever excluded."""
 
     channel: str
     name: str
@@ -38,7 +38,7 @@ class AlarmWindow(msgspec.Struct, frozen=True):
 
 
 def alarms_of(result: Result) -> list[Alarm]:
-    """The alarms a result raises: one for everybody it holds something against."""
+    """The alarms of a result, one for each excluded satellite, sensor or hypothesis."""
     if isinstance(result, SensorDecision):
         if not result.alarm:
             return []
@@ -47,28 +47,28 @@ def alarms_of(result: Result) -> list[Alarm]:
     if not isinstance(result, Decision):
         return []
     channel = "gps-position" if result.mode.startswith("position") else "satellites"
-    # Exclusions last beyond their alarm: each epoch says them again.
-    found = [Alarm(result.t_us, channel, name, True) for name in result.excluded]
+    # Exclusions last beyond their alarm: each epoch reports them again.
+    alarms = [Alarm(result.t_us, channel, name, True) for name in result.excluded]
     if not result.alarm:
-        return found
+        return alarms
     if result.hypothesis == "imu":
-        found.append(Alarm(result.t_us, "imu", "imu", True))
+        alarms.append(Alarm(result.t_us, "imu", "imu", True))
     elif result.hypothesis == "clock":
-        found.append(Alarm(result.t_us, channel, "clock", True))
-    elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # its ranges, all together
-        found.append(Alarm(result.t_us, channel, "GPS", True))
+        alarms.append(Alarm(result.t_us, channel, "clock", True))
+    elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # all its ranges together
+        alarms.append(Alarm(result.t_us, channel, "GPS", True))
     elif OR_SEPARATOR in result.hypothesis:
-        found.append(Alarm(result.t_us, channel, result.hypothesis, False))
-    # With somebody excluded the alarm is explained; otherwise it is held against nobody.
-    elif not found or result.hypothesis == "multiple-unknown":
-        found.append(Alarm(result.t_us, channel, "", False))
-    return found
+        alarms.append(Alarm(result.t_us, channel, result.hypothesis, False))
+    # An exclusion explains the alarm; without one the alarm has no name.
+    elif not alarms or result.hypothesis == "multiple-unknown":
+        alarms.append(Alarm(result.t_us, channel, "", False))
+    return alarms
 
 
 def channel_of(result: Result) -> str | None:
-    """The channel that a result comes from, None where it tested nothing."""
+    """The channel of a result, None where it tested nothing."""
     if isinstance(result, SensorDecision):
-        # An alarm without a statistic is one of silence: that was watched too.
+        # An alarm without a statistic reports a silent stream: that was monitored too.
         return result.sensor if result.statistic is not None or result.alarm else None
     if not isinstance(result, Decision) or result.hypothesis == "untestable":
         return None
@@ -76,17 +76,17 @@ def channel_of(result: Result) -> str | None:
 
 
 def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
-    """Alarms joined to windows, in order of start."""
-    found: list[AlarmWindow] = []
+    """Merge alarms into windows, in order of start."""
+    merged: list[AlarmWindow] = []
     newest: dict[tuple[str, str], int] = {}
-    # By time: channels may hand in their alarms one after the other.
+    # By time: alarms may be grouped by channel.
     for alarm in sorted(alarms, key=lambda alarm: alarm.t_us):
         key = alarm.channel, alarm.name
         at = newest.get(key)
-        # Alarms of one name run on over a missing epoch.
-        if at is not None and alarm.t_us - found[at].end_us <= MERGE_GAP_US:
-            window = found[at]
-            found[at] = AlarmWindow(
+        # A missing epoch does not split a window.
+        if at is not None and alarm.t_us - merged[at].end_us <= MERGE_GAP_US:
+            window = merged[at]
+            merged[at] = AlarmWindow(
                 *key,
                 window.start_us,
                 alarm.t_us,
@@ -94,22 +94,22 @@ def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
                 window.isolated or alarm.isolated,
             )
         else:
-            newest[key] = len(found)
-            found.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.isolated))
-    return found
+            newest[key] = len(merged)
+            merged.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.isolated))
+    return merged
 
 
 def subtract_intervals(
-    window: AlarmWindow, stretches: Sequence[tuple[int, int]]
+    window: AlarmWindow, intervals: Sequence[tuple[int, int]]
 ) -> list[tuple[int, int]]:
-    """What remains of a window outside some stretches of time, in microseconds."""
+    """The parts of a window outside some intervals, in microseconds."""
     rest, at = [], window.start_us
-    for start, end in sorted(stretches):
+    for start, end in sorted(intervals):
         if end < at or start > window.end_us:
             continue
         if start > at:
             rest.append((at, min(start, window.end_us)))
-        # A microsecond on, as stretches hold both their ends.
+        # A microsecond later, since intervals include both ends.
         at = max(at, end + 1)
     if at <= window.end_us:
         rest.append((at, window.end_us))

@@ -1,4 +1,4 @@
-"""Estimates against the truth around them, compiled: see `quaternion_at`."""
+"""Compiled comparison of estimates with the interpolated truth: see `attitude_scoring`."""
 
 from math import isfinite, pi
 from typing import NamedTuple
@@ -14,14 +14,13 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     interpolate_attitude,
 )
 
-MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer pause
-MAX_LATENESS_US = 1_000_000  # how long the truth is kept for estimates that come late
+MAX_TRUTH_GAP_US = 1_000_000  # truth is not interpolated over a longer gap: motion in it is unknown
+MAX_LATENESS_US = 1_000_000  # truth is kept so long for late estimates, as on a radio link
 
 
 class ScoredEstimates(NamedTuple):
-    """Estimates in the order of their scores (m,): which, the row that completed each, the truth
-    just after it; and the error (m, 4) of roll, pitch, yaw and the angle between, in rad, pi where
-    the estimate is no number."""
+    """Scored estimates (m,): index, block row that completed the score, index of the truth just
+    after; error (m, 4) of roll, pitch, yaw and total angle in rad, pi where the estimate is NaN."""
 
     estimator_index: Indices
     row: Indices
@@ -31,9 +30,9 @@ class ScoredEstimates(NamedTuple):
 
 @compiled
 def bracketing_truth(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> tuple[int, int]:
-    """The truth just before and just after an instant that lies before the newest of the stamps
-    `truth_us` (k,); (-1, -1) if it is not known close enough."""
-    # Nearly always the estimate is newer than the last truth but one.
+    """Indices of the truth just before and after a time that is not after the newest of the stamps
+    `truth_us` (k,); (-1, -1) if no pair is close enough."""
+    # Nearly always the estimate lies between the two newest truths.
     first, second = newest - 1, newest
     if t_us < truth_us[first]:
         low, high = oldest, newest
@@ -45,16 +44,16 @@ def bracketing_truth(truth_us: Stamps, oldest: int, newest: int, t_us: int) -> t
                 high = middle
         if t_us < truth_us[oldest]:
             return -1, -1
-        # On the oldest truth itself there is none before: the pair from there on.
+        # On the oldest truth itself there is none before: use the pair from there on.
         first, second = max(low - 1, oldest), max(low, oldest + 1)
-    # Truth of two flights, or over a pause, is not interpolated.
+    # Truth is not interpolated between two flights or over a gap.
     span_us = truth_us[second] - truth_us[first]
     return (first, second) if 0 < span_us <= MAX_TRUTH_GAP_US else (-1, -1)
 
 
 @compiled
 def quaternion_at(q_nb: Vector, row: int) -> Quaternion:
-    """One of q_nb (n, 4)."""
+    """Row `row` of q_nb (n, 4)."""
     return q_nb[row, 0], q_nb[row, 1], q_nb[row, 2], q_nb[row, 3]
 
 
@@ -67,12 +66,12 @@ def score_estimates(
     t_us: Stamps,
     q_nb: Vector,
 ) -> tuple[ScoredEstimates, Indices, int]:
-    """Errors of estimates, each when the truth has passed it.
+    """Score each estimate once the truth has passed it.
 
-    truth_row, truth_us (k,) and truth_q (k, 4) tell where in the block each truth came (-1: before
-    it), its stamp and attitude; row, t_us (n,) and q_nb (n, 4) the same of estimates. Gives those
-    that have an error now, which (w,) the truth has not passed yet, and the first truth that is
-    still wanted.
+    truth_row, truth_us (k,) and truth_q (k, 4) are the block row of each truth (-1: before the
+    block), its stamp and attitude; row, t_us (n,) and q_nb (n, 4) the same of estimates. Returns
+    the scored estimates, the indices (w,) of those the truth has not passed yet, and the first
+    truth that is still needed.
     """
     count = len(row)
     scored = ScoredEstimates(
@@ -82,21 +81,20 @@ def score_estimates(
         np.empty((count, 4)),
     )
     waiting = np.empty(count, np.int64)
-    waits = done = come = oldest = 0
+    waiting_count = done = next_estimate = oldest = 0
     for j in range(len(truth_us)):
-        while come < count and row[come] < truth_row[j]:
-            waiting[waits] = come
-            waits += 1
-            come += 1
-        # Only a truth of this block can complete anything; a stamp that stands still brings
-        # nothing.
+        while next_estimate < count and row[next_estimate] < truth_row[j]:
+            waiting[waiting_count] = next_estimate
+            waiting_count += 1
+            next_estimate += 1
+        # Only a truth of this block can complete a score, and only with a newer stamp.
         if j > 0 and truth_row[j] >= 0 and truth_us[j] > truth_us[j - 1]:
-            later = 0
-            for k in range(waits):
+            kept = 0
+            for k in range(waiting_count):
                 i = waiting[k]
                 if t_us[i] > truth_us[j]:
-                    waiting[later] = i
-                    later += 1
+                    waiting[kept] = i
+                    kept += 1
                     continue
                 first, second = bracketing_truth(truth_us, oldest, j, t_us[i])
                 if first >= 0:
@@ -108,26 +106,26 @@ def score_estimates(
                     scored.estimator_index[done], scored.row[done] = i, truth_row[j]
                     scored.truth[done] = second
                     done += 1
-            waits = later
-        # A window that moves on: autopilots answer late, but not later than this.
+            waiting_count = kept
+        # Drop old truth: autopilots' estimates come late, but not later than this.
         while truth_us[oldest] < truth_us[j] - MAX_LATENESS_US and j - oldest > 1:
             oldest += 1
-    while come < count:
-        waiting[waits] = come
-        waits += 1
-        come += 1
-    found = ScoredEstimates(
+    while next_estimate < count:
+        waiting[waiting_count] = next_estimate
+        waiting_count += 1
+        next_estimate += 1
+    completed = ScoredEstimates(
         scored.estimator_index[:done], scored.row[:done], scored.truth[:done], scored.error[:done]
     )
-    return found, waiting[:waits], oldest
+    return completed, waiting[:waiting_count], oldest
 
 
 @compiled
 def _score(scored: ScoredEstimates, at: int, estimate: Quaternion, true: Quaternion) -> None:
-    """The error of one estimate; half a circle where it is no number."""
+    """Write the error of one estimate; 180 degrees where it is NaN."""
     roll, pitch, yaw, angle = attitude_errors(estimate, true)
     if not isfinite(roll + pitch + yaw + angle):
-        # As wrong as can be: an estimator must not gain by giving no number.
+        # The largest error: an estimator must not gain by returning NaN.
         roll, pitch, yaw, angle = pi, pi, pi, pi
     scored.error[at, 0], scored.error[at, 1] = roll, pitch
     scored.error[at, 2], scored.error[at, 3] = yaw, angle
@@ -135,23 +133,23 @@ def _score(scored: ScoredEstimates, at: int, estimate: Quaternion, true: Quatern
 
 @compiled
 def accumulate_errors(
-    source: Indices, cell_us: Stamps, error: Vector, last_us: Stamps, sums: Vector
+    source: Indices, bin_us: Stamps, error: Vector, last_us: Stamps, sums: Vector
 ) -> tuple[Indices, Stamps, Vector]:
-    """Add errors to the cells of their sources.
+    """Add errors to the time bins of their sources.
 
     Parameters
     ----------
-    source, cell_us, error : (m,), (m,), (m, 4)
-        Whose each error is, when its cell begins, and the error.
+    source, bin_us, error : (m,), (m,), (m, 4)
+        Source of each error, start of its bin, and the error.
     last_us, sums : (s,), (s, 9)
-        The newest cell of each source and its sums: how many, sums of squares, maxima.
+        Newest bin of each source and its sums: count, sums of squares, maxima.
 
     Returns
     -------
     opened : (c,)
-        Errors that opened a new cell.
+        Errors that opened a new bin.
     last_us, sums : (s,), (s + c, 9)
-        As above, followed by the sums of the new cells.
+        As above, followed by the sums of the new bins.
     """
     sources = len(last_us)
     last_us = last_us.copy()
@@ -164,10 +162,10 @@ def accumulate_errors(
     count = 0
     for i in range(len(source)):
         s = source[i]
-        if cell_us[i] != last_us[s]:
+        if bin_us[i] != last_us[s]:
             opened[count] = i
             at[s] = sources + count
-            last_us[s] = cell_us[i]
+            last_us[s] = bin_us[i]
             count += 1
         total[at[s], 0] += 1.0
         for k in range(4):

@@ -1,4 +1,4 @@
-"""Errors gathered in cells, and the scores that are made of them."""
+"""Attitude errors in time bins, and the scores computed from them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -11,15 +11,15 @@ from analysis.samples.sample import Vector
 
 AXES = ("roll", "pitch", "yaw", "angle")
 PHASES = ("ground", "turn", "climb", "descent", "level")
-GROUND_SPEED_MPS = 1.0
-TURN_RAD = np.radians(15.0)
-CLIMB_MPS = 1.0
+GROUND_SPEED_MPS = 1.0  # above the noise of a standing vehicle's velocity, below flight
+TURN_RAD = np.radians(15.0)  # bank beyond what holding a straight course needs
+CLIMB_MPS = 1.0  # above what gusts do in level flight
 REPEATED = " (the truth itself)"
-REPEATED_DEG = 0.01  # half of what is said is closer: no estimator is as good
+REPEATED_DEG = 0.01  # median error below which a source repeats the truth: no estimator is as good
 
 
 class FaultInterval(Protocol):
-    """When a fault acted; a label of the proxy's is one."""
+    """The time interval in which a fault acted; the proxy's `Label` is one."""
 
     @property
     def id(self) -> str:
@@ -27,18 +27,18 @@ class FaultInterval(Protocol):
 
     @property
     def start_us(self) -> int:
-        """When it began."""
+        """Start."""
 
     @property
     def end_us(self) -> int | None:
-        """When it ended; None if it did not."""
+        """End; None if it still acted at the end."""
 
 
 class ErrorBins(NamedTuple):
-    """Errors of one estimator within c cells.
+    """Errors of one estimator in c time bins.
 
-    `t_us` (c,): their beginnings; `phase` (c,): places in PHASES; `sums` (c, 9): how many errors,
-    sums of squares (4) and maxima (4) in rad; `first` (c, 4): the first error of each in rad.
+    `t_us` (c,): start times; `phase` (c,): indices into PHASES; `sums` (c, 9): count, sums of
+    squares (4) and maxima (4) in rad; `first` (c, 4): first error of each bin in rad.
     """
 
     t_us: Stamps
@@ -47,42 +47,42 @@ class ErrorBins(NamedTuple):
     first: Vector
 
     def at(self, index: Any) -> "ErrorBins":
-        """Some of them."""
+        """Some of the bins."""
         return ErrorBins(*(column[index] for column in self))
 
 
 def score_breakdown(
-    cells: ErrorBins, windows: Sequence[FaultInterval], cell_us: int
+    bins: ErrorBins, intervals: Sequence[FaultInterval], bin_us: int
 ) -> dict[str, Any]:
-    """Scores of the whole, without faults, by phase of flight and by fault.
+    """Scores of the entire flight, without faults, by flight phase and by fault.
 
-    RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are
-    those of the turn between estimate and truth, of the first error in each cell.
+    RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are those
+    of the angle between estimate and truth, of the first error in each bin.
     """
-    within = [_within(cells, window, cell_us) for window in windows]
-    # With a row of zeros, as there may be no window at all.
-    faulty = np.any([np.zeros(len(cells.t_us), bool), *within], axis=0)
-    flown = sorted({PHASES[i] for i in cells.phase.tolist()})
-    return score_bins(cells) | {
-        "nominal": score_bins(cells.at(~faulty)),
-        "phases": {name: score_bins(cells.at(cells.phase == PHASES.index(name))) for name in flown},
+    within = [_within(bins, interval, bin_us) for interval in intervals]
+    # With a row of zeros, as there may be no fault.
+    faulty = np.any([np.zeros(len(bins.t_us), bool), *within], axis=0)
+    phases = sorted({PHASES[i] for i in bins.phase.tolist()})
+    return score_bins(bins) | {
+        "nominal": score_bins(bins.at(~faulty)),
+        "phases": {name: score_bins(bins.at(bins.phase == PHASES.index(name))) for name in phases},
         "faults": {
-            window.id: score_bins(cells.at(inside))
-            for window, inside in zip(windows, within, strict=True)
+            interval.id: score_bins(bins.at(inside))
+            for interval, inside in zip(intervals, within, strict=True)
         },
     }
 
 
-def score_bins(cells: ErrorBins) -> dict[str, Any]:
-    """The scores of some cells; only `samples` = 0 where there are none."""
-    if not len(cells.t_us):
+def score_bins(bins: ErrorBins) -> dict[str, Any]:
+    """The scores of some bins; only `samples` = 0 where there are none."""
+    if not len(bins.t_us):
         return {"samples": 0}
-    sums = cells.sums
+    sums = bins.sums
     count = sums[:, 0].sum()
     rmse = np.degrees(np.sqrt(sums[:, 1:5].sum(axis=0) / count))
     largest = np.degrees(sums[:, 5:].max(axis=0))
-    # Of the first error of each cell: all errors of an hour would fill memory.
-    angles = np.degrees(cells.first[:, 3])
+    # From the first error of each bin: all errors of an hour would fill memory.
+    angles = np.degrees(bins.first[:, 3])
     rmse_deg = dict(zip(AXES, rmse.tolist(), strict=True))
     return {
         "samples": int(count),
@@ -96,8 +96,8 @@ def score_bins(cells: ErrorBins) -> dict[str, Any]:
 
 
 def put_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> dict[str, Any]:
-    """The scores by estimator; those of `sources` that only repeat the truth, as a simulator in the
-    place of the autopilot does, come last under a name that says so."""
+    """The scores by estimator; `sources` that only repeat the truth, as a simulator in place of an
+    autopilot does, come last with `REPEATED` after their name."""
     repeated = {
         name
         for name in sources
@@ -108,7 +108,7 @@ def put_repeaters_last(scores: Mapping[str, Any], sources: Sequence[str]) -> dic
 
 
 def flight_phases(q_nb: Vector, v_ned_mps: Vector) -> Indices:
-    """Places in PHASES by speed, bank and climb of truths (n, 4), (n, 3)."""
+    """Indices into PHASES from speed, bank and climb of truths (n, 4), (n, 3)."""
     w, x, y, z = q_nb.T
     bank = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     down = v_ned_mps[:, 2]
@@ -118,11 +118,11 @@ def flight_phases(q_nb: Vector, v_ned_mps: Vector) -> Indices:
         down < -CLIMB_MPS,
         down > CLIMB_MPS,
     ]
-    # The first that holds: on the ground nothing else counts, and a climbing turn is a turn.
+    # The first match: on the ground nothing else counts, and a climbing turn is a turn.
     return np.select(conditions, range(4), 4)
 
 
-def _within(cells: ErrorBins, window: FaultInterval, cell_us: int) -> NDArray[np.bool_]:
-    """Which cells (c,) a window touches."""
-    inside = cells.t_us + cell_us > window.start_us
-    return inside if window.end_us is None else inside & (cells.t_us < window.end_us)
+def _within(bins: ErrorBins, interval: FaultInterval, bin_us: int) -> NDArray[np.bool_]:
+    """Mask (c,) of the bins that overlap a fault's interval."""
+    inside = bins.t_us + bin_us > interval.start_us
+    return inside if interval.end_us is None else inside & (bins.t_us < interval.end_us)

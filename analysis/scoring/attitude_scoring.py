@@ -1,10 +1,10 @@
-"""Scores of attitude estimators against the truth that travels beside the sensor frames.
+"""Scores of attitude estimators against the truth that is sent beside the sensor frames.
 
-Estimates wait for the truth samples on both sides of them and are compared with the truth between
-those; one that comes up to a second late, as from an autopilot on a link, still counts. One that is
-no number is wrong by 180 degrees. Errors are gathered in cells of `1 / rate_hz`: sums at the full
-rate of the estimates for the scores, the first error of each cell as a result. Samples of an IMU
-or a magnetometer that are no measurement (NaN, 1e20) are not shown to estimators.
+Each estimate waits for the truth samples before and after it and is compared with the truth
+interpolated between them; one that comes up to a second late, as from an autopilot on a link, still
+counts. NaN counts as an error of 180 degrees. Errors are collected in time bins of `1 / rate_hz`:
+sums at the full rate of the estimates for the scores, the first error of each bin as a result.
+Invalid IMU, magnetometer and airspeed samples (NaN, 1e20) are not passed to estimators.
 """
 
 from collections.abc import Sequence
@@ -43,14 +43,15 @@ from analysis.scoring.attitude_scores import (
 )
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
-MAX_WAITING = 20_000  # estimates; after a long pause of the truth the oldest cannot be scored
-# The messages by which an autopilot tells its attitude, as columns count them.
+MAX_WAITING = 20_000  # estimates, to bound memory while the truth pauses; the oldest are dropped
+# The messages in which an autopilot reports its attitude, in the order of `SOURCES`.
 AUTOPILOTS = ("ATTITUDE", "ATTITUDE_QUATERNION")
 FIRST_AUTOPILOT = SOURCES.index(AUTOPILOTS[0])
 
 
 class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which estimators run; `imu` is the IMU they see, `settle_s` the time left out at the start.
+    """Which estimators run; `imu` is the id of the IMU they use, `settle_s` at the start is not
+    scored.
 
     `declination_deg` None takes it from the World Magnetic Model at the first true position,
     on the day of its stamp, or on 1 January 2025 where the stamps count from boot.
@@ -64,7 +65,7 @@ class AttitudeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Estimates(NamedTuple):
-    """Estimates (n,): the block's row each came with, whose it is, its stamp, and q_nb (n, 4)."""
+    """Estimates (n,): row of the block, index of the source, stamp, and q_nb (n, 4)."""
 
     row: Indices
     source: Indices
@@ -72,7 +73,7 @@ class Estimates(NamedTuple):
     q_nb: Vector
 
     def at(self, rows: Indices) -> "Estimates":
-        """Those of some rows (m,)."""
+        """The estimates at some indices (m,)."""
         return Estimates(
             self.row[rows], self.source[rows], self.t_us[rows], self.q_nb.take(rows, axis=0)
         )
@@ -85,9 +86,9 @@ NO_ESTIMATES = Estimates(
 
 @dataclass
 class ScorerState:
-    """What moves while scoring, in place: the history grows by every cell.
+    """State of the scorer, changed in place; the history grows by every bin.
 
-    `last_us` and `sums` (s, 9) are the newest cell of each source; `truth_us` (k,) and `truth`
+    `last_us` (s,) and `sums` (s, 9) are the newest bin of each source; `truth_us` (k,) and `truth`
     (k, WIDTH) the newest truths.
     """
 
@@ -98,11 +99,11 @@ class ScorerState:
     truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
     truth: Vector = field(default_factory=lambda: np.empty((0, WIDTH)))
     waiting: Estimates = NO_ESTIMATES
-    bins: dict[str, list[ErrorBins]] = field(default_factory=dict)  # as blocks brought them
+    bins: dict[str, list[ErrorBins]] = field(default_factory=dict)  # one entry per block
 
 
 class AttitudeScorer:
-    """A step of the pipeline; nothing is scored before the first truth sample."""
+    """A step of the pipeline; scoring starts at the first truth sample."""
 
     def __init__(self, config: AttitudeConfig) -> None:
         self.config = config
@@ -110,7 +111,7 @@ class AttitudeScorer:
             name: make_estimator(name) for name in config.estimators
         }
         self._names = (*self._estimators, *AUTOPILOTS)
-        self._cell_us = round(1e6 / config.rate_hz)
+        self._bin_us = round(1e6 / config.rate_hz)
 
     def new_state(self) -> ScorerState:
         """The state before the first sample."""
@@ -120,15 +121,15 @@ class AttitudeScorer:
     def step(
         self, samples: Sample | Block, state: ScorerState
     ) -> tuple[list[AttitudeError], ScorerState]:
-        """Errors that a block of samples, or a single one, completes, thinned to `rate_hz`."""
+        """Score a block of samples, or a single one; returns errors thinned to `rate_hz`."""
         block = samples if isinstance(samples, Block) else block_of(samples)
-        found, state = self.step_rows(block, state)
-        return [error for _, error in found], state
+        errors, state = self.step_rows(block, state)
+        return [error for _, error in errors], state
 
     def step_rows(
         self, block: Block, state: ScorerState
     ) -> tuple[list[tuple[int, AttitudeError]], ScorerState]:
-        """The same with the row of the block that completed each."""
+        """Like `step`, with the row of the block that completed each error."""
         truths = block.rows(TRUTH)
         begin = -1
         if state.t0_us is None:
@@ -148,10 +149,10 @@ class AttitudeScorer:
             estimates.t_us,
             estimates.q_nb,
         )
-        # The newest; after so long the truth for the older ones is gone.
+        # The newest; the truth for older ones is no longer kept.
         waiting = waiting[-MAX_WAITING:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
-        # Copies, or a slice would keep the whole block alive.
+        # Copies, or a slice would keep the entire block alive.
         state.truth_us, state.truth = truth_us[oldest:].copy(), truth[oldest:].copy()
         return self._gather(state, estimates.at(scored.estimator_index), scored, truth), state
 
@@ -172,26 +173,26 @@ class AttitudeScorer:
         return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m, sample.t_us)
 
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
-        """What waited and what the block brings behind row `begin`, in order."""
+        """Waiting estimates and those of the block after row `begin`, in order."""
         rows = np.arange(begin + 1, len(block.kind))
         block = block.between(begin + 1, len(block.kind))
         # Estimators see one IMU, as a flight controller's estimator instance does.
-        mine = (block.kind != IMU) | (block.values[:, IMU_ID] == self.config.imu)
-        keep = mine & _measurement_rows(block)
-        seen = block if keep.all() else block.where(keep)
-        imu = rows[keep & (block.kind == IMU)]
-        found = [state.waiting]
+        of_imu = (block.kind != IMU) | (block.values[:, IMU_ID] == self.config.imu)
+        valid = of_imu & _measurement_rows(block)
+        used = block if valid.all() else block.where(valid)
+        imu = rows[valid & (block.kind == IMU)]
+        collected = [state.waiting]
         for number, (name, estimator) in enumerate(self._estimators.items()):
             t_us, q_nb, state.estimators[name] = estimate_block(
-                estimator, seen, state.estimators[name]
+                estimator, used, state.estimators[name]
             )
-            found.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
-        own = np.flatnonzero(keep & (block.kind == ATTITUDE))
+            collected.append(Estimates(imu, np.full(len(imu), number), t_us, q_nb))
+        own = np.flatnonzero(valid & (block.kind == ATTITUDE))
         source = block.values[own, ATTITUDE_SOURCE].astype(np.int64)
         number = source - FIRST_AUTOPILOT + len(self._estimators)
-        found.append(Estimates(rows[own], number, block.t_us[own], block.values[own, :4]))
-        every = Estimates(*(np.concatenate(column) for column in zip(*found, strict=True)))
-        # Stable: of estimates of one row our own come first, in the order they were configured.
+        collected.append(Estimates(rows[own], number, block.t_us[own], block.values[own, :4]))
+        every = Estimates(*(np.concatenate(column) for column in zip(*collected, strict=True)))
+        # Stable: within one row our own come first, in the configured order.
         return every.at(np.argsort(every.row, kind="stable"))
 
     def _gather(
@@ -201,7 +202,7 @@ class AttitudeScorer:
         scored: ScoredEstimates,
         truth: Vector,
     ) -> list[tuple[int, AttitudeError]]:
-        """Add errors to their cells; those that opened one, with their row.
+        """Add errors to their bins; returns those that opened a bin, with their row.
 
         `truth` (k, WIDTH) are the truths to which `scored` refers.
         """
@@ -214,23 +215,23 @@ class AttitudeScorer:
             since_us, after = since_us[settled], after[settled]
         if not len(error):
             return []
-        # Cells count from the first truth, so that a log cut elsewhere has other cells.
-        cell_us = estimates.t_us - since_us % self._cell_us
+        # Bins count from the first truth, so they shift if a log is cut elsewhere.
+        bin_us = estimates.t_us - since_us % self._bin_us
         opened, state.last_us, sums = accumulate_errors(
-            estimates.source, cell_us, error, state.last_us, state.sums
+            estimates.source, bin_us, error, state.last_us, state.sums
         )
         true, count = truth[after[opened]], len(self._names)
-        cells = ErrorBins(
-            cell_us[opened], flight_phases(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
+        bins = ErrorBins(
+            bin_us[opened], flight_phases(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
         )
         for number, name in enumerate(self._names):
             known = state.bins.setdefault(name, [])
             if known:
-                # The cell that was open at the end of the last block has grown in this one.
+                # The bin that was open at the end of the last block has grown in this one.
                 known[-1].sums[-1] = sums[number]
-            mine = np.flatnonzero(estimates.source[opened] == number)
-            if len(mine):
-                known.append(cells.at(mine))
+            own = np.flatnonzero(estimates.source[opened] == number)
+            if len(own):
+                known.append(bins.at(own))
             if known:
                 state.sums[number] = known[-1].sums[-1]
         return self._results(estimates.at(opened), error[opened], row[opened])
@@ -260,21 +261,21 @@ class AttitudeScorer:
         """Scores by estimator, as `score_breakdown` gives them."""
         return {
             name: score_breakdown(
-                ErrorBins(*map(np.concatenate, zip(*cells, strict=True))), labels, self._cell_us
+                ErrorBins(*map(np.concatenate, zip(*bins, strict=True))), labels, self._bin_us
             )
-            for name, cells in sorted(state.bins.items())
-            if cells
+            for name, bins in sorted(state.bins.items())
+            if bins
         }
 
 
 def _measurement_rows(block: Block) -> NDArray[np.bool_]:
-    """Rows (n,) that are a measurement: neither NaN nor what no sensor gives."""
-    fine = np.ones(len(block.kind), bool)
+    """Mask (n,) of valid measurements: not NaN and within the sensor's range."""
+    valid = np.ones(len(block.kind), bool)
     for kind, width, most in ((IMU, 6, IMU_VALUE_LIMIT), (MAG, 3, np.inf), (AIRSPEED, 1, np.inf)):
         rows = block.rows(kind)
-        # Written so that NaN is no measurement either.
-        fine[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)
-    return fine
+        # Written so that NaN is invalid too.
+        valid[rows] = (np.abs(block.values[rows, :width]) < most).all(axis=1)
+    return valid
 
 
 def declination_rad(lat_deg: float, lon_deg: float, alt_m: float, stamp_us: int) -> float:

@@ -1,7 +1,7 @@
-"""Pass and fail: what every flight is held against, and the limits a scenario sets on top.
+"""Pass and fail: the checks of every flight, and the limits a scenario adds.
 
-Unless a scenario loosens it, a flight fails that has a fault missed which can be seen, or somebody
-blamed with whom nothing was wrong.
+Unless a scenario allows it, a flight fails if an observable fault was missed or a healthy sensor
+was isolated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,11 @@ from analysis.scoring.outcome import ISOLATED, LATE, MISSED, NOT_JUDGED
 
 
 class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits; what is not given is not judged. Faults are named by their ids in the schedule.
+    """Limits; those that are not given are not checked. Faults are named by their schedule ids.
 
-    `may_miss` loosens by id, fault or preset; `may_blame` by channel or by who was blamed. Shares
-    are of all GNSS epochs, between 0 and 1; errors are those of the detector's own position.
+    `may_miss` allows missed faults by id, fault or preset; `may_blame` allows wrong isolations by
+    channel or sensor. Shares are of all GNSS epochs, between 0 and 1; errors are those of the
+    detector's own position.
     """
 
     must_detect: tuple[str, ...] = ()
@@ -35,20 +36,20 @@ class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 def receiver_criteria(with_truth: bool) -> Criteria:
-    """What is asked of a recording of a receiver alone, where no scenario says otherwise.
+    """Default criteria for a recording of a receiver alone.
 
-    Nine in ten epochs are tested, and one in a hundred at the most is wrong without an explanation.
-    Where the truth is given: the accuracy that GPS itself promises on the global average (SPS
-    Performance Standard, 5th edition, 2020, section 3.8: 8 m and 13 m at 95 %).
+    At least 90 % of the epochs are tested, and at most 1 % have an unexplained alarm. With a known
+    truth: the accuracy that GPS itself specifies as global average (SPS Performance Standard, 5th
+    edition, 2020, section 3.8: 8 m and 13 m at 95 %).
     """
-    asked = Criteria(min_tested_share=0.9, max_unexplained_share=0.01)
+    criteria = Criteria(min_tested_share=0.9, max_unexplained_share=0.01)
     if not with_truth:
-        return asked
-    return msgspec.structs.replace(asked, max_horizontal_95_m=8.0, max_vertical_95_m=13.0)
+        return criteria
+    return msgspec.structs.replace(criteria, max_horizontal_95_m=8.0, max_vertical_95_m=13.0)
 
 
 class CriterionCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """One criterion, what was found, and whether it held (None: the data cannot bear a verdict)."""
+    """One criterion, its value, and whether it passed (None: the data are insufficient)."""
 
     name: str
     limit: float | int | str
@@ -57,9 +58,9 @@ class CriterionCheck(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
-    """Hold a summary against the criteria, one check per limit that was given."""
+    """Check a summary against the criteria, one check per given limit."""
     rows = summary["faults"]
-    # Without labels nothing that was found can be called false.
+    # Without labels no alarm can be called false.
     checks = [] if summary["false_by_channel"] is None else _check_faults(criteria, summary)
     checks += [
         CriterionCheck(
@@ -101,13 +102,13 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
         ),
         ("vertical error at 95 %, m", criteria.max_vertical_95_m, errors.get("vertical_95_m")),
         (
-            "share of epochs that nothing explains",
+            "share of epochs with an unexplained alarm",
             criteria.max_unexplained_share,
             _epoch_share(summary, "unexplained_epochs"),
         ),
     )
     checks += [
-        # No value, no verdict: a flight that was not measured does not pass.
+        # No value, no verdict: a flight without measurement does not pass.
         CriterionCheck(
             name=name, limit=limit, value=value, passed=None if value is None else value <= limit
         )
@@ -118,7 +119,7 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
 
 
 def _check_tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
-    """Whether enough epochs could be tested; more is better here."""
+    """Check that enough epochs could be tested."""
     limit, untested = criteria.min_tested_share, _epoch_share(summary, "untestable_epochs")
     if limit is None:
         return []
@@ -133,23 +134,23 @@ def _epoch_share(summary: Mapping[str, Any], key: str) -> float | None:
 
 
 def _check_faults(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
-    """What holds for every flight whose faults are known."""
-    blamed = [
+    """The checks of every flight with known faults."""
+    isolated = [
         name
         for row in summary["false_by_channel"]
         for name in row["blamed"]
-        # By who was blamed or by the channel that blamed.
+        # By the isolated sensor or by the channel that isolated it.
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
-    found = _none_or(dict.fromkeys(blamed))
-    nobody = CriterionCheck(name="blamed wrongly", limit="nobody", value=found, passed=not blamed)
-    return [*check_missed_faults(criteria, summary["faults"]), nobody]
+    names = _none_or(dict.fromkeys(isolated))
+    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=names, passed=not isolated)
+    return [*check_missed_faults(criteria, summary["faults"]), wrong]
 
 
 def check_missed_faults(
     criteria: Criteria, rows: Sequence[Mapping[str, Any]]
 ) -> list[CriterionCheck]:
-    """Whether a fault was missed that can be seen; nothing where no fault acted."""
+    """Check that no observable fault was missed; empty where no fault acted."""
     if not rows:
         return []
     missed = [
@@ -159,11 +160,11 @@ def check_missed_faults(
         # By id, kind or preset: whichever a scenario names.
         and not {row["id"], row["fault"], row["preset"]} & set(criteria.may_miss)
     ]
-    # Faults that nothing could see bear no verdict.
+    # Faults that no channel can observe give no verdict.
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
-    found = _none_or(dict.fromkeys(missed)) if judged else None
+    names = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
-    return [CriterionCheck(name="faults missed", limit="none", value=found, passed=passed)]
+    return [CriterionCheck(name="faults missed", limit="none", value=names, passed=passed)]
 
 
 def _none_or(names: Mapping[str, None]) -> str:
@@ -171,21 +172,21 @@ def _none_or(names: Mapping[str, None]) -> str:
 
 
 def overall_verdict(checks: Sequence[CriterionCheck]) -> str:
-    """FAIL if any check failed, PASS if all passed, NO VERDICT if there is nothing to go by."""
+    """FAIL if any check failed, PASS if all passed, NO VERDICT if the data are insufficient."""
     if any(check.passed is False for check in checks):
         return "FAIL"
-    # An empty list of checks is no pass.
+    # An empty list of checks does not pass.
     all_passed = checks and all(check.passed for check in checks)
     return "PASS" if all_passed else "NO VERDICT"
 
 
 def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:
-    """Whether every stretch in which a fault acted has this value; one that never acted has not."""
+    """Whether every interval in which a fault acted has this value; False if it never acted."""
     own = [row[key] == value for row in rows if row["id"] == id]
     # A fault that never acted was not detected.
     return bool(own) and all(own)
 
 
 def _verdicts(rows: Sequence[Mapping[str, Any]], id: str) -> str:
-    words = dict.fromkeys(str(row["verdict"]) for row in rows if row["id"] == id)
-    return ", ".join(words) or "never acted"
+    verdicts = dict.fromkeys(str(row["verdict"]) for row in rows if row["id"] == id)
+    return ", ".join(verdicts) or "never acted"

@@ -1,8 +1,8 @@
-"""Which channels of the monitor can see a fault, and whom they may rightly blame for it.
+"""Which channels of the monitor can observe a fault, and what they may correctly isolate.
 
-A *channel* is what one test of the monitor watches: the satellites, the receiver's own position and
-velocity, the IMU, another sensor, the link. What a fault falsifies follows from its targets, and
-where it names none from its kind.
+A *channel* is what one test of the monitor covers: the satellites, the receiver's own position and
+velocity, the IMU, another sensor, the link. The targets of a fault determine what it falsifies;
+without targets its kind does.
 """
 
 import re
@@ -16,19 +16,18 @@ IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
     *("imu", "mag", "baro", "airspeed", "range", "vision", "link"),
 )
 ACTUATORS = "actuators"
-RECEIVER_NAMES = frozenset(
-    {POSITION, VELOCITY, "GPS", "clock"}
-)  # names by which a receiver is blamed
+# Names under which a receiver is isolated.
+RECEIVER_NAMES = frozenset({POSITION, VELOCITY, "GPS", "clock"})
 RECEIVER_CHANNELS = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
 SATELLITE = re.compile(r"[GRECJSI]\d\d")
 
 
 class FaultVisibility(NamedTuple):
-    """Who can see a fault and who is to blame.
+    """Which channels can observe a fault, and what they should isolate.
 
-    `channels` can see it; of each set in `must_isolate` one name must be blamed, and whoever is in
-    `may_isolate` is blamed rightly. Without channels `reason` says why nothing can see it.
+    `channels` can observe it; one name of each set in `must_isolate` must be isolated, and every
+    name in `may_isolate` is a correct isolation. Without channels `reason` says why.
     """
 
     channels: frozenset[str]
@@ -37,8 +36,8 @@ class FaultVisibility(NamedTuple):
     reason: str = ""
 
     def allows(self, name: str) -> bool:
-        """Whether a name is blamed rightly."""
-        # A fault of the whole sky is rightly blamed on any of them.
+        """Whether isolating a name is correct."""
+        # For a fault of all satellites any of them is correct.
         if EVERY_SATELLITE in self.may_isolate and SATELLITE.fullmatch(name):
             return True
         return name in self.may_isolate
@@ -49,27 +48,25 @@ def _sensor(name: str) -> FaultVisibility:
     return FaultVisibility(own, (own,), own)
 
 
-def _any_of(*sights: FaultVisibility) -> FaultVisibility:
-    """One source of all of these: it is enough that one of them is blamed."""
-    names = frozenset().union(*(sight.may_isolate for sight in sights))
-    return FaultVisibility(
-        frozenset().union(*(sight.channels for sight in sights)), (names,), names
-    )
+def _any_of(*parts: FaultVisibility) -> FaultVisibility:
+    """One source of all of these: isolating any of them is enough."""
+    names = frozenset().union(*(part.may_isolate for part in parts))
+    return FaultVisibility(frozenset().union(*(part.channels for part in parts)), (names,), names)
 
 
-# The test of an epoch or a fix holds it against the IMU: its alarm may be the IMU's.
+# Epochs and fixes are tested against the IMU: their alarm may be caused by the IMU.
 IMU_VISIBILITY = FaultVisibility(
     frozenset({IMU, SATELLITES, POSITION}), (frozenset({IMU}),), frozenset({IMU})
 )
 FIX_VISIBILITY = FaultVisibility(frozenset({POSITION, VELOCITY}), (RECEIVER_NAMES,), RECEIVER_NAMES)
-# As a name "satellites" is the stream of raw ranges, which falls silent as a whole.
+# As a name "satellites" is the stream of raw ranges, which can fall silent.
 ENTIRE_RECEIVER = RECEIVER_NAMES | {SATELLITES, EVERY_SATELLITE}
 RECEIVER_VISIBILITY = FaultVisibility(RECEIVER_CHANNELS, (ENTIRE_RECEIVER,), ENTIRE_RECEIVER)
 SENSOR_VISIBILITY = {name: _sensor(name) for name in (MAG, BARO, AIRSPEED, RANGE, VISION, LINK)}
 SENSOR_VISIBILITY |= {IMU: IMU_VISIBILITY}
 
-# What the outputs of HIL_ACTUATOR_CONTROLS, from 0, drive: a multirotor's motors in their order,
-# and on a fixed wing these [1]_. A plane has no motor 5, and a hexarotor no throttle.
+# What the outputs of HIL_ACTUATOR_CONTROLS, from 0, drive: a multirotor's motors in order, and on a
+# fixed wing these. A plane has no motor 5, and a hexarotor no throttle.
 OUTPUTS = 16
 NO_PARAMETERS: Mapping[str, object] = {}
 PLANE_OUTPUTS = {2: "rudder", 4: "throttle", 5: "aileron", 6: "aileron", 7: "elevator"}
@@ -92,14 +89,14 @@ SENSOR_MESSAGES = {
 }
 FIX_MESSAGES = ("HIL_GPS", "GPS_RAW_INT", "GPS2_RAW", "GPS_INPUT", "GLOBAL_POSITION_INT")
 SENSOR_GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed": AIRSPEED}
-# Faults that act on the link's bytes and frames, whatever is in them
+# Faults that act on the link's bytes and frames, whatever their content
 LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     "sequence-gap",
 )
-HARMLESS_FAULTS = {  # nobody has anything to say of them
+HARMLESS_FAULTS = {  # no channel should react to these
     "command": "a command to the vehicle falsifies nothing",
-    "duplicate": "what comes twice is as it was",
+    "duplicate": "a repeated frame is unchanged",
 }
 RECEIVER_PLANT_FAULT = re.compile(
     r"receiver_off|(cn0_drop_db|pseudorange_m|range_rate_mps|satellite_lost|spoof_\w+)\[\w+\]"
@@ -107,31 +104,29 @@ RECEIVER_PLANT_FAULT = re.compile(
 
 
 def fault_visibility(label: Label) -> FaultVisibility:
-    """Who can see the fault of a label."""
+    """The visibility of the fault of a label."""
     if label.fault == "gps-spoof":
         return RECEIVER_VISIBILITY
     if label.fault in HARMLESS_FAULTS:
         return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
     if not label.targets:
         return _link_visibility(label.fault)
-    found = [
+    parts = [
         _lost_satellite(target)
         if label.fault in LOSS_FAULTS and _is_satellite(target)
         else target_visibility(target, label.parameters)
         for target in label.targets
     ]
-    # A target that nothing watches does not hide the ones that are watched.
-    seen = [one for one in found if one.channels]
-    if not seen:
-        return found[0]
+    # An unmonitored target does not hide the monitored ones.
+    observable = [one for one in parts if one.channels]
+    if not observable:
+        return parts[0]
     merged = FaultVisibility(
-        frozenset().union(*(one.channels for one in seen)),
-        tuple(dict.fromkeys(culprit for one in seen for culprit in one.must_isolate)),
-        frozenset().union(*(one.may_isolate for one in seen)),
+        frozenset().union(*(one.channels for one in observable)),
+        tuple(dict.fromkeys(names for one in observable for names in one.must_isolate)),
+        frozenset().union(*(one.may_isolate for one in observable)),
     )
-    if (
-        label.fault in LOSS_FAULTS
-    ):  # the frames that are lost are missing in the link's count as well
+    if label.fault in LOSS_FAULTS:  # lost frames are also missing in the link's count
         merged = merged._replace(
             channels=merged.channels | {LINK}, may_isolate=merged.may_isolate | {LINK}
         )
@@ -139,19 +134,17 @@ def fault_visibility(label: Label) -> FaultVisibility:
 
 
 def _link_visibility(fault: str) -> FaultVisibility:
-    """A fault of the whole link falsifies nobody, but everybody may fall silent."""
+    """A fault of the entire link falsifies nothing, but any stream may fall silent."""
     if fault not in LOSS_FAULTS:
-        return FaultVisibility(
-            frozenset(), reason=f"{fault} on a link leaves every value as it was"
-        )
-    everybody = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
-    return FaultVisibility(frozenset({LINK}), (everybody,), everybody)
+        return FaultVisibility(frozenset(), reason=f"{fault} on a link changes no value")
+    any_name = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
+    return FaultVisibility(frozenset({LINK}), (any_name,), any_name)
 
 
 def target_visibility(
     target: str, parameters: Mapping[str, object] = NO_PARAMETERS
 ) -> FaultVisibility:
-    """Who can see that a target is falsified; `parameters` are those of the fault."""
+    """The visibility of a falsified target; `parameters` are those of the fault."""
     message, _, path = target.partition(".")
     name = path.partition("[")[0]
     if message in ("PSEUDORANGE", "TUNNEL"):
@@ -170,24 +163,24 @@ def target_visibility(
             return _actuator({f"motor {number + 1}", *(["throttle"] if number == 0 else [])})
         if surface is not None:
             return _actuator({surface[1]})
-        return FaultVisibility(frozenset(), reason=f"no channel watches the plant ({path})")
+        return FaultVisibility(frozenset(), reason=f"no channel monitors the plant ({path})")
     if message in FIX_MESSAGES:
         return FIX_VISIBILITY
     if message == "HIL_ACTUATOR_CONTROLS":
         return _output_visibility(path)
     devices = _devices(message, name, parameters)
     if not devices:
-        return FaultVisibility(frozenset(), reason=f"no channel watches {target}")
+        return FaultVisibility(frozenset(), reason=f"no channel monitors {target}")
     return _any_of(*(SENSOR_VISIBILITY[device] for device in devices))
 
 
 def _actuator(names: set[str]) -> FaultVisibility:
-    """Actuators of which one is to blame."""
+    """Actuators, one of which must be isolated."""
     return FaultVisibility(frozenset({ACTUATORS}), (frozenset(names),), frozenset(names))
 
 
 def _output_visibility(path: str) -> FaultVisibility:
-    """What one output drives, or any of them where the whole message is meant."""
+    """The actuators of one output, or of any where the target is the entire message."""
     index = re.fullmatch(r"controls\[(\d+)\]", path)
     outputs = range(OUTPUTS) if index is None else (int(index[1]),)
     motors = {f"motor {output + 1}" for output in outputs}
@@ -197,8 +190,8 @@ def _output_visibility(path: str) -> FaultVisibility:
 
 
 def _satellite_visibility(name: str) -> FaultVisibility:
-    """One satellite; a receiver that uses it drags its own position along."""
-    # `all`, or what is no satellite: the receiver as a whole.
+    """One satellite; the position of a receiver that uses it is affected too."""
+    # `all`, or no satellite: the entire receiver.
     if not SATELLITE.fullmatch(name):
         return RECEIVER_VISIBILITY
     own = frozenset({name})
@@ -206,21 +199,21 @@ def _satellite_visibility(name: str) -> FaultVisibility:
 
 
 def _is_satellite(target: str) -> bool:
-    """Whether a target is the ranges of one satellite."""
+    """Whether a target is the range of one satellite."""
     message, _, name = target.partition(".")
     return message == "PSEUDORANGE" and SATELLITE.fullmatch(name) is not None
 
 
 def _lost_satellite(target: str) -> FaultVisibility:
-    """One satellite that no longer comes in. Blaming it would not be wrong, nor who needs it."""
+    """One lost satellite. Isolating it, or the receiver that needs it, is not wrong."""
     names = RECEIVER_NAMES | {target.rpartition(".")[2], SATELLITES, LINK}
     return FaultVisibility(
-        frozenset(), (), names, "a hill hides a satellite as well: it is no error"
+        frozenset(), (), names, "a lost satellite is no error: terrain hides satellites too"
     )
 
 
 def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple[str, ...]:
-    """The sensors that a field of a message belongs to; without a field all that speak in it."""
+    """The sensors of a message's field; without a field all sensors of the message."""
     every = SENSOR_MESSAGES.get(message, ())
     if name == "fields_updated":
         groups = parameters.get("groups")

@@ -16,7 +16,7 @@ ERROR, LEVEL = 0, 1
 
 
 class Integrity:
-    """Errors and levels (n, 2) of the epochs with both, by direction; and how many had no level."""
+    """Errors and protection levels (n, 2) of the epochs that have both, by direction."""
 
     def __init__(self, reference: PositionReference | None) -> None:
         self._reference = reference
@@ -25,7 +25,7 @@ class Integrity:
         self._epochs = 0
 
     def add(self, results: Iterable[Result]) -> None:
-        """Take the decisions among some results."""
+        """Add the decisions among some results."""
         for result in results:
             if not isinstance(result, Decision):
                 continue
@@ -44,15 +44,15 @@ class Integrity:
                     self.pairs[name].append((error, level))
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """By direction: epochs, those with a level, the median level, how many have an error above
-        it (misleading), the largest error over its level, the share within the alert limit, and
-        what the levels assume with the epochs that assume it."""
-        found: dict[str, dict[str, Any]] = {}
+        """By direction: epochs, those with a level, the median level, epochs with an error above it
+        (misleading), the largest error over its level, the share within the alert limit, and the
+        assumptions of the levels with their number of epochs."""
+        summary: dict[str, dict[str, Any]] = {}
         for name, limit_m in ALERT_LIMITS_M.items():
             table = self.table(name)
             if not len(table):
                 continue
-            found[name] = {
+            summary[name] = {
                 "epochs": self._epochs,
                 "with_level": len(table),
                 "median_level_m": round(float(np.median(table[:, LEVEL])), 2),
@@ -62,7 +62,7 @@ class Integrity:
                 "available_share": round(float((table[:, LEVEL] <= limit_m).mean()), 4),
                 "assumes": dict(self.assumed.most_common()),
             }
-        return found
+        return summary
 
     def table(self, name: str) -> Vector:
         """Errors and levels (n, 2) in one direction."""

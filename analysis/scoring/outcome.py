@@ -1,9 +1,8 @@
-"""The outcome of a fault: what was done against what the monitor said of it. docs/verdicts.md.
+"""The outcome of a fault: its label compared with the monitor's alarms. See docs/verdicts.md.
 
-A fault is watched from its first frame to one GNSS epoch after its last (a receiver's: to its
-last). Within that time counts who was blamed, rightly or wrongly; afterwards, until its echo is
-over, it may still be found late.
-Everything is computed from labels and results, never from the schedule's intention.
+A fault is evaluated from its first frame to one GNSS epoch after its last (a receiver's: to its
+last). Isolations in that time count as correct or wrong; afterwards, within the recovery time, it
+may still be detected late. Everything is computed from labels and results, never from the schedule.
 """
 
 from collections.abc import Collection, Sequence
@@ -21,8 +20,8 @@ from analysis.scoring.fault_channels import (
 )
 from mavproxy_fault.wire.label import Label
 
-RECOVERY_S = 10.0  # alarms so long after the first epoch behind a fault are its echo
-# Later than any stamp, with room to add.
+RECOVERY_S = 10.0  # alarms up to this long after a fault are its aftermath: until readmission
+# Later than any stamp, without overflow in sums.
 NEVER_US = 1 << 62
 
 ISOLATED, WRONG, AMBIGUOUS, DETECTED = "isolated", "wrong", "ambiguous", "detected"
@@ -30,7 +29,7 @@ LATE, MISSED, NOT_JUDGED = "late", "missed", "not judged"
 
 
 class WrongIsolation(msgspec.Struct, frozen=True, kw_only=True):
-    """Somebody blamed: from when on the axis of the schedule, and for how long, in seconds."""
+    """An isolated healthy sensor: start on the schedule's time axis and duration, in seconds."""
 
     who: str
     from_s: float
@@ -38,10 +37,10 @@ class WrongIsolation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
-    """One fault as it was done and as it was seen; times in seconds from the start of the schedule.
+    """One injected fault and its detection; times in seconds from the start of the schedule.
 
-    `channels` can see it. `verdict` is one of the words above, `reason` says what the word leaves
-    open. `isolated` are those rightly blamed, `wrongly` those whom nothing was wrong with.
+    `channels` can observe it. `verdict` is one of the constants above, `reason` gives the details.
+    `isolated` are correct isolations, `wrongly` those of healthy sensors.
     """
 
     id: str
@@ -61,26 +60,26 @@ class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _FaultPeriod(NamedTuple):
-    """A label with who can see it and until when it is watched and its echo heard."""
+    """A label with its visibility, the end of its evaluation and of its aftermath."""
 
     label: Label
-    sight: FaultVisibility
+    visibility: FaultVisibility
     until_us: int
-    echo_us: int
+    aftermath_us: int
     witnesses: frozenset[str]
 
     def explains(self, window: AlarmWindow) -> bool:
-        """Whether what a window holds against somebody can be this fault's doing."""
-        # Nobody named: the channel alone tells.
+        """Whether this fault can have caused the alarms of a window."""
+        # Without a name only the channel counts.
         if not window.name:
-            return window.channel in self.sight.channels | self.witnesses
-        return any(map(self.sight.allows, window.name.split(OR_SEPARATOR)))
+            return window.channel in self.visibility.channels | self.witnesses
+        return any(map(self.visibility.allows, window.name.split(OR_SEPARATOR)))
 
 
 def fault_outcomes(
     labels: Sequence[Label],
     windows: Sequence[AlarmWindow],
-    watched: Collection[str],
+    active: Collection[str],
     epoch_us: int,
     witnesses: frozenset[str] = frozenset(),
 ) -> list[FaultOutcome]:
@@ -89,18 +88,18 @@ def fault_outcomes(
     Parameters
     ----------
     labels : sequence of Label
-        What was done.
+        The injected faults.
     windows : sequence of Window
-        What the monitor said.
-    watched : collection of str
-        The channels that gave any result in this flight.
+        The monitor's alarms.
+    active : collection of str
+        The channels with any result in this flight.
     epoch_us : int
         Time between two epochs of the detector.
     witnesses : frozenset of str
-        Channels that speak up whatever the fault is, as an autopilot does.
+        Channels that may react to any fault, such as an autopilot.
     """
-    watches = [_fault_period(label, epoch_us, witnesses) for label in labels]
-    return [_outcome(watch, watches, windows, watched) for watch in watches]
+    periods = [_fault_period(label, epoch_us, witnesses) for label in labels]
+    return [_outcome(period, periods, windows, active) for period in periods]
 
 
 def _fault_period(
@@ -108,34 +107,35 @@ def _fault_period(
 ) -> _FaultPeriod:
     # A fault still acting at the end of the log.
     end_us = NEVER_US if label.end_us is None else label.end_us
-    # Who was left out looks sound from the first epoch on, and comes back so long after it.
-    echo_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
-    seen = fault_visibility(label)
-    # The first sound fix after a receiver's fault shows no more than the way back.
-    of_receiver = any(culprits >= RECEIVER_NAMES for culprits in seen.must_isolate)
+    # An excluded sensor looks healthy from the first epoch on and is readmitted later.
+    aftermath_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
+    visibility = fault_visibility(label)
+    # The first good fix after a receiver's fault only shows the jump back.
+    of_receiver = any(names >= RECEIVER_NAMES for names in visibility.must_isolate)
     until_us = end_us if of_receiver else end_us + epoch_us
-    asked = frozenset[str]() if label.fault in HARMLESS_FAULTS else witnesses
-    return _FaultPeriod(label, seen, until_us, echo_us, asked)
+    if label.fault in HARMLESS_FAULTS:
+        witnesses = frozenset()
+    return _FaultPeriod(label, visibility, until_us, aftermath_us, witnesses)
 
 
 def _outcome(
-    watch: _FaultPeriod,
-    watches: Sequence[_FaultPeriod],
+    period: _FaultPeriod,
+    periods: Sequence[_FaultPeriod],
     windows: Sequence[AlarmWindow],
-    watched: Collection[str],
+    active: Collection[str],
 ) -> FaultOutcome:
-    label = watch.label
-    # What began before the fault cannot be its doing.
-    began = [w for w in windows if label.start_us <= w.start_us <= watch.until_us]
-    own = [w for w in began if watch.explains(w)]
+    label = period.label
+    # Alarms before the fault cannot be caused by it.
+    began = [w for w in windows if label.start_us <= w.start_us <= period.until_us]
+    own = [w for w in began if period.explains(w)]
     right = tuple(sorted({w.name for w in own if w.isolated}))
-    wrongly = [w for w in began if w.isolated and not _explained(w, watches)]
-    verdict, reason = _verdict(watch, own, right, watched)
+    wrongly = [w for w in began if w.isolated and not _explained(w, periods)]
+    verdict, reason = _verdict(period, own, right, active)
     if verdict == MISSED:
-        verdict, reason = _late_verdict(watch, watches, windows)
-    # Blaming somebody sound is worse than missing the fault: it overrides every other word.
+        verdict, reason = _late_verdict(period, periods, windows)
+    # Isolating a healthy sensor is worse than missing the fault: it overrides any verdict.
     if wrongly:
-        verdict, reason = WRONG, f"in truth {reason or verdict}"
+        verdict, reason = WRONG, f"otherwise {reason or verdict}"
     return FaultOutcome(
         id=label.id,
         fault=label.fault,
@@ -144,9 +144,9 @@ def _outcome(
         start_s=_seconds(label, label.start_us),
         end_s=None if label.end_us is None else _seconds(label, label.end_us),
         frames=label.frames,
-        channels=tuple(sorted(watch.sight.channels)),
+        channels=tuple(sorted(period.visibility.channels)),
         detected=bool(own),
-        # From the fault's start to the first of its windows.
+        # From the fault's start to its first window.
         delay_s=_seconds(label, own[0].start_us - label.start_us + label.t0_us) if own else None,
         isolated=right,
         wrongly=tuple(_wrong_isolation(label, w) for w in wrongly),
@@ -156,57 +156,59 @@ def _outcome(
 
 
 def _verdict(
-    watch: _FaultPeriod, own: Sequence[AlarmWindow], right: Sequence[str], watched: Collection[str]
+    period: _FaultPeriod, own: Sequence[AlarmWindow], right: Sequence[str], active: Collection[str]
 ) -> tuple[str, str]:
-    """The word for a fault during which nobody sound was blamed, and what it leaves open."""
-    sight = watch.sight
-    able = sight.channels | watch.witnesses
-    # Nothing in a monitor can see this fault: no verdict about the monitor.
-    if not own and not able:
-        return NOT_JUDGED, sight.reason
-    if not own and not able & set(watched):
-        return NOT_JUDGED, f"no {' or '.join(sorted(able))} in this flight"
+    """Verdict and reason of a fault during which no healthy sensor was isolated."""
+    visibility = period.visibility
+    observing = visibility.channels | period.witnesses
+    # No channel can observe this fault: no verdict about the monitor.
+    if not own and not observing:
+        return NOT_JUDGED, visibility.reason
+    if not own and not observing & set(active):
+        return NOT_JUDGED, f"no {' or '.join(sorted(observing))} in this flight"
     if not own:
         return MISSED, ""
-    unblamed = [
-        c for c in sight.must_isolate if not any(FaultVisibility(c, (), c).allows(n) for n in right)
+    missing = [
+        c
+        for c in visibility.must_isolate
+        if not any(FaultVisibility(c, (), c).allows(n) for n in right)
     ]
-    if right and sight.must_isolate and not unblamed:
+    if right and visibility.must_isolate and not missing:
         return ISOLATED, ""
-    # The detector told that it cannot tell between two: less than isolated, more than an alarm.
+    # The detector reported an ambiguous pair: less than isolated, more than an alarm.
     either = sorted({w.name for w in own if OR_SEPARATOR in w.name})
     if either:
         return AMBIGUOUS, ", ".join(either)
     if right:
-        return DETECTED, f"not blamed: {', '.join(' or '.join(sorted(c)) for c in unblamed)}"
-    return DETECTED, "nobody was blamed"
+        return DETECTED, f"not isolated: {', '.join(' or '.join(sorted(c)) for c in missing)}"
+    return DETECTED, "nothing was isolated"
 
 
 def _late_verdict(
-    watch: _FaultPeriod, watches: Sequence[_FaultPeriod], windows: Sequence[AlarmWindow]
+    period: _FaultPeriod, periods: Sequence[_FaultPeriod], windows: Sequence[AlarmWindow]
 ) -> tuple[str, str]:
-    """Of a fault not found while it acted: under alarm from before, found late, or missed."""
-    label, others = watch.label, [w for w in watches if w is not watch]
+    """Verdict of a fault not detected while it acted: earlier alarm, late, or missed."""
+    label, others = period.label, [w for w in periods if w is not period]
     for window in windows:
-        if not watch.explains(window):
+        if not period.explains(window):
             continue
-        # What began before and lasted into the fault cannot be told from it.
+        # An earlier alarm that lasts into the fault cannot be distinguished from it.
         if window.start_us < label.start_us <= window.end_us:
-            return NOT_JUDGED, f"{window.name or window.channel} was under alarm from before"
-        late = watch.until_us < window.start_us <= watch.echo_us
-        # The echo of another fault is no late finding.
+            return NOT_JUDGED, f"{window.name or window.channel} had an alarm before the fault"
+        late = period.until_us < window.start_us <= period.aftermath_us
+        # The aftermath of another fault is no late detection.
         if late and not any(other.explains(window) and _covers(other, window) for other in others):
             after_s = (window.start_us - (label.end_us or 0)) * 1e-6
-            return LATE, f"found {after_s:.1f} s after its end"
+            return LATE, f"detected {after_s:.1f} s after its end"
     return MISSED, ""
 
 
-def _covers(watch: _FaultPeriod, window: AlarmWindow) -> bool:
-    return watch.label.start_us <= window.start_us <= watch.echo_us
+def _covers(period: _FaultPeriod, window: AlarmWindow) -> bool:
+    return period.label.start_us <= window.start_us <= period.aftermath_us
 
 
-def _explained(window: AlarmWindow, watches: Sequence[_FaultPeriod]) -> bool:
-    return any(watch.explains(window) and _covers(watch, window) for watch in watches)
+def _explained(window: AlarmWindow, periods: Sequence[_FaultPeriod]) -> bool:
+    return any(period.explains(window) and _covers(period, window) for period in periods)
 
 
 def _seconds(label: Label, t_us: int) -> float:
@@ -222,11 +224,11 @@ def _wrong_isolation(label: Label, window: AlarmWindow) -> WrongIsolation:
 
 
 class FalseAlarms(msgspec.Struct, frozen=True, kw_only=True):
-    """What a channel said against what nothing was wrong with.
+    """False alarms of a channel.
 
-    `outside` and `inside` faults (and their echo) are windows of alarm; inside, a suspicion that
-    the detector did not act on does not count. `isolated` are those who were left out wrongly, for
-    `seconds` together; `per_hour` is how many windows come on an hour of flight.
+    `outside` and `inside` count alarm windows outside and inside of faults (with their aftermath);
+    inside, alarms without an exclusion do not count. `blamed` were excluded wrongly, for `seconds`
+    in total; `per_hour` is the rate of windows.
     """
 
     channel: str
@@ -240,33 +242,33 @@ class FalseAlarms(msgspec.Struct, frozen=True, kw_only=True):
 def false_alarms(
     labels: Sequence[Label], windows: Sequence[AlarmWindow], span_s: float, epoch_us: int
 ) -> list[FalseAlarms]:
-    """By channel what no fault explains, whether or not another fault acted meanwhile."""
-    watches = [_fault_period(label, epoch_us) for label in labels]
-    acting = [(watch.label.start_us, watch.echo_us) for watch in watches]
+    """By channel the alarms that no fault explains, whether or not another fault acted."""
+    periods = [_fault_period(label, epoch_us) for label in labels]
+    acting = [(period.label.start_us, period.aftermath_us) for period in periods]
     rows: dict[str, list[tuple[AlarmWindow, bool, float]]] = {}
     for window in windows:
         explained = [
-            at for at, watch in zip(acting, watches, strict=True) if watch.explains(window)
+            at for at, period in zip(acting, periods, strict=True) if period.explains(window)
         ]
         for start_us, end_us in subtract_intervals(window, explained):
             inside = any(start <= start_us <= end for start, end in acting)
-            # A suspicion during a fault of somebody else does no harm.
+            # An alarm without an exclusion during another fault does no harm.
             if window.isolated or not inside:
                 row = window, inside, (end_us - start_us) * 1e-6
                 rows.setdefault(window.channel, []).append(row)
-    return [_false_row(channel, found, span_s) for channel, found in sorted(rows.items())]
+    return [_false_row(channel, alarms, span_s) for channel, alarms in sorted(rows.items())]
 
 
 def _false_row(
-    channel: str, found: Sequence[tuple[AlarmWindow, bool, float]], span_s: float
+    channel: str, alarms: Sequence[tuple[AlarmWindow, bool, float]], span_s: float
 ) -> FalseAlarms:
-    inside = sum(within for _, within, _ in found)
+    inside = sum(within for _, within, _ in alarms)
     return FalseAlarms(
         channel=channel,
-        outside=len(found) - inside,
+        outside=len(alarms) - inside,
         inside=inside,
-        blamed=tuple(sorted({window.name for window, _, _ in found if window.isolated})),
-        seconds=round(sum(seconds for window, _, seconds in found if window.isolated), 3),
-        # Windows, not epochs: a long false alarm is one.
-        per_hour=round(3600.0 * len(found) / span_s, 2) if span_s > 0 else 0.0,
+        blamed=tuple(sorted({window.name for window, _, _ in alarms if window.isolated})),
+        seconds=round(sum(seconds for window, _, seconds in alarms if window.isolated), 3),
+        # Windows, not epochs: a long false alarm counts once.
+        per_hour=round(3600.0 * len(alarms) / span_s, 2) if span_s > 0 else 0.0,
     )

@@ -1,4 +1,4 @@
-"""Errors of positions against the truth: percentiles, and whether the sigmas told of them."""
+"""Position errors against the truth: percentiles, also relative to the reported sigmas."""
 
 from array import array
 
@@ -11,11 +11,11 @@ from mavproxy_fault.numerics.earth import geodetic_from_ecef, rot_en
 HORIZONTAL, VERTICAL, LENGTH, OVER_SIGMA = range(4)
 COLUMNS = 4
 PERCENTILES = (50, 95)
-UNKNOWN = (np.nan, np.nan, np.nan)  # a place, or a sigma
+UNKNOWN = (np.nan, np.nan, np.nan)  # a position, or its sigma
 
 
 class PositionScores:
-    """By solution one row of numbers an epoch, as flat arrays: an hour at 5 Hz is half a MB."""
+    """One row per solution and epoch, in flat arrays: an hour at 5 Hz is half a MB."""
 
     def __init__(self) -> None:
         self._rows: dict[str, array[float]] = {}
@@ -27,7 +27,7 @@ class PositionScores:
         sigma_m: ArrayLike | None,
         true_ecef_m: ArrayLike,
     ) -> None:
-        """Positions (n, 3) or one (3,), their sigmas in any axes, and where the vehicle was."""
+        """Add positions (n, 3) or (3,), their sigmas in any axes, and the true positions."""
         true_m = np.atleast_2d(np.asarray(true_ecef_m, dtype=float))
         off = np.asarray(r_ecef_m, dtype=float) - true_m
         lat, lon, _ = geodetic_from_ecef(true_m)
@@ -39,7 +39,7 @@ class PositionScores:
         self._rows.setdefault(solution, array("d")).frombytes(table.tobytes())
 
     def solutions(self) -> list[str]:
-        """Whose errors are known."""
+        """Names of the solutions with errors."""
         return list(self._rows)
 
     def table(self, solution: str) -> Vector:
@@ -53,18 +53,20 @@ class PositionScores:
         return round(float(np.sqrt(np.mean(length**2))), 3) if len(length) else None
 
     def summary(self) -> dict[str, dict[str, float | int | None]]:
-        """Percentiles by solution; those over sigma are 0.7 and 2 where sigmas are right."""
+        """Percentiles by solution; relative to sigma 0.7 and 2 where sigmas are right."""
         return {name: _percentiles(self.table(name)) for name in self._rows}
 
 
 def _percentiles(table: Vector) -> dict[str, float | int | None]:
-    found: dict[str, float | int | None] = {"epochs": len(table)}
+    result: dict[str, float | int | None] = {"epochs": len(table)}
     for name, column in (("horizontal", HORIZONTAL), ("vertical", VERTICAL)):
         for percent in PERCENTILES:
-            found[f"{name}_{percent}_m"] = round(float(np.percentile(table[:, column], percent)), 3)
-        found[f"{name}_largest_m"] = round(float(table[:, column].max()), 3)
+            result[f"{name}_{percent}_m"] = round(
+                float(np.percentile(table[:, column], percent)), 3
+            )
+        result[f"{name}_largest_m"] = round(float(table[:, column].max()), 3)
     known = table[np.isfinite(table[:, OVER_SIGMA]), OVER_SIGMA]
     for percent in PERCENTILES:
         share = round(float(np.percentile(known, percent)), 2) if len(known) else None
-        found[f"over_sigma_{percent}"] = share
-    return found
+        result[f"over_sigma_{percent}"] = share
+    return result

@@ -1,5 +1,5 @@
-"""The summary of a run, gathered result by result: an hour of flight needs the memory of its alarms
-and of a few numbers an epoch.
+"""The summary of a run, accumulated result by result: memory grows by its alarms and a few numbers
+per epoch.
 """
 
 from collections import Counter
@@ -21,14 +21,14 @@ from analysis.scoring.position_scores import UNKNOWN, PositionScores
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 
-PositionResult = Decision | FusedState  # results that tell a position
+PositionResult = Decision | FusedState  # results with a position
 FILTER = "filter"  # the detector's own position among the solutions
-SHOWN_REASONS = 3  # the most frequent
-EPOCH_US = 1_000_000  # between epochs, where too few came to tell
+SHOWN_REASONS = 3  # most frequent reasons in the summary
+EPOCH_US = 1_000_000  # between epochs, where there are too few to measure it
 
 
 class Tally:
-    """Counts epochs, collects alarms and errors of positions; the truth is in the log, or it is the
+    """Counts epochs, collects alarms and position errors; the truth is in the log or in
     `reference`."""
 
     def __init__(self, reference: PositionReference | None = None, *, link: bool = True) -> None:
@@ -37,7 +37,7 @@ class Tally:
         self.first_us: int | None = None
         self.last_us = 0
         self.alarms: list[Alarm] = []
-        # Channels that tested something; a link is always watched, its frames are counted.
+        # Channels that tested something; a link is always monitored by its frame count.
         self._watched = {"link"} if link else set()
         self._epochs_us: tuple[int, int] = (0, 0)  # the first and the last
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
@@ -45,7 +45,7 @@ class Tally:
         self.positions = PositionScores()
         self.unexplained = 0
         self.without_imu = 0  # epochs of raw ranges that no IMU predicted
-        self.unbounded = 0  # epochs with a position and nothing that bounds it
+        self.unbounded = 0  # epochs with a position without an error bound
 
     @property
     def span_s(self) -> float:
@@ -59,37 +59,39 @@ class Tally:
         # n epochs have n - 1 gaps.
         return (last_us - first_us) // (self.epochs - 1) if self.epochs > 1 else EPOCH_US
 
-    def add(self, block: Block, found: Sequence[tuple[int, Result]]) -> None:
-        """Count a block of samples, and its results with the rows that led to them."""
-        # Ephemerides and ionosphere carry no stamp of the vehicle.
+    def add(self, block: Block, results: Sequence[tuple[int, Result]]) -> None:
+        """Add a block of samples, and its results with the rows that led to them."""
+        # Ephemerides and ionosphere have no stamp of the vehicle's clock.
         stamps = block.t_us[block.kind < EPHEMERIS]
         if len(stamps):
             if self.first_us is None:
                 self.first_us = int(stamps[0])
             self.last_us = max(self.last_us, int(stamps.max()))
-        # Sensors speak for most rows of a block, and mostly without an alarm.
-        sensors = [result for _, result in found if isinstance(result, SensorDecision)]
-        placed = [(row, result) for row, result in found if isinstance(result, PositionResult)]
-        speaking: list[Result] = [result for result in sensors if result.alarm]
-        speaking += [result for _, result in placed]
+        # Most rows of a block have a sensor result, mostly without an alarm.
+        sensors = [result for _, result in results if isinstance(result, SensorDecision)]
+        located = [(row, result) for row, result in results if isinstance(result, PositionResult)]
+        reporting: list[Result] = [result for result in sensors if result.alarm]
+        reporting += [result for _, result in located]
         self._watched.update({result.sensor for result in sensors if result.statistic is not None})
-        self._watched.update(filter(None, map(channel_of, speaking)))
-        for result in speaking:
+        self._watched.update(filter(None, map(channel_of, reporting)))
+        for result in reporting:
             self.alarms += alarms_of(result)
             if isinstance(result, Decision):
                 self._count(result)
-        self._add_errors(placed, self._true_positions(block, placed))
+        self._add_errors(located, self._true_positions(block, located))
 
-    def _true_positions(self, block: Block, found: Sequence[tuple[int, PositionResult]]) -> Vector:
-        """Where the vehicle really was at each result, ECEF (n, 3); NaN where that is not known."""
+    def _true_positions(
+        self, block: Block, located: Sequence[tuple[int, PositionResult]]
+    ) -> Vector:
+        """The true position at each result, ECEF (n, 3); NaN where it is unknown."""
         if self._reference is not None:
-            known = [self._reference.at(result.t_us) for _, result in found]
+            known = [self._reference.at(result.t_us) for _, result in located]
             return np.array([UNKNOWN if place is None else place for place in known]).reshape(-1, 3)
         truths = block.rows(TRUTH)
         # The newest truth at or before the row that led to each result.
-        at = np.searchsorted(truths, [row for row, _ in found], side="right") - 1
+        at = np.searchsorted(truths, [row for row, _ in located], side="right") - 1
         places = block.values[truths[at], 7:10] if len(truths) else np.empty((len(at), 3))
-        # Before the block's first truth that of the block before, if there was one.
+        # Before the block's first truth: that of the previous block, if there was one.
         places[at < 0] = np.nan if self._truth is None else self._truth
         if len(truths):
             # For the results of the next block, until its first truth.
@@ -105,19 +107,19 @@ class Tally:
             self.untestable[result.reason] += 1
         self.unexplained += result.hypothesis == "multiple-unknown"
         self.without_imu += result.mode in ("free", "start")
-        placed = result.position_ecef_m is not None
-        self.unbounded += placed and result.position_sigma_m is None
+        located = result.position_ecef_m is not None
+        self.unbounded += located and result.position_sigma_m is None
 
-    def _add_errors(self, placed: Sequence[tuple[int, PositionResult]], true_m: Vector) -> None:
-        """Errors by solution, of the results that tell a position, where `true_m` (n, 3) does."""
+    def _add_errors(self, located: Sequence[tuple[int, PositionResult]], true_m: Vector) -> None:
+        """Errors by solution, of the results with a position, where `true_m` (n, 3) does."""
         numbers: dict[str, list[int]] = {}
-        for number, (_, result) in enumerate(placed):
+        for number, (_, result) in enumerate(located):
             # One test for all three: they are known together.
             if result.position_ecef_m is not None and not np.isnan(true_m[number, 0]):
                 name = FILTER if isinstance(result, Decision) else result.name.replace(" ", "_")
                 numbers.setdefault(name, []).append(number)
         for name, mine in numbers.items():
-            results = [placed[number][1] for number in mine]
+            results = [located[number][1] for number in mine]
             places = [result.position_ecef_m or UNKNOWN for result in results]
             sigmas = [result.position_sigma_m or UNKNOWN for result in results]
             self.positions.add(name, places, sigmas, true_m[mine])
@@ -139,10 +141,9 @@ class Tally:
         Parameters
         ----------
         labels : sequence of Label
-            What was really done; None if nobody knows.
+            The injected faults; None if unknown.
         attitude : mapping
-            Scores by estimator; the first that does not repeat the truth is what the criteria
-            judge.
+            Scores by estimator; the criteria apply to the first that does not repeat the truth.
         criteria : Criteria
             Limits for the verdict.
         wall_s : float
@@ -152,10 +153,10 @@ class Tally:
         false = None
         if labels is not None:
             false = false_alarms(labels, windows, self.span_s, self.epoch_us)
-        found_faults = fault_outcomes(labels or (), windows, self._watched, self.epoch_us)
+        outcomes = fault_outcomes(labels or (), windows, self._watched, self.epoch_us)
         # An autopilot that repeats the truth would make every criterion pass.
         first = next((attitude[name] for name in attitude if not name.endswith(REPEATED)), None)
-        found: dict[str, Any] = {
+        content: dict[str, Any] = {
             "verdict": "NO VERDICT",
             "sim_s": round(self.span_s, 3),
             "wall_s": round(wall_s, 2),
@@ -173,10 +174,10 @@ class Tally:
             "position_rmse_m": self.positions.rmse_m(FILTER),
             **self._fused_summary(),
             "position_error": self.positions.summary(),
-            "faults": msgspec.to_builtins(found_faults),
+            "faults": msgspec.to_builtins(outcomes),
             "attitude": dict(attitude),
         }
-        checks = check_criteria(criteria, found)
-        found["verdict"] = overall_verdict(checks)
-        found["criteria"] = [msgspec.structs.asdict(check) for check in checks]
-        return found
+        checks = check_criteria(criteria, content)
+        content["verdict"] = overall_verdict(checks)
+        content["criteria"] = [msgspec.structs.asdict(check) for check in checks]
+        return content

@@ -1,4 +1,4 @@
-"""The worst cases so far: the best few points, no two of them close together."""
+"""The worst cases so far: the points of highest fitness, no two of them close together."""
 
 from typing import NamedTuple
 
@@ -6,14 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-MIN_DISTANCE = (
-    0.1  # root-mean-square distance, per searched number, from which cases count as different
-)
-SPARE_FACTOR = 3  # candidates kept for each case asked for: some will turn out to have been lucky
+MIN_DISTANCE = 0.1  # RMS distance of different cases in the unit cube: a tenth of the range
+SPARE_FACTOR = 3  # candidates per requested case: the fitness of some is due to their noise draw
 
 
 class Case(NamedTuple):
-    """One evaluation: its number, its point (d,) and what it came to."""
+    """One evaluation: its number, its point (d,) and its fitness."""
 
     number: int
     point: Array
@@ -28,25 +26,25 @@ class Archive:
         self.cases: list[Case] = []
 
     def add(self, first: int, points: Array, fitness: Array) -> None:
-        """Take in evaluations `first`, `first` + 1, ... at points (n, d)."""
-        # What is not better than the last kept case needs no search for neighbours.
+        """Add evaluations `first`, `first` + 1, ... at points (n, d)."""
+        # A point not better than the last kept case needs no search for neighbours.
         floor = self.cases[-1].fitness if len(self.cases) >= self._limit else -np.inf
-        # Best first: a good point clears its neighbourhood before the worse ones ask for it.
+        # Best first: a good point claims its neighbourhood before worse ones.
         for i in np.argsort(-fitness, kind="stable"):
             if fitness[i] <= floor:
                 break
             self._insert(Case(first + int(i), points[i], float(fitness[i])))
 
     def _insert(self, case: Case) -> None:
-        """A case replaces its worse neighbours and gives way to a better one."""
+        """A case replaces worse neighbours; a better neighbour keeps it out."""
         near = [
             other for other in self.cases if rms_distance(case.point, other.point) < MIN_DISTANCE
         ]
         if any(other.fitness >= case.fitness for other in near):
             return
-        # The neighbours by identity: comparing cases would compare arrays.
+        # Neighbours are compared by identity: comparing cases would compare arrays.
         kept = [other for other in self.cases if not any(other is n for n in near)]
-        # The number breaks ties, so that the order does not depend on how the batch was cut.
+        # The number breaks ties, so that the order does not depend on how batches were split.
         self.cases = sorted([*kept, case], key=lambda c: (-c.fitness, c.number))[: self._limit]
 
 

@@ -1,4 +1,4 @@
-"""A minimiser that calls its function, turned into ask and tell by a thread of its own."""
+"""Ask and report for a minimiser that calls a function, by running it in a thread."""
 
 import threading
 from collections.abc import Callable
@@ -12,14 +12,14 @@ Function = Callable[[Array], Array]
 
 
 class AskTellAdapter:
-    """`minimise` is called with a function of points (n, d) and runs while it is asked.
+    """Runs `minimise`, which takes a function of points (n, d), one call per `ask` and `report`.
 
-    Only one of the two threads moves at a time, so that nothing depends on the scheduler. The
-    thread is a daemon and ends with the process, wherever the minimiser stands.
+    Only one of the two threads runs at a time, so that nothing depends on the scheduler. The thread
+    is a daemon and ends with the process.
     """
 
     def __init__(self, minimise: Callable[[Function], None]) -> None:
-        # One place each: neither side can run ahead of the other.
+        # Queues of one: neither side can run ahead.
         self._points: Queue[Array] = Queue(1)
         self._values: Queue[Array] = Queue(1)
         self._thread = threading.Thread(target=minimise, args=(self._function,), daemon=True)
@@ -30,12 +30,12 @@ class AskTellAdapter:
         return self._values.get()
 
     def ask(self) -> Array:
-        """The points the minimiser wants to know next."""
-        # Started by the first question, so that an unused searcher leaves no thread behind.
+        """The points the minimiser evaluates next."""
+        # Started by the first call, so that an unused searcher leaves no thread.
         if not self._thread.is_alive():
             self._thread.start()
         return self._points.get()
 
-    def tell(self, values: Array) -> None:
-        """Their values (n,)."""
+    def report(self, values: Array) -> None:
+        """Return the function values (n,) to the minimiser."""
         self._values.put(np.array(values))

@@ -1,4 +1,4 @@
-"""One case in detail: errors by phase of flight and by fault, percentiles, all twelve states."""
+"""One case in detail: errors by flight phase and by fault, percentiles, all twelve states."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -36,7 +36,7 @@ STATES = (
 
 
 class ActiveFault(NamedTuple):
-    """When a fault acted."""
+    """The interval in which a fault acted."""
 
     id: str
     start_us: int
@@ -47,9 +47,9 @@ def case_breakdown(
     test: TestFile, values: Mapping[str, float], seed: int, number: int
 ) -> dict[str, Any]:
     """Scores as `score_breakdown` gives them, and for the inverse model those of all twelve states
-    and of what the inverted sensor models say.
+    and of the inverted sensor models.
 
-    `seed` and `number` choose the noise.
+    `seed` and `number` select the noise.
     """
     if test.simulated:
         from analysis.search.evaluation.simulated_batch import SimulatedBatch
@@ -60,7 +60,7 @@ def case_breakdown(
     windows = [
         ActiveFault(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
         for i, f in enumerate(pin_values(test, values).faults)
-        # A fault drawn over a range has no single time to score by.
+        # A fault drawn over a range has no single interval to score.
         if isinstance(f.at_s, float) and not isinstance(f.for_s, tuple)
     ]
     parts = score_breakdown(error_bins(flight, error), windows, BIN_US)
@@ -77,11 +77,11 @@ def case_breakdown(
 
 
 def trace_case(test: TestFile, values: Mapping[str, float], seed: int, number: int) -> FlightTrace:
-    """The flight in full, with the attitude that the estimator under test made of it."""
+    """The traced flight, with the attitude of the estimator under test."""
     batch = Batch(test)
     column = batch.columns({name: np.array([value]) for name, value in values.items()})
     filters = start_filters(test.estimator, column)[0]
-    # Compiled estimators run inside the flight; others get its recorded sensors afterwards.
+    # Compiled estimators run during the flight; others on its recorded sensors afterwards.
     if test.estimator in COMPILED_ESTIMATORS:
         return trace_flight(batch.plan, column[:, 0], filters, seed, number)
     flight = trace_flight(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
@@ -93,8 +93,8 @@ def _end_us(at_s: float, for_s: float | None) -> int | None:
 
 
 def error_bins(flight: FlightTrace, error: Array) -> ErrorBins:
-    """Errors (n, 4) of a flight in cells of CELL_US."""
-    # Whole steps of the flight in a cell, at least one.
+    """Errors (n, 4) of a flight in time bins of BIN_US."""
+    # Complete steps of the flight per bin, at least one.
     length = max(1, round(BIN_US * 1e-6 / flight.plan.dt_s))
     begins = np.arange(0, len(error), length)
     velocity = ned_velocity(flight.state[:, 6:10].T, flight.state[:, 3:6].T).T
@@ -116,7 +116,7 @@ def state_rmse(flight: FlightTrace) -> Array:
         [
             flight.estimate[:, 6:9] - flight.state[:, 0:3],
             flight.estimate[:, 3:6] - flight.state[:, 3:6],
-            # Wrapped, or a heading of 179 against -179 degrees would be an error of 358.
+            # Wrapped, since 179 and -179 degrees differ by 2, not 358.
             np.degrees((angle + np.pi) % (2.0 * np.pi) - np.pi),
             np.degrees(flight.measured[:, 0:3] - flight.state[:, 10:13]),
         ]

@@ -1,4 +1,4 @@
-"""The worst cases of a search as files: a log for people, and scenarios that fly them again."""
+"""The worst cases of a search as files: a log, and scenarios that repeat the flights."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,11 +18,11 @@ from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 class WorstCase(NamedTuple):
     """One of the worst cases.
 
-    `searched_deg` is what the search saw, `error_deg` the mean over fresh noise with its standard
-    error `sigma_deg`, `quiet_deg` the error without any noise: the share of the estimator's own
-    integration and of the faults (None where the simulator flies). `parts` are the scores of one
-    flight with the simulator's seed `run_seed`, as `breakdown` gives them. `shrunk` are the values
-    of the smallest fault, if there are any.
+    `searched_deg` is the fitness in the search, `error_deg` the mean over fresh noise with its
+    standard error `sigma_deg`, `quiet_deg` the error without noise: that of integration and faults
+    (None for flights in the simulator). `parts` are the scores of one flight with the simulator's
+    seed `run_seed` from `case_breakdown`. `shrunk` are the values with the smallest fault, if there
+    is any.
     """
 
     number: int
@@ -39,7 +39,8 @@ class WorstCase(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """What a search did; `rejected` counts flights that left the envelope, by the limit broken."""
+    """Totals of a search; `rejected` counts flights that left the envelope, by the violated
+    limit."""
 
     tests: int
     rejected: dict[str, int]
@@ -49,10 +50,10 @@ class Totals(NamedTuple):
 
 
 def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> list[Path]:
-    """Each case as a scenario for `run`, as a test for `search` and as a cell for `campaign`.
+    """Write each case as a scenario for `run`, a test for `search` and a test cell for `campaign`.
 
-    `worst-01.yaml`, `worst-01-test.yaml`, `worst-01-campaign.yaml`, and with `-shrunk` behind the
-    number the smallest fault found.
+    `worst-01.yaml`, `worst-01-test.yaml`, `worst-01-campaign.yaml`, and with `-shrunk` after the
+    number those with the smallest fault found.
     """
     paths = []
     for rank, case in enumerate(cases, 1):
@@ -63,10 +64,10 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
             scenario = {**document_of(test, values, case.run_seed), "name": name}
             texts = {
                 f"{name}.yaml": scenario_yaml(test, scenario),
-                f"{name}-test.yaml": test_yaml(pin_values(test, values)),
+                f"{name}-test.yaml": yaml_of_test(pin_values(test, values)),
             }
             faults = faults_of(test, values)
-            # A cell of a campaign has one fault.
+            # A test cell of a campaign has one fault.
             if len(faults) == 1:
                 cell = campaign_document(test, name, faults[0], case.run_seed)
                 texts[f"{name}-campaign.yaml"] = write_yaml(cell)
@@ -79,7 +80,7 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
 def campaign_document(
     test: TestFile, name: str, fault: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """A campaign file with the one cell that a case is, the case's scenario beside it."""
+    """A campaign file with the case as its only test cell; the scenario file is beside it."""
     subject: str | dict[str, Any] = test.estimator
     if test.autopilot is not None:
         kind = test.autopilot.kind
@@ -101,25 +102,25 @@ def campaign_document(
 
 
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
-    """A scenario file; what is left out (None) has its default."""
+    """A scenario file; keys without value (None) are left out."""
     text = write_yaml(_without_none(scenario))
-    # An autopilot is a program outside: a scenario alone cannot start it.
+    # An autopilot is an external program: a scenario alone cannot start it.
     if test.estimator == AUTOPILOT:
-        return "# With `run --autopilot`, or by `search` with the test beside it.\n" + text
+        return "# Fly by `run --autopilot`, or by `search` with the test file beside it.\n" + text
     return text
 
 
 def _without_none(node: Any) -> Any:
-    """A document without the entries that are None."""
+    """A copy of a document without entries that are None."""
     if isinstance(node, Mapping):
         return {key: _without_none(value) for key, value in node.items() if value is not None}
     return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node
 
 
-def test_yaml(test: TestFile) -> str:
-    """A test file that reads back as `test`."""
+def yaml_of_test(test: TestFile) -> str:
+    """The YAML text of a test file that reads back as `test`."""
     document = _without_none(msgspec.to_builtins(test))
-    # A target that was drawn stands as `target`; the list it came from would choose again.
+    # A drawn target is written as `target`; with its list it would be drawn again.
     for fault in document["faults"]:
         if "target" in fault:
             del fault["any_of"]
@@ -127,7 +128,7 @@ def test_yaml(test: TestFile) -> str:
 
 
 def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
-    """`TestResFile.log`: number of tests, greatest error, what led to it, run time."""
+    """`TestResFile.log`: number of tests, greatest error and its parameters, run time."""
     rejected = sum(totals.rejected.values())
     lines = [
         f"Estimator under test      {test.estimator}",
@@ -139,7 +140,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
         f"Run time                  {totals.wall_s:.1f} s",
     ]
     if not cases:
-        # Every flight left the envelope: there is no worst one to describe.
+        # Every flight left the envelope: there is no worst case.
         return "\n".join([*lines, "No flight stayed within the envelope.", ""])
     worst = cases[0]
     names = ("roll", "pitch", "yaw")
@@ -149,7 +150,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
         f"Greatest error            {worst.error_deg:.4g}{unit} (RMSE, mean of "
         f"{test.rescore_draws} fresh noise draws, standard error {worst.sigma_deg:.2g})",
         f"  by axis                 {rmse} deg",
-        f"  seen by the search      {worst.searched_deg:.4g}{unit}",
+        f"  in the search           {worst.searched_deg:.4g}{unit}",
     ]
     if worst.quiet_deg is not None:
         lines.append(f"  without noise           {worst.quiet_deg:.4g}{unit}")
@@ -163,7 +164,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
 
 
 def vehicle_of(test: TestFile) -> str:
-    """What flies: the scenario's vehicle, or the search's own."""
+    """The vehicle: the scenario's, or the search's own."""
     if test.scenario is None:
         return test.vehicle
     assert isinstance(test.scenario, dict)
@@ -177,11 +178,11 @@ def part_lines(parts: Mapping[str, Any]) -> list[str]:
     if "angle_percentiles_deg" in parts:
         shares = ", ".join(f"{p} % {v:.4g}" for p, v in parts["angle_percentiles_deg"].items())
         lines.append(f"  angle, percentiles      {shares} deg")
-    for label, found in (("phase", parts.get("phases", {})), ("fault", parts.get("faults", {}))):
+    for label, groups in (("phase", parts.get("phases", {})), ("fault", parts.get("faults", {}))):
         lines += [
             f"  {label} {name:17} {scores['rmse_deg']['max']:.4g} deg, angle "
             f"{scores['rmse_deg']['angle']:.4g} deg"
-            for name, scores in found.items()
+            for name, scores in groups.items()
             if scores["samples"]
         ]
     if "state_rmse" in parts:
@@ -222,7 +223,7 @@ def state_lines(test: TestFile, values: dict[str, float]) -> list[str]:
 
 
 def fault_lines(test: TestFile, values: Mapping[str, float]) -> list[str]:
-    """One line a fault."""
+    """One line per fault."""
     return [
         f"Fault {i}: {f['fault']} on {f['target']}, "
         + (f"value {f['value']:.5g}, " if "value" in f else "")
@@ -232,17 +233,17 @@ def fault_lines(test: TestFile, values: Mapping[str, float]) -> list[str]:
 
 
 def without_noise(test: TestFile) -> TestFile:
-    """The test without noise; biases stay."""
-    # Names of noise hold `_sigma_`; a bias is a part of the case itself.
+    """The test without noise, with its biases."""
+    # Noise has `_sigma_` in its name; biases are part of the case.
     names = [n for n in test.sensors.__struct_fields__ if "_sigma_" in n]
     sensors = msgspec.structs.replace(test.sensors, **dict.fromkeys(names, 0.0))
     return msgspec.structs.replace(test, sensors=sensors)
 
 
 def noiseless_error(test: TestFile, values: Mapping[str, float]) -> float | None:
-    """The error of one case without noise; None where the simulator flies."""
+    """The error of one case without noise; None for flights in the simulator."""
     if test.simulated:
         return None
     batch = Batch(without_noise(pin_values(test, values)))
-    # A pinned test has no dimension left: one point, and draw number 0.
+    # A test with fixed values has no dimension: one point, draw number 0.
     return float(batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1).fitness[0])

@@ -1,7 +1,7 @@
-"""The checkpoint of a search: what every evaluation came to, appended batch by batch.
+"""The checkpoint of a search: the result of every evaluation, appended batch by batch.
 
-Searchers depend only on their seed and on what they are told, so that fitness is all a resumed
-search needs: it asks again and answers from here. A batch cut off by a kill is flown again.
+Searchers depend only on their seed and on the reported fitness, so a resumed search repeats its
+queries and takes the fitness from here. A batch that was interrupted is flown again.
 """
 
 import json
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 
-# Little-endian on every machine: a search may go on on another one.
+# Little-endian on every machine: a search may continue on another one.
 RECORD = np.dtype([("fitness", "<f8"), ("broken_limit", "<i4"), ("steps", "<i4")])
 Records = NDArray[np.void]
 
 
 class History:
-    """The files `search.json` (what is searched) and `history.bin` in a folder."""
+    """The files `search.json` (the test) and `history.bin` in a folder."""
 
     def __init__(self, folder: Path, what: dict[str, Any]) -> None:
-        """Open or begin a history.
+        """Open or create a history.
 
         Raises
         ------
@@ -33,40 +33,40 @@ class History:
         key = folder / "search.json"
         text = json.dumps(what, indent=1, sort_keys=True)
         if key.exists() and key.read_text() != text:
-            # Answers of another search would lead the searcher astray without a sign.
+            # Results of another search would mislead the searcher silently.
             raise ConfigError(f"{folder}: holds another search; give an empty folder to --out")
         key.write_text(text)
         self._path = folder / "history.bin"
         data = self._path.read_bytes() if self._path.exists() else b""
-        # Only whole records: a kill may have cut the last one.
+        # Only complete records: the last one may be cut off.
         self._known = np.frombuffer(data[: len(data) // RECORD.itemsize * RECORD.itemsize], RECORD)
         self._used = 0
-        # "r+b" keeps what is there; "a" would not let a cut record be written over.
+        # "r+b" keeps the content; "a" could not overwrite an incomplete record.
         self._file = self._path.open("r+b" if data else "w+b")
 
     @property
     def known_count(self) -> int:
-        """Evaluations that were there when the history was opened."""
+        """Number of evaluations in the history when it was opened."""
         return len(self._known)
 
     def recall(self, count: int) -> Records | None:
-        """The next `count` records; None, from then on, where there are not as many."""
+        """The next `count` records; None, from then on, if there are fewer."""
         if self._used + count > len(self._known):
-            # What follows belongs to a batch that was cut off: from here on everything is flown.
+            # The rest belongs to an incomplete batch: from here on everything is flown.
             self._known = self._known[: self._used]
             return None
         self._used += count
         return self._known[self._used - count : self._used]
 
     def append(self, records: Records) -> None:
-        """Write a batch behind what has been recalled or written; it is on disk on return."""
+        """Append a batch after the last one recalled or written; flushed on return."""
         self._file.seek(self._used * RECORD.itemsize)
-        # Behind the last used record, whatever a killed search left there.
+        # After the last used record, over the remains of an interrupted batch.
         self._file.truncate()
         self._file.write(records.tobytes())
         self._file.flush()
         self._used += len(records)
-        # What was known is behind us: nothing may be recalled after something was written.
+        # Nothing may be recalled after a write.
         self._known = self._known[:0] if self._used > len(self._known) else self._known
 
     def close(self) -> None:

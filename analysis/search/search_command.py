@@ -1,4 +1,4 @@
-"""`search`: look for the worst case of an estimator until the budget is used up."""
+"""`search`: search for the worst case of an estimator until the budget is used up."""
 
 import argparse
 import time
@@ -31,12 +31,12 @@ from analysis.search.shrink import MeanErrors, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
 from mavproxy_fault.documents.errors import ConfigError
 
-DEFAULT_BUDGET = 2000
-FRESH_SEED_OFFSET = 1_000_003  # added to the seed for noise that the search has not seen
+DEFAULT_BUDGET = 2000  # evaluations: seconds with the compiled kernels
+FRESH_SEED_OFFSET = 1_000_003  # added to the seed for noise that the search did not use
 SIMULATOR_BATCH, AUTOPILOT_BATCH = (
     8,
     2,
-)  # flights in the simulator between two checkpoints, and under an autopilot
+)  # flights per checkpoint, in the simulator and with an autopilot
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, int], None]
 
@@ -44,7 +44,7 @@ Progress = Callable[[int, float, int], None]
 def main(args: argparse.Namespace) -> int:
     """Carry out the command."""
     test = apply_options(read_test(args.testfile), args)
-    # Runs get their own folder, numbered: nothing is written over.
+    # Runs get their own numbered folder: nothing is overwritten.
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     pool = pool_of(args.workers, args.ray)
     try:
@@ -65,20 +65,20 @@ def main(args: argparse.Namespace) -> int:
 
 
 def apply_options(test: TestFile, args: argparse.Namespace) -> TestFile:
-    """The test with what the command line says otherwise."""
+    """The test with the command line's options."""
     changes = {
         name: getattr(args, name)
         for name in ("budget", "method", "seed")
         if getattr(args, name, None) is not None
     }
-    # `1` where none was given: the test file has been checked already.
+    # `1` if not given: the test file has been checked already.
     if changes.get("budget", 1) <= 0:
-        raise ConfigError(f"--budget: {changes['budget']} is not positive; evaluations, 1 or more")
+        raise ConfigError(f"--budget: {changes['budget']} is not positive; give 1 or more")
     return msgspec.structs.replace(test, **changes)
 
 
 def new_folder(parent: Path) -> Path:
-    """`search-1` or the first number that is free."""
+    """`search-1`, or the first free number."""
     number = 1
     while (parent / f"search-{number}").exists():
         number += 1
@@ -94,27 +94,27 @@ def run_search(
 ) -> tuple[list[WorstCase], Totals]:
     """Search, score the candidates on fresh noise, shrink the faults of the worst.
 
-    A search that was killed goes on from its folder.
+    An interrupted search continues from its folder.
     """
     started = time.perf_counter()
     archive = Archive(test.keep)
     rejected: Counter[str] = Counter()
     tests, steps = search_cases(test, pool, folder, archive, rejected, progress)
-    # In the simulator and under an autopilot this takes as long as many tests.
+    # In the simulator and with an autopilot this takes as long as many tests.
     say = say if say is not None and test.simulated else _silent
-    say(f"the worst {len(archive.cases)} on fresh noise, {test.rescore_draws} flights each")
+    say(f"rescoring the worst {len(archive.cases)}, {test.rescore_draws} flights each")
     ranked = rescore_cases(test, pool, archive.cases)[: test.keep]
     cases = []
     for rank, (case, outcome) in enumerate(ranked, 1):
         error = float(outcome.fitness[0])
-        say(f"number {rank} of {len(ranked)}: {error:.4g} {test.unit}; making it smaller")
+        say(f"case {rank} of {len(ranked)}: {error:.4g} {test.unit}; shrinking its faults")
         cases.append(finish_case(test, case, outcome))
     totals = Totals(tests, dict(rejected), steps, time.perf_counter() - started, steps * test.dt_s)
     return cases, totals
 
 
 def _silent(text: str) -> None:
-    """Nobody listens."""
+    """Discard a progress line."""
 
 
 def search_cases(
@@ -125,11 +125,11 @@ def search_cases(
     rejected: Counter[str],
     progress: Progress | None,
 ) -> tuple[int, int]:
-    """Ask, fly and tell until the budget or the time is used up; tests and steps made."""
+    """Search until the budget or time is used up; returns the numbers of tests and steps."""
     dimension = make_evaluator(test).space.dimension
-    # With a limit of time alone the budget is out of reach.
+    # With a time limit only, the budget is out of reach.
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
-    # Nothing varies: one evaluation says it all.
+    # Nothing varies: one evaluation is enough.
     if dimension == 0:
         budget = 1
     method = make_searcher(test.method if dimension else "random", dimension, test.seed, budget)
@@ -139,8 +139,8 @@ def search_cases(
     try:
         while tests < budget and time.monotonic() < deadline:
             points = method.ask()
-            asked = len(points)
-            # The last batch may be larger than what is left of the budget.
+            requested = len(points)
+            # The last batch may be larger than the rest of the budget.
             points = points[: budget - tests]
             parts = []
             for part in evaluate_points(test, pool, history, points, tests, deadline):
@@ -155,10 +155,9 @@ def search_cases(
             rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
             tests += len(points)
             steps += int(records["steps"].sum())
-            # A generation that was cut short teaches nothing: the methods expect what they asked
-            # for.
-            if len(points) == asked:
-                method.tell(points, records["fitness"])
+            # An incomplete generation is not reported: methods expect all their points.
+            if len(points) == requested:
+                method.report(points, records["fitness"])
     finally:
         history.close()
     return tests, steps
@@ -167,16 +166,16 @@ def search_cases(
 def evaluate_points(
     test: TestFile, pool: Pool, history: History, points: Array, first: int, deadline: float
 ) -> Iterator[np.ndarray[tuple[int], np.dtype[np.void]]]:
-    """What became of points (n, d), from the history as far as it goes, else flown and written.
+    """Records of points (n, d): from the history as far as it goes, else flown and appended.
 
-    Flights in the simulator go in portions; none begins after the deadline but the first.
+    Flights in the simulator run in batches; only the first may start after the deadline.
     """
-    # Flights in the simulator are slow: a checkpoint after each portion loses little to a kill.
+    # Flights in the simulator are slow: a checkpoint after each batch loses little.
     length = (
         AUTOPILOT_BATCH if test.autopilot else SIMULATOR_BATCH if test.simulated else len(points)
     )
     for start in range(0, len(points), length):
-        # At least one portion, so that a search always has an answer.
+        # At least one batch, so that a search always has a result.
         if start and time.monotonic() > deadline:
             break
         part, number = points[start : start + length], first + start
@@ -189,11 +188,11 @@ def evaluate_points(
 
 
 def records_of(outcome: EvaluationOutcome) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    """What the history keeps of a batch; the batch's steps stand with its first record."""
+    """The history's records of a batch; its steps are in the first record."""
     records = np.zeros(len(outcome.fitness), RECORD)
     records["fitness"] = outcome.fitness
     records["broken_limit"] = outcome.broken_limit
-    # The history holds a record for each point, and only the sum of steps is asked for.
+    # Only the sum of steps is needed.
     records["steps"][0] = outcome.steps
     return records
 
@@ -201,27 +200,26 @@ def records_of(outcome: EvaluationOutcome) -> np.ndarray[tuple[int], np.dtype[np
 def rescore_cases(
     test: TestFile, pool: Pool, cases: list[Case]
 ) -> list[tuple[Case, EvaluationOutcome]]:
-    """Candidates that stayed within the envelope by their error on fresh noise, worst first."""
+    """Candidates within the envelope with their error on fresh noise, worst first."""
     # A fitness of zero or less: the flight left the envelope.
-    stayed = [case for case in cases if case.fitness > 0.0]
-    if not stayed:
+    valid = [case for case in cases if case.fitness > 0.0]
+    if not valid:
         return []
-    # Fresh noise: the best of many is partly luck, which a second look takes away.
+    # Fresh noise removes the selection bias of the best of many.
     seed, draws = test.seed + FRESH_SEED_OFFSET, test.rescore_draws
-    found = [
-        (case, pool.evaluate(test, case.point[None, :], seed, case.number, draws))
-        for case in stayed
+    rescored = [
+        (case, pool.evaluate(test, case.point[None, :], seed, case.number, draws)) for case in valid
     ]
-    return sorted(found, key=lambda pair: -pair[1].fitness[0])
+    return sorted(rescored, key=lambda pair: -pair[1].fitness[0])
 
 
 def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> WorstCase:
-    """Values by name, the error without noise, and the smallest fault that still breaks."""
+    """Complete a case: values by name, error without noise, smallest fault that still breaks."""
     values = {
         k: float(v[0]) for k, v in make_evaluator(test).space.values(case.point[None, :]).items()
     }
     error = float(outcome.fitness[0])
-    # The first of its draws: `case_breakdown` flies that very one.
+    # The first of its draws, which `case_breakdown` flies.
     number = case.number * test.rescore_draws
     worst = WorstCase(
         case.number,
@@ -235,7 +233,7 @@ def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> Worst
         seed_of(test.seed + FRESH_SEED_OFFSET, number),
         case_breakdown(test, values, test.seed + FRESH_SEED_OFFSET, number),
     )
-    # Without a limit of its own: half of the error still counts as broken.
+    # Without a limit in the test file: half of the error still counts as broken.
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:
         return worst

@@ -1,4 +1,4 @@
-"""A search that is looked at: one test at a time, flown in full, saved on request."""
+"""An interactive search: one traced test at a time, saved on request."""
 
 import csv
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.breakdown import trace_case
-from analysis.search.cases import test_yaml
+from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.traced_flight import FlightTrace
 from analysis.search.searchers import make_searcher
@@ -25,9 +25,9 @@ COLUMNS = (
 
 
 class SearchSession:
-    """The tests of a search, one at a time; the searcher learns from each.
+    """The tests of a search, one at a time; the searcher gets each result.
 
-    `error` and `worst` are in the criterion's unit, `values` those of the test that was flown last.
+    `error` and `worst` are in the criterion's unit, `values` those of the last test.
     """
 
     def __init__(self, test: TestFile, folder: Path) -> None:
@@ -37,8 +37,7 @@ class SearchSession:
         self.worst = 0.0
         self._batch = Batch(test)
         dimension = self._batch.space.dimension
-        # Without a dimension every method would divide by it; random points of none are the one
-        # test.
+        # Without a dimension only random search works: its points are the one test.
         self._searcher = make_searcher(
             test.method if dimension else "random", dimension, test.seed, 1
         )
@@ -50,11 +49,11 @@ class SearchSession:
 
     def next(self) -> FlightTrace:
         """Fly the next test."""
-        # A searcher learns in batches: it is told when all points of one have been flown.
+        # A searcher works in batches: it gets the results when all points of one are flown.
         if not self._waiting:
             if self._evaluated:
                 points, fitness = zip(*self._evaluated, strict=True)
-                self._searcher.tell(np.array(points), np.array(fitness))
+                self._searcher.report(np.array(points), np.array(fitness))
             self._evaluated = []
             self._waiting = list(self._searcher.ask())
         point = self._waiting.pop(0)
@@ -62,7 +61,7 @@ class SearchSession:
         values = self._batch.space.values(point[None, :])
         self.values = {name: float(value[0]) for name, value in values.items()}
         self.trace = trace_case(self.test, self.values, self.test.seed, self.number)
-        # Flown twice: the trace for the eye, the batch for the very fitness that `search` sees.
+        # Flown twice: the trace for display, the batch for the same fitness as in `search`.
         outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
         self.error = float(outcome.fitness[0])
         self.worst = max(self.worst, self.error)
@@ -71,24 +70,24 @@ class SearchSession:
 
     @property
     def title(self) -> str:
-        """What stands above the flight."""
+        """The title of the flight."""
         unit = f" {self.test.unit}".rstrip()
         # Fitness is zero or less only where the flight left the envelope.
         if self.error <= 0.0:
             return f"test {self.number}: left the envelope"
         return (
-            f"test {self.number}: {self.test.estimator} errs by {self.error:.3f}{unit}"
+            f"test {self.number}: error of {self.test.estimator} {self.error:.3f}{unit}"
             f" (worst so far {self.worst:.3f}{unit})"
         )
 
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """From where to where each value is searched; those that are fixed are left out."""
+        """The range of each searched value; fixed values are left out."""
         space = self._batch.space
         ends = zip(space.low.tolist(), space.high.tolist(), strict=True)
         return dict(zip(space.names, ends, strict=True))
 
     def save(self) -> list[Path]:
-        """Time series as CSV and the case as a test file."""
+        """Save the time series as CSV and the case as a test file."""
         assert self.trace is not None
         self.folder.mkdir(parents=True, exist_ok=True)
         table = self.folder / f"test-{self.number:04}.csv"
@@ -97,12 +96,12 @@ class SearchSession:
             writer.writerow(COLUMNS)
             writer.writerows(table_of(self.trace).tolist())
         case = self.folder / f"test-{self.number:04}.yaml"
-        case.write_text(test_yaml(pin_values(self.test, self.values)))
+        case.write_text(yaml_of_test(pin_values(self.test, self.values)))
         return [table, case]
 
 
 def table_of(trace: FlightTrace) -> Array:
-    """The columns of COLUMNS (n, 22)."""
+    """The time series (n, 22) with the columns of COLUMNS."""
     euler = euler_from_quat(trace.state[:, 6:10])
     return np.column_stack(
         [

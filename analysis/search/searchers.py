@@ -1,7 +1,7 @@
-"""Searchers: where to look next, by ask and tell, in the unit cube, for the largest fitness.
+"""Search methods: ask and report in the unit cube, for the largest fitness.
 
-A searcher depends on its seed and on what it was told, on nothing else, so that a search is resumed
-by telling it again what was found. Noise in the fitness is expected.
+A searcher depends only on its seed and the reported fitness, so that a search is resumed by
+reporting the same fitness again. Noise in the fitness is expected.
 """
 
 from typing import Any, Protocol
@@ -13,17 +13,17 @@ from analysis.search.ask_tell import AskTellAdapter, Function
 from mavproxy_fault.documents.errors import ConfigError
 
 Array = NDArray[np.float64]
-BATCH_POINTS = 256  # points of a batch where the method does not say
+BATCH_POINTS = 256  # points per batch where the method has no population size
 
 
 class Searcher(Protocol):
-    """The contract: `ask` and `tell` take turns."""
+    """The contract: `ask` and `report` take turns."""
 
     def ask(self) -> Array:
         """Points (n, d) to try."""
 
-    def tell(self, points: Array, fitness: Array) -> None:
-        """What they came to (n,)."""
+    def report(self, points: Array, fitness: Array) -> None:
+        """Report their fitness (n,)."""
 
 
 class RandomSearch:
@@ -38,7 +38,7 @@ class RandomSearch:
         """The next points."""
         return self._rng.random((BATCH_POINTS, self._dimension))
 
-    def tell(self, points: Array, fitness: Array) -> None:
+    def report(self, points: Array, fitness: Array) -> None:
         """Nothing is learned."""
 
 
@@ -55,8 +55,8 @@ class SobolSearch:
         points: Array = self._sequence.random(BATCH_POINTS)
         return points
 
-    # Sobol points do not depend on what was found.
-    def tell(self, points: Array, fitness: Array) -> None:
+    # Sobol points do not depend on the results.
+    def report(self, points: Array, fitness: Array) -> None:
         """Nothing is learned."""
 
 
@@ -66,7 +66,7 @@ class MatyasSearch:
     A Gaussian step from the best point so far is kept if it is better; a tenth of the range wide.
     """
 
-    # A tenth of the range.
+    # Standard deviation: a tenth of the range.
     STEP = 0.1
     TOGETHER = 8
 
@@ -76,14 +76,14 @@ class MatyasSearch:
         self._fitness = -np.inf
 
     def ask(self) -> Array:
-        """Steps from the best point, that point itself at first."""
-        # The first point has no fitness yet: a step from it could not be judged.
+        """Steps from the best point; at first that point itself."""
+        # The first point has no fitness yet to compare a step with.
         if self._fitness == -np.inf:
             return self._best[None, :]
         steps = self._rng.normal(0.0, self.STEP, (self.TOGETHER, len(self._best)))
         return np.clip(self._best + steps, 0.0, 1.0)
 
-    def tell(self, points: Array, fitness: Array) -> None:
+    def report(self, points: Array, fitness: Array) -> None:
         """Move to the best of points (n, d) if it is better."""
         k = int(np.argmax(fitness))
         if fitness[k] > self._fitness:
@@ -100,10 +100,10 @@ class CmaEsSearch:
         self._dimension = dimension
         self._rng = np.random.default_rng([seed, 4])
         self._restarts = 0
-        self._es = self._started(self._rng.random(dimension))
+        self._es = self._start(self._rng.random(dimension))
 
-    def _started(self, x: Array) -> Any:
-        # The usual population of CMA-ES, larger after each restart: it then sees coarser structure.
+    def _start(self, x: Array) -> Any:
+        # The usual population of CMA-ES, larger after each restart to explore more widely.
         size = round((4 + int(3 * np.log(self._dimension))) * self.GROWTH**self._restarts)
         return cma_strategy(x, self.SIGMA, size, self._rng)
 
@@ -112,12 +112,12 @@ class CmaEsSearch:
         # Stopped: converged or stagnant by its own criteria.
         if self._es.stop():
             self._restarts += 1
-            self._es = self._started(self._rng.random(self._dimension))
+            self._es = self._start(self._rng.random(self._dimension))
         return np.array(self._es.ask())
 
-    def tell(self, points: Array, fitness: Array) -> None:
+    def report(self, points: Array, fitness: Array) -> None:
         """The generation's fitness."""
-        # CMA-ES looks for the smallest.
+        # CMA-ES minimises.
         self._es.tell(list(points), list(-fitness))
 
 
@@ -130,7 +130,7 @@ def cma_strategy(x: Array, sigma: float, size: int, rng: np.random.Generator) ->
         "popsize": size,
         "verbose": -9,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "seed": np.nan,  # leaves the global generator alone
+        "seed": np.nan,  # does not seed the global generator
         "tolfun": 1e-4,
         "tolstagnation": 60,
     }
@@ -150,10 +150,9 @@ class DifferentialEvolutionSearch:
             differential_evolution(
                 of_columns,
                 Bounds(np.zeros(dimension), np.ones(dimension)),
-                # SciPy multiplies this by the dimension: about 65 points a generation, whatever the
-                # dimension.
+                # SciPy multiplies this by the dimension: about 65 points per generation.
                 popsize=max(1, 65 // dimension),
-                # Ended from outside, by the budget.
+                # The budget ends it.
                 maxiter=1_000_000,
                 tol=0.0,
                 # Polishing would call the function one point at a time.
@@ -169,23 +168,23 @@ class DifferentialEvolutionSearch:
         """A generation."""
         return self._solver.ask()
 
-    def tell(self, points: Array, fitness: Array) -> None:
+    def report(self, points: Array, fitness: Array) -> None:
         """The generation's fitness."""
-        self._solver.tell(-fitness)
+        self._solver.report(-fitness)
 
 
 class MixedSearch:
     """The default: a Sobol design, then a race of CMA-ES runs from its best points.
 
-    The runs start at points that lie apart and go on together for some generations; those that
-    have found the most go on alone, one for each 10,000 evaluations of the budget. A run that has
-    stopped is followed by one from the best point of all with small steps.
+    The runs start at well-separated points and share some generations; the best continue, one for
+    each 10,000 evaluations of the budget. A stopped run is replaced by one with small steps from
+    the best point of all.
     """
 
-    DESIGN = 64  # a power of two keeps the sequence balanced
-    RUNS, LAPS = 4, 8  # of the race, and its generations
+    DESIGN = 64  # a power of two keeps the Sobol sequence balanced
+    RUNS, LAPS = 4, 8  # runs in the race, and its generations
     SIGMA, SMALL = 0.2, 0.1
-    APART = 0.15  # root-mean-square distance of the starts
+    APART = 0.15  # RMS distance between the starting points
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
         from scipy.stats.qmc import Sobol as Sequence
@@ -194,11 +193,11 @@ class MixedSearch:
         self._size = 4 + int(3 * np.log(dimension))
         self._rng = np.random.default_rng([seed, 6])
         self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 7]))
-        self._winners = int(np.clip(budget // 10_000, 1, 16))
+        self._survivors = int(np.clip(budget // 10_000, 1, 16))
         self._lap = 0
         self._runs: list[Any] = []
-        self._found: list[float] = []  # the best of each run
-        # The middle of the cube until something has been found.
+        self._run_best: list[float] = []  # best fitness of each run
+        # The centre of the cube until there is a result.
         self._best: tuple[float, Array] = (-np.inf, np.full(dimension, 0.5))
         self._starts: list[Array] = []
 
@@ -207,20 +206,20 @@ class MixedSearch:
         if not self._starts:
             points: Array = self._sequence.random(self.DESIGN)
             return points
-        # Once, after the last lap of the race.
+        # Once, after the last generation of the race.
         if self._lap == self.LAPS:
-            order = np.argsort(self._found)[::-1][: self._winners]
+            order = np.argsort(self._run_best)[::-1][: self._survivors]
             self._runs = [self._runs[k] for k in order]
-            self._found = [self._found[k] for k in order]
+            self._run_best = [self._run_best[k] for k in order]
         self._lap += 1
         for k, run in enumerate(self._runs):
             if run.stop():
-                # Small steps around the best point of all: the run that stopped was local already.
+                # Small steps around the best point of all: the stopped run had already converged.
                 self._runs[k] = cma_strategy(self._best[1], self.SMALL, self._size, self._rng)
         return np.concatenate([np.array(run.ask()) for run in self._runs])
 
-    def tell(self, points: Array, fitness: Array) -> None:
-        """Every run learns from its own generation among points (n, d)."""
+    def report(self, points: Array, fitness: Array) -> None:
+        """Report to every run its own generation of points (n, d)."""
         k = int(np.argmax(fitness))
         if fitness[k] > self._best[0]:
             self._best = float(fitness[k]), points[k]
@@ -229,24 +228,24 @@ class MixedSearch:
             return
         count = len(self._runs)
         for k, (x, f) in enumerate(
-            # `ask` put the generations one after the other, all of one size.
+            # `ask` concatenated the generations, all of one size.
             zip(np.split(points, count), np.split(fitness, count), strict=True)
         ):
             self._runs[k].tell(list(x), list(-f))
-            self._found[k] = max(self._found[k], float(f.max()))
+            self._run_best[k] = max(self._run_best[k], float(f.max()))
 
     def _begin(self, points: Array) -> None:
-        """Runs from the first of some points (n, d) that lie apart."""
+        """Start runs from the best of points (n, d) that are well separated."""
         for point in points:
             gaps = [np.sqrt(np.mean((point - start) ** 2)) for start in self._starts]
             if (
-                # As many starts as runs may win, or fewer where good points lie close together.
-                len(self._starts) < max(self.RUNS, self._winners)
+                # One start per run, or fewer where good points lie close together.
+                len(self._starts) < max(self.RUNS, self._survivors)
                 and min(gaps, default=1.0) > self.APART
             ):
                 self._starts.append(point)
         self._runs = [cma_strategy(x, self.SIGMA, self._size, self._rng) for x in self._starts]
-        self._found = [-np.inf] * len(self._runs)
+        self._run_best = [-np.inf] * len(self._runs)
 
 
 METHODS: dict[str, type[Searcher]] = {
@@ -260,7 +259,7 @@ METHODS: dict[str, type[Searcher]] = {
 
 
 def make_searcher(method: str, dimension: int, seed: int, budget: int) -> Searcher:
-    """The searcher of that name.
+    """Create the searcher of that name.
 
     Raises
     ------

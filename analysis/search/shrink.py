@@ -1,8 +1,8 @@
-"""Make a worst case smaller: the least fault that still breaks the estimator.
+"""Shrink a worst case to the smallest fault that still breaks the estimator.
 
-One after the other each fault's value and duration are brought towards no fault at all, as far as
-the mean error over fresh noise stays at the limit. The error need not grow evenly with a fault, so
-that a grid is tried, then a finer one within the cell where the estimator breaks.
+Each fault's value and duration in turn is reduced toward no fault while the mean error over fresh
+noise stays at the limit. The error need not grow monotonically with a fault, so a grid is
+evaluated, then a finer one in the interval where the estimator breaks.
 """
 
 from collections.abc import Mapping
@@ -23,12 +23,12 @@ from analysis.search.space.test_file import (
 )
 
 Array = NDArray[np.float64]
-KERNEL_GRID, SIMULATOR_GRID = 12, 4  # of flights in the kernels, and of those in the simulator
-ROUNDS = 2
+KERNEL_GRID, SIMULATOR_GRID = 12, 4  # grid points; flights in the simulator are slow
+ROUNDS = 2  # a grid and one refinement
 
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
-    """The test with every range replaced by its value: a file that flies this case again."""
+    """The test with every range replaced by its value: a file that repeats this case."""
 
     def part(section: str) -> dict[str, float]:
         head = section + "."
@@ -36,9 +36,9 @@ def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
 
     faults = []
     for i, fault in enumerate(test.faults):
-        mine = part(f"faults[{i}]")
-        target = target_of(test, i, mine.pop("target"))
-        faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **mine))
+        own = part(f"faults[{i}]")
+        target = target_of(test, i, own.pop("target"))
+        faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **own))
     return msgspec.structs.replace(
         test,
         initial=InitialState(**part("initial")),
@@ -52,12 +52,12 @@ def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
 
 
 def fault_names(test: TestFile) -> list[str]:
-    """What shrinking works on, in order."""
+    """Names of the values to shrink, in order."""
     return [
         f"faults[{i}].{key}"
         for i, fault in enumerate(test.faults)
         for key in fault.ranges()
-        # When a fault begins is no measure of its size.
+        # The onset is no measure of a fault's size.
         if key != "at_s"
     ]
 
@@ -66,10 +66,10 @@ def scale_toward_none(test: TestFile, name: str, value: float, share: Array) -> 
     """Values (n,) between no fault (share 0) and `value` (share 1)."""
     index = int(name[len("faults[") : name.index("]")])
     scale = test.faults[index].fault == "scale" and name.endswith(".value")
-    # The neutral element of a scale is one, of everything else zero.
+    # A scale of one is no fault; of everything else zero is.
     healthy = 1.0 if scale else 0.0
     if name.endswith(".for_s"):
-        # A fault that lasts beyond the flight is no longer than the flight.
+        # A fault beyond the end of the flight is limited to the flight.
         value = min(value, test.duration_s)
     return healthy + share * (value - healthy)
 
@@ -80,40 +80,41 @@ def shrink_faults(
     limit_deg: float,
     errors_deg: "MeanErrors",
 ) -> dict[str, float]:
-    """The values of the smallest fault found; `errors_deg` gives the mean error of many."""
-    found = dict(values)
+    """The values with the smallest faults found; `errors_deg` gives mean errors of cases."""
+    smallest = dict(values)
     grid = SIMULATOR_GRID if test.simulated else KERNEL_GRID
     for name in fault_names(test):
         low, high = 0.0, 1.0
         for _ in range(ROUNDS):
-            # Without the last point: that is the case itself, known to break.
+            # Without the last point, the case itself, which is known to break.
             share = np.linspace(low, high, grid + 1)[:-1]
-            tried = [
-                found | {name: float(v)} for v in scale_toward_none(test, name, found[name], share)
+            candidates = [
+                smallest | {name: float(v)}
+                for v in scale_toward_none(test, name, smallest[name], share)
             ]
-            broken = errors_deg(tried) >= limit_deg
+            broken = errors_deg(candidates) >= limit_deg
             if not broken.any():
                 low = float(share[-1])
                 continue
-            # The first that breaks; what lies above it need not all break.
+            # The first that breaks; larger values need not all break.
             k = int(np.argmax(broken))
             high = float(share[k])
             low = float(share[k - 1]) if k else high
-            # Even no fault breaks: the fault is not what breaks the estimator.
+            # Even no fault breaks: this fault is not the cause.
             if k == 0:
                 break
-        found[name] = float(scale_toward_none(test, name, found[name], np.array([high]))[0])
-    return found
+        smallest[name] = float(scale_toward_none(test, name, smallest[name], np.array([high]))[0])
+    return smallest
 
 
 class MeanErrors:
-    """Mean error in degrees of several cases, with the same noise for all; -inf if one leaves."""
+    """Mean errors in degrees of several cases with the same noise; -inf outside the envelope."""
 
     def __init__(self, test: TestFile, seed: int, draws: int) -> None:
         self._test, self._seed, self._draws = test, seed, draws
 
     def __call__(self, cases: list[dict[str, float]]) -> Array:
-        # The same noise for all cases: differences are then those of the faults.
+        # The same noise for all cases: only the faults differ.
         columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
         flown = make_evaluator(self._test)
         outcome = flown.evaluate_values(columns, self._seed, 0, self._draws, True)

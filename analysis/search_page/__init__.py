@@ -1,5 +1,4 @@
-"""The search on a page: one test after the other is flown and looked at.
+"""The page of an interactive search: one test after the other is flown and displayed.
 
-`Flights` flies them, one at a time, while the page goes on; `flight_data` is what the page is told
-of a flight.
+`Flights` runs them one at a time in a thread; `flight_data` is the page's data of a flight.
 """

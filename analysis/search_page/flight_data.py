@@ -1,4 +1,4 @@
-"""A flight as the page draws it: truth, sensors and estimate over time, path and parameters."""
+"""A flight for the page: truth, sensors and estimate over time, path and parameters."""
 
 import math
 from typing import Any
@@ -11,13 +11,13 @@ from analysis.search.search_session import SearchSession
 from analysis.search.shrink import pin_values
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
-MAX_SAMPLES = 12_000  # samples the page is given; of a longer flight every second, third, ...
-DIGITS = 5  # behind the point
+MAX_SAMPLES = 12_000  # samples sent to the page; longer flights are thinned
+DIGITS = 5  # decimal places
 Array = NDArray[np.float64]
 
 
 def flight_data(session: SearchSession) -> bytes:
-    """The flight on show as JSON; up to where it left the envelope, if it did."""
+    """The displayed flight as JSON, up to where it left the envelope."""
     trace = session.trace
     assert trace is not None
     count = max(int(trace.alive.sum()), 1)
@@ -30,7 +30,7 @@ def flight_data(session: SearchSession) -> bytes:
     columns = {
         "t": trace.t_s[:count, None],
         "truth": truth,
-        # Truth plus error: the estimate stays beside the truth where both wrap.
+        # Truth plus error: the estimate stays close to the unwrapped truth.
         "estimate": truth + error[:, :3],
         "error": error[:, :3],
         "gyro": np.degrees(trace.measured[:count, 0:3]),
@@ -60,18 +60,18 @@ def flight_data(session: SearchSession) -> bytes:
 
 
 def rounded_columns(values: Array) -> list[list[float]]:
-    """The columns of (n, k) as lists, short enough to be sent."""
+    """The columns of (n, k) as lists of rounded numbers."""
     return np.round(values.T, DIGITS).tolist()  # type: ignore[no-any-return]
 
 
 def parameters_of(session: SearchSession) -> list[dict[str, Any]]:
-    """Each value that is searched, with its range; the number of a target by the target's name."""
+    """Each searched value with its range; a target by its name."""
     faults = pin_values(session.test, session.values).faults
-    found = []
+    parameters = []
     for name, (low, high) in session.ranges().items():
         value: float | str = session.values[name]
         section, _, key = name.partition("].")
         if key == "target":
             value = faults[int(section.removeprefix("faults["))].target or ""
-        found.append({"name": name, "value": value, "low": low, "high": high})
-    return found
+        parameters.append({"name": name, "value": value, "low": low, "high": high})
+    return parameters

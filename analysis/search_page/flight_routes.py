@@ -1,4 +1,4 @@
-"""The routes of the search's page; who may call them is said in `analysis.web.access_control`."""
+"""The routes of the search's page; access is checked by `analysis.web.access_control`."""
 
 import contextlib
 from collections.abc import AsyncIterator
@@ -18,10 +18,10 @@ OWN_FILES = {path.name: path for path in ASSETS.iterdir() if path.suffix in (".j
 
 
 class FlightPage:
-    """The page's routes over the flights of a session."""
+    """The page's routes for the flights of a session."""
 
-    def __init__(self, flights: Flights, gate: AccessControl) -> None:
-        self._flights, self._gate = flights, gate
+    def __init__(self, flights: Flights, access: AccessControl) -> None:
+        self._flights, self._access = flights, access
         self.app = Starlette(
             routes=[
                 Route("/", self._index),
@@ -36,29 +36,29 @@ class FlightPage:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        self._flights.next()  # something to see when the page is opened
+        self._flights.next()  # so that the page has a flight to show
         yield
         await run_in_threadpool(self._flights.close)
 
     async def _index(self, request: Request) -> Response:
-        return self._gate.file(request, ASSETS / "flight.html")
+        return self._access.file(request, ASSETS / "flight.html")
 
     async def _asset(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return self._gate.file(request, OWN_FILES.get(name) or ASSET_FILES.get(name))
+        return self._access.file(request, OWN_FILES.get(name) or ASSET_FILES.get(name))
 
     async def _state(self, request: Request) -> Response:
-        return await self._gate.get_data(request, self._flights.state)
+        return await self._access.get_data(request, self._flights.state)
 
     async def _flight(self, request: Request) -> Response:
-        return await self._gate.get_data(request, self._flights.newest)
+        return await self._access.get_data(request, self._flights.newest)
 
     async def _next(self, request: Request) -> Response:
         def act(_: bytes) -> dict[str, object]:
             self._flights.next()
             return {}
 
-        return await self._gate.run_action(request, act)
+        return await self._access.run_action(request, act)
 
     async def _save(self, request: Request) -> Response:
-        return await self._gate.run_action(request, lambda _: {"files": self._flights.save()})
+        return await self._access.run_action(request, lambda _: {"files": self._flights.save()})

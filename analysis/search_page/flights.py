@@ -1,4 +1,4 @@
-"""The flights of a session, flown in a thread of their own while the page goes on."""
+"""The flights of a session, flown in a thread while the page stays responsive."""
 
 import threading
 from pathlib import Path
@@ -11,7 +11,7 @@ from mavproxy_fault.documents.errors import ConfigError
 
 
 class Flights:
-    """One flight at a time; the newest is kept as the page asks for it."""
+    """Flies one test at a time; keeps the newest flight as JSON."""
 
     def __init__(self, session: SearchSession) -> None:
         self._session = session
@@ -23,12 +23,12 @@ class Flights:
         self.saved: list[Path] = []
 
     def next(self) -> None:
-        """Begin the next test.
+        """Start the next test.
 
         Raises
         ------
         ConfigError
-            If one is still flying.
+            If one is still in flight.
         """
         with self._lock:
             self._refuse_in_flight()
@@ -36,45 +36,45 @@ class Flights:
             self._thread.start()
 
     def save(self) -> list[str]:
-        """Write the data of the test on show; the files.
+        """Save the displayed test; returns the files.
 
         Raises
         ------
         ConfigError
-            If none is on show, or it cannot be written.
+            If none is displayed, or it cannot be written.
         """
         with self._lock:
             self._refuse_in_flight()
             if self._number is None or self._failed:
-                raise ConfigError("no test is on show that could be saved; fly one first")
+                raise ConfigError("no test is displayed; fly one first")
             try:
                 files = self._session.save()
             except OSError as error:
                 raise ConfigError(
                     f"{self._session.folder}: cannot be written ({error.strerror}); "
-                    "give another folder by --out"
+                    "give another folder with --out"
                 ) from None
             self.saved += [one for one in files if one not in self.saved]
             return [str(one) for one in files]
 
     def state(self) -> bytes:
-        """The number of the test on show, whether one is flying, whether the last one failed."""
+        """Number of the displayed test, whether one is in flight, whether the last one failed."""
         flying = self._flying()
         return msgspec.json.encode(
             {"number": self._number, "flying": flying, "failed": self._failed and not flying}
         )
 
     def newest(self) -> bytes:
-        """The flight on show as JSON; null where there is none yet."""
+        """The displayed flight as JSON; null if there is none yet."""
         return self._newest
 
     def close(self) -> None:
-        """Wait for the flight that is on."""
+        """Wait for the current flight."""
         if self._thread is not None:
             self._thread.join()
 
     def _fly(self) -> None:
-        self._failed = True  # until it is down
+        self._failed = True  # until it ends
         self._session.next()
         self._newest = flight_data(self._session)
         self._number = self._session.number
@@ -85,4 +85,4 @@ class Flights:
 
     def _refuse_in_flight(self) -> None:
         if self._flying():
-            raise ConfigError("a test is being flown; wait until it is down")
+            raise ConfigError("a test is in flight; wait until it ends")

@@ -1,4 +1,4 @@
-"""`search --interactive`: fly one test at a time, look at it on a page, save it, go on."""
+"""`search --interactive`: fly one test at a time, show it on a page, save it on request."""
 
 import argparse
 import contextlib
@@ -22,16 +22,16 @@ from mavproxy_fault.documents.errors import ConfigError
 
 
 def make_flights(test: TestFile, folder: Path) -> Flights:
-    """The flights of a test file, of which none has begun.
+    """The flights of a test file; none has started.
 
     Raises
     ------
     ConfigError
-        If the simulator flies the test, which leaves no trace to draw.
+        If the simulator flies the test, which records no trace.
     """
     if test.simulated:
         raise ConfigError(
-            "--interactive: shows flights of the compiled kernels; leave out scenario, and choose"
+            "--interactive: shows only flights of the compiled kernels; leave out scenario, choose"
             " another estimator than autopilot or fusion"
         )
     return Flights(SearchSession(test, folder))
@@ -40,28 +40,28 @@ def make_flights(test: TestFile, folder: Path) -> Flights:
 def prepare_search_server(
     flights: Flights, port: int | None
 ) -> tuple[PageServer, socket.socket, str]:
-    """A server that is not started, its socket, and the address with the token.
+    """The server, not started, its socket, and the address with the token.
 
     Raises
     ------
     ConfigError
-        If the port is taken or none.
+        If the port is in use or invalid.
     """
     bound = open_socket(port)
-    gate, address = access_for(bound)
-    return make_server(FlightPage(flights, gate).app), bound, address
+    access, address = access_for(bound)
+    return make_server(FlightPage(flights, access).app), bound, address
 
 
 @contextlib.contextmanager
 def serve_search_page(flights: Flights, port: int | None = None) -> Iterator[str]:
-    """Serve the page from a thread for the length of the block; the address to open."""
+    """Serve the page from a thread inside a `with` block; yields the address to open."""
     server, bound, address = prepare_search_server(flights, port)
     with serve_in_thread(server, bound):
         yield address
 
 
 def main(args: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C, and say what was saved."""
+    """Serve the page until Ctrl-C, then print the saved files."""
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     flights = make_flights(apply_options(read_test(args.testfile), args), folder)
     server, bound, address = prepare_search_server(flights, None)

@@ -1,1 +1,1 @@
-"""The page for fault control and live view."""
+"""The web page for fault control and live view."""

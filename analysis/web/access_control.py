@@ -1,7 +1,7 @@
-"""Who may call a page's routes, and how they answer.
+"""Access control of a page's routes, and their responses.
 
-Looking is free for whoever reaches the port by its own name; whatever changes something needs the
-token that stands in the address printed at the start.
+Reading is open to any client that uses the page's own host name; changes need the token in the
+address printed at the start.
 """
 
 import secrets
@@ -15,7 +15,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from mavproxy_fault.documents.errors import ConfigError
 
-MAX_BODY_BYTES = 1_000_000
+MAX_BODY_BYTES = 1_000_000  # larger than any schedule
 ASSETS = Path(__file__).parent / "assets"
 PLOT_ASSETS = Path(__file__).parents[1] / "report" / "page" / "assets"
 ASSET_FILES = {
@@ -33,47 +33,48 @@ HEADERS = {
 
 
 class AccessControl(NamedTuple):
-    """The token of changes, and the names to call the page by."""
+    """The token for changes, and the allowed host names."""
 
     token: str
     hosts: frozenset[str]
 
     def refusal(self, call: HTTPConnection, *, changes: bool = False) -> str | None:
-        """Why a call is refused; None if it is not."""
-        # A page of another site could reach the port by a name of its own.
+        """Why a call is refused; None if it is allowed."""
+        # DNS rebinding: another site could reach the port under its own name.
         if call.headers.get("host") not in self.hosts:
-            return "this page is served on loopback by its own name only"
+            return "unknown host name; open the page at the address printed at the start"
         origin = call.headers.get("origin")
-        # A browser tells where a call comes from; programs send no origin.
+        # Browsers send the origin of a call; programs do not.
         if origin is not None and origin.removeprefix("http://") not in self.hosts:
-            return "another site's page may not use this one"
-        given = call.headers.get("x-token", "")
-        # In constant time: the answer's delay must not tell how much was right.
-        if changes and not secrets.compare_digest(given.encode(), self.token.encode()):
-            return "the token is wrong; open the address that was printed at the start"
+            return "requests from other sites are not allowed; open this page itself"
+        token_sent = call.headers.get("x-token", "")
+        # Constant-time comparison: the delay must not reveal how much matched.
+        if changes and not secrets.compare_digest(token_sent.encode(), self.token.encode()):
+            return "the token is wrong; open the address printed at the start"
         return None
 
     def file(self, request: Request, path: Path | None) -> Response:
-        """A file, if there is one."""
+        """Return a file, 404 without one."""
         refusal = self.refusal(request)
         if refusal:
             return refusal_answer(403, refusal)
         if path is None:
-            return refusal_answer(404, "there is no such file")
+            return refusal_answer(404, "no such file")
         return FileResponse(path, headers=HEADERS)
 
     async def get_data(self, request: Request, data: Callable[[], bytes]) -> Response:
-        """JSON for whoever looks, made in a thread of its own."""
+        """Return JSON data, computed in a thread; needs no token."""
         refusal = self.refusal(request)
         if refusal:
             return refusal_answer(403, refusal)
-        found = await run_in_threadpool(data)
-        return Response(found, media_type="application/json", headers=HEADERS)
+        content = await run_in_threadpool(data)
+        return Response(content, media_type="application/json", headers=HEADERS)
 
     async def run_action(
         self, request: Request, act: Callable[[bytes], dict[str, Any]]
     ) -> Response:
-        """What `act` makes of the body, in a thread of its own; its ConfigError is a refusal."""
+        """Return the result of `act` on the body, run in a thread; a ConfigError gives status
+        400."""
         refusal = self.refusal(request, changes=True)
         if refusal:
             return refusal_answer(403, refusal)
@@ -84,7 +85,7 @@ class AccessControl(NamedTuple):
 
 
 async def read_body(request: Request) -> bytes:
-    """The body, up to a size that any schedule stays below.
+    """Read the body, up to `MAX_BODY_BYTES`.
 
     Raises
     ------
@@ -92,7 +93,7 @@ async def read_body(request: Request) -> bytes:
         If it is larger.
     """
     body = b""
-    # Counted as it comes: the length a client announces may be wrong.
+    # Counted while reading: the announced length may be wrong.
     async for part in request.stream():
         body += part
         if len(body) > MAX_BODY_BYTES:
@@ -101,5 +102,5 @@ async def read_body(request: Request) -> bytes:
 
 
 def refusal_answer(status: int, text: str) -> JSONResponse:
-    """A refusal with its reason."""
+    """An error response with its reason."""
     return JSONResponse({"error": text}, status, headers=HEADERS)

@@ -1,4 +1,4 @@
-"""What the page offers before anything is armed: the faults, the presets, and a drawn preview."""
+"""Data of the page's fault form: faults, presets, suggested targets, and a preview."""
 
 import math
 from functools import cache
@@ -14,20 +14,20 @@ from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names, read_preset
 from mavproxy_fault.wire.dialect import message_layout
 
-# Messages whose fields are suggested as targets; any other of the dialect may be typed.
+# Messages whose fields are suggested as targets; any other may be typed.
 SUGGESTED_MESSAGES = (
     "HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT",
     "ATTITUDE", "ATTITUDE_QUATERNION", "VFR_HUD", "RAW_IMU", "SCALED_PRESSURE", "ODOMETRY",
     "DISTANCE_SENSOR", "HIL_ACTUATOR_CONTROLS", "BATTERY_STATUS",
 )  # fmt: skip
-MAX_POINTS = 600
+MAX_POINTS = 600  # pixels of a preview's width
 
 
 @cache
 def fault_catalogue() -> bytes:
-    """Faults with their schema, presets with a line about each, and targets to suggest, as JSON."""
+    """Faults with their schema, presets with a description, and suggested targets, as JSON."""
     described = schedule_schema()
-    # The last choice is the presets' own.
+    # The last choice is that of presets.
     choices = described["properties"]["faults"]["items"]["anyOf"][:-1]
     faults = {
         name: {
@@ -58,7 +58,7 @@ def fault_catalogue() -> bytes:
 
 def flight_modes() -> dict[str, Any]:
     """Names of flight modes: PX4's by `main.sub`, ArduPilot's by MAV_TYPE and number."""
-    from pymavlink import mavutil  # takes its time to load
+    from pymavlink import mavutil  # slow to import
 
     px4 = {f"{main}.{sub}": name.lower() for name, (_, main, sub) in mavutil.px4_map.items()}
     ardupilot = {
@@ -69,12 +69,12 @@ def flight_modes() -> dict[str, Any]:
 
 
 def preview_entry(body: bytes) -> dict[str, Any]:
-    """What an entry (JSON) does to made-up healthy data, through the engine.
+    """The effect of an entry (JSON) on synthetic fault-free data.
 
     Raises
     ------
     ConfigError
-        If the entry is wrong, with every error.
+        If the entry is invalid, with all errors.
     """
     try:
         entry = msgspec.json.decode(body, type=dict[str, Any])
@@ -87,8 +87,8 @@ def preview_entry(body: bytes) -> dict[str, Any]:
 
 
 def thin_curve(curve: FaultCurve) -> dict[str, Any]:
-    """A curve thinned to what a small plot can show; None where there is no number."""
-    # Rounded up, so that no curve exceeds its points.
+    """A curve thinned for a small plot; None where there is no number."""
+    # Rounded up, so that no curve exceeds MAX_POINTS.
     step = max(1, math.ceil(len(curve.t_s) / MAX_POINTS))
     return {
         "name": curve.name,
@@ -100,5 +100,5 @@ def thin_curve(curve: FaultCurve) -> dict[str, Any]:
 
 
 def finite_or_none(y: float) -> float | None:
-    """A number as JSON can hold it."""
+    """The number, None where JSON cannot represent it."""
     return y if math.isfinite(y) else None

@@ -1,4 +1,4 @@
-"""The page's server: uvicorn on loopback, alone or beside a run."""
+"""The page's server: uvicorn on loopback, standalone or beside a run."""
 
 import argparse
 import contextlib
@@ -26,47 +26,47 @@ from mavproxy_fault.links.bus import DEFAULT_URL, choose_free_port
 from mavproxy_fault.links.open_hint import describe_port_owner
 
 DEFAULT_PORT = 8350
-MAX_VIEWER_MESSAGE = 16_384  # bytes that a viewer may say at once
+MAX_VIEWER_MESSAGE = 16_384  # bytes of one message from a viewer, a list of names
 
 
 def open_socket(port: int | None) -> socket.socket:
-    """A socket on loopback; port 0 is any free one, None the usual one where it is free.
+    """A listening socket on loopback; port 0 is any free one, None the default if it is free.
 
     Raises
     ------
     ConfigError
-        If the port is taken or none.
+        If the port is in use or invalid.
     """
     if port is None:
         with contextlib.suppress(ConfigError):
             return open_socket(DEFAULT_PORT)
         return open_socket(0)
     if not 0 <= port <= 65535:
-        raise ConfigError(f"--port {port}: is no port; allowed: 0 to 65535")
-    found = socket.socket()
-    # A port that was used a moment ago may be bound again at once.
-    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        raise ConfigError(f"--port {port}: is not a port; give 0 to 65535")
+    bound = socket.socket()
+    # Allow a recently used port to be bound again.
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        found.bind(("127.0.0.1", port))
-        found.listen()  # whoever comes before the server is up waits
+        bound.bind(("127.0.0.1", port))
+        bound.listen()  # early connections wait for the server
     except OSError as error:
-        found.close()
+        bound.close()
         who = f" ({describe_port_owner(port, tcp=True)})" if error.errno == errno.EADDRINUSE else ""
         raise ConfigError(f"--port {port}: {error.strerror}{who}; give a free TCP port") from None
-    return found
+    return bound
 
 
 class PageServer(uvicorn.Server):  # type: ignore[misc]
-    """A server that ends in order at a second Ctrl-C too: it takes a second at most."""
+    """A server that shuts down cleanly at a second Ctrl-C too, within a second."""
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """End; uvicorn would leave the source's thread behind at the second signal."""
+        """Shut down; at a second signal uvicorn would leave the source's thread running."""
         super().handle_exit(sig, frame)
         self.force_exit = False
 
 
 class PageOptions(NamedTuple):
-    """What the page offers beyond faults: commands to the vehicle, a folder of sequences."""
+    """Options of the page: commands to the vehicle, a folder of test sequences."""
 
     commands: bool = False
     sequences: Path | None = None
@@ -78,41 +78,41 @@ NO_OPTIONS = PageOptions()
 def prepare_server(
     zenoh: str | None, port: int | None, config_file: str = "", offer: PageOptions = NO_OPTIONS
 ) -> tuple[PageServer, RunSource, socket.socket, str]:
-    """A server that is not started, its source, its socket, and the address with the token.
+    """The server, not started, its source, its socket, and the address with the token.
 
     Raises
     ------
     ConfigError
-        If the port is taken or none, or the sequences' folder is not there.
+        If the port is in use or invalid, or the sequence folder does not exist.
     """
     folder = SequenceFolder(offer.sequences)
     bound = open_socket(port)
-    gate, address = access_for(bound)
+    access, address = access_for(bound)
     feed = Feed()
     source = RunSource(feed, zenoh, config_file)
-    page = LivePage(feed, source, gate, folder, offer.commands)
+    page = LivePage(feed, source, access, folder, offer.commands)
     return make_server(page.app), source, bound, address
 
 
 def access_for(bound: socket.socket) -> tuple[AccessControl, str]:
-    """Who may call a page on that socket, and the address with the token."""
+    """Access control of a page on a socket, and the address with a new token."""
     number = bound.getsockname()[1]
-    # 18 bytes of chance: nobody guesses it.
+    # 18 random bytes cannot be guessed.
     token = secrets.token_urlsafe(18)
-    # Only these names: a foreign name that leads to loopback is refused.
+    # Only these host names: others that resolve to loopback are refused.
     hosts = frozenset({f"127.0.0.1:{number}", f"localhost:{number}"})
-    # Behind the `#`: browsers send that part to nobody.
+    # After the `#`: browsers do not send this part.
     return AccessControl(token, hosts), f"http://127.0.0.1:{number}/#token={token}"
 
 
 def make_server(app: Starlette) -> PageServer:
-    """A server for the routes, not started yet."""
+    """Create a server for the routes, not started."""
     return PageServer(
         uvicorn.Config(
             app,
             ws="websockets-sansio",
             ws_max_size=MAX_VIEWER_MESSAGE,
-            # It would cost more than all the rest, and loopback is wide.
+            # Compression would cost more than everything else; loopback is fast.
             ws_per_message_deflate=False,
             log_level="warning",
             access_log=False,
@@ -123,7 +123,7 @@ def make_server(app: Starlette) -> PageServer:
 
 @contextlib.contextmanager
 def serve_in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
-    """Let a server answer on a socket for the length of the block."""
+    """Run a server on a socket in a thread inside a `with` block."""
     thread = threading.Thread(target=server.run, args=([bound],), name="page")
     thread.start()
     try:
@@ -141,12 +141,12 @@ def serve_page(
     config_file: str = "",
     offer: PageOptions = NO_OPTIONS,
 ) -> Iterator[str]:
-    """Serve the page from a thread for the length of the block; the address to open.
+    """Serve the page from a thread inside a `with` block; yields the address to open.
 
     Raises
     ------
     ConfigError
-        If the port is taken or none.
+        If the port is in use or invalid.
     """
     server, source, bound, address = prepare_server(zenoh, port, config_file, offer)
     with contextlib.closing(source), serve_in_thread(server, bound):
@@ -155,19 +155,19 @@ def serve_page(
 
 @contextlib.contextmanager
 def serve_beside(args: argparse.Namespace) -> Iterator[None]:
-    """Serve the page while a run gets ready and goes on.
+    """Serve the page during a run, from its preparation on.
 
     Raises
     ------
     ConfigError
-        If there is no bus for it to listen to.
+        If Zenoh is off.
     """
     if args.zenoh == "off":
-        raise ConfigError("--ui: the page listens on Zenoh; leave out --zenoh off")
-    # By name, as a run may do without the default address, but the page shows nothing then. Without
-    # a port the address would be another than the proxy's.
+        raise ConfigError("--ui: the page needs Zenoh; leave out --zenoh off")
+    # An explicit address: a run may skip a failing default one, and the page would show nothing.
+    # Without a port the address would differ from the proxy's.
     args.zenoh = DEFAULT_URL if args.zenoh == "auto" else choose_free_port(args.zenoh)
-    # What flies here is simulated: it may be commanded.
+    # The vehicle is simulated: commands are allowed.
     with serve_page(
         args.zenoh, config_file=args.zenoh_config, offer=PageOptions(commands=True)
     ) as address:
@@ -179,14 +179,14 @@ def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
     offer = PageOptions(args.allow_commands, Path(args.sequences) if args.sequences else None)
     server, source, bound, address = prepare_server(args.zenoh, args.port, args.zenoh_config, offer)
-    # uvicorn gives the signals back when it ends, before all has been closed here.
+    # uvicorn restores the signal handlers when it ends, before everything is closed here.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, server.handle_exit)
     print(f"page: {address}", flush=True)
-    begun_s = time.monotonic()
+    start_s = time.monotonic()
     try:
         server.run([bound])
     finally:
         source.close()
-    print(f"stopped after {time.monotonic() - begun_s:.0f} s", flush=True)
+    print(f"stopped after {time.monotonic() - start_s:.0f} s", flush=True)
     return 0

@@ -1,4 +1,4 @@
-"""The page's routes; who may call them is said in `gate`."""
+"""The page's routes; access is checked by `access_control`."""
 
 import asyncio
 import contextlib
@@ -26,25 +26,25 @@ from analysis.web.run_source import RunSource
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 
-TICK_S = 0.04  # a batch holds all that came in it; a screen shows no more
-VIEWERS_PER_TICK = 20  # with so many viewers more, batches come a tick later and hold more
-# Ids hold no wildcards of the bus: a request names one key.
+TICK_S = 0.04  # one batch per tick: 25 a second are smooth on a screen
+VIEWERS_PER_TICK = 20  # for every so many viewers batches come one tick later
+# Ids must not contain wildcards of the bus: a request names one key.
 CONTROL = re.compile(r"fault/[^/*$?#]+/(arm|disarm|value)|schedule/(load|begin|save|stop)")
 
 
 class LivePage:
-    """The page's routes over one source of data; `commands` to the vehicle may be allowed."""
+    """The page's routes for one data source; `commands` allows commands to the vehicle."""
 
     def __init__(
         self,
         feed: Feed,
         source: RunSource,
-        gate: AccessControl,
+        access: AccessControl,
         sequences: SequenceFolder,
         commands: bool,
     ) -> None:
         self._feed, self._source, self._sequences = feed, source, sequences
-        self._gate, self._commands = gate, commands
+        self._access, self._commands = access, commands
         self.app = Starlette(
             routes=[
                 Route("/", self._index),
@@ -78,23 +78,23 @@ class LivePage:
             await asyncio.sleep(TICK_S * (1 + self._feed.viewers // VIEWERS_PER_TICK))
 
     async def _index(self, request: Request) -> Response:
-        return self._gate.file(request, ASSETS / "index.html")
+        return self._access.file(request, ASSETS / "index.html")
 
     async def _asset(self, request: Request) -> Response:
-        return self._gate.file(request, ASSET_FILES.get(request.path_params["name"]))
+        return self._access.file(request, ASSET_FILES.get(request.path_params["name"]))
 
     async def _catalogue(self, request: Request) -> Response:
-        # The first call loads the faults, which takes longer than a tick.
-        return await self._gate.get_data(request, load_catalogue)
+        # In a thread: the first call loads the faults, which takes longer than a tick.
+        return await self._access.get_data(request, load_catalogue)
 
     async def _preview(self, request: Request) -> Response:
-        refusal = self._gate.refusal(request, changes=True)
+        refusal = self._access.refusal(request, changes=True)
         if refusal:
             return refusal_answer(403, refusal)
         try:
             body = await read_body(request)
             return JSONResponse(await run_in_threadpool(load_preview, body))
-        except ConfigError as error:  # a form half filled in is nothing wrong
+        except ConfigError as error:  # an incomplete form is not an error
             return JSONResponse({"curves": [], "error": str(error)}, headers=HEADERS)
 
     async def _choose(self, request: Request) -> Response:
@@ -102,19 +102,19 @@ class LivePage:
             self._source.choose(body.decode("utf-8", "replace"))
             return {}
 
-        return await self._gate.run_action(request, act)
+        return await self._access.run_action(request, act)
 
     async def _check(self, request: Request) -> Response:
-        return await self._gate.run_action(request, check_body)
+        return await self._access.run_action(request, check_body)
 
     async def _allowed(self, request: Request) -> Response:
-        """What whoever has the token may do: command the vehicle, keep sequences."""
+        """What the token allows: commands to the vehicle, stored sequences."""
         known = {"commands": self._commands, "sequences": self._sequences.names()}
-        return await self._gate.run_action(request, lambda _: known)
+        return await self._access.run_action(request, lambda _: known)
 
     async def _read(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return await self._gate.run_action(
+        return await self._access.run_action(
             request, lambda _: check_body(self._sequences.read(name))
         )
 
@@ -123,30 +123,30 @@ class LivePage:
             self._sequences.write(request.path_params["name"], check_body(body)["yaml"])
             return {"sequences": self._sequences.names()}
 
-        return await self._gate.run_action(request, act)
+        return await self._access.run_action(request, act)
 
     async def _control(self, request: Request) -> Response:
-        refusal = self._gate.refusal(request, changes=True)
+        refusal = self._access.refusal(request, changes=True)
         if refusal:
             return refusal_answer(403, refusal)
         what = request.path_params["what"]
         if CONTROL.fullmatch(what) is None:
             return refusal_answer(
-                404, f"{what} is unknown; ids take letters, digits, dots, - and _"
+                404, f"{what} is unknown; ids consist of letters, digits, dots, - and _"
             )
         try:
             body = await read_body(request)
             if not self._commands:
                 await run_in_threadpool(refuse_commands, what, body)
-            # The bus waits for its answer; the page must go on meanwhile.
+            # In a thread: the bus blocks until its reply.
             reply = await run_in_threadpool(self._source.query, what, body)
         except ConfigError as error:
             return refusal_answer(400, str(error))
         return Response(reply, media_type="application/json")
 
     async def _live(self, socket: WebSocket) -> None:
-        if self._gate.refusal(socket):
-            # 1008: against the policy.
+        if self._access.refusal(socket):
+            # 1008: policy violation.
             await socket.close(1008)
             return
         await socket.accept()
@@ -168,26 +168,26 @@ class LivePage:
 
 
 async def send_batches(socket: WebSocket, queue: "asyncio.Queue[str]") -> None:
-    """Send batches until the viewer leaves; waits while its connection is full."""
+    """Send batches until the viewer disconnects; waits while its connection is busy."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while True:
             await socket.send_text(await queue.get())
 
 
 def load_catalogue() -> bytes:
-    """The catalogue; the faults are loaded when the first page asks, not at the start."""
+    """The fault catalogue; faults are imported at the first request, not at the start."""
     from analysis.web.form_data import fault_catalogue
 
     return fault_catalogue()
 
 
 def load_preview(body: bytes) -> dict[str, Any]:
-    """The drawing of an entry, likewise.
+    """The preview of an entry, imported lazily too.
 
     Raises
     ------
     ConfigError
-        If the entry is wrong.
+        If the entry is invalid.
     """
     from analysis.web.form_data import preview_entry
 
@@ -195,12 +195,12 @@ def load_preview(body: bytes) -> dict[str, Any]:
 
 
 def check_body(body: bytes) -> dict[str, Any]:
-    """A test sequence as a schedule file and as steps, likewise.
+    """A test sequence as a schedule file and as steps, imported lazily too.
 
     Raises
     ------
     ConfigError
-        If it is wrong.
+        If it is invalid.
     """
     from analysis.web.sequence import check_sequence
 
@@ -208,7 +208,7 @@ def check_body(body: bytes) -> dict[str, Any]:
 
 
 def refuse_commands(what: str, body: bytes) -> None:
-    """Refuse a query that commands the vehicle, likewise.
+    """Refuse a query that commands the vehicle, imported lazily too.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where the page's data comes from: a run that is alive on the bus, followed over restarts."""
+"""The page's data source: a live run on the bus, also after restarts."""
 
 import contextlib
 import threading
@@ -11,13 +11,13 @@ from analysis.web.run_summaries import SUBSCRIBED, RunSummaries
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
 
-POLL_S = 0.5  # between two looks at who is there
+POLL_S = 0.5  # between two searches for runs
 STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
 PROXY, RUN = "/alive/proxy", "/alive/run"
 
 
 class RunSource:
-    """Feeds what the live run publishes, and carries requests to it."""
+    """Forwards the samples of the live run to the feed, and requests to the run."""
 
     def __init__(self, feed: Feed, url: str | None, config_file: str = "") -> None:
         self._feed = feed
@@ -27,48 +27,48 @@ class RunSource:
         self._bus: Bus | None = None
         self._listener: Bus | None = None
         self._runs: list[str] = []
-        self._starting: list[str] = []  # runs, of which some are still getting ready
+        self._starting: list[str] = []  # runs, including those that are starting
         self._rows = RunSummaries()
-        self._shown: dict[str, Any] = {}  # the rows that the viewers have
+        self._shown: dict[str, Any] = {}  # the summaries that the viewers have
         self._chosen: str | None = None
-        # No daemon: one that is inside Zenoh when the interpreter ends aborts the process.
+        # Not a daemon: inside Zenoh at interpreter exit it would abort the process.
         self._thread = threading.Thread(target=self._follow, name="bus of the page")
 
     def start(self) -> None:
-        """Begin to look for a proxy or run."""
+        """Start to search for a proxy or run."""
         self._publish_status()
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the bus, if it was joined; closing twice does nothing more."""
+        """Leave the bus; may be called twice."""
         self._stopping.set()
         if self._thread.ident is not None:  # it was started
             self._thread.join()
 
     def choose(self, run: str) -> None:
-        """Follow another of the runs that are there.
+        """Switch to another of the available runs.
 
         Raises
         ------
         ConfigError
-            If there is none of that name.
+            If there is no run of that name.
         """
         if run not in self._runs:
-            there = ", ".join(self._runs) or "none"
-            raise ConfigError(f"run {run!r} is not there; there are: {there}")
+            available = ", ".join(self._runs) or "none"
+            raise ConfigError(f"run {run!r} is not available; available: {available}")
         self._chosen = run
 
     def query(self, what: str, payload: bytes) -> bytes:
-        """The answer of the proxy to a query below `@ctl/`.
+        """The proxy's reply to a query below `@ctl/`.
 
         Raises
         ------
         ConfigError
-            If it refuses, or there is none.
+            If it refuses, or there is no proxy.
         """
         bus = self._bus
         if bus is None:
-            raise ConfigError(f"{self.url}: no proxy and no run is there; start one first")
+            raise ConfigError(f"{self.url}: no proxy or run is available; start one first")
         return bus.query(f"@ctl/{what}", payload)[0]
 
     def _follow(self) -> None:
@@ -80,29 +80,29 @@ class RunSource:
                 self._stopping.wait(POLL_S)
 
     def _request_messages(self) -> None:
-        """Have the proxy show what the viewers want to see; it forgets in some seconds."""
-        wishes = self._feed.requested_messages()
-        if wishes and self._bus is not None:
-            with contextlib.suppress(ConfigError):  # a proxy that is just going
-                self._bus.query("@ctl/watch", msgspec.json.encode(wishes))
+        """Request the viewers' messages from the proxy; a request expires after some seconds."""
+        requested = self._feed.requested_messages()
+        if requested and self._bus is not None:
+            with contextlib.suppress(ConfigError):  # the proxy may be shutting down
+                self._bus.query("@ctl/watch", msgspec.json.encode(requested))
 
     def _find_runs(self, stack: contextlib.ExitStack) -> None:
-        """Join the run that is alive, leave the one that is not."""
+        """Join a live run, leave one that has ended."""
         try:
             if self._listener is None:
                 self._listener = stack.enter_context(self._open("*"))
                 for suffix in SUBSCRIBED:
                     self._listener.subscribe(suffix, self._rows.add_sample)
-            there = self._listener.list_components()
-            runs = [run_of(key) for key in there if key.endswith(PROXY)]
-            coming = [run_of(key) for key in there if key.endswith(RUN)]
+            available = self._listener.list_components()
+            runs = [run_of(key) for key in available if key.endswith(PROXY)]
+            starting = [run_of(key) for key in available if key.endswith(RUN)]
             joined = self._bus.run if self._bus is not None else None
-            # The one chosen, else the one followed so far, else the newest.
+            # The chosen run, else the current one, else the newest.
             wanted = next((run for run in (self._chosen, joined, *runs[-1:]) if run in runs), None)
-            # Of one run all is on the page anyway.
+            # A single run needs no summary.
             rows = self._rows.summaries_of(runs) if len(runs) > 1 else {}
-            changed = (runs, coming, rows) != (self._runs, self._starting, self._shown)
-            self._runs, self._starting, self._shown = runs, coming, rows
+            changed = (runs, starting, rows) != (self._runs, self._starting, self._shown)
+            self._runs, self._starting, self._shown = runs, starting, rows
             if wanted != joined:
                 self._leave()
                 if wanted is not None:
@@ -118,7 +118,7 @@ class RunSource:
     def _join(self, run: str) -> None:
         self._feed.clear_run()
         bus = self._open(run)
-        # Keys are shown without the run's prefix.
+        # The feed uses keys without the run's prefix.
         prefix = len(bus.key(""))
         self._bus = bus
         self._publish_status()  # before its first sample: the page clears its plots
@@ -128,18 +128,18 @@ class RunSource:
     def _leave(self) -> None:
         if self._bus is None:
             return
-        # Cleared first: threads that ask now find none rather than a closed one.
+        # Cleared first: other threads must find none rather than a closed one.
         bus, self._bus = self._bus, None
         bus.close()
         self._publish_status()
 
     def _publish_status(self) -> None:
         run = None if self._bus is None else self._bus.run
-        coming = [name for name in self._starting if name not in self._runs]
-        news = {"run": run, "runs": self._runs, "coming": coming, "url": self.url}
+        starting = [name for name in self._starting if name not in self._runs]
+        news = {"run": run, "runs": self._runs, "coming": starting, "url": self.url}
         self._feed.set_status({**news, "rows": self._shown})
 
 
 def run_of(key: str) -> str:
-    """The run in the key of a component that is alive."""
+    """The run in the liveliness key of a component."""
     return key.removeprefix(f"{ROOT}/").partition("/")[0]

@@ -1,4 +1,4 @@
-"""What each run on the bus is doing, in a row, where there are several at once."""
+"""A summary of each run on the bus, for the page's row of runs."""
 
 from typing import Any
 
@@ -11,19 +11,19 @@ SUBSCRIBED = (STATE, VERDICT)
 
 
 class RunSummaries:
-    """The newest state and verdict of every run; noted from the bus's threads, read by another."""
+    """The newest state and verdict of every run; thread-safe for one reader."""
 
     def __init__(self) -> None:
         self._newest: dict[tuple[str, str], bytes] = {}
 
     def add_sample(self, key: str, payload: bytes) -> None:
-        """Keep the newest; it is read when somebody wants to see it."""
+        """Keep the newest sample; it is decoded when it is needed."""
         run, _, what = key.removeprefix(f"{ROOT}/").partition("/")
         self._newest[run, what] = payload
 
     def summaries_of(self, runs: list[str]) -> dict[str, dict[str, Any]]:
-        """By run: how many faults it has, which act, and what its detector blames."""
-        # What belongs to a run that is gone would be told of its successor.
+        """By run: the number of faults, the active ones, and what its detector isolated."""
+        # Data of an ended run must not be shown for a later one of that name.
         for run, what in list(self._newest):
             if run not in runs:
                 self._newest.pop((run, what), None)

@@ -1,4 +1,4 @@
-"""Test sequences of the page: checked, and refused where they command the vehicle."""
+"""Checks of the page's test sequences, also for commands to the vehicle."""
 
 import contextlib
 from typing import Any
@@ -14,12 +14,12 @@ from mavproxy_fault.schedule.saving import write_schedule
 
 
 def check_sequence(body: bytes) -> dict[str, Any]:
-    """A sequence as a schedule file, and as the data of its steps.
+    """Check a sequence; returns it as a schedule file and as steps.
 
     Raises
     ------
     ConfigError
-        With every error of it.
+        If it is invalid, with all errors.
     """
     schedule = parse_schedule(read_yaml(body.decode("utf-8", "replace"), "sequence"))
     text = write_schedule(schedule.seed, [(entry, 0.0) for entry in schedule.faults])
@@ -28,31 +28,31 @@ def check_sequence(body: bytes) -> dict[str, Any]:
 
 
 def refuse_commands(what: str, body: bytes) -> None:
-    """Refuse what commands the vehicle: `what` is the query that would carry it to the proxy.
+    """Refuse commands to the vehicle; `what` is the query that would send it to the proxy.
 
     Raises
     ------
     ConfigError
-        If it does, or is no YAML.
+        If it contains a command, or is not YAML.
     """
-    listed: Any = []
+    items: Any = []
     if what.endswith("/arm"):
-        # What cannot be read, the proxy explains.
+        # The proxy reports what cannot be decoded.
         with contextlib.suppress(msgspec.DecodeError):
-            listed = [msgspec.json.decode(body)]
+            items = [msgspec.json.decode(body)]
     elif what in ("schedule/load", "schedule/begin"):
         data = read_yaml(body.decode("utf-8", "replace"), what).data
-        listed = data.get("faults") if isinstance(data, dict) else []
-    for item in listed if isinstance(listed, list) else []:
+        items = data.get("faults") if isinstance(data, dict) else []
+    for item in items if isinstance(items, list) else []:
         if isinstance(item, dict) and commands_vehicle(item):
             raise ConfigError(
-                f"{what}: commands the vehicle, which this page does not do; start it with "
+                f"{what}: commands to the vehicle are not allowed; start the page with "
                 "--allow-commands"
             )
 
 
 def commands_vehicle(item: dict[str, Any]) -> bool:
-    """Whether an item of a schedule, as written, is or holds a command to the vehicle."""
+    """Whether an item of a schedule file is or contains a command to the vehicle."""
     preset = str(item.get("preset"))
     parts = preset_parts(preset) if preset in preset_names() else [item]
     kinds = [fault_class(str(part.get("fault"))) for part in parts]

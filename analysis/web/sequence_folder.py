@@ -1,4 +1,4 @@
-"""The folder in which the page keeps test sequences, as schedule files."""
+"""The folder in which the page stores test sequences, as schedule files."""
 
 import re
 from pathlib import Path
@@ -9,26 +9,26 @@ FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,80}\.ya?ml")
 
 
 class SequenceFolder:
-    """The folder in which sequences are kept; None keeps none."""
+    """Stores sequences in a folder; without one (None) none can be stored."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         if folder is not None and not folder.is_dir():
-            raise ConfigError(f"--sequences {folder}: is no folder; give one that is there")
+            raise ConfigError(f"--sequences {folder}: is not a folder; give an existing one")
 
     def names(self) -> list[str] | None:
-        """The files there are; None where none can be kept."""
+        """The stored files; None without a folder."""
         if self._folder is None:
             return None
         return sorted(one.name for one in self._folder.iterdir() if FILE_NAME.fullmatch(one.name))
 
     def read(self, name: str) -> bytes:
-        """One of them.
+        """Read a stored sequence.
 
         Raises
         ------
         ConfigError
-            If there is none of that name.
+            If it does not exist.
         """
         try:
             return self._path(name).read_bytes()
@@ -36,7 +36,7 @@ class SequenceFolder:
             raise ConfigError(f"{name}: cannot be read ({error.strerror})") from None
 
     def write(self, name: str, text: str) -> None:
-        """Keep one under a name, in the place of what had it.
+        """Store a sequence under a name, replacing an earlier one.
 
         Raises
         ------
@@ -51,12 +51,12 @@ class SequenceFolder:
 
     def _path(self, name: str) -> Path:
         if self._folder is None:
-            raise ConfigError("no folder for sequences; start the page with --sequences DIR")
-        # A plain name, and no link: what lies outside of the folder is none of the page's business.
+            raise ConfigError("the page has no folder for sequences; start it with --sequences DIR")
+        # A plain name and not a link: the page must not access other folders.
         path = self._folder / name
         if not FILE_NAME.fullmatch(name) or path.is_symlink():
             raise ConfigError(
-                f"{name!r} is no name of a sequence; allowed: letters, digits, dots, - and _, "
+                f"{name!r} is not a valid name of a sequence; use letters, digits, dots, - and _, "
                 "with .yaml at the end"
             )
         return path

@@ -41,7 +41,7 @@ def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     if cells[0].magnitude is not None:
         values["faults[0].value"] = np.array([0.0, *(cell.magnitude for cell in cells)], float)
     # With the same noise in every lane, only the fault makes a difference to the reference flight.
-    outcome = batch.evaluate_values(values, cells[0].seed, 0, 1, alike=True)
+    outcome = batch.evaluate_values(values, cells[0].seed, 0, 1, same_noise=True)
     largest_deg = outcome.largest_deg[:, ANGLE_COLUMN]
     excursion_deg = largest_deg[1:] - largest_deg[0]
     # Every cell gets an equal share of the batch's time.

@@ -1,4 +1,5 @@
-"""Decisions as weights: 1 healthy, between the thresholds less, 0 isolated."""
+"""Weights of measurements from detector decisions: 1 healthy, less between thresholds, 0
+isolated."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -7,16 +8,14 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Decision, Result, SensorDecision
 
 USABLE_HYPOTHESES = ("none", "satellites", "clock", "gps", "imu")
-DEWEIGHT_FROM = (
-    0.7  # of the root of a sensor's threshold: from here its weight falls to 0 at the alarm
-)
+DEWEIGHT_FROM = 0.7  # of the root of a sensor's threshold: the weight falls from 1 here to 0 at 1
 
 
 def residual_weight(normalised: float, suspicious: float, hopeless: float) -> float:
     """s(r) of a normalised residual: 1 up to `suspicious`, 0 from `hopeless`.
 
-    Between them 1 - 3 u^2 + 2 u^3 with u the share of the way, so that neither the weight nor its
-    slope jumps.
+    Between them 1 - 3 u^2 + 2 u^3 with u from 0 to 1, so that neither the weight nor its slope
+    jumps.
     """
     u = (abs(normalised) - suspicious) / (hopeless - suspicious)
     u = min(max(u, 0.0), 1.0)
@@ -26,18 +25,18 @@ def residual_weight(normalised: float, suspicious: float, hopeless: float) -> fl
 def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
     """Weights of the satellites the detector tested at one epoch.
 
-    Nothing is trusted where the detector could not tell who is wrong. The residuals are those
-    before the isolation: where something was isolated, they say nothing about the others.
+    All weights are 0 where the detector could not isolate the fault. The residuals are those before
+    isolation, so that with an isolated satellite they are not used for the others.
     """
     if not config.decide:
         return dict.fromkeys((*decision.satellites, *decision.excluded), 1.0)
     if decision.hypothesis not in USABLE_HYPOTHESES:
         return dict.fromkeys(decision.satellites, 0.0)
-    # Also without an alarm: the detector says that it could not tell.
+    # Also without an alarm: the hypothesis says that isolation failed.
     weights = dict.fromkeys(decision.satellites, 1.0)
     if not decision.alarm and decision.hypothesis in ("none", "satellites"):
         for name, value in zip(decision.satellites, decision.normalised, strict=False):
-            # A residual that is unknown counts as hopeless.
+            # An unknown residual counts as hopeless.
             residual = float("inf") if value is None else value
             if not abs(residual) <= config.suspicious:
                 weights[name] = residual_weight(residual, config.suspicious, config.hopeless)
@@ -46,7 +45,7 @@ def range_weights(decision: Decision, config: FusionConfig) -> dict[str, float]:
 
 
 def faulty_rates(results: Sequence[Result]) -> frozenset[str]:
-    """Satellites whose Doppler rate was found wrong at this epoch, and whose range was not."""
+    """Satellites with a faulty Doppler rate but no faulty range at this epoch."""
     return frozenset(
         result.suspect
         for result in results
@@ -69,7 +68,7 @@ def sensor_weights(
                 DEWEIGHT_FROM,
                 1.0,
             )
-    # Isolated sensors last: what was isolated has no weight, whatever its statistic.
+    # Isolated sensors last: they have no weight, whatever their statistic.
     return weights | dict.fromkeys(isolated, 0.0)
 
 

@@ -1,24 +1,23 @@
-"""GTSAM's graduated non-convexity on a window: for comparison with the detector's decisions.
+"""GTSAM's graduated non-convexity on a window, for comparison with the detector's exclusions.
 
-`GncLMOptimizer` solves the whole window again and again while it tightens a truncated least-squares
-loss, so it takes tens of milliseconds where an update takes one; it is asked once per span of the
-window.
+`GncLMOptimizer` solves the entire window repeatedly while it tightens a truncated least-squares
+loss, tens of milliseconds against one for an update, so it runs once per span of the window.
 """
 
 import gtsam
 
 from analysis.fusion.window import FactorWindow
 
-INLIER_WEIGHT = 0.5  # weights end near 0 or 1
+INLIER_WEIGHT = 0.5  # GNC weights converge to 0 or 1; 0.5 separates them
 
 
 def find_outliers(window: FactorWindow, sources: frozenset[str]) -> list[tuple[str, int]]:
-    """Source and epoch of what does not fit the rest of the window, among some sources.
+    """Source and epoch of the measurements of some sources that do not fit the rest of the window.
 
     Raises
     ------
     RuntimeError
-        By GTSAM, when the system cannot be solved.
+        From GTSAM, if the system cannot be solved.
     """
     names = {
         slot: name
@@ -35,7 +34,7 @@ def find_outliers(window: FactorWindow, sources: frozenset[str]) -> list[tuple[s
     params = gtsam.GncLMParams()
     params.setAllowNonNoiseModelFactors(True)
     params.setLossType(gtsam.GncLossType.TLS)
-    # Everything but the sources in question is taken as sound.
+    # All other sources are known inliers.
     params.setKnownInliers([i for i, slot in enumerate(slots) if slot not in names])
     optimizer = gtsam.GncLMOptimizer(graph, window.smoother.calculateEstimate(), params)
     optimizer.optimize()

@@ -1,9 +1,9 @@
-"""What ties one epoch to the next: the IMU preintegrated, or a model of motion without it.
+"""Factors between consecutive epochs: the preintegrated IMU, or a motion model without it.
 
-Preintegration is that of Forster et al. [1]_ with correlated biases, in a frame that turns with the
-earth (Coriolis term; the centrifugal part is in gravity). The motion model is the same factor fed
-with fiction: no gravity, no measured force and no rotation, and noise as large as the motion may
-be, so that position and velocity stay tied to each other.
+Preintegration is that of Forster et al. [1]_ with correlated biases, in a frame that rotates with
+the earth (Coriolis term; the centrifugal part is in gravity). The motion model is the same factor
+with synthetic input: no gravity, force or rotation, and noise as large as the motion may be, so
+that position and velocity stay consistent.
 
 References
 ----------
@@ -20,22 +20,22 @@ from analysis.fusion.local_frame import LocalFrame
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-INTEGRATION_SIGMA_M = 1e-3  # m/sqrt(s), position noise of the integration itself
-MAX_STEP_S = 0.1  # faster samples are put together first; what is left out is of third order
-MODEL_STEP_S = 0.05
-# Of the detector's noise of motion: rates pin the velocity at both ends, and between them it
-# changes more evenly than white noise that allows for the change would.
+INTEGRATION_SIGMA_M = 1e-3  # m/sqrt(s), noise of the integration; small against range sigmas
+MAX_STEP_S = 0.1  # faster samples are condensed to it; the neglected terms are of third order
+MODEL_STEP_S = 0.05  # of the motion model's synthetic samples
+# Share of the detector's motion noise: Doppler rates fix the velocity at both ends, and between
+# them it changes more smoothly than white noise of that size would.
 MOTION_NOISE_SHARE = 0.25
-FREE_RATE_RPS = 30.0  # of a motion that says nothing of the attitude
+FREE_RATE_RPS = 30.0  # larger than any vehicle's rate: leaves the attitude free
 
 
 def imu_params(frame: LocalFrame, r_m: Vector, noise: ProcessNoise) -> Any:
-    """What preintegration takes for granted at a position (3,) in ECEF, in m."""
+    """Preintegration parameters at a position (3,) of the local frame in m."""
     return _params(frame.gravity(r_m), frame, noise, noise.gyro_rps, noise.accel_mps2)
 
 
 def preintegrate_imu(samples: Vector, bias: Any, params: Any) -> Any:
-    """The IMU's samples (k, 7) of `propagation.segment`: step in s, rates, specific force."""
+    """Preintegrate samples (k, 7) of `propagation.segment`: step in s, rates, specific force."""
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     for row in condense_samples(samples, MAX_STEP_S):
         preintegrated.integrateMeasurement(row[4:7], row[1:4], row[0])
@@ -44,20 +44,20 @@ def preintegrate_imu(samples: Vector, bias: Any, params: Any) -> Any:
 
 @compiled
 def condense_samples(samples: Vector, step_s: float) -> Vector:
-    """Samples (k, 7) in runs of equal number that last up to `step_s`; empty steps left out.
+    """Combine samples (k, 7) into groups of equal number up to `step_s` long; drop empty steps.
 
-    A run's rate is its rotation vector over its time and its force that in the axes at its begin:
-    GTSAM takes both as constant from there on. Turns within are added to second order (coning,
+    A group's rate is its rotation vector over its duration, its force is in the axes at its start:
+    GTSAM takes both as constant. Rotation within a group is added to second order (coning,
     sculling).
     """
-    count, whole_s = 0, 0.0
+    count, total_s = 0, 0.0
     for k in range(samples.shape[0]):
         if samples[k, 0] > 0.0:
-            count, whole_s = count + 1, whole_s + samples[k, 0]
-    # The tenth keeps rounding from making every run a sample too short.
-    size = max(int(step_s * count / whole_s + 0.1), 1) if count else 1
+            count, total_s = count + 1, total_s + samples[k, 0]
+    # The 0.1 keeps rounding from making every group one sample too short.
+    size = max(int(step_s * count / total_s + 0.1), 1) if count else 1
     out = np.zeros(((count + size - 1) // size, 7))
-    rotvec, half, push = np.zeros(3), np.zeros(3), np.zeros(3)
+    rotvec, half, force = np.zeros(3), np.zeros(3), np.zeros(3)
     once, twice, bent = np.zeros(3), np.zeros(3), np.zeros(3)
     at = 0
     for k in range(samples.shape[0]):
@@ -69,13 +69,13 @@ def condense_samples(samples: Vector, step_s: float) -> Vector:
             rotvec[:] = 0.0
         for i in range(3):
             half[i] = rotvec[i] + 0.5 * dt * samples[k, 1 + i]
-            push[i] = samples[k, 4 + i]
-        _cross(half, push, once)
+            force[i] = samples[k, 4 + i]
+        _cross(half, force, once)
         _cross(half, once, twice)
         _cross(rotvec, samples[k, 1:4], bent)
         row[0] += dt
         for i in range(3):
-            row[4 + i] += dt * (push[i] + once[i] + 0.5 * twice[i])
+            row[4 + i] += dt * (force[i] + once[i] + 0.5 * twice[i])
             rotvec[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
             row[1 + i] = rotvec[i]
         at += 1
@@ -102,7 +102,7 @@ def motion_model(
     preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
     steps = max(round(dt_s / MODEL_STEP_S), 2)
     for _ in range(steps):
-        # The biases as measured values: GTSAM takes them off, and no force or rotation remains.
+        # The biases as measured values: GTSAM subtracts them, and no force or rotation remains.
         preintegrated.integrateMeasurement(bias.accelerometer(), bias.gyroscope(), dt_s / steps)
     return preintegrated
 

@@ -1,7 +1,7 @@
-"""Pseudoranges and Doppler rates of an epoch as factors.
+"""Factors of an epoch's pseudoranges and Doppler rates.
 
-Galileo's offset from the receiver's clock is taken from the detector's filter, which has known it
-for longer than the graph remembers.
+Galileo's inter-system bias is taken from the detector's filter, which has estimated it for longer
+than the graph's window.
 """
 
 import math
@@ -40,14 +40,14 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 NO_LEVER_ARM = np.zeros(3)
-MIN_WEIGHT = 0.02  # less is left out
+MIN_WEIGHT = 0.02  # smaller weights change nothing: the measurement is left out
 
 
 class EpochRanges:
-    """What one epoch measured, corrected by the models at the filter's state x (21,).
+    """The measurements of one epoch, corrected by the models at the filter's state x (21,).
 
-    Weights (n,) are those of the satellites in their order, 0 for what is left out. The offsets
-    that the detector has frozen are subtracted here too, so that both stand on the same ranges.
+    Weights (n,) are in the order of the satellites, 0 where one is left out. The offsets that the
+    detector has frozen are subtracted here too, so that both use the same ranges.
     """
 
     def __init__(
@@ -87,20 +87,21 @@ class EpochRanges:
 
     @property
     def has_rates(self) -> bool:
-        """Whether there are rates among them."""
+        """Whether the measurements include rates."""
         return self._doppler and bool(np.isfinite(self.table[:, RATE]).any())
 
     def weights(self, by_name: dict[str, float]) -> Vector:
-        """Weights of those above the mask that have one worth it."""
-        given = [by_name.get(name, 0.0) for name in self.satellites]
+        """Weights (n,) from weights by name; 0 below the mask or `MIN_WEIGHT`."""
+        weights = [by_name.get(name, 0.0) for name in self.satellites]
         above = self.table[:, ABOVE_MASK].tolist()
         # 0 where the satellite is below the mask.
         return np.array(
-            [a if a >= MIN_WEIGHT and b else 0.0 for a, b in zip(given, above, strict=True)]
+            [a if a >= MIN_WEIGHT and b else 0.0 for a, b in zip(weights, above, strict=True)]
         )
 
     def residual_weights(self, excluded: frozenset[str]) -> Vector:
-        """Weights by the residuals at the filter's state, where nothing else judges them."""
+        """Weights from the residuals at the filter's state, for epochs the detector did not
+        test."""
         config = self._config
         if not config.decide:
             return self.weights(dict.fromkeys(self.satellites, 1.0))
@@ -114,9 +115,9 @@ class EpochRanges:
             }
         )
 
-    def scale_rates(self, learnt: LearnedNoise) -> None:
-        """Take over what is known of the rates' sigmas."""
-        learnt.scale_rates(self.satellites, self.table[:, RATE_SIGMA])
+    def scale_rates(self, noise: LearnedNoise) -> None:
+        """Scale the rates' sigmas by the learned factors."""
+        noise.scale_rates(self.satellites, self.table[:, RATE_SIGMA])
 
     def factor(
         self,
@@ -127,12 +128,12 @@ class EpochRanges:
         weights: Vector,
         rates_only: bool,
     ) -> Any | None:
-        """All pseudoranges and rates of an epoch in one factor on pose, velocity and clock; None
-        where there are none. `weights` (n,) are those of the satellites.
+        """One factor on pose, velocity and clock of all pseudoranges and rates of an epoch,
+        weighted by `weights` (n,); None if there are none.
 
-        The ranges are `PseudorangeFactorArm`s without an arm, linearised at the filter's position:
-        they bend by d^2/2R over a distance d, by 2 micrometres over 10 m. `clock` is what the
-        graph's is counted from; `origin` holds first guesses of the epoch, pose and velocity those
+        The ranges are `PseudorangeFactorArm`s without a lever arm, linearised at the filter's
+        position: the error is d^2/2R at a distance d, 2 micrometres at 10 m. The graph's clock is
+        relative to `clock`; `origin` holds the initial values of the epoch, pose and velocity those
         of the node.
         """
         pose = node.pose.matrix()
@@ -161,7 +162,7 @@ class EpochRanges:
         return gtsam.PseudorangeFactorArm(
             pose,
             seconds,
-            # The graph's clock counts from here, which keeps its variable small.
+            # The graph's clock is relative to this, which keeps its variable small.
             self.table[i, CORRECTED] - clock[0],
             state[:3],
             NO_LEVER_ARM,
@@ -172,16 +173,16 @@ class EpochRanges:
 
     @property
     def unknowns(self) -> int:
-        """How many a snapshot solution finds beside the receiver's clock."""
+        """Number of unknowns of a snapshot solution."""
         return 3 + len(systems_of(self._observed.system))
 
     def slow_covariance(self, weights: Vector, share: float) -> Vector | None:
-        """Covariance (3, 3) in ECEF of what averaging cannot take away; None if undetermined.
+        """Covariance (3, 3) in ECEF of the errors that do not average out; None if undetermined.
 
-        Multipath, ephemeris and atmosphere stay the same for minutes: a bias of `share` sigmas per
-        satellite, which the position follows as the snapshot solution does.
+        Multipath, ephemeris and atmosphere last for minutes: a bias of `share` sigmas per
+        satellite, propagated to the position by the snapshot solution.
         """
-        # The table's sigmas are widened by the correlation; here those of one epoch are meant.
+        # The table's sigmas include the correlation factor; this needs those of one epoch.
         sigmas = share / self._config.correlation
-        found = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
-        return found if math.isfinite(found[0, 0]) else None
+        covariance = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
+        return covariance if math.isfinite(covariance[0, 0]) else None

@@ -1,4 +1,4 @@
-"""An epoch's ranges and rates in compiled code: the table of its satellites, and whitened rows."""
+"""Compiled code for an epoch's ranges and rates: the table of its satellites, and whitened rows."""
 
 import math
 from typing import NamedTuple
@@ -20,12 +20,12 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
-# Columns of the table of a satellite: its range and rate as they would be without delays, satellite
-# clock and satellite's motion; the range less what it is from the filter's position; sigmas; line
-# of sight; innovations over the detector's sigmas; whether it is above the mask.
+# Columns of the satellite table: range and rate corrected for delays, satellite clock and satellite
+# motion; range less the distance from the filter's position; sigmas; line of sight; innovations
+# over the detector's sigmas; whether it is above the elevation mask.
 CORRECTED, RATE, RESIDUAL, SIGMA, RATE_SIGMA, LOS, NORMALISED, ABOVE_MASK = 0, 1, 2, 3, 4, 5, 8, 10
 COLUMNS = 11
-# Columns of a row: rotation and shift of the pose, velocity, clock, drift, and the right side.
+# Columns of a row: rotation and translation of the pose, velocity, clock, drift, right side.
 SHIFT, VELOCITY, CLOCK, DRIFT, RIGHT_SIDE, ROW = 3, 6, 9, 10, 11, 12
 
 
@@ -64,7 +64,7 @@ def range_table(
 
 
 class NodeState(NamedTuple):
-    """What the rows are linearised at: pose (4, 4), velocity (3,) in m/s, clock in m and m/s."""
+    """Linearisation point of the rows: pose (4, 4), velocity (3,) in m/s, clock in m and m/s."""
 
     pose: Vector
     velocity: Vector
@@ -82,46 +82,45 @@ def whiten_rows(
     ranges: bool,
     doppler: bool,
 ) -> Vector:
-    """Rows (k, 12) over their sigmas: the pseudoranges where wanted, then the rates.
+    """Rows (k, 12) over their sigmas: pseudoranges if `ranges`, then the rates if `doppler`.
 
-    Columns: pose (6), velocity (3), clock, drift, and what they should come to from the node on.
-    `axes` (3, 3) are the frame's; the node is `ahead_m` (3,), in these axes, of where the table was
-    made.
+    Columns: pose (6), velocity (3), clock, drift, right side relative to the node. `axes` (3, 3)
+    are the frame's; `ahead_m` (3,), in these axes, leads from the table's position to the node.
     """
     out = np.zeros((2 * table.shape[0], ROW))
-    sight = np.empty(3)
+    line_of_sight = np.empty(3)
     count = 0
     for kind in range(2):
         for i in range(table.shape[0]):
-            wanted = ranges if kind == 0 else doppler and np.isfinite(table[i, RATE])
-            if not (wanted and weights[i] > 0.0):
+            use = ranges if kind == 0 else doppler and np.isfinite(table[i, RATE])
+            if not (use and weights[i] > 0.0):
                 continue
-            # The root, so that information goes with the weight; behind SIGMA stands RATE_SIGMA.
+            # The root: information is proportional to the weight. RATE_SIGMA follows SIGMA.
             share = math.sqrt(weights[i]) / table[i, SIGMA + kind]
             row = out[count]
             count += 1
             for k in range(3):
-                sight[k] = 0.0
+                line_of_sight[k] = 0.0
                 for j in range(3):
-                    sight[k] += share * axes[k, j] * table[i, LOS + j]
+                    line_of_sight[k] += share * axes[k, j] * table[i, LOS + j]
             if kind == 0:
                 row[CLOCK], row[RIGHT_SIDE] = share, share * (table[i, RESIDUAL] - at.clock_m)
                 for k in range(3):
-                    row[RIGHT_SIDE] += sight[k] * ahead_m[k]
+                    row[RIGHT_SIDE] += line_of_sight[k] * ahead_m[k]
                     for j in range(3):
-                        row[SHIFT + k] -= sight[j] * at.pose[j, k]
+                        row[SHIFT + k] -= line_of_sight[j] * at.pose[j, k]
             else:
                 row[DRIFT], row[RIGHT_SIDE] = share, share * (table[i, RATE] - at.drift_mps)
                 for k in range(3):
-                    row[VELOCITY + k] = -sight[k]
-                    row[RIGHT_SIDE] += sight[k] * at.velocity[k]
+                    row[VELOCITY + k] = -line_of_sight[k]
+                    row[RIGHT_SIDE] += line_of_sight[k] * at.velocity[k]
     return out[:count]
 
 
 @compiled
 def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: float) -> Vector:
     """Covariance (3, 3) in ECEF of a snapshot solution with a clock per system from the satellites
-    with a weight, their sigmas multiplied by `share`; NaN where it is undetermined."""
+    with a weight, their sigmas multiplied by `share`; NaN if undetermined."""
     clock, size, count = np.zeros(CLOCKS, np.int64), 3, 0
     for kind in range(CLOCKS):
         before = count
@@ -129,7 +128,7 @@ def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: 
             if weights[i] > 0.0 and system[i] == kind:
                 count += 1
         if count > before:
-            # Only for systems that are there: a clock that nothing observes has no inverse.
+            # Only for systems in use: an unobserved clock would make the matrix singular.
             clock[kind], size = size, size + 1
     normal, row = np.zeros((size, size)), np.zeros(size)
     for i in range(table.shape[0]):
@@ -145,6 +144,6 @@ def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: 
     cofactor, out = invert_positive_definite(normal), np.empty((3, 3))
     for k in range(3):
         for j in range(3):
-            # With fewer satellites than unknowns rounding may still leave something to invert.
+            # With fewer satellites than unknowns rounding may still leave the matrix invertible.
             out[k, j] = cofactor[k, j] if count >= size else np.nan
     return out

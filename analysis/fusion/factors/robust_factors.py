@@ -1,6 +1,6 @@
-"""Pseudoranges one by one with robust losses of GTSAM's: for comparison with decisions.
+"""Single pseudorange factors with GTSAM's robust losses, for comparison with exclusions.
 
-They take the receiver's clock in seconds: a variable r, tied to the one in metres.
+They use the receiver's clock in seconds: a variable r, tied to the one in metres.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 HUBER_SIGMAS = 1.345  # 95 % efficiency for normal noise (Huber 1964)
-GEMAN_SIGMAS = 3.0
+GEMAN_SIGMAS = 3.0  # as `suspicious` of `FusionConfig`, at which weights begin to fall
 CLOCK_TIE_M = 0.05  # far below a range's sigma
 
 
@@ -29,7 +29,7 @@ def pseudorange_factors(
     clock: ClockState,
     robust: str,
 ) -> dict[str, Any]:
-    """Factors by satellite with a weight (n,), on the pose and the clock in seconds of an epoch."""
+    """Factors by satellite of nonzero weight (n,), on pose and clock in seconds of an epoch."""
     x, r = variable_key("x", epoch), variable_key("r", epoch)
     return {
         ranges.satellites[i]: ranges.pseudorange(
@@ -40,8 +40,8 @@ def pseudorange_factors(
 
 
 def clock_seconds_factor(epoch: int) -> tuple[Any, Any]:
-    """The clock in seconds with a first guess, and the factor that ties it."""
-    # A first guess of zero: the tie below sets it at once.
+    """The clock in seconds with its initial value, and the factor that ties it to metres."""
+    # Initialised to zero: the tie below sets it at once.
     c, r = variable_key("c", epoch), variable_key("r", epoch)
     guess = gtsam.Values()
     guess.insert(r, 0.0)
@@ -65,5 +65,5 @@ def _loss(robust: str, sigma_m: float) -> Any:
         return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(HUBER_SIGMAS), noise)
     if robust == "geman-mcclure":
         return gtsam.noiseModel.Robust.Create(estimator.GemanMcClure.Create(GEMAN_SIGMAS), noise)
-    # Without a loss the noise is that of the ranges.
+    # Without a loss: the Gaussian noise of the range.
     return noise

@@ -1,4 +1,5 @@
-"""The sources other than IMU and pseudoranges: each adds factors while it is there and healthy."""
+"""Factors of the sources other than IMU and pseudoranges, added while they are present and
+healthy."""
 
 import math
 from typing import Any
@@ -46,15 +47,15 @@ SOURCE_NAMES: dict[type, str] = {
     VisionSample: "vision",
     GpsFix: "gps-position",
 }
-WIND_SIGMA_MPS = 6.0
-OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset
+WIND_SIGMA_MPS = 6.0  # of the first guess of each wind component: 2 sigma is a strong breeze
+OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset: about that of a GNSS height
 
 
 class SensorFactors:
-    """Attaches samples to the epoch nearest to each, and keeps the slow states they need.
+    """Attaches samples to the nearest epoch and keeps the slow states they need.
 
-    A barometer's offset and the wind are one variable per span of the window, each walking from
-    the span before; after a silence longer than the window they begin anew.
+    Barometer offset and wind have one variable per span of the window, a random walk from the span
+    before; after a gap longer than the window they restart.
     """
 
     def __init__(self, graph: Graph, config: FusionConfig) -> None:
@@ -63,25 +64,25 @@ class SensorFactors:
         self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
 
     def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
-        """One sample onto the epoch it belongs to; the weight it got, None if it was not used.
+        """Attach one sample to its epoch; the weight it got, None if it was not used.
 
-        `share` is the weight it is to have. A receiver's own position is for epochs decided by it
-        alone.
+        `share` is the requested weight. A receiver's own position is used only in epochs that were
+        decided from it.
         """
-        # Too little to be worth a factor.
+        # Too small to change the solution.
         if share < MIN_WEIGHT:
             return 0.0
-        # Rows are multiplied by the root, so that the information is by the weight.
+        # Rows are multiplied by the root: information is proportional to the weight.
         root = math.sqrt(share)
         epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
         if epoch is None:
             return None
         if isinstance(sample, BaroSample):
-            done = self._baro(sample, epoch, root)
+            used = self._baro(sample, epoch, root)
         elif isinstance(sample, MagSample):
-            done = self._mag(sample, epoch, root)
+            used = self._mag(sample, epoch, root)
         elif isinstance(sample, AirspeedSample):
-            done = self._airspeed(sample, epoch, root)
+            used = self._airspeed(sample, epoch, root)
         elif isinstance(sample, VisionSample):
             return self._vision(sample, epoch, share)
         elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
@@ -89,17 +90,19 @@ class SensorFactors:
                 decision.excluded or decision.hypothesis not in ("none", "imu")
             ):
                 return 0.0
-            done = self._fix(sample, epoch, share)
+            used = self._fix(sample, epoch, share)
         else:
-            done = False
-        return share if done else None
+            used = False
+        return share if used else None
 
     def _slow_state(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
         """The key of a slow state at an epoch; `walk` is per square root of a second."""
         graph, window = self._graph, self._graph.window
         span = graph.span(epoch)
-        name, stamp_s, gone_s = variable_key(letter, span), window.span_stamp(span), window.oldest_s
-        spans = [known for known in self._spans[letter] if window.span_stamp(known) >= gone_s]
+        name, stamp_s = variable_key(letter, span), window.span_stamp(span)
+        spans = [
+            known for known in self._spans[letter] if window.span_stamp(known) >= window.oldest_s
+        ]
         if span not in spans:
             before = max((known for known in spans if known < span), default=None)
             if before is None:
@@ -107,9 +110,9 @@ class SensorFactors:
                 since_s = stamp_s
             else:
                 old, since_s = variable_key(letter, before), window.span_stamp(before)
-                walked = walk * math.sqrt((span - before) * window.span_s)
-                factor = walk_factor(old, name, walked, len(first))
-                # Only what has been committed has an estimate to begin at.
+                walk_sigma = walk * math.sqrt((span - before) * window.span_s)
+                factor = walk_factor(old, name, walk_sigma, len(first))
+                # Only committed variables have an estimate to start from.
                 if window.slots(letter, before):
                     first = np.asarray(window.smoother.calculateEstimateVector(old))
             values = gtsam.Values()
@@ -121,13 +124,13 @@ class SensorFactors:
         return name
 
     def _up_m(self, epoch: int) -> tuple[float, float]:
-        """Height above the frame's tangent plane, and above the ellipsoid, of about the epoch."""
+        """Height above the frame's tangent plane and above the ellipsoid near the epoch."""
         r_m = self._graph.node.pose.translation()
         _, _, height = geodetic_position(self._graph.frame.ecef(r_m))
         return float(r_m[2]), height
 
     def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
-        # One factor a source and epoch: of faster samples the first one counts.
+        # One factor per source and epoch: the first of faster samples.
         if not sample.pressure_pa > 0.0 or self._graph.window.contains("baro", epoch):
             return False
         up_m, height = self._up_m(epoch)
@@ -169,34 +172,34 @@ class SensorFactors:
         return True
 
     def _vision(self, sample: VisionSample, epoch: int, share: float) -> float | None:
-        """Vision as odometry: its own origin and north drop out between two epochs."""
+        """Vision as odometry: its origin and north cancel between two epochs."""
         graph = self._graph
         at = graph.epochs[epoch]
         seen = _vision_pose(sample, at.t_us)
         if seen is None or at.vision_pose is not None or not graph.aligned:
             return None
         at.vision_pose = seen
-        given = None
+        weight = None
         before, after = graph.vision_neighbours(epoch, round(STALE_S * 1e6))
         for i, j in ((before, epoch), (epoch, after)):
             if i is None or j is None:
                 continue
             moved = graph.epochs[i].vision_pose.between(graph.epochs[j].vision_pose)
-            given = min(share, self._plausible_weight(i, j, moved))
-            if given >= MIN_WEIGHT:
-                noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(given))
+            weight = min(share, self._plausible_weight(i, j, moved))
+            if weight >= MIN_WEIGHT:
+                noise = gtsam.noiseModel.Diagonal.Sigmas(self._vision_sigmas / math.sqrt(weight))
                 factor = gtsam.BetweenFactorPose3(
                     variable_key("x", i), variable_key("x", j), moved, noise
                 )
                 graph.attach("vision", j, factor, since=i)
-        return given
+        return weight
 
     def _plausible_weight(self, i: int, j: int, moved: Any) -> float:
-        """The weight of a motion that was seen, by what the IMU says of it: a jump weighs nothing
-        although the test of vision's position, which allows for a drift, does not see it."""
+        """Weight of a vision motion, compared with the IMU's: a jump gets none even where the test
+        of vision's position, which allows for a drift, does not detect it."""
         graph, config = self._graph, self._config
         edge = graph.epochs[j].edge
-        if not config.decide or edge is None or not graph.uses_imu(edge):  # nothing to go by
+        if not config.decide or edge is None or not graph.uses_imu(edge):  # nothing to compare with
             return 1.0
         off = gtsam.Pose3.Logmap(graph.pose(i).between(graph.pose(j)).between(moved))
         return residual_weight(
@@ -204,7 +207,7 @@ class SensorFactors:
         )
 
     def _fix(self, sample: GpsFix, epoch: int, share: float) -> bool:
-        """A receiver's own solution, where there are no raw ranges."""
+        """The receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
         measured, _ = fix_measurement(sample)
         if measured is None or graph.window.contains("gps-position", epoch):
@@ -224,7 +227,7 @@ class SensorFactors:
 
 
 def _vision_pose(sample: VisionSample, t_us: int) -> Any:
-    """The pose by vision, moved to an epoch's time."""
+    """The vision pose, moved to an epoch's time by its velocity."""
     if not np.isfinite(sample.r_ned_m).all():
         return None
     r_m = sample.r_ned_m

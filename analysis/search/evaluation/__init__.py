@@ -1,1 +1,1 @@
-"""How a point of the search is flown: in lanes, in the simulator, or under an autopilot."""
+"""Evaluation of search points: by compiled kernels, in the simulator, or with an autopilot."""

@@ -1,8 +1,8 @@
-"""A flight under an autopilot: armed, from take-off to landing, by `run --autopilot`.
+"""A flight with an autopilot: armed, from take-off to landing, by `run --autopilot`.
 
-Its error is the autopilot's attitude against the truth in the air, less that of the same flight
-without the faults of the search: root of the difference of the mean squares. The latter is flown
-once, with one noise for all tests.
+Its error is that of the autopilot's attitude in the air, less that of the fault-free reference
+flight: root of the difference of the mean squares. The reference is flown once, with the same noise
+for all tests.
 """
 
 import json
@@ -25,12 +25,12 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 
 Array = NDArray[np.float64]
 REFERENCE_SEED = 1
-MAX_ATTEMPTS = 3  # on a busy machine a take-off may fail by the operator's time-outs
+MAX_ATTEMPTS = 3  # on a busy machine a take-off may fail by the operator's timeouts
 
 
 class AutopilotAttitude(NamedTuple):
-    """Of an autopilot in the air: mean squares (4,) and largest errors (4,) in degrees, how long it
-    flew, and why the flight ended early, if it did."""
+    """Attitude errors of an autopilot in the air: mean squares (4,) in degrees squared, largest
+    (4,) in degrees; duration of the flight, and why it ended early, if it did."""
 
     mean_square: Array
     largest_deg: Array
@@ -41,69 +41,69 @@ class AutopilotAttitude(NamedTuple):
 def measure_autopilot_error(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> tuple[AutopilotAttitude, Array]:
-    """A scenario flown with its faults: what it showed, and the errors (4,) in degrees that the
-    faults made, roll, pitch, yaw, angle.
+    """Fly a scenario with its faults; returns its errors, and those due to the faults (4,) in
+    degrees: roll, pitch, yaw, angle.
 
     Raises
     ------
     ConfigError
-        If the autopilot does not fly it, or says nothing of its attitude.
+        If the autopilot does not fly it, or sends no attitude.
     """
-    # Each test has its own seed, and would be flown twice.
-    healthy = {**document, "seed": REFERENCE_SEED, "schedule": {"faults": []}}
-    base = _reference_flight(choice, json.dumps(healthy, sort_keys=True), settle_s)
-    found = _fly_with_retries(choice, document, settle_s)
-    return found, np.sqrt(np.maximum(found.mean_square - base.mean_square, 0.0))
+    # One seed for all: each test has its own seed and would need its own reference.
+    reference = {**document, "seed": REFERENCE_SEED, "schedule": {"faults": []}}
+    base = _reference_flight(choice, json.dumps(reference, sort_keys=True), settle_s)
+    errors = _fly_with_retries(choice, document, settle_s)
+    return errors, np.sqrt(np.maximum(errors.mean_square - base.mean_square, 0.0))
 
 
 @cache
 def _reference_flight(choice: AutopilotChoice, document: str, settle_s: float) -> AutopilotAttitude:
-    """The flight without faults, flown once for each scenario."""
+    """The fault-free reference flight, flown once for each scenario."""
     return _fly_with_retries(choice, json.loads(document), settle_s)
 
 
 def _fly_with_retries(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude:
-    """Fly, again where no flight came of it: no fault had begun."""
+    """Fly, and repeat a failed take-off, in which no fault had started."""
     reason = ""
     for _ in range(MAX_ATTEMPTS):
-        found = _fly_once(choice, document, settle_s)
-        if not isinstance(found, str):
-            return found
-        reason = found
-    raise ConfigError(f"autopilot: no flight came of it, {MAX_ATTEMPTS} times; {reason}")
+        result = _fly_once(choice, document, settle_s)
+        if not isinstance(result, str):
+            return result
+        reason = result
+    raise ConfigError(f"autopilot: {MAX_ATTEMPTS} flights failed; {reason}")
 
 
 def _fly_once(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude | str:
-    """One flight, or why there was none."""
+    """One flight, or why it failed."""
     with tempfile.TemporaryDirectory(prefix="search-") as folder:
         file = Path(folder) / "scenario.yaml"
         scenario = {key: value for key, value in document.items() if key != "schedule"}
         file.write_text(write_yaml(_without_none(scenario)))
-        words = [str(file), "--autopilot", choice.kind]
+        arguments = [str(file), "--autopilot", choice.kind]
         for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
-            words += [option, value] if value is not None else []
+            arguments += [option, value] if value is not None else []
         schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
-        run = run_flight_process("autopilot", words, schedule, Path(folder), kept=False)
+        run = run_flight_process("autopilot", arguments, schedule, Path(folder), kept=False)
         return _read(run, settle_s)
 
 
 def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
-    """What a run folder tells of the time in the air, from `settle_s` after leaving the ground."""
-    flown = json.loads((run / "summary.json").read_text())["autopilot"]
-    off_ground_s = flown["moments_s"].get("take-off")
+    """The errors in a run folder, from `settle_s` after take-off to landing."""
+    flight = json.loads((run / "summary.json").read_text())["autopilot"]
+    off_ground_s = flight["moments_s"].get("take-off")
     if off_ground_s is None:
-        return f"it never left the ground; {flown['ended_early']}"
+        return f"it never took off; {flight['ended_early']}"
     errors = [
         result
         for result in read_results(run / "results.jsonl")
         if isinstance(result, AttitudeError) and result.estimator in AUTOPILOTS
     ]
-    until_s = flown["moments_s"].get("landing", np.inf)
-    # By name the longer one is the greater: ATTITUDE_QUATERNION, where there are both.
+    until_s = flight["moments_s"].get("landing", np.inf)
+    # ATTITUDE_QUATERNION sorts after ATTITUDE and is preferred where there are both.
     name = max((error.estimator for error in errors), default="")
     rows = np.array(
         [
@@ -113,18 +113,18 @@ def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
         ]
     )
     if not len(rows):
-        return "nothing was heard of its attitude in the air"
+        return "it sent no attitude in the air"
     last_s = errors[-1].t_us * 1e-6
     return AutopilotAttitude(
         np.mean(rows**2, axis=0),
         np.abs(rows).max(axis=0),
         min(last_s, until_s) - off_ground_s,
-        flown["ended_early"] if not flown["landed"] else "",
+        flight["ended_early"] if not flight["landed"] else "",
     )
 
 
 def _without_none(node: Any) -> Any:
-    """A document without the keys that have no value."""
+    """A copy of a document without entries that are None."""
     if isinstance(node, Mapping):
         return {key: _without_none(value) for key, value in node.items() if value is not None}
     return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node

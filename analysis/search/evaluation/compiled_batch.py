@@ -1,4 +1,4 @@
-"""Evaluate points of a test's space: fly them all, draw their noise, score the estimator."""
+"""Evaluation by compiled kernels: fly many points of a test's space and score the estimator."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -50,9 +50,9 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import quad_parameters
 
 Array = NDArray[np.float64]
-# Usual rates of a magnetometer, a GPS receiver and a pitot tube on a small aircraft.
+# Usual sample rates of magnetometer, GPS receiver and pitot tube on a small aircraft.
 FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
-# The number of the kernel without a filter; it is flown for its flight alone.
+# The number of the kernel without a filter, for flights scored in Python.
 HEUN = 0
 INVERTED_CRITERIA = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
 NO_AERO = Aero(*[0.0] * len(Aero._fields))
@@ -60,15 +60,15 @@ COMPILED_ESTIMATORS = {"inverse-model": HEUN, "complementary": MAHONY, "mahony":
 
 
 class EvaluationOutcome(NamedTuple):
-    """What became of n evaluations.
+    """The results of n evaluations.
 
     `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
-    envelope, minus the share of the time that was left (-1 to 0); `spread_deg` (n,) is its standard
+    envelope, minus the share of the time that remained (-1 to 0); `spread_deg` (n,) is its standard
     deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (in
     the kernels 0 unless the criterion is the angle), means over the noise draws. `lasted_s` (n,);
-    `broken_limit` (n,) numbers of `rows.LIMITS`; `steps` that were flown
-    and scored, all in all. `inverted_rmse` (n, 3): height [m], airspeed [m/s] and position [m] of
-    the inverted sensor models, where the criterion is one of them.
+    `broken_limit` (n,) indices into `rows.LIMITS`; `steps` flown and scored in total.
+    `inverted_rmse` (n, 3): height [m], airspeed [m/s] and position [m] of the inverted sensor
+    models, where the criterion is one of them.
     """
 
     fitness: Array
@@ -83,24 +83,24 @@ class EvaluationOutcome(NamedTuple):
 
 @dataclass(frozen=True)
 class Batch:
-    """A test ready to be flown; the same points, seed and numbers give the same outcome."""
+    """Evaluates a test; the same points, seed and numbers give the same outcome."""
 
     test: TestFile
 
     @cached_property
     def airframe(self) -> Airframe:
-        """What flies."""
+        """The aircraft."""
         return read_airframe(self.test.vehicle)
 
     @cached_property
     def space(self) -> Space:
-        """What is searched."""
+        """The search space."""
         trim = trim_values(self.airframe, self.test.density_kgpm3)
         return space_of(flight_entries(self.test, trim) | fault_entries(self.test))
 
     @cached_property
     def plan(self) -> Plan:
-        """What all flights share."""
+        """The kernel's parameters common to all flights."""
         return plan_of(self.test, self.airframe)
 
     def evaluate(
@@ -108,7 +108,7 @@ class Batch:
     ) -> EvaluationOutcome:
         """Fly points (n, d) of the unit cube, each with its own noise.
 
-        `first` is the number of the first evaluation: noise belongs to seed and number.
+        `first` is the number of the first evaluation: seed and number determine the noise.
         """
         draws = self.test.noise_draws if draws is None else draws
         return self.evaluate_values(self.space.values(points), seed, first, draws)
@@ -119,28 +119,27 @@ class Batch:
         seed: int,
         first: int,
         draws: int,
-        alike: bool = False,
+        same_noise: bool = False,
     ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`.
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if `same_noise`.
 
-        Without gusts chance does not move the aircraft: of many flights, those that leave the
+        Without gusts noise does not move the aircraft: of many flights, those that leave the
         envelope are flown only once.
         """
         flights = self.columns(values)
         count = flights.shape[1]
-        # Each draw of each evaluation has its own number, so that any split of the work gives the
-        # same.
+        # Each draw of each evaluation has its own number: splitting the work changes nothing.
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
-        if alike:
+        if same_noise:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
-        # For few flights, or where gusts move the aircraft, sorting out does not pay or is wrong.
+        # For few flights this does not pay; with gusts each draw is another flight.
         if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
             columns = self._fly_columns(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
             columns = columns.reshape(rows.ROWS, count, draws)
             return outcome_of(columns, self.test)
         once = self._fly_columns(flights, seed, numbers[:, 0])
         columns = np.repeat(once[:, :, None], draws, axis=2)
-        # Only those flights have a fitness that depends on the noise.
+        # Only flights within the envelope have a fitness that depends on the noise.
         stays = once[rows.BROKEN_LIMIT] == 0.0
         if stays.any():
             rest = np.repeat(flights[:, stays], draws - 1, axis=1)
@@ -153,7 +152,7 @@ class Batch:
         return flights_of(self.test, values, hover_rps(self.airframe, self.test.density_kgpm3))
 
     def _fly_columns(self, flights: Array, seed: int, numbers: NDArray[np.int64]) -> Array:
-        """The columns as the kernel leaves them; `numbers` (n,) choose the noise."""
+        """The columns after the kernel's run; `numbers` (n,) select the noise."""
         columns = pad_lanes(flights)
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
         noise[:, : len(numbers)] = streams(seed, numbers)
@@ -161,9 +160,9 @@ class Batch:
         fly(columns, filters, noise, self.plan)
         if self.test.estimator not in COMPILED_ESTIMATORS:
             for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
-                # From the start column: the kernel has written over its own copy.
+                # From the initial column: the kernel has overwritten its copy.
                 column, number = flights[:, lane], int(numbers[lane])
-                # Sensors that the kernel leaves out are wanted by an estimator in Python.
+                # An estimator in Python needs all sensors.
                 plan = with_all_sensors(self.plan)
                 self._score(
                     columns[:, lane], trace_flight(plan, column, filters[lane], seed, number)
@@ -171,7 +170,7 @@ class Batch:
         return columns[:, : len(numbers)]
 
     def _score(self, column: Array, flight: FlightTrace) -> None:
-        """Put the scores of an estimator in Python in the place of the kernel's."""
+        """Replace the kernel's scores by those of an estimator in Python."""
         estimate = estimate_attitude(flight, make_estimator(self.test.estimator))
         error = replace(flight, q_estimate=estimate).errors_rad()
         column[rows.SQUARES : rows.SQUARES + 4] = (error**2).sum(axis=0)
@@ -179,7 +178,7 @@ class Batch:
 
 
 def plan_of(test: TestFile, airframe: Airframe) -> Plan:
-    """The kernel's view of a test."""
+    """The kernel's parameters of a test."""
     # The field points down by the inclination and east of north by the declination.
     dip, variation = np.radians([test.inclination_deg, test.declination_deg])
     north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
@@ -218,7 +217,7 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
         body=airframe.body,
-        # The kernel has a place for both kinds; the other one's is never looked at.
+        # The kernel has fields for both kinds; those of the other one are unused.
         aero=airframe.aero if isinstance(airframe, FixedWing) else NO_AERO,
         rotors=isinstance(airframe, Multirotor),
         quad=quad_model(airframe if isinstance(airframe, Multirotor) else Multirotor.read("iris")),
@@ -226,7 +225,7 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
 
 
 def quad_model(quad: Multirotor) -> QuadModel:
-    """The kernel's view of a quadrotor."""
+    """The kernel's parameters of a quadrotor."""
     first, second, third, fourth = (
         (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in quad.rotors
     )
@@ -234,7 +233,7 @@ def quad_model(quad: Multirotor) -> QuadModel:
 
 
 def tunings_of(name: str) -> Tunings:
-    """What the kernels take, from the default parameters of the estimator of that name."""
+    """The kernels' filter parameters: the defaults of the estimator of that name."""
     estimator = make_estimator(name)
     mahony = estimator if isinstance(estimator, Mahony) else Mahony()
     ekf = estimator if isinstance(estimator, Ekf) else Ekf()
@@ -242,10 +241,10 @@ def tunings_of(name: str) -> Tunings:
 
 
 def envelope_of(test: TestFile) -> Envelope:
-    """The limits as the kernel compares them."""
+    """The limits in the form the kernel compares."""
     limits = test.envelope
     return Envelope(
-        # Compared as sine and tangents, which are at hand, so that no lane needs an arc function.
+        # As sine and tangents, so that no lane needs an arc function.
         float(np.sin(np.radians(limits.pitch_deg))),
         float(np.tan(np.radians(limits.alpha_deg))),
         float(np.tan(np.radians(limits.beta_deg))),
@@ -257,27 +256,27 @@ def envelope_of(test: TestFile) -> Envelope:
 
 
 def pad_lanes(columns: Array) -> Array:
-    """Columns (rows, n) filled up to a multiple of LANES with dead copies of the first."""
+    """Columns (rows, n) padded to a multiple of LANES with inactive copies of the first."""
     missing = -columns.shape[1] % rows.LANES
     filler = np.repeat(columns[:, :1], missing, axis=1)
-    # Dead from the start: they cost time in their vector only, and their scores are cut off.
+    # Inactive from the start; their scores are cut off.
     filler[rows.ALIVE] = 0.0
     return np.ascontiguousarray(np.concatenate([columns, filler], axis=1))
 
 
 def start_filters(name: str, columns: Array) -> Array:
-    """The filters' start states (n, FILTER_SIZE) at the true attitude and velocity."""
+    """The filters' initial states (n, FILTER_SIZE) at the true attitude and velocity."""
     count = columns.shape[1]
     filters = np.zeros((count, FILTER_SIZE))
-    # Without a filter in the kernel any attitude will do.
+    # Without a filter in the kernel any attitude is valid.
     if COMPILED_ESTIMATORS.get(name, HEUN) == HEUN:
         filters[:, 0] = 1.0
         return filters
     estimator = make_estimator(name)
-    # Covariance and biases as the estimator starts; attitude and velocity are put in below.
+    # Covariance and biases of the estimator's start; attitude and velocity are set below.
     x = estimator.start(Prior(0, np.array([1.0, 0.0, 0.0, 0.0]))).x
     filters[:, : len(x)] = x
-    # As if GPS had been silent: gravity is used until the first velocity.
+    # GPS counts as timed out: gravity is used until the first velocity.
     if isinstance(estimator, Ekf):
         filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
@@ -288,19 +287,19 @@ def start_filters(name: str, columns: Array) -> Array:
 
 
 def ned_velocity(q: Array, v_b_mps: Array) -> Array:
-    """Body vectors (3, n) turned to NED by quaternions (4, n)."""
+    """Body vectors (3, n) rotated to NED by quaternions (4, n)."""
     turned: Array = np.einsum("nij,jn->in", matrix_from_quat(q.T), v_b_mps)
     return turned
 
 
 def outcome_of(columns: Array, test: TestFile) -> EvaluationOutcome:
-    """Scores from the rows (ROWS, n, draws) that the kernel left."""
+    """Scores from the kernel's rows (ROWS, n, draws)."""
     count = columns[rows.COUNT]
     # A flight may leave the envelope before its first sample is scored.
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
     largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
-    # One limit for all draws: any that left counts.
+    # One limit for all draws: one violation is enough.
     limit = columns[rows.BROKEN_LIMIT].max(axis=1).astype(np.int64)
     lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
     state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
@@ -309,17 +308,17 @@ def outcome_of(columns: Array, test: TestFile) -> EvaluationOutcome:
         "angle": lambda: rmse[3],
         "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
     }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED_CRITERIA[test.criterion]])()
-    # From -1 to 0: a search is led back inside, since longer flights are better than shorter.
+    # From -1 to 0: longer flights score better, which leads a search back into the envelope.
     fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
     return EvaluationOutcome(
-        # An estimator that diverges to NaN tells nothing that could be ranked.
+        # An estimator that diverges to NaN cannot be ranked.
         np.nan_to_num(fitness, nan=-1.0),
         worst.std(axis=1),
         rmse.mean(axis=2).T,
         largest.mean(axis=2).T,
         lasted * test.duration_s,
         limit,
-        # A flight that left is flown once, whatever the number of draws.
+        # A flight that left the envelope is flown once, whatever the number of draws.
         int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
         inverted_rmse(columns).mean(axis=2).T,
     )
@@ -327,10 +326,10 @@ def outcome_of(columns: Array, test: TestFile) -> EvaluationOutcome:
 
 def inverted_rmse(columns: Array) -> Array:
     """RMSE (3, ...) of height [m], airspeed [m/s] and position [m] from rows (ROWS, ...)."""
-    found = columns[rows.INVERTED_SQUARES :]
-    # Pressures and positions come at rates of their own; a flight may end before the first.
-    counts = np.maximum(found[[PRESSURES, PRESSURES, PLACES]], 1.0)
-    rmse: Array = np.sqrt(found[[HEIGHT, AIRSPEED, POSITION]] / counts)
+    inverted_rows = columns[rows.INVERTED_SQUARES :]
+    # Pressures and positions have their own rates; a flight may end before the first.
+    counts = np.maximum(inverted_rows[[PRESSURES, PRESSURES, PLACES]], 1.0)
+    rmse: Array = np.sqrt(inverted_rows[[HEIGHT, AIRSPEED, POSITION]] / counts)
     return rmse
 
 

@@ -1,4 +1,4 @@
-"""Who flies a test: the compiled kernels, or the simulator."""
+"""The evaluator of a test: the compiled kernels, or the simulator."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -18,7 +18,7 @@ class Evaluator(Protocol):
 
     @property
     def space(self) -> Space:
-        """What is searched."""
+        """The search space."""
 
     def evaluate(
         self, points: Array, seed: int, first: int, draws: int | None = None
@@ -26,13 +26,18 @@ class Evaluator(Protocol):
         """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
 
     def evaluate_values(
-        self, values: Mapping[str, Array], seed: int, first: int, draws: int, alike: bool = False
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+        same_noise: bool = False,
     ) -> EvaluationOutcome:
-        """Fly values (n,) by name; with the same noise for all if `alike`."""
+        """Fly values (n,) by name; with the same noise for all if `same_noise`."""
 
 
 def make_evaluator(test: TestFile) -> Evaluator:
-    """The evaluator of a test."""
+    """Create the evaluator of a test."""
     # The simulator's parts are loaded for tests that need them.
     if test.simulated:
         from analysis.search.evaluation.simulated_batch import SimulatedBatch

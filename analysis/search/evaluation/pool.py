@@ -1,6 +1,6 @@
-"""Where evaluations run: in this process, in several, or on a Ray cluster.
+"""Worker pools for evaluations: this process, several processes, or a Ray cluster.
 
-The noise of an evaluation belongs to its number, so that all give the same outcome.
+The number of an evaluation determines its noise, so that all pools give the same outcome.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,20 +29,20 @@ class Pool(Protocol):
     def evaluate(
         self, test: TestFile, points: Array, seed: int, first: int, draws: int
     ) -> EvaluationOutcome:
-        """As `Batch.evaluate`."""
+        """See `Batch.evaluate`."""
 
     def close(self) -> None:
-        """Let go of the processes."""
+        """Release the processes."""
 
 
 @lru_cache(maxsize=8)
 def cached_evaluator(encoded: bytes) -> Evaluator:
-    """The evaluator of a test in JSON; kept, since reading the airframe takes a moment."""
+    """The evaluator of a test in JSON; cached, since reading the airframe takes time."""
     return make_evaluator(msgspec.json.decode(encoded, type=TestFile))
 
 
 def evaluate_job(job: Job) -> EvaluationOutcome:
-    """One share of a batch, in whatever process."""
+    """Evaluate one part of a batch, in any process."""
     encoded, points, seed, first, draws = job
     return cached_evaluator(encoded).evaluate(points, seed, first, draws)
 
@@ -50,14 +50,14 @@ def evaluate_job(job: Job) -> EvaluationOutcome:
 def split_jobs(
     test: TestFile, points: Array, seed: int, first: int, draws: int, count: int
 ) -> list[Job]:
-    """At most `count` jobs of neighbouring points (n, d)."""
+    """Split points (n, d) into at most `count` jobs."""
     encoded = msgspec.json.encode(test)
     cuts = np.linspace(0, len(points), min(count, len(points)) + 1).astype(int).tolist()
     return [(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]
 
 
 def join_outcomes(outcomes: Sequence[EvaluationOutcome]) -> EvaluationOutcome:
-    """One outcome of several shares."""
+    """Concatenate outcomes."""
     arrays = {
         name: np.concatenate([getattr(outcome, name) for outcome in outcomes])
         for name in EvaluationOutcome._fields
@@ -67,20 +67,20 @@ def join_outcomes(outcomes: Sequence[EvaluationOutcome]) -> EvaluationOutcome:
 
 
 class InProcessPool:
-    """This process."""
+    """Evaluates in this process."""
 
     def evaluate(
         self, test: TestFile, points: Array, seed: int, first: int, draws: int
     ) -> EvaluationOutcome:
-        """As `Batch.evaluate`."""
+        """See `Batch.evaluate`."""
         return evaluate_job((msgspec.json.encode(test), points, seed, first, draws))
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Nothing to release."""
 
 
 class LocalProcessPool:
-    """Several processes of this machine."""
+    """Evaluates in several processes of this machine."""
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
@@ -89,7 +89,7 @@ class LocalProcessPool:
     def evaluate(
         self, test: TestFile, points: Array, seed: int, first: int, draws: int
     ) -> EvaluationOutcome:
-        """As `Batch.evaluate`."""
+        """See `Batch.evaluate`."""
         jobs = split_jobs(test, points, seed, first, draws, self._workers)
         return join_outcomes(list(self._pool.map(evaluate_job, jobs)))
 
@@ -99,7 +99,7 @@ class LocalProcessPool:
 
 
 def join_ray(address: str) -> tuple[Any, bool]:
-    """Ray, joined to a cluster, and whether that was done here and is ours to end.
+    """Ray, connected to a cluster, and whether this call connected it.
 
     Raises
     ------
@@ -110,16 +110,16 @@ def join_ray(address: str) -> tuple[Any, bool]:
         import ray
     except ImportError:
         raise ConfigError(
-            "--ray: Ray is not installed; pip install mavproxy-fault[cluster]"
+            "--ray: Ray is not installed; install it by pip install mavproxy-fault[cluster]"
         ) from None
-    mine = not ray.is_initialized()
-    if mine:
+    connected = not ray.is_initialized()
+    if connected:
         ray.init(address=address, log_to_driver=False)
-    return ray, mine
+    return ray, connected
 
 
 class RayPool:
-    """A Ray cluster; a share whose worker dies is done again by another."""
+    """Evaluates on a Ray cluster; if a worker dies, another repeats its job."""
 
     def __init__(self, address: str) -> None:
         self._ray, self._mine = join_ray(address)
@@ -128,7 +128,7 @@ class RayPool:
     def evaluate(
         self, test: TestFile, points: Array, seed: int, first: int, draws: int
     ) -> EvaluationOutcome:
-        """As `Batch.evaluate`."""
+        """See `Batch.evaluate`."""
         count = 2 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         jobs = split_jobs(test, points, seed, first, draws, count)
         return join_outcomes(self._ray.get([self._work(job) for job in jobs]))
@@ -140,7 +140,7 @@ class RayPool:
 
 
 def pool_of(workers: int | None, ray_address: str | None) -> Pool:
-    """The pool that the command line asks for."""
+    """The pool that the command line requests."""
     if ray_address is not None:
         return RayPool(ray_address)
     return LocalProcessPool(workers) if workers is not None and workers > 1 else InProcessPool()

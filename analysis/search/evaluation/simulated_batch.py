@@ -1,7 +1,7 @@
-"""Evaluate points of a test's space in the simulator, through the proxy, one flight at a time.
+"""Evaluation in the simulator, through the proxy, one flight at a time.
 
-For what the compiled kernels do not have: any scenario, every fault of the proxy, the project's
-own fusion, and an autopilot behind a link.
+For what the compiled kernels lack: any scenario, every fault of the proxy, the sensor fusion, and
+an external autopilot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,11 +36,11 @@ from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
-GROUND_LIMIT = 7  # the limit of the height
+GROUND_LIMIT = 7  # number of the height limit
 
 
 class FlightScores(NamedTuple):
-    """Of one flight: `rmse_deg` and `largest_deg` (4,) as in `EvaluationOutcome`; `parts` as
+    """Scores of one flight: `rmse_deg` and `largest_deg` (4,) as in `EvaluationOutcome`; `parts` as
     `parted` gives.
 
     `broken_limit` is the number of the limit that ended it, as in `rows.LIMITS`.
@@ -55,7 +55,7 @@ class FlightScores(NamedTuple):
 
 
 class FlightScorer:
-    """Bytes of a flight to scores."""
+    """Scores the bytes of a flight."""
 
     def __init__(self, config: AttitudeConfig) -> None:
         self._parser, self._decoder = Parser(), Decoder()
@@ -63,9 +63,9 @@ class FlightScorer:
         self._state = self._scorer.new_state()
 
     def add_bytes(self, data: bytes) -> None:
-        """Take in what left the proxy for the monitor."""
+        """Add bytes that the proxy sent to the monitor."""
         items = self._parser.push(data, datagram=False)
-        # Only verified frames are heard, as by the monitor itself.
+        # Only verified frames are used, as by the monitor itself.
         block = self._decoder.decode(item for item in items if isinstance(item, Frame))
         _, self._state = self._scorer.step(block, self._state)
 
@@ -76,17 +76,17 @@ class FlightScorer:
 
 @dataclass(frozen=True)
 class SimulatedBatch:
-    """A test to be flown in the simulator; the counterpart of `Batch`."""
+    """Evaluates a test in the simulator; the counterpart of `Batch`."""
 
     test: TestFile
 
     @cached_property
     def space(self) -> Space:
-        """What is searched."""
-        # Numbers of the scenario that are varied, by their path.
+        """The search space."""
+        # The varied numbers of the scenario, by path.
         entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
         if self.test.scenario is None:
-            # The search's own airframe flies in the simulator as well.
+            # The search's own airframe can fly in the simulator too.
             airframe = read_airframe(self.test.vehicle)
             trim = trim_values(airframe, self.test.density_kgpm3)
             entries = flight_entries(self.test, trim)
@@ -95,7 +95,7 @@ class SimulatedBatch:
     def evaluate(
         self, points: Array, seed: int, first: int, draws: int | None = None
     ) -> EvaluationOutcome:
-        """Fly points (n, d) of the unit cube, `first` being the first evaluation's number."""
+        """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
         draws = self.test.noise_draws if draws is None else draws
         return self.evaluate_values(self.space.values(points), seed, first, draws)
 
@@ -105,28 +105,29 @@ class SimulatedBatch:
         seed: int,
         first: int,
         draws: int,
-        alike: bool = False,
+        same_noise: bool = False,
     ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; with the same noise for all if `alike`."""
-        # All values have a row for each flight.
+        """Fly values (n,) by name, `draws` times each; with the same noise for all if
+        `same_noise`."""
+        # All values have one row per flight.
         count = len(next(iter(values.values())))
         flights = []
         for i in range(count):
-            mine = {name: float(column[i]) for name, column in values.items()}
-            # The seed of a flight comes from its number, as in the compiled form.
-            number = first if alike else first + i
+            one_flight = {name: float(column[i]) for name, column in values.items()}
+            # The seed of a flight comes from its number, as in the compiled kernels.
+            number = first if same_noise else first + i
             flights.append(
-                [self.scores(mine, seed, number * draws + draw) for draw in range(draws)]
+                [self.scores(one_flight, seed, number * draws + draw) for draw in range(draws)]
             )
         return outcome_of(flights, self.test)
 
     def scores(self, values: Mapping[str, float], seed: int, number: int) -> FlightScores:
-        """One flight with noise `number` of `seed`."""
+        """Score one flight with noise `number` of `seed`."""
         return score_flight(self.test, document_of(self.test, values, seed_of(seed, number)))
 
 
 def decode_document(document: Document) -> tuple[Scenario, Schedule]:
-    """A scenario and its faults.
+    """Decode a scenario and its faults.
 
     Raises
     ------
@@ -135,19 +136,19 @@ def decode_document(document: Document) -> tuple[Scenario, Schedule]:
     """
     where = f"the scenario {document.get('name', '')!r}"
     try:
-        # Built by the program and not read from a file: errors have no lines.
+        # Built by the program and not read from a file: errors have no line numbers.
         scenario = msgspec.convert(document, Scenario)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{where}: {error}; vary it less far") from error
+        raise ConfigError(f"{where}: {error}; narrow its range in vary") from error
     return scenario, parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
 
 
 def score_flight(test: TestFile, document: Document) -> FlightScores:
-    """Fly a scenario to its end or to the end of the envelope, and score the estimator."""
+    """Fly a scenario until its end or until it leaves the envelope, and score the estimator."""
     if test.autopilot is not None:
         return score_autopilot_flight(test.autopilot, test, document)
     scenario, schedule = decode_document(document)
-    watch = FlightScorer(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
+    scorer = FlightScorer(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
 
     hovers = test.scenario is None and has_rotors(test.vehicle)
 
@@ -156,14 +157,14 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
 
     flight = ProxiedFlight(scenario, schedule)
     broken_limit = steps = 0
-    # The envelope is looked at after each step, and ends the flight.
+    # The envelope is checked after each step and ends the flight.
     while not flight.finished and broken_limit == 0:
-        watch.add_bytes(flight.advance([]).monitor)
+        scorer.add_bytes(flight.advance([]).monitor)
         broken_limit, steps = limit(flight.simulation.truth), steps + 1
-    # What the faults still keep back leaves too.
-    watch.add_bytes(flight.finish().monitor)
+    # Frames that faults still hold back are sent now.
+    scorer.add_bytes(flight.finish().monitor)
     flight.drain_labels()
-    parts = watch.summary(flight.completed_labels()).get(test.estimator, {})
+    parts = scorer.summary(flight.completed_labels()).get(test.estimator, {})
     rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
     return FlightScores(
         np.array([rmse.get(axis, 0.0) for axis in AXES]),
@@ -178,39 +179,39 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
 def score_autopilot_flight(
     choice: AutopilotChoice, test: TestFile, document: Document
 ) -> FlightScores:
-    """The same under an autopilot; a flight that does not end by its landing counts as one that
-    met the ground."""
+    """Like `score_flight`, with an autopilot; a flight that does not end by landing counts as
+    hitting the ground."""
     scenario, _ = decode_document(document)
-    found, error_deg = measure_autopilot_error(choice, document, test.settle_s)
+    errors, error_deg = measure_autopilot_error(choice, document, test.settle_s)
     named = dict(zip(AXES, error_deg.tolist(), strict=True))
     rate_hz = float(getattr(first_imu(scenario), "rate_hz", 0.0))
     return FlightScores(
         error_deg,
-        found.largest_deg,
-        found.lasted_s,
-        GROUND_LIMIT if found.ended_early else 0,
-        round(found.lasted_s * rate_hz),
+        errors.largest_deg,
+        errors.lasted_s,
+        GROUND_LIMIT if errors.ended_early else 0,
+        round(errors.lasted_s * rate_hz),
         {"rmse_deg": named},
     )
 
 
 def first_imu(scenario: Scenario) -> Any:
-    """The IMU whose rate is that of the steps."""
+    """The first IMU, whose rate is that of the steps."""
     imu = scenario.sensors.imu
     return imu[0] if isinstance(imu, list) else imu
 
 
 def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> int:
-    """The number of the limit that the flight is beyond (see `rows.LIMITS`), 0 within.
+    """The number of the violated limit (see `rows.LIMITS`), 0 within the envelope.
 
-    What `hovers` needs no airspeed and has no flow angles.
+    If it `hovers`, airspeed and flow angles are not limited.
     """
     u, v, w = truth.v_air_b_mps.tolist()
-    # In the airframe's plane of symmetry, where the angle of attack lies.
+    # In the plane of symmetry, which contains the angle of attack.
     plane, speed = float(np.hypot(u, w)), float(np.hypot(np.hypot(u, w), v))
     low, high = limits.airspeed_mps
     _, pitch, _ = euler_angles(truth.q_nb.tolist())
-    beyond = (
+    violated = (
         abs(np.degrees(pitch)) > limits.pitch_deg,
         not hovers and abs(np.degrees(np.arctan2(w, u))) > limits.alpha_deg,
         not hovers and np.degrees(np.arctan2(abs(v), plane)) > limits.beta_deg,
@@ -219,11 +220,11 @@ def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> in
         np.linalg.norm(truth.specific_force_b_mps2) > limits.load_g * STANDARD_GRAVITY_MPS2,
         truth.height_agl_m <= limits.height_m,
     )
-    return next((number for number, is_beyond in enumerate(beyond, 1) if is_beyond), 0)
+    return next((number for number, is_violated in enumerate(violated, 1) if is_violated), 0)
 
 
 def outcome_of(flights: Sequence[Sequence[FlightScores]], test: TestFile) -> EvaluationOutcome:
-    """The outcome of n evaluations of some draws each."""
+    """The outcome of n evaluations with some draws each."""
     rmse = np.array([[scores.rmse_deg for scores in draws] for draws in flights])
     largest = np.array([[scores.largest_deg for scores in draws] for draws in flights])
     worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)

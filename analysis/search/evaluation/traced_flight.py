@@ -1,4 +1,4 @@
-"""One flight in full: truth, sensor samples and estimate; and any estimator on those samples."""
+"""One traced flight: truth, sensor samples and estimate; and any estimator on those samples."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -46,11 +46,11 @@ class FlightTrace:
 
 
 def trace_flight(plan: Plan, flight: Array, filters: Array, seed: int, number: int) -> FlightTrace:
-    """Fly one column (ROWS,) with noise `number` of `seed`; `filters` (FILTER_SIZE,) as the
-    filters'."""
-    # Whatever the criterion: the quaternion is filled in only for that of the angle.
+    """Fly one column (ROWS,) with noise `number` of `seed`; `filters` (FILTER_SIZE,) is the
+    filter's initial state."""
+    # For any criterion: the kernel computes the quaternion only for that of the angle.
     plan = plan._replace(angle=True)
-    # The kernel flies whole vectors: the same flight in each lane.
+    # The kernel flies one flight per lane: the same in each.
     lanes = np.ascontiguousarray(np.repeat(flight[:, None], rows.LANES, axis=1))
     noise = np.repeat(streams(seed, np.array([number])), rows.LANES, axis=1)
     out = trace(lanes, np.repeat(filters[None, :], rows.LANES, axis=0), noise, plan)
@@ -61,24 +61,24 @@ def trace_flight(plan: Plan, flight: Array, filters: Array, seed: int, number: i
 
 
 def sensor_samples(flight: FlightTrace) -> Iterator[list[Sample]]:
-    """The samples of each instant: IMU, field, airspeed, GPS, as they are due."""
+    """The samples of each step: IMU, field, airspeed, GPS, as they are due."""
     plan = flight.plan
     for k, measured in enumerate(flight.measured):
         t_us = round(k * plan.dt_s * 1e6)
-        found: list[Sample] = [ImuSample(t_us, measured[0:3], measured[3:6])]
-        # In the order of the kernel: filters that are fed otherwise give other last bits.
+        samples: list[Sample] = [ImuSample(t_us, measured[0:3], measured[3:6])]
+        # In the order of the kernel: another order changes the last bits of a filter.
         if k > 0 and k % plan.field_every == 0:
-            found.append(MagSample(t_us, measured[6:9]))
+            samples.append(MagSample(t_us, measured[6:9]))
         if k > 0 and k % plan.pressure_every == 0 and not plan.rotors:
-            found.append(AirspeedSample(t_us, float(measured[12])))
+            samples.append(AirspeedSample(t_us, float(measured[12])))
         if k > 0 and k % plan.velocity_every == 0 and not np.isnan(measured[9]):
-            # The place is not used by these estimators; the velocity is what counts.
-            found.append(GpsFix(t_us, 0.0, 0.0, 0.0, measured[9:12], 3, 10, 1.0, 1.0, "HIL_GPS"))
-        yield found
+            # These estimators use the velocity only, not the position.
+            samples.append(GpsFix(t_us, 0.0, 0.0, 0.0, measured[9:12], 3, 10, 1.0, 1.0, "HIL_GPS"))
+        yield samples
 
 
 def estimate_attitude(flight: FlightTrace, estimator: Estimator) -> Array:
-    """The attitude (n, 4) that an estimator makes of a flight's samples, started at the truth."""
+    """The attitude (n, 4) of an estimator on a flight's samples, started at the truth."""
     first = flight.state[0]
     prior = Prior(
         0,
@@ -97,6 +97,6 @@ def estimate_attitude(flight: FlightTrace, estimator: Estimator) -> Array:
 
 
 def with_all_sensors(plan: Plan) -> Plan:
-    """The plan with the slow sensors sampled, as estimators in Python may want them."""
-    # The inverse model samples the IMU alone, so that of its plan the slow sensors are missing.
+    """The plan with all slow sensors sampled, for estimators in Python."""
+    # The inverse model uses only the IMU, so its plan leaves the slow sensors out.
     return plan if plan.estimator > 0 else plan._replace(estimator=MAHONY)

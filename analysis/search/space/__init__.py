@@ -1,1 +1,1 @@
-"""What a search varies: a test file with its dimensions, and a point of it as a scenario."""
+"""The search space: a test file, its dimensions, and a point of it as a scenario."""

@@ -1,4 +1,4 @@
-"""What a search flies when it names no scenario: a fixed wing, or a quadrotor."""
+"""The aircraft of a search without a scenario: a fixed wing, or a quadrotor."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,7 +20,7 @@ Airframe = FixedWing | Multirotor
 
 
 def has_rotors(name: str) -> bool:
-    """Whether a parameter set is a multirotor's; errors as `read_airframe` has them."""
+    """Whether a parameter set is a multirotor's; raises like `read_airframe`."""
     data: Any = read_document(parameter_path(name)).data
     return isinstance(data, Mapping) and "rotors" in data
 
@@ -31,18 +31,18 @@ def read_airframe(name: str) -> Airframe:
     Raises
     ------
     ConfigError
-        If there is none, its content is wrong, or it has other than four rotors.
+        If it does not exist, its content is wrong, or it has not four rotors.
     """
     if not has_rotors(name):
         return FixedWing.read(name)
     quad = Multirotor.read(name)
     if quad.controls_count != MOTOR_COUNT:
-        raise ConfigError(f"vehicle = {name} has {quad.controls_count} rotors; a search flies four")
+        raise ConfigError(f"vehicle = {name} has {quad.controls_count} rotors; use one with four")
     return quad
 
 
 def trim_values(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
-    """What a test file may leave open: straight flight at cruising speed, or hover."""
+    """Defaults of a test file's open values: straight flight at cruising speed, or hover."""
     if isinstance(airframe, Multirotor):
         names = ("initial.u_mps", "initial.w_mps", "initial.pitch_deg", "controls.elevator_deg",
                  "controls.throttle", "mission.pitch_deg", "mission.airspeed_mps")  # fmt: skip
@@ -61,7 +61,7 @@ def trim_values(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
 
 
 def hover_rps(airframe: Airframe, density_kgpm3: float) -> float:
-    """Speed of a quadrotor's motors that carries it [rad/s]; 0 for a fixed wing."""
+    """Motor speed of a quadrotor in hover [rad/s]; 0 for a fixed wing."""
     if isinstance(airframe, Multirotor):
         return airframe.hover_rps(density_kgpm3, STANDARD_GRAVITY_MPS2)
     return 0.0

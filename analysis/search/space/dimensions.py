@@ -1,4 +1,4 @@
-"""The space a test file spans, and its points as flights for the kernel."""
+"""The search space of a test file, and its points as flights for the kernel."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ MISSION_ON, MISSION_OFF_PERIOD = 1.0, 1.0
 
 @dataclass(frozen=True)
 class Space:
-    """Names, lower and upper ends (d,) of what is searched; names and values of what is fixed.
+    """Names, lower and upper ends (d,) of the searched values; names and values of fixed ones.
 
-    Names are paths in the test file, such as `initial.roll_deg` or `faults[0].value`.
-    `choices` are the targets of each fault, `faults[0].target` then being searched.
+    Names are paths in the test file, such as `initial.roll_deg` or `faults[0].value`. A fault with
+    several targets has the dimension `faults[0].target`.
     """
 
     names: tuple[str, ...]
@@ -33,12 +33,12 @@ class Space:
 
     @property
     def dimension(self) -> int:
-        """How many numbers a point has."""
+        """Number of searched values."""
         return len(self.names)
 
     def values(self, points: Array) -> dict[str, Array]:
         """All values by name, (n,) each, of points (n, d) in the unit cube."""
-        # Clipped: some methods step out of the unit cube.
+        # Clipped: some methods step outside the unit cube.
         span = self.low + np.clip(points, 0.0, 1.0) * (self.high - self.low)
         count = len(points)
         fixed = {name: np.full(count, value) for name, value in self.fixed.items()}
@@ -46,11 +46,11 @@ class Space:
 
 
 def space_of(entries: Mapping[str, Range]) -> Space:
-    """The space of numbers and ranges by name."""
+    """The space of fixed numbers and ranges by name."""
     names, low, high = [], [], []
     fixed: dict[str, float] = {}
     for name, value in entries.items():
-        # An interval without length is a number: the searchers need a volume.
+        # An interval of zero length is a fixed number: searchers need a volume.
         if isinstance(value, tuple) and value[0] < value[1]:
             names.append(name)
             low.append(value[0])
@@ -61,47 +61,47 @@ def space_of(entries: Mapping[str, Range]) -> Space:
 
 
 def flight_entries(test: TestFile, trim: Mapping[str, float]) -> dict[str, Range]:
-    """Start, controls, wind and sensors; what the test leaves open is that of the trim."""
-    found = {}
+    """Start, controls, wind and sensors; open values are those of the trim."""
+    entries = {}
     for section in SECTIONS:
         part = getattr(test, section)
         for key, value in msgspec.structs.asdict(part).items() if part is not None else ():
             name = f"{section}.{key}"
             # None means "as trimmed": only these keys have a value there.
-            found[name] = trim[name] if value is None else value
-    return found
+            entries[name] = trim[name] if value is None else value
+    return entries
 
 
 def fault_entries(test: TestFile) -> dict[str, Range]:
-    """Magnitude, onset and duration of each fault, and the number that chooses its target."""
-    found: dict[str, Range] = {}
+    """Magnitude, onset and duration of each fault, and the number that selects its target."""
+    entries: dict[str, Range] = {}
     for i, fault in enumerate(test.faults):
-        found |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
+        entries |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
         count = len(fault.targets)
-        # A choice is searched as a number too: equal parts of an interval stand for the targets.
-        found[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
-    return found
+        # The target is searched as a number: equal parts of an interval are the targets.
+        entries[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
+    return entries
 
 
 def target_of(test: TestFile, fault: int, value: float) -> str:
-    """The target that a searched number stands for."""
+    """The target of a searched number."""
     targets = test.faults[fault].targets
-    # The upper end of the interval belongs to the last one.
+    # The upper end of the interval belongs to the last target.
     return targets[min(int(value), len(targets) - 1)]
 
 
 def flights_of(test: TestFile, values: Mapping[str, Array], motor_rps: float) -> Array:
-    """Columns (ROWS, n) for the kernel, estimates at the true start; a quadrotor's motors turn at
-    `motor_rps`."""
+    """Columns (ROWS, n) for the kernel, estimates starting at the truth; the motors of a quadrotor
+    turn at `motor_rps`."""
     count = len(values["initial.height_m"])
     columns = np.zeros((rows.ROWS, count))
     _start(columns, values)
-    # Surfaces are deflections here, as the kernel takes them.
+    # The kernel takes surface deflections in radians.
     radians = {name: np.radians(values[f"controls.{name}_deg"]) for name in SURFACES}
     columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4] = [*radians.values(), values["controls.throttle"]]
-    # What is set at the start is what was commanded.
+    # The initial positions are the commanded ones.
     columns[rows.CONTROL : rows.CONTROL + 4] = columns[rows.OPEN_LOOP : rows.OPEN_LOOP + 4]
-    # A period of zero would divide by it in lanes that fly no mission.
+    # Not zero: lanes without a mission divide by the period too.
     columns[rows.MISSION + 2] = MISSION_OFF_PERIOD
     if test.mission is not None:
         columns[rows.MISSION : rows.MISSION + 5] = [
@@ -114,11 +114,11 @@ def flights_of(test: TestFile, values: Mapping[str, Array], motor_rps: float) ->
     columns[rows.WIND : rows.WIND + 3] = [
         values[f"wind.{a}_mps"] for a in ("north", "east", "down")
     ]
-    # The steady wind is kept beside: gusts add to a copy of it.
+    # The steady wind is kept apart: gusts are added to a copy.
     columns[rows.STEADY : rows.STEADY + 3] = columns[rows.WIND : rows.WIND + 3]
     _sensors(columns, values)
     for slot in range(rows.SLOTS):
-        # No channel has this number, so that an unused slot acts on none.
+        # No channel has this number: an unused slot has no effect.
         columns[rows.FAULTS + slot * rows.FAULT_ROWS + rows.CHANNEL] = -1.0
     for slot in range(len(test.faults)):
         _fault(columns, test, slot, values)
@@ -163,11 +163,11 @@ def _sensors(columns: Array, values: Mapping[str, Array]) -> None:
 
 
 def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array]) -> None:
-    """One slot: the proxy's fault of the same name on one channel."""
+    """Fill one slot: the proxy's fault of the same name on one channel."""
     base = rows.FAULTS + slot * rows.FAULT_ROWS
     name = f"faults[{slot}]"
     kind = test.faults[slot].fault
-    # What is dropped is a message, what is falsified a field.
+    # A drop acts on a message, other faults on a field.
     known = DROP_CHANNELS if kind == "drop" else CHANNELS
     places = [known[target_of(test, slot, value)] for value in values[f"{name}.target"]]
     channel, unit = np.array(places).T
@@ -176,15 +176,15 @@ def _fault(columns: Array, test: TestFile, slot: int, values: Mapping[str, Array
     value = values.get(f"{name}.value", zero)
     columns[base + rows.CHANNEL] = channel
     columns[base + rows.START] = at_s
-    # Without a duration it lasts to the end.
+    # Without a duration it lasts until the end.
     columns[base + rows.END] = at_s + values.get(f"{name}.for_s", zero + np.inf)
-    # Every kind is factor, offset, rate and noise of one formula: lanes need no branch.
+    # Every kind is factor, offset, rate and noise of one formula: no branches in the lanes.
     columns[base + rows.FACTOR] = 0.0 if kind == "constant" else value if kind == "scale" else 1.0
     columns[base + rows.OFFSET] = value * unit if kind in ("bias", "constant") else 0.0
     if kind == "drop":
         columns[base + rows.OFFSET] = np.nan  # a sample that never came
     columns[base + rows.RATE] = value * unit if kind == "drift" else 0.0
     columns[base + rows.SPREAD] = value * unit if kind == "noise" else 0.0
-    # A frozen value is taken at the onset; until then there is none.
+    # The frozen value is taken at the onset; until then there is none.
     columns[base + rows.HOLD] = 1.0 if kind == "freeze" else 0.0
     columns[base + rows.FROZEN] = np.nan

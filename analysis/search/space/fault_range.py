@@ -8,7 +8,7 @@ from msgspec import field
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.numerics.earth import curvature_radii
 
-# Where the search's own flights are: normal gravity at sea level is 9.80665 m/s^2 there (WGS 84).
+# Latitude of compiled flights: normal gravity at sea level is 9.80665 m/s^2 there (WGS 84).
 LATITUDE_DEG = 45.497
 _MERIDIAN_M, _PRIME_M = map(float, curvature_radii(np.radians(LATITUDE_DEG)))
 METRES_PER_LAT = float(np.radians(1e-7) * _MERIDIAN_M)
@@ -30,16 +30,16 @@ CHANNELS: dict[str, tuple[int, float]] = {
     "HIL_GPS.vd": (11, 0.01),
     "HIL_SENSOR.diff_pressure": (12, 100.0),
     "HIL_SENSOR.abs_pressure": (13, 100.0),
-    # Metres of a ten-millionth of a degree where the flights are; heights grow against down.
+    # Metres per 1e-7 degree at this latitude; height is against down.
     "HIL_GPS.lat": (14, METRES_PER_LAT),
     "HIL_GPS.lon": (15, METRES_PER_LON),
     "HIL_GPS.alt": (16, -0.001),
 }
-# The kernels know places from the start's ground: a share or a number of a whole latitude is none.
+# Kernel positions are relative to the start: scaling or setting an absolute latitude is impossible.
 POSITION_FIELDS = ("HIL_GPS.lat", "HIL_GPS.lon", "HIL_GPS.alt")
 POSITION_FAULTS = ("bias", "drift", "freeze", "noise")
-# Three channels of velocity follow the first.
-DROP_CHANNELS = {"HIL_GPS": (9, 1.0)}  # what `drop` may silence, by its first channel
+# The first of three velocity channels.
+DROP_CHANNELS = {"HIL_GPS": (9, 1.0)}  # messages that `drop` may remove, by their first channel
 COMPILED_FAULTS = ("bias", "constant", "drift", "drop", "freeze", "noise", "scale")
 VALUELESS_FAULTS = ("drop", "freeze")
 
@@ -47,7 +47,7 @@ VALUELESS_FAULTS = ("drop", "freeze")
 class FaultRange(Section, frozen=True):
     """One fault as in a schedule; units are the field's.
 
-    `any_of` searches over targets too. `also` are the fault's own further keys.
+    With `any_of` the target is searched too. `also` holds further keys of the fault.
     """
 
     fault: str
@@ -60,23 +60,23 @@ class FaultRange(Section, frozen=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # One or the other: both would leave open what is searched.
+        # One or the other: both would be ambiguous.
         if (self.target is None) == (not self.any_of):
-            raise ValueError("exactly one of target and any_of is needed")
+            raise ValueError("give exactly one of target and any_of")
 
     @property
     def targets(self) -> list[str]:
-        """The targets there are to choose from."""
+        """The possible targets."""
         return [self.target] if self.target is not None else self.any_of
 
     def ranges(self) -> dict[str, Range]:
-        """The numbers by key, those that the file gives."""
-        given = {"value": self.value, "at_s": self.at_s, "for_s": self.for_s}
-        return {key: value for key, value in given.items() if value is not None}
+        """The numbers and ranges in the file, by key."""
+        values = {"value": self.value, "at_s": self.at_s, "for_s": self.for_s}
+        return {key: value for key, value in values.items() if value is not None}
 
-    # Checked here, since the simulator knows all faults and the kernels few.
+    # The simulator has all faults, the kernels only some.
     def check_compiled(self) -> None:
-        """Raise ValueError if this is no fault of the compiled kernels."""
+        """Raise ValueError if the compiled kernels do not have this fault."""
         if self.fault not in COMPILED_FAULTS:
             raise ValueError(
                 f"faults.fault {self.fault!r} is not compiled; known: {', '.join(COMPILED_FAULTS)}"
@@ -86,10 +86,10 @@ class FaultRange(Section, frozen=True):
             raise ValueError(f"faults.also is not compiled for {self.fault!r}; leave it out")
         if self.value is None and self.fault not in VALUELESS_FAULTS:
             raise ValueError(f"faults.value is missing for {self.fault!r}; a number or a range")
-        known = DROP_CHANNELS if self.fault == "drop" else CHANNELS
+        channels = DROP_CHANNELS if self.fault == "drop" else CHANNELS
         for target in self.targets:
-            if target not in known:
-                raise ValueError(f"target {target!r} is unknown; known: {', '.join(known)}")
+            if target not in channels:
+                raise ValueError(f"target {target!r} is unknown; known: {', '.join(channels)}")
             if target in POSITION_FIELDS and self.fault not in POSITION_FAULTS:
                 raise ValueError(
                     f"faults.fault {self.fault!r} on {target} is not compiled; known: "

@@ -1,4 +1,4 @@
-"""A point of a search as a scenario that `run` flies."""
+"""A point of a search as a scenario for `run`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,12 +14,12 @@ from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
-# The rates of the compiled flights' sensors.
+# Sensor rates of the compiled flights.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 
 
 def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Document:
-    """The scenario that flies these values, faults, monitor and all.
+    """The scenario of these values, with faults and monitor.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
     values : mapping
         Numbers by name, as the test's space gives them.
     seed : int
-        Of the simulator's noise.
+        Seed of the simulator's noise.
     """
     if test.scenario is None:
         document = _flight(test, values)
@@ -35,29 +35,29 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
         assert isinstance(test.scenario, dict)
         document = _varied(test.scenario, values)
     schedule = document.get("schedule")
-    # A scenario's own faults stay and come first.
-    given = schedule if isinstance(schedule, dict) else {"faults": schedule or []}
+    # The scenario's own faults are kept and come first.
+    own_schedule = schedule if isinstance(schedule, dict) else {"faults": schedule or []}
     monitor = dict(document.get("monitor") or {})
     monitor["attitude"] = {
         **(monitor.get("attitude") or {}),
-        # An autopilot is scored by what it sends, not by an estimator of ours.
+        # An autopilot is scored by the attitude it sends, not by a built-in estimator.
         "estimators": [] if test.estimator == AUTOPILOT else [test.estimator],
         "settle_s": test.settle_s,
     }
     return {
         **document,
         "seed": seed,
-        "schedule": {**given, "faults": [*given["faults"], *faults_of(test, values)]},
+        "schedule": {**own_schedule, "faults": [*own_schedule["faults"], *faults_of(test, values)]},
         "monitor": monitor,
     }
 
 
 def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
-    """The drawn faults as entries of a schedule; one that lasts no time is left out."""
+    """The drawn faults as schedule entries; those of zero duration are left out."""
     entries = []
     for i, fault in enumerate(test.faults):
         name = f"faults[{i}]"
-        # A schedule refuses a fault without length; to a search it is the absence of one.
+        # A schedule rejects a fault of zero duration; in a search it means no fault.
         if values.get(f"{name}.for_s") == 0.0:
             continue
         keys = [key for key in ("value", "at_s", "for_s") if f"{name}.{key}" in values]
@@ -74,20 +74,20 @@ def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
 
 
 def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
-    """A scenario with some of its numbers replaced."""
+    """The scenario with its varied numbers replaced."""
     document = scenario
     for name, value in values.items():
         if name.startswith("vary."):
             try:
                 document = with_value(document, name.removeprefix("vary."), float(value))
             except ConfigError as error:
-                # As the file names it.
+                # With the name of the test file's key.
                 raise ConfigError(f"vary.{error}") from None
     return document
 
 
 def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
-    """The search's own fixed wing in the simulator: the same start, controls, air and sensors."""
+    """The search's own aircraft in the simulator: the same start, controls, air and sensors."""
 
     def part(section: str) -> dict[str, float]:
         head = section + "."
@@ -96,14 +96,14 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     start, sensors = part("initial"), part("sensors")
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
-    # Names of the sections are those of a scenario, so they pass as they are.
+    # The sections have the same keys as a scenario.
     wind = part("wind")
     return {
         "name": "worst case",
         "duration_s": test.duration_s,
         "start": {
             "lat_deg": LATITUDE_DEG,
-            # Home lies so that the flight is in the density that the test names.
+            # The home altitude gives the test's air density at the flight's height.
             "alt_m": altitude_of(test.density_kgpm3) - height_m,
             "height_m": height_m,
             "heading_deg": heading_deg,
@@ -172,7 +172,7 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
 
 
 def altitude_of(density_kgpm3: float) -> float:
-    """Height above sea level [m] at which the standard troposphere is that dense."""
+    """Height above sea level [m] at which the standard troposphere has this density."""
     # Ideal gas: density by pressure and temperature at sea level.
     sea = SEA_LEVEL_PA / (287.05287 * SEA_LEVEL_K)
     ratio = density_kgpm3 / sea

@@ -1,17 +1,17 @@
-"""What the sections of a test file have in common."""
+"""Base class of the sections of a test file."""
 
 import msgspec
 
 Range = float | tuple[float, float]
-"""A number, or the interval that is searched."""
+"""A fixed number, or the interval to search."""
 
 
 class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: unknown keys are errors; ranges must have an order."""
+    """Base of the sections: unknown keys are errors; ranges must be ordered."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
             value = getattr(self, name)
-            # Lists of other lengths are no ranges.
+            # Tuples of other lengths are not ranges.
             if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-                raise ValueError(f"{name} = {list(value)} has its ends reversed; [low, high]")
+                raise ValueError(f"{name} = {list(value)} has its ends reversed; write [low, high]")

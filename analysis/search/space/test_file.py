@@ -1,7 +1,7 @@
-"""Test files: what a search varies, how far, and what counts (YAML).
+"""Test files (YAML): what a search varies, how far, and the criterion.
 
-Wherever a `Range` stands, a number is fixed and a list `[low, high]` is searched. A test flies
-either the search's own fixed wing, compiled and many at once, or a scenario in the simulator.
+In a `Range` a number is fixed and a list `[low, high]` is searched. A test flies either the
+search's own aircraft, compiled and many at once, or a scenario in the simulator.
 """
 
 from pathlib import Path
@@ -21,9 +21,9 @@ from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
 SIMULATOR_ESTIMATORS = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
-# As many as `rows` has slots.
+# The number of slots in `rows`.
 SLOTS = 4  # faults at once in the compiled kernels
-# A flight in the simulator takes a second or so, where the kernels fly thousands
+# A flight in the simulator takes about a second, in which the kernels fly thousands
 SIMULATOR_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
 NO_ENVELOPE = {
     "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
@@ -32,7 +32,7 @@ NO_ENVELOPE = {
 
 
 class InitialState(Section, frozen=True):
-    """State at the start; None is that of trimmed flight at the vehicle's cruising speed."""
+    """Initial state; None is that of trimmed flight at the vehicle's cruising speed."""
 
     height_m: Range = 500.0
     u_mps: Range | None = None
@@ -65,14 +65,14 @@ class Mission(Section, frozen=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Of a range the lower end decides.
+        # The lower end of a range decides.
         shortest = self.period_s[0] if isinstance(self.period_s, tuple) else self.period_s
         if shortest <= 0.0:
-            raise ValueError(f"period_s = {shortest} is not positive; seconds above 0")
+            raise ValueError(f"period_s = {shortest} is not positive; give seconds above 0")
 
 
 class SteadyWind(Section, frozen=True):
-    """Where the steady wind blows to."""
+    """Velocity of the steady wind, the direction it blows to."""
 
     north_mps: Range = 0.0
     east_mps: Range = 0.0
@@ -82,10 +82,10 @@ class SteadyWind(Section, frozen=True):
 class SearchSensors(Section, frozen=True):
     """Noise of each sample, one sigma, and constant biases.
 
-    `static` is the absolute pressure, which also drifts with the temperature (from 15 degrees on);
-    the kicks are those of the GPS position's Gauss-Markov error, north, east and up. Defaults:
-    ADXRS450, ADXL325 and MPXAZ6115A (Beard and McLain, Small Unmanned Aircraft, appendix H), GPS
-    speed and differential pressure from there too.
+    `static` is the absolute pressure, which also drifts with the temperature relative to 15
+    degrees; the kicks drive the GPS position's Gauss-Markov error, north, east and up. Defaults:
+    ADXRS450, ADXL325 and MPXAZ6115A (Beard and McLain, Small Unmanned Aircraft, appendix H), as are
+    GPS speed and differential pressure.
     """
 
     gyro_sigma_dps: Range = 0.13
@@ -119,7 +119,7 @@ class FlightEnvelope(Section, frozen=True):
 
 
 class StateScales(Section, frozen=True):
-    """Errors that count alike when all twelve states are compared."""
+    """Scales that weight the errors of the twelve states."""
 
     position_m: float = 10.0
     velocity_mps: float = 1.0
@@ -130,7 +130,7 @@ class StateScales(Section, frozen=True):
 class AutopilotChoice(Section, frozen=True):
     """An autopilot that flies the scenario from take-off to landing, as `run --autopilot` does.
 
-    `at_s` of the faults counts from leaving the ground.
+    `at_s` of the faults counts from take-off.
     """
 
     kind: Literal["ardupilot", "px4"]
@@ -139,21 +139,21 @@ class AutopilotChoice(Section, frozen=True):
 
 
 class TestFile(Section, frozen=True):
-    """A whole test file.
+    """A complete test file.
 
-    `criterion` is what is to become large: the greatest of the RMSE of roll, pitch and yaw, the
-    RMSE of the angle between estimate and truth, that of all twelve states in `state_scales`, or
-    that of the height, airspeed or position which the inverted sensor models make of the pressures
-    and of GPS. `static_pressure` is that of the standard atmosphere, or falls linearly by rho g h.
-    `breaks_at_deg` is the size from which an estimator counts as broken; the worst cases are shrunk
-    to the smallest fault that reaches it (None: half their own error). `noise_draws` flights with
-    their own noise make an evaluation. `settle_s` at the start of a flight is not scored.
+    `criterion` is maximised: the greatest RMSE of roll, pitch and yaw, the RMSE of the angle
+    between estimate and truth, that of all twelve states in `state_scales`, or that of height,
+    airspeed or position from inverted pressure and GPS models. `static_pressure` is that of the
+    standard atmosphere, or falls linearly by rho g h. `breaks_at_deg` is the error from which an
+    estimator counts as broken; the worst cases are shrunk to the smallest fault that reaches it
+    (None: half their own error). An evaluation is the mean of `noise_draws` flights with different
+    noise. `settle_s` at the start of a flight is not scored.
 
     With `scenario`, `vary` gives the intervals of its keys, and `initial`, `controls`, `mission`,
-    `wind` and `sensors` have no meaning.
+    `wind` and `sensors` are ignored.
     """
 
-    __test__ = False  # not for pytest to collect
+    __test__ = False  # keeps pytest from collecting it
 
     scenario: str | dict[str, Any] | None = None
     vary: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)
@@ -192,14 +192,14 @@ class TestFile(Section, frozen=True):
         super().__post_init__()
         for name in ("duration_s", "dt_s", "keep", "noise_draws", "rescore_draws"):
             if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
-        # Either alone would be a mistake: a section without use, or an autopilot that nobody asks.
+                raise ValueError(f"{name} = {getattr(self, name)} is not positive; use values > 0")
+        # Either alone is a mistake.
         if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
-            raise ValueError("estimator: autopilot and the section autopilot need each other")
+            raise ValueError("estimator: autopilot needs the section autopilot; give both or none")
         if self.autopilot is not None and self.scenario is None:
-            raise ValueError("an autopilot flies a scenario; give scenario too")
+            raise ValueError("autopilot is set without scenario; give scenario too")
         if self.vary and self.scenario is None:
-            raise ValueError("vary is for the keys of a scenario; give scenario too")
+            raise ValueError("vary is set without scenario; give scenario too")
         for name, (low, high) in self.vary.items():
             if low > high:
                 raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
@@ -226,29 +226,29 @@ class TestFile(Section, frozen=True):
     def _check_airframe(self) -> None:
         if not has_rotors(self.vehicle):
             return
-        # Zeros are those of a case that is flown again.
+        # Zeros are allowed: a saved case has them.
         if any(msgspec.structs.asdict(self.controls).values()):
-            raise ValueError("controls are a fixed wing's; a quadrotor sways by its mission")
+            raise ValueError("controls are for a fixed wing; give a quadrotor a mission")
         if self.mission is not None and self.mission.airspeed_mps:
-            raise ValueError("mission.airspeed_mps is a fixed wing's; a quadrotor holds its height")
-        # Nothing is measured there: it has no pitot tube.
+            raise ValueError("mission.airspeed_mps: quadrotors have no airspeed; leave it out")
+        # A quadrotor has no pitot tube.
         if self.criterion == "airspeed":
             raise ValueError("criterion: airspeed needs a pitot tube; a quadrotor has none")
 
     @property
     def unit(self) -> str:
-        """The criterion's unit; that of twelve states mixes several and has none."""
+        """The criterion's unit; that of twelve states is scaled and has none."""
         units = {"state": "", "height": "m", "airspeed": "m/s", "position": "m"}
         return units.get(self.criterion, "deg")
 
     @property
     def simulated(self) -> bool:
-        """Whether the simulator and the proxy fly it, one flight after the other."""
+        """Whether it is flown by simulator and proxy, one flight after the other."""
         return self.scenario is not None or self.estimator in SIMULATOR_ESTIMATORS
 
 
 def read_test(path: Path | str) -> TestFile:
-    """Read a test file, with the scenario it names in its place.
+    """Read a test file, with the scenario it names inserted.
 
     Raises
     ------
@@ -258,16 +258,16 @@ def read_test(path: Path | str) -> TestFile:
     document = read_document(path)
     data = document.data
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: holds no keys; a test file is a YAML mapping")
+        raise ConfigError(f"{path}:1: has no keys; a test file is a YAML mapping")
     refuse_other_kinds(data, TestFile.__struct_fields__, str(path), "a search")
     named = data.get("scenario")
     if named is not None or data.get("estimator") in SIMULATOR_ESTIMATORS:
-        # Behind, what the file says itself.
+        # The file's own values override the defaults.
         data = {**SIMULATOR_DEFAULTS, **data}
     if isinstance(named, str):
         data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
     if isinstance(named, str | dict):
         duration_s = data["scenario"].get("duration_s", 120.0)
-        # A scenario has an envelope of its own making: by default none is judged.
+        # A scenario has no envelope by default.
         data = {"duration_s": duration_s, "envelope": NO_ENVELOPE, **data}
     return decode(document._replace(data=data), TestFile)

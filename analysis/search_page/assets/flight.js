@@ -1,15 +1,15 @@
 "use strict";
-// The search's page: the test on show, its flight in space and over time, and the buttons.
+// The search's page: the displayed test, its flight in space and over time, and the buttons.
 
-const LOOK_MS = 1000, FLYING_MS = 150; // between two looks at what the search is doing
-const LONGEST_S = 20; // an animation is no longer than this
-const AIRCRAFT_SHARE = 0.9; // of the path's extent: how far away the aircraft is looked at from
+const POLL_MS = 1000, FLYING_MS = 150; // between two polls of the search's state
+const LONGEST_S = 20; // longest duration of an animation
+const AIRCRAFT_SHARE = 0.9; // viewing distance as a share of the path's extent
 let flight = null, sample = 0, playing = null;
 
 class FlightSpace extends Space {
   changed() { this.draw(); }
   draw() {
-    const [ctx, width, height] = fitted(this.canvas);
+    const [ctx, width, height] = fitCanvas(this.canvas);
     ctx.clearRect(0, 0, width, height);
     if (!flight) return;
     const point = (k) => flight.path.map((column) => column[k]);
@@ -42,8 +42,8 @@ function row(tag, cells) { return make("tr", {}, ...cells.map((cell) => make(tag
 function showFlight() {
   const t = flight.t[0], extent = Math.max(...flight.path.map((column) => Math.max(...column) - Math.min(...column)));
   space.distance = Math.max(20, extent * AIRCRAFT_SHARE);
-  stretches.clear();
-  flight.faults.forEach(({ at_s, for_s }, n) => stretches.set(`${n}`, [at_s, for_s == null ? null : at_s + for_s]));
+  faultIntervals.clear();
+  flight.faults.forEach(({ at_s, for_s }, n) => faultIntervals.set(`${n}`, [at_s, for_s == null ? null : at_s + for_s]));
   $("title").textContent = flight.title;
   document.title = `${flight.title} – mavproxy-fault search`;
   $("acting").replaceChildren(...flight.faults.map(({ what, at_s, for_s }) =>
@@ -53,7 +53,7 @@ function showFlight() {
   $("values").replaceChildren(make("thead", {}, row("th", ["parameter", "value", "searched"])),
     make("tbody", {}, ...flight.parameters.map((one) => row("td", [one.name, digits(one.value), range(one)]))));
   $("step").hidden = flight.step === 1;
-  $("step").textContent = `Of ${flight.step} samples one is shown here; the saved data have all.`;
+  $("step").textContent = `One of ${flight.step} samples is shown; the saved data have all.`;
   for (const one of plots) one.show(flight, choose);
   $("time").max = t.at(-1);
   $("animate").disabled = false;
@@ -61,7 +61,7 @@ function showFlight() {
   at(0);
 }
 
-// The aircraft, the marks and the angles at one sample.
+// Show aircraft, markers and angles of one sample.
 function at(k) {
   sample = k;
   const t = flight.t[0][k];
@@ -102,54 +102,54 @@ function play(from_s, begin_ms = null) {
 $("animate").onclick = () => {
   if (playing !== null) return stop();
   $("animate").textContent = "Stop";
-  // From where it stands, or once more from the start.
+  // Continue from the current time, or restart at the end.
   play(sample === flight.t[0].length - 1 ? 0 : flight.t[0][sample]);
 };
 $("time").oninput = () => { stop(); if (flight) at(sampleAt(Number($("time").value))); };
 
-// -- what the search is doing ------------------------------------------------------------------
+// -- state of the search ----------------------------------------------------------------------
 
 function showState(state) {
   const { flying, failed, number } = state;
-  $("flying").textContent = flying ? "flying…" : failed ? "the flight failed; the terminal says why" : "";
+  $("flying").textContent = flying ? "flying…" : failed ? "the flight failed; see the terminal for the reason" : "";
   $("next").disabled = flying || !token;
   $("save").disabled = flying || !token || number === null;
 }
 
-// JSON of the server; undefined where it is gone.
-async function told(path) {
+// JSON from the server; undefined if it does not respond.
+async function getJson(path) {
   try { return (await fetch(`/api/${path}`)).json(); } catch { return undefined; }
 }
 
 function showEnd() {
-  $("flying").textContent = "the search has ended; start it again to go on";
+  $("flying").textContent = "the search has ended; start it again to continue";
   for (const id of ["next", "save"]) $(id).disabled = true;
 }
 
 let timer = 0;
 
-async function look() {
+async function poll() {
   clearTimeout(timer);
-  const state = await told("state");
+  const state = await getJson("state");
   if (state && state.number !== null && state.number !== flight?.number) {
-    flight = await told("flight") ?? flight;
+    flight = await getJson("flight") ?? flight;
     if (flight) showFlight();
   }
   if (state) showState(state);
   else showEnd();
-  clearTimeout(timer); // of another look meanwhile
-  timer = setTimeout(look, state?.flying ? FLYING_MS : LOOK_MS);
+  clearTimeout(timer); // of another poll meanwhile
+  timer = setTimeout(poll, state?.flying ? FLYING_MS : POLL_MS);
 }
 
 $("next").onclick = () => {
   showState({ flying: true, number: null });
-  attempt("said", () => ask("next").then(look).then(() => ""));
+  attempt("message", () => post("next").then(poll).then(() => ""));
 };
-$("save").onclick = () => attempt("said", () => ask("save").then(({ files }) => `saved:\n${files.join("\n")}`));
+$("save").onclick = () => attempt("message", () => post("save").then(({ files }) => `saved:\n${files.join("\n")}`));
 $("viewing").hidden = Boolean(token);
 
 const drawn = new ResizeObserver(() => space.draw());
 drawn.observe($("space"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => space.draw());
 window.addEventListener("beforeprint", () => space.draw());
-look();
+poll();

@@ -1,5 +1,5 @@
 "use strict";
-// The curves of a flight on one time axis: a zoom of one is a zoom of all, and an instant is marked in each.
+// The curves of a flight on one time axis: zooming one zooms all, and the current time is marked in each.
 
 const ANGLES = ["roll", "pitch", "yaw"];
 const PLOTS = [
@@ -19,7 +19,7 @@ class FlightPlot {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot?.redraw());
   }
   size() { return { width: Math.max(240, this.area.clientWidth), height: 190 }; }
-  // `chosen` is called with the number of the sample that the pointer is on.
+  // `chosen` is called with the index of the sample under the pointer.
   show(flight, chosen) {
     const data = [flight.t[0], ...this.curves.map(([, , name, n]) => flight[name][n])];
     if (this.plot) return this.plot.setData(data);

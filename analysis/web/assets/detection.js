@@ -1,5 +1,5 @@
 "use strict";
-// What the monitor says: statistics, satellites, other sensors, attitude errors, and the list of events.
+// The monitor's results: statistics, satellites, other sensors, attitude errors, and the list of events.
 
 const EVENTS_SHOWN = 200;
 const statistic = new Sliding($("statistic"), { decades: 4, dashed: ["threshold"] });
@@ -7,13 +7,13 @@ const attitude = new Sliding($("attitude"));
 const satellites = new Satellites($("satellites"));
 const others = new Sliding($("others"), { decades: 3, dashed: ["threshold"] });
 const sensors = new Map();
-const ratios = new Map(); // of statistic over threshold, the last of each sensor
+const ratios = new Map(); // statistic over threshold, the last of each sensor
 let epoch = null;
-let crossed = ""; // when the statistic was last above its threshold: one epoch, if the culprit is found at once
+let crossed = ""; // when the statistic was last above its threshold: one epoch, if isolation succeeds at once
 
 function clearDetection() {
   for (const plot of [statistic, attitude, others]) plot.clear();
-  stretches.clear();
+  faultIntervals.clear();
   for (const chip of sensors.values()) chip.remove();
   sensors.clear();
   ratios.clear();
@@ -27,7 +27,7 @@ function showDecision(decision) {
   epoch = decision;
   verdicts.addDecision(decision);
   statistic.add(store.seconds(decision.t_us), { statistic: decision.statistic, threshold: decision.threshold });
-  if (decision.statistic > decision.threshold) crossed = `; was above at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
+  if (decision.statistic > decision.threshold) crossed = `; was above it at ${store.seconds(decision.t_us).toFixed(1)} s with ${decision.statistic.toFixed(0)}`;
   const { alarm, hypothesis, excluded } = decision;
   store.note("gnss", decision.t_us, { statistic: decision.statistic, threshold: decision.threshold, alarm, hypothesis, excluded: excluded.join(" ") });
 }
@@ -38,14 +38,14 @@ function drawEpoch() {
   const { excluded } = epoch;
   $("isolated").hidden = false;
   $("isolated").className = excluded.length ? "bad" : "note";
-  $("isolated").textContent = excluded.length ? `isolated: ${excluded.join(", ")}` : "none is isolated";
+  $("isolated").textContent = excluded.length ? `isolated: ${excluded.join(", ")}` : "no satellite is isolated";
   const { statistic: now, threshold } = epoch;
   $("now").textContent = now == null ? "" : `${now.toFixed(1)} is ${now > threshold ? "above" : "below"} ${threshold.toFixed(1)}${crossed}`;
   $("now").className = now > threshold ? "bad" : "note";
   epoch = null;
 }
 
-// What the verdicts are just now, of satellites or without them.
+// Draw the current verdicts, with or without satellites.
 function drawVerdicts() {
   if (!verdicts.fresh) return;
   verdicts.fresh = false;
@@ -58,17 +58,17 @@ function drawVerdicts() {
   showVerdict();
 }
 
-function saidOf(decision) {
-  return decision.isolated ? "isolated" : decision.alarm ? "alarm" : "agrees";
+function describeState(decision) {
+  return decision.isolated ? "isolated" : decision.alarm ? "alarm" : "consistent";
 }
 
-// A sensor that is isolated may have nothing to test, when silent for example: its last value stands then.
+// An isolated sensor may have nothing to test, for example when silent: its last value is kept.
 function followCurve({ sensor, t_us, statistic, threshold, isolated }) {
   const before = ratios.get(sensor), tested = threshold > 0;
   if (!tested && !(isolated && before)) return;
   const ratio = tested ? statistic / threshold : before.ratio;
   const name = NAMES[sensor] || sensor, values = { threshold: 1 };
-  // The dashed curve begins where the other one ends.
+  // The dashed curve starts where the other one ends.
   if (!isolated || !before?.isolated) values[name] = ratio;
   if (isolated) values[name + ISOLATED] = ratio;
   others.add(store.seconds(t_us), values);
@@ -106,12 +106,12 @@ function showLinks(points) {
   fillTable($("links"), used.map((key) => FIGURES[key]), list.map((one) => used.map((key) => one[key])));
 }
 
-// What is not recorded, and why; what was lost stays in sight when recording goes on.
+// Show why nothing is recorded; lost records stay visible when recording continues.
 function showRecording({ failing = null, lost_records: lost = 0 }) {
-  const missing = lost ? `${lost} records are missing in the logs.` : "";
+  const missing = lost ? `${lost} record${lost === 1 ? " is" : "s are"} missing in the logs.` : "";
   $("recording").hidden = !failing && !lost;
   $("recording").className = failing ? "gone" : "note";
-  $("recording").textContent = failing ? `Nothing is recorded now: ${failing}. ${missing}` : missing;
+  $("recording").textContent = failing ? `Recording has stopped: ${failing}. ${missing}` : missing;
 }
 
 // -- events -----------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ function addEvent(t_us, text, kind) {
 const RESULTS = ["accepted", "rejected for now", "denied", "unsupported", "failed", "in progress", "cancelled"]; // MAV_RESULT
 const COMMANDS = { 17: "hold", 20: "return", 21: "land", 22: "take off", 176: "set mode", 300: "start mission", 400: "arm or disarm" }; // MAV_CMD
 
-// The vehicle's answers to commands, whoever sent them.
+// The vehicle's answers to commands from any sender.
 function showAnswers(batch) {
   for (const { message, fields, received } of batch) {
     if (message !== "COMMAND_ACK") continue;
@@ -138,16 +138,16 @@ function showAnswers(batch) {
 }
 
 function showEvent(one) {
-  const text = one.type === "SensorDecision" ? `${NAMES[one.sensor] || one.sensor}: ${saidOf(one)}`
-    : one.hypothesis === "none" ? "satellites: agree" : spoken(one);
+  const text = one.type === "SensorDecision" ? `${NAMES[one.sensor] || one.sensor}: ${describeState(one)}`
+    : one.hypothesis === "none" ? "satellites: consistent" : describeDecision(one);
   addEvent(one.t_us, text, one.alarm ? "bad" : "");
 }
 
 function showLabel(label) {
   const at_us = label.end_us ?? label.changed_us ?? label.start_us;
-  const what = label.end_us != null ? `fault ended after ${label.frames || 0} frames`
-    : label.changed_us != null ? `value set to ${+label.value.toPrecision(6)}` : `fault begins on ${briefly(targetsOf(label))}`;
+  const what = label.end_us != null ? `fault ended after ${label.frames || 0} frame${label.frames === 1 ? "" : "s"}`
+    : label.changed_us != null ? `value set to ${+label.value.toPrecision(6)}` : `fault starts on ${shorten(targetsOf(label))}`;
   const begin = store.seconds(label.start_us);
-  stretches.set(`${label.id} ${label.start_us}`, [begin, label.end_us == null ? null : store.seconds(label.end_us)]);
+  faultIntervals.set(`${label.id} ${label.start_us}`, [begin, label.end_us == null ? null : store.seconds(label.end_us)]);
   addEvent(at_us, `${label.id}: ${what}`, "done");
 }

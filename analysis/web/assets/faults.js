@@ -1,40 +1,40 @@
 "use strict";
-// The faults there are, and the form for a new one: what is clicked is asked of the server.
+// The list of faults and the form for a new one.
 
 const PREVIEW_MS = 300;
 
-// -- changes, and the way back ------------------------------------------------------------------
+// -- changes, and undo --------------------------------------------------------------------------
 
-const MOST_UNDONE = 20;
-const earlier = []; // schedules as they stood before each change made here, as YAML
+const MAX_UNDO = 20;
+const earlier = []; // schedules before each change made here, as YAML
 const armed = new Map(); // entries armed here, by id
 
-// Ask for a change, keeping the schedule that it changes.
+// Request a change and keep the previous schedule for undo.
 async function change(path, body) {
-  const { yaml } = await ask("ctl/schedule/save");
-  const reply = await ask(path, body);
+  const { yaml } = await post("ctl/schedule/save");
+  const reply = await post(path, body);
   earlier.push(yaml);
-  if (earlier.length > MOST_UNDONE) earlier.shift();
+  if (earlier.length > MAX_UNDO) earlier.shift();
   $("undo").disabled = false;
   return reply;
 }
 
-$("undo").onclick = () => attempt("schedule-said", async () => {
-  await ask("ctl/schedule/load", earlier.at(-1));
+$("undo").onclick = () => attempt("schedule-message", async () => {
+  await post("ctl/schedule/load", earlier.at(-1));
   earlier.pop();
   $("undo").disabled = !earlier.length;
   return "the last change is undone";
 });
 
-// The entry of a fault that is over, to act again as long as before.
-function entryAgain(fault) {
+// The entry that repeats a finished fault for the same duration.
+function repeatedEntry(fault) {
   if (armed.has(fault.id)) return armed.get(fault.id);
   const kind = fault.preset ? { preset: fault.preset } : { fault: fault.fault };
   const for_s = fault.end_us ? { for_s: (fault.end_us - fault.start_us) / 1e6 } : {};
   return { ...kind, ...fault.targets?.length ? { target: fault.targets } : {}, ...fault.preset ? {} : fault.parameters, ...for_s };
 }
 
-// -- the faults there are ---------------------------------------------------------------------
+// -- the list of faults ----------------------------------------------------------------------
 
 const rows = new Map();
 let state = { faults: [] };
@@ -46,7 +46,7 @@ function showFaults(news) {
   const seen = new Set(news.faults.map((one) => one.id));
   for (const [id, row] of rows) if (!seen.has(id)) { row.close(); rows.delete(id); }
   for (const one of news.faults) {
-    if (rows.get(one.id)?.kind !== kindOf(one)) { // new, or armed anew as something else
+    if (rows.get(one.id)?.kind !== kindOf(one)) { // new, or armed again as something else
       rows.get(one.id)?.close();
       rows.set(one.id, faultRow(one));
     }
@@ -54,44 +54,44 @@ function showFaults(news) {
   }
   signals.follow(news.faults);
   followSequence(news.faults);
-  if (news.revision !== undefined && news.revision !== lastSet.revision) soonRemember(news.revision);
+  if (news.revision !== undefined && news.revision !== lastSchedule.revision) scheduleSnapshot(news.revision);
 }
 
-// -- the faults of a proxy that is gone -----------------------------------------------------------
+// -- restoring the faults of a lost proxy -----------------------------------------------------------
 
-const REMEMBER_MS = 500;
-// The schedule of the proxy as it stood last, for the case that the proxy dies; `revision` is the one asked for.
-let lastSet = { revision: null, anew: "", count: 0 }, rememberTimer = 0;
+const SNAPSHOT_MS = 500;
+// The last schedule of the proxy, to restore it if the proxy dies; `revision` is the requested one.
+let lastSchedule = { revision: null, anew: "", count: 0 }, snapshotTimer = 0;
 
-function soonRemember(revision) {
+function scheduleSnapshot(revision) {
   const count = state.faults.length;
-  lastSet = { ...lastSet, revision, count: Math.min(count, lastSet.count) }; // without faults there is nothing to ask for
-  clearTimeout(rememberTimer);
-  if (token && count) rememberTimer = setTimeout(async () => {
-    try { lastSet = { revision, anew: (await ask("ctl/schedule/save")).anew, count }; } catch { lastSet.revision = null; } // it is just going
-  }, REMEMBER_MS);
+  lastSchedule = { ...lastSchedule, revision, count: Math.min(count, lastSchedule.count) }; // without faults there is nothing to request
+  clearTimeout(snapshotTimer);
+  if (token && count) snapshotTimer = setTimeout(async () => {
+    try { lastSchedule = { revision, anew: (await post("ctl/schedule/save")).anew, count }; } catch { lastSchedule.revision = null; } // the proxy may be shutting down
+  }, SNAPSHOT_MS);
 }
 
-function forgetFaults() {
-  clearTimeout(rememberTimer);
-  lastSet = { revision: null, anew: "", count: 0 };
+function clearRestore() {
+  clearTimeout(snapshotTimer);
+  lastSchedule = { revision: null, anew: "", count: 0 };
   $("adopt").hidden = true;
 }
 
-// Another proxy is there: what the one that died had is offered to it.
-function offerFaults(name) {
-  const { anew, count } = lastSet;
-  forgetFaults();
+// A new proxy has connected: offer to restore the lost proxy's faults.
+function offerRestore(name) {
+  const { anew, count } = lastSchedule;
+  clearRestore();
   $("adopt").hidden = !count;
   if (!count) return;
-  const load = make("button", { type: "button", className: "small", textContent: "Load them here" });
+  const load = make("button", { type: "button", className: "small", textContent: "Restore them here" });
   const leave = make("button", { type: "button", className: "small", textContent: "No", onclick: () => { $("adopt").hidden = true; } });
-  load.onclick = () => attempt("schedule-said", async () => {
+  load.onclick = () => attempt("schedule-message", async () => {
     await change("ctl/schedule/begin", anew);
     $("adopt").hidden = true;
-    return `the faults of ${name} are loaded; their times count from now`;
+    return `the faults of ${name} are restored; their times count from now`;
   });
-  $("adopt").replaceChildren(`${name} went away with ${count} fault${count > 1 ? "s" : ""} loaded. `, load, " ", leave);
+  $("adopt").replaceChildren(`${name} disconnected with ${count} fault${count > 1 ? "s" : ""} loaded. `, load, " ", leave);
 }
 
 function kindOf({ fault, preset, targets, parameters }) {
@@ -103,12 +103,12 @@ function faultRow(fault) {
   const what = make("span", { className: "what note" });
   const disarm = make("button", { type: "button", className: "small", textContent: "Disarm", disabled: !token });
   disarm.setAttribute("aria-label", `Disarm ${fault.id}`);
-  disarm.onclick = () => attempt("schedule-said", () => change(`ctl/fault/${encodeURIComponent(fault.id)}/disarm`).then(() => ""));
+  disarm.onclick = () => attempt("schedule-message", () => change(`ctl/fault/${encodeURIComponent(fault.id)}/disarm`).then(() => ""));
   const again = make("button", { type: "button", className: "small", textContent: "Re-arm", hidden: true, disabled: !token });
   again.setAttribute("aria-label", `Re-arm ${fault.id}`);
   let newest = fault;
-  again.onclick = () => attempt("schedule-said", async () => {
-    await change(`ctl/fault/${encodeURIComponent(fault.id)}/arm`, JSON.stringify(entryAgain(newest)));
+  again.onclick = () => attempt("schedule-message", async () => {
+    await change(`ctl/fault/${encodeURIComponent(fault.id)}/arm`, JSON.stringify(repeatedEntry(newest)));
     return `armed again: ${fault.id}`;
   });
   const head = make("span", {}, make("b", { textContent: fault.id }), " ", stateText);
@@ -124,8 +124,8 @@ function faultRow(fault) {
       again.hidden = now.state === "active" || now.state === "waiting";
       stateText.textContent = phaseOf(now);
       const size = now.magnitude == null ? "" : `, largest change ${+now.magnitude.toPrecision(3)}`;
-      const frames = now.frames ? ` · ${now.frames} frames${size}` : "";
-      what.textContent = `${now.preset || now.fault} on ${briefly(targetsOf(now))}${frames}`;
+      const frames = now.frames ? ` · ${now.frames} frame${now.frames === 1 ? "" : "s"}${size}` : "";
+      what.textContent = `${now.preset || now.fault} on ${shorten(targetsOf(now))}${frames}`;
       live?.show(now);
     },
     close() {
@@ -135,25 +135,25 @@ function faultRow(fault) {
   };
 }
 
-// What a fault acts on: what was named, else the messages it is made for, else all that passes.
+// A fault's targets: those named, else the messages of its kind, else every message.
 function targetsOf({ targets, fault }) {
   if (targets?.length) return targets;
   const own = catalogue?.faults[fault]?.messages || [];
   return own.length ? own : ["every message"];
 }
 
-function briefly(names) {
+function shorten(names) {
   return names.length > 3 ? `${names.slice(0, 2).join(", ")} and ${names.length - 2} more` : names.join(", ");
 }
 
 function phaseOf(fault) {
   const at = (t_us) => `${store.seconds(t_us).toFixed(1)} s`;
-  if (fault.state === "active") return fault.end_us ? `acts until ${at(fault.end_us)}` : "acts";
-  if (fault.state === "waiting") return fault.start_us ? `waits until ${at(fault.start_us)}` : "waits";
-  return "is over";
+  if (fault.state === "active") return fault.end_us ? `active until ${at(fault.end_us)}` : "active";
+  if (fault.state === "waiting") return fault.start_us ? `waiting until ${at(fault.start_us)}` : "waiting";
+  return "finished";
 }
 
-// The live value of a fault that has one: constant, or streamed where its profile asks for that.
+// The live value of a fault that has one: constant, or streamed if its profile is live.
 function liveOf(fault) {
   const { value, profile } = fault.parameters || {};
   if (profile?.live) return new LiveValue(fault.id, 0, profile.live.timeout_s ?? 0.5);
@@ -161,23 +161,23 @@ function liveOf(fault) {
   return fault.preset && catalogue?.faults[fault.fault]?.schema.properties.value ? new LiveValue(fault.id) : null;
 }
 
-$("stop").onclick = () => attempt("schedule-said", () => change("ctl/schedule/stop").then(() => ""));
-$("save").onclick = () => attempt("schedule-said", async () => {
-  download("schedule.yaml", (await ask("ctl/schedule/save")).anew, "application/yaml");
+$("stop").onclick = () => attempt("schedule-message", () => change("ctl/schedule/stop").then(() => ""));
+$("save").onclick = () => attempt("schedule-message", async () => {
+  download("schedule.yaml", (await post("ctl/schedule/save")).anew, "application/yaml");
 });
-$("load").onchange = () => attempt("schedule-said", async () => {
+$("load").onchange = () => attempt("schedule-message", async () => {
   const file = $("load").files[0];
   $("load").value = "";
   if (!file) return "";
   const loaded = await change("ctl/schedule/begin", await file.text());
-  return `${file.name}: ${loaded.faults.length} faults loaded`;
+  return `${file.name}: ${loaded.faults.length} fault${loaded.faults.length === 1 ? "" : "s"} loaded`;
 });
 
 // -- a new fault ------------------------------------------------------------------------------
 
 const preview = new Preview($("preview"));
 let catalogue = null, entryOf = () => ({}), previewTimer = 0, previewNumber = 0;
-let touched = false; // until then nothing is said about what the form lacks
+let touched = false; // until then the form's errors are not shown
 
 async function offer() {
   catalogue = await (await fetch("/api/catalogue")).json();
@@ -189,7 +189,7 @@ async function offer() {
   $("kind").append(group("ready-made (presets)", Object.keys(catalogue.presets), "preset"), group("to build yourself (faults)", Object.keys(catalogue.faults), "fault"));
   $("known-fields").replaceChildren(...Object.entries(catalogue.units).map(([value, unit]) => make("option", { value, label: unit ? `${value}, ${unit}` : value })));
   choose();
-  for (const row of rows.values()) row.close(); // now it is known which of them take a value
+  for (const row of rows.values()) row.close(); // now it is known which of them have a live value
   rows.clear();
   showFaults(state);
 }
@@ -206,16 +206,16 @@ function choose() {
   entryOf = faultForm($("fields"), schema, catalogue.defs);
   suggest(kind, fault);
   const target = $("fields").querySelector("[data-key=target]");
-  if (target) target.placeholder = kind === "preset" || fault.messages.length ? "as it is made" : fault.acts_on === "frames" ? "every message" : "MESSAGE.field";
-  say("form-said", "");
+  if (target) target.placeholder = kind === "preset" || fault.messages.length ? "the preset's own" : fault.acts_on === "frames" ? "every message" : "MESSAGE.field";
+  showMessage("form-message", "");
   touched = kind === "preset";
   $("hint").textContent = "";
   preview.show([]);
-  soonPreview();
+  schedulePreview();
 }
 
 function presetSchema() {
-  // A preset takes the keys that every fault has.
+  // A preset takes the keys that all faults share.
   const some = Object.values(catalogue.faults).map((one) => Object.keys(one.schema.properties));
   const shared = some.reduce((left, right) => left.filter((key) => right.includes(key)));
   const { properties } = Object.values(catalogue.faults)[0].schema;
@@ -243,7 +243,7 @@ function entry() {
   return { [kind]: name, ...entryOf() };
 }
 
-function soonPreview() {
+function schedulePreview() {
   showUnit();
   clearTimeout(previewTimer);
   if (token) previewTimer = setTimeout(showPreview, PREVIEW_MS);
@@ -252,29 +252,29 @@ function soonPreview() {
 async function showPreview() {
   const number = ++previewNumber;
   try {
-    const { curves, error } = await ask("preview", JSON.stringify(entry()));
+    const { curves, error } = await post("preview", JSON.stringify(entry()));
     if (number !== previewNumber) return;
     preview.show(curves.slice(0, 2));
     $("hint").textContent = touched ? error || "" : "";
   } catch (error) {
-    if (number === previewNumber) say("form-said", error.message);
+    if (number === previewNumber) showMessage("form-message", error.message);
   }
 }
 
-// A name of its own for a second fault of a kind: the same name would replace the first.
-function unused(name) {
+// A unique name: a second fault with the same name would replace the first.
+function uniqueName(name) {
   let number = 1;
   while (rows.has(number > 1 ? `${name}-${number}` : name)) number++;
   return number > 1 ? `${name}-${number}` : name;
 }
 
 $("kind").onchange = choose;
-$("fields").addEventListener("input", () => { touched = true; say("form-said", ""); soonPreview(); });
+$("fields").addEventListener("input", () => { touched = true; showMessage("form-message", ""); schedulePreview(); });
 $("form").onsubmit = (event) => {
   event.preventDefault();
   const data = entry();
-  const id = data.id || unused(data.preset || data.fault);
-  attempt("form-said", async () => {
+  const id = data.id || uniqueName(data.preset || data.fault);
+  attempt("form-message", async () => {
     const reply = await change(`ctl/fault/${encodeURIComponent(id)}/arm`, JSON.stringify(data));
     armed.set(id, data);
     return `armed: ${reply.armed.join(", ")}`;

@@ -1,11 +1,11 @@
 "use strict";
-// A form made from a JSON Schema. Each part is {element, value()}; value() is undefined when empty.
-// What cannot be read as a number is sent as it stands: the checker says what is wrong with it.
+// A form made from a JSON Schema. Each part is {element, value()}; value() is undefined when empty. Text that is not a
+// number is sent unchanged: the server's check reports the error.
 
 const UNITS = { _s: "s", _m: "m", _hz: "Hz", _rad: "rad", _mps: "m/s", _deg: "deg", _db: "dB" };
-// Of the entry itself; inside a profile `at_s` and `for_s` mean the function's own time.
-const SAID = { at_s: "begin in, s (0: now)", for_s: "for, s (empty: for good)", id: "name", when: "when (condition)", via: "acts in" };
-const LATER = ["id", "when", "after", "repeat", "where", "probability", "via"];
+// Labels of the entry's own keys; inside a profile `at_s` and `for_s` are the function's own time.
+const LABELS = { at_s: "start in, s (0: now)", for_s: "duration, s (empty: until disarmed)", id: "name", when: "when (condition)", via: "direction" };
+const RARE_KEYS = ["id", "when", "after", "repeat", "where", "probability", "via"];
 let numbered = 0;
 
 function spelled(key) {
@@ -71,26 +71,26 @@ function objectPart(key, schema, defs) {
   return { element: box, value: inner.value };
 }
 
-// A value that stays, or one of the functions of time: one choice, and only the fields it needs.
+// A constant value or a function of time: one selection, and only the fields it needs.
 const SHAPES = { segments: "straight segments", sine: "sine", impulses: "impulses", table: "series from a file", live: "live, by slider" };
 
 function shapePart(value, profile, defs) {
   const { properties } = resolved(profile, defs);
-  const select = make("select", {}, make("option", { value: "", textContent: "stays the same" }),
-    ...Object.entries(SHAPES).map(([kind, words]) => make("option", { value: kind, textContent: words })));
+  const select = make("select", {}, make("option", { value: "", textContent: "constant" }),
+    ...Object.entries(SHAPES).map(([kind, text]) => make("option", { value: kind, textContent: text })));
   select.dataset.key = "shape";
   const constant = partOf("value", value, defs);
   const area = make("div", { className: "shape" });
   let inner = null, kind = "";
-  const lay = () => {
+  const layOut = () => {
     kind = select.value;
     inner = kind ? fieldsOf({ mode: properties.mode, [kind]: properties[kind] }, defs) : null;
     area.replaceChildren(...inner ? inner.elements : [constant.element]);
     for (const fold of area.querySelectorAll(":scope > details")) fold.open = true;
     area.querySelector("button.more")?.click();
   };
-  select.addEventListener("change", lay);
-  lay();
+  select.addEventListener("change", layOut);
+  layOut();
   const profiled = () => ({ [kind]: kind === "segments" ? [] : {}, ...inner.value() });
   return {
     element: make("div", {}, labelled("changes over time", select), area),
@@ -139,19 +139,19 @@ function fieldsOf(properties, defs) {
   };
 }
 
-// The form of one fault or preset: what it is about first, the rarer keys folded away.
+// The form of one fault or preset: main keys first, rarely used keys folded away.
 function faultForm(area, schema, defs) {
   const { fault, preset, ...keys } = schema.properties;
   const shaped = keys.value && keys.profile ? shapePart(keys.value, keys.profile, defs) : null;
-  const own = Object.keys(keys).filter((key) => ![...LATER, "target", "at_s", "for_s"].includes(key) && !(shaped && ["value", "profile"].includes(key)));
+  const own = Object.keys(keys).filter((key) => ![...RARE_KEYS, "target", "at_s", "for_s"].includes(key) && !(shaped && ["value", "profile"].includes(key)));
   const some = (names) => fieldsOf(Object.fromEntries(names.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
   const target = some(["target"]), main = some([...own, "at_s", "for_s"]);
-  const later = fieldsOf(Object.fromEntries(LATER.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
+  const later = fieldsOf(Object.fromEntries(RARE_KEYS.filter((key) => key in keys).map((key) => [key, keys[key]])), defs);
   const fold = make("details", {}, make("summary", { textContent: "more: name, condition, repetition, which frames" }), make("div", {}, ...later.elements));
   area.replaceChildren(...target.elements, ...shaped ? [shaped.element] : [], ...main.elements, fold);
-  for (const [key, words] of Object.entries(SAID)) {
+  for (const [key, text] of Object.entries(LABELS)) {
     const own = area.querySelector(`:scope > .field > [data-key=${key}], :scope > details:last-child > div > .field > [data-key=${key}]`);
-    if (own) own.previousSibling.textContent = words;
+    if (own) own.previousSibling.textContent = text;
   }
   area.querySelector("[data-key=target]")?.setAttribute("list", "targets");
   return () => ({ ...target.value(), ...shaped?.value(), ...main.value(), ...later.value() });

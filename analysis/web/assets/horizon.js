@@ -1,11 +1,11 @@
 "use strict";
-// An artificial horizon: the attitude that is shown, and that of another source as a dashed line.
+// An artificial horizon: the main attitude, and that of a second source as a dashed line.
 
 const SKY = ["#3b82c4", "#2b5f92"], GROUND = ["#8a6238", "#6b4a29"]; // light, dark
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
 function drawHorizon(canvas, main, second) {
-  const [ctx, width, height] = fitted(canvas);
+  const [ctx, width, height] = fitCanvas(canvas);
   ctx.clearRect(0, 0, width, height);
   if (!main) return;
   const scale = height / 60 * DEGREES; // sixty degrees from top to bottom
@@ -61,7 +61,7 @@ function drawWorld(ctx, width, scale, height) {
   }
 }
 
-// What does not move: the roll scale, the aircraft, and the heading.
+// The fixed parts: roll scale, aircraft symbol, and heading.
 function drawFrame(ctx, width, height, radius, [roll, , yaw]) {
   ctx.save();
   ctx.translate(width / 2, height / 2);

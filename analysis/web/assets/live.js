@@ -1,11 +1,11 @@
 "use strict";
-// A slider and a number for the value of a fault that acts. A streamed value is sent again and again,
-// because the proxy lets the healthy value pass when none comes.
+// A slider and a number for the value of an active fault. A streamed value is sent repeatedly, because the proxy
+// forwards the healthy value when none arrives.
 
 const SLIDER_MS = 80;
 
 class LiveValue {
-  // `value` is undefined where it is not known; `timeout_s` is given where values are streamed.
+  // `value` is undefined if unknown; `timeout_s` is given if values are streamed.
   constructor(id, value, timeout_s) {
     Object.assign(this, { id, timeout_s, wanted: null, busy: false, timer: 0 });
     const reach = Math.abs(value ?? 0) * 3 || 1;
@@ -27,12 +27,12 @@ class LiveValue {
   }
   stream(on) {
     clearInterval(this.timer);
-    if (!on) this.wanted = null; // a value that still waits for its turn is not sent after the stop
+    if (!on) this.wanted = null; // a value that is still queued is not sent after the stop
     this.timer = on ? setInterval(() => this.set(Number(this.range.value)), this.timeout_s * 1000 / 3) : 0;
     this.toggle.setAttribute("aria-pressed", String(on));
     this.toggle.textContent = on ? "Stop streaming" : "Stream";
   }
-  // Room on the slider for a number that was typed.
+  // Extend the slider's range to a number that was typed.
   reach(value) {
     this.range.hidden = false;
     const reach = Math.max(Number(this.range.max), Math.abs(value) * 1.5);
@@ -48,10 +48,10 @@ class LiveValue {
     this.busy = true;
     const value = this.wanted;
     this.wanted = null;
-    await attempt("schedule-said", () => ask(`ctl/fault/${encodeURIComponent(this.id)}/value`, JSON.stringify({ value })).then(() => ""));
+    await attempt("schedule-message", () => post(`ctl/fault/${encodeURIComponent(this.id)}/value`, JSON.stringify({ value })).then(() => ""));
     setTimeout(() => { this.busy = false; this.send(); }, SLIDER_MS);
   }
-  // Follow what another viewer has set.
+  // Show the value set by another viewer.
   show(fault) {
     const value = fault.value ?? (typeof fault.parameters?.value === "number" ? fault.parameters.value : null);
     if (value === null || this.busy || this.element.contains(document.activeElement) || Number(this.number.value) === value) return;

@@ -1,12 +1,12 @@
 "use strict";
 // Plots over a sliding window, by uPlot, and the bars of the satellites.
 
-const MOST_SPAN_S = 600;
-const MOST = 30000; // samples kept of a curve
+const MAX_SPAN_S = 600;
+const MAX_SAMPLES = 30000; // samples kept of a curve
 const BAR_SIGMAS = 8; // a bar of full length
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-// The stretch of time that every plot of the page shows: the newest seconds, up to one end for all.
+// The time interval of all plots: the newest seconds, with a common end.
 const shown = { span_s: 60, end_s: -Infinity };
 const SYNC = { key: "time", scales: ["x", null] };
 
@@ -26,24 +26,24 @@ const logRange = (decades) => (u, min, max) => {
   return [Math.max(10 ** Math.floor(Math.log10(min)), top / 10 ** decades), top];
 };
 
-// The stretches in which a fault acts, as [begin, end or null] in seconds, by the fault's id and begin.
-const stretches = new Map();
+// The intervals in which faults act, as [start, end or null] in seconds, by fault id and start.
+const faultIntervals = new Map();
 
 function shadeFaults(u) {
   const { left, top, width, height } = u.bbox, { ctx } = u;
   ctx.save();
   ctx.fillStyle = colour("--shade");
-  for (const [begin, end] of stretches.values()) {
+  for (const [begin, end] of faultIntervals.values()) {
     const from = Math.max(left, u.valToPos(begin, "x", true)), to = end === null ? left + width : Math.min(left + width, u.valToPos(end, "x", true));
     if (to > from) ctx.fillRect(from, top, Math.max(1, to - from), height);
   }
   ctx.restore();
 }
 
-const BINS = 400; // of the stretch shown: more samples than two in each cannot be told apart on a screen
+const BINS = 400; // of the interval shown: a screen cannot resolve more than two samples in each
 
-// Calls `keep` with the numbers of the samples to draw: the least and the greatest in each bin, in order of time. Bins
-// lie at fixed times, so that a curve does not flicker as it moves. `null` is no sample.
+// Calls `keep` with the indices of the samples to draw: minimum and maximum of each bin, in order of time. Bins start
+// at fixed times, so that a moving curve does not flicker. `null` is no sample.
 function extremes(count, seconds, value, keep) {
   const bin_s = shown.span_s / BINS;
   let bin = null, least = 0, greatest = 0, low = 0, high = 0;
@@ -67,12 +67,12 @@ function extremes(count, seconds, value, keep) {
   flush();
 }
 
-// Over a long stretch curves have so many bends that only a hairline is drawn in time.
+// Over a long interval only thin lines are drawn fast enough.
 const lineWidth = (usual) => shown.span_s > 60 ? 1 : usual;
 
-const GAP_S = 3; // between two samples of a curve: longer, and nothing was told meanwhile
+const GAP_S = 3; // a longer gap between two samples interrupts a curve
 
-// Where a curve is interrupted, in pixels. Its nulls alone say nothing: other curves have samples there.
+// Interruptions of a curve, in pixels. Its nulls are no interruption: other curves have samples there.
 function gapsOf(u, number, from, to) {
   const [t] = u.data, y = u.data[number], found = [];
   for (let i = from, last = null; i <= to; i++) {
@@ -83,13 +83,13 @@ function gapsOf(u, number, from, to) {
   return found;
 }
 
-// The curve of a sensor goes on while it is isolated: dashed, under a name of its own.
+// The curve of an isolated sensor continues dashed, under its own name.
 const ISOLATED = ", isolated";
 const LINE = 1.4; // pixels
 
 class Sliding {
-  // Curves by name over the shared stretch of time; a name that is new adds a curve. With `decades` the
-  // axis is logarithmic and so many of them high at most.
+  // Curves by name over the shared time interval; a new name adds a curve. With `decades` the axis is logarithmic and
+  // spans at most that many.
   constructor(area, { decades = 0, dashed = [] } = {}) {
     this.area = area;
     this.decades = decades;
@@ -112,7 +112,7 @@ class Sliding {
       this.stale = true;
     }
     const last = this.t.length - 1;
-    if (last >= 0 && t < this.t[last]) return; // two keys of one tick may come out of order
+    if (last >= 0 && t < this.t[last]) return; // two keys of one tick may be out of order
     if (last < 0 || t > this.t[last]) {
       this.t.push(t);
       for (const row of this.rows.values()) row.push(null);
@@ -125,13 +125,13 @@ class Sliding {
     this.dirty = true;
   }
   trim() {
-    let old = Math.max(0, this.t.length - MOST);
-    while (this.t[old] < this.t[this.t.length - 1] - MOST_SPAN_S) old++;
-    if (old < 200 && this.t.length <= MOST) return; // shifting arrays at each sample is dear
+    let old = Math.max(0, this.t.length - MAX_SAMPLES);
+    while (this.t[old] < this.t[this.t.length - 1] - MAX_SPAN_S) old++;
+    if (old < 200 && this.t.length <= MAX_SAMPLES) return; // shifting arrays at each sample is slow
     this.t.splice(0, old);
     for (const row of this.rows.values()) row.splice(0, old);
   }
-  // Whether there was something to draw.
+  // Returns whether there was something to draw.
   draw() {
     if (this.stale) this.rebuild();
     if (!this.plot || !this.dirty && this.end_s === shown.end_s) return false;
@@ -141,7 +141,7 @@ class Sliding {
     this.plot.setData(this.data());
     return true;
   }
-  // Curves have their extremes at times of their own, and nothing at the others'.
+  // Curves have their extremes at different times, and no value at the others'.
   data() {
     const { t } = this, [from] = shownRange();
     let first = t.length;
@@ -185,13 +185,13 @@ class Sliding {
   }
 }
 
-// A made-up healthy signal, what the fault makes of it, and the fault function itself: the change, on the right.
+// A synthetic healthy signal, the same with the fault, and the change, on the right axis.
 function drawCurve(area, curve) {
-  const lost = curve.lost.length ? `, ${curve.lost.length} frames lost` : "";
-  const alone = curve.name.startsWith("change of"); // of a large number only the change is drawn
+  const lost = curve.lost.length ? `, ${curve.lost.length} frame${curve.lost.length === 1 ? "" : "s"} lost` : "";
+  const alone = curve.name.startsWith("change of"); // of a large value only the change is drawn
   const title = document.createElement("p");
   title.className = "note";
-  title.textContent = `${curve.name}${lost} (${alone ? "" : "grey: healthy, made up; "}orange: with the fault${alone ? "" : "; blue, right: the change"})`;
+  title.textContent = `${curve.name}${lost} (${alone ? "" : "grey: healthy, synthetic; "}orange: with the fault${alone ? "" : "; blue, right: the change"})`;
   area.append(title);
   if (!curve.t.length) return;
   const change = curve.faulty.map((y, n) => alone || y === null || curve.healthy[n] === null ? null : y - curve.healthy[n]);
@@ -206,7 +206,7 @@ function drawCurve(area, curve) {
 }
 
 class Preview {
-  // The curves of a fault that is not armed yet; drawn anew when the page's width or colours change.
+  // The preview of a fault; redrawn when the page's width or colours change.
   constructor(area) {
     this.area = area;
     this.show([]);
@@ -225,16 +225,16 @@ class Preview {
 }
 
 class Satellites {
-  // A bar for each satellite of the newest epoch; rows stay where they are while the list does.
+  // A bar for each satellite of the newest epoch; rows are kept while the list does not change.
   constructor(area) {
     this.area = area;
     this.rows = new Map();
   }
-  clear() { this.lay([]); }
+  clear() { this.layOut([]); }
   show(decision) {
     const out = new Set(decision.excluded);
     const names = [...new Set([...decision.satellites, ...out])].sort();
-    if (names.join() !== [...this.rows.keys()].join()) this.lay(names);
+    if (names.join() !== [...this.rows.keys()].join()) this.layOut(names);
     for (const [name, row] of this.rows) {
       const sigmas = decision.normalised[decision.satellites.indexOf(name)];
       row.className = out.has(name) ? "sat out" : "sat";
@@ -242,7 +242,7 @@ class Satellites {
       row.children[2].textContent = out.has(name) ? "isolated" : sigmas == null ? "–" : `${sigmas.toFixed(1)} σ`;
     }
   }
-  lay(names) {
+  layOut(names) {
     this.area.replaceChildren();
     this.rows.clear();
     for (const name of names) {

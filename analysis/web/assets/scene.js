@@ -1,12 +1,11 @@
 "use strict";
-// The aircraft in space with its tracks: where it is, where it is told to be, where fusion has it.
-// Positions are told from the first one.
+// The aircraft in space with its tracks: truth, GPS, autopilot and fusion. Positions are relative to the first one.
 
 const A_M = 6378137, E2 = 6.69437999014e-3; // WGS 84
 const TRACK_POINTS = 3000, TRACK_STEP_US = 200000, TRACK_GAP_US = 3e6;
 const TRACKS = [
   { name: "truth", stroke: "--s2", from: ["HIL_STATE_QUATERNION"] },
-  { name: "GPS as sent on", stroke: "--s1", from: ["HIL_GPS", "GPS_RAW_INT"] },
+  { name: "GPS (forwarded)", stroke: "--s1", from: ["HIL_GPS", "GPS_RAW_INT"] },
   { name: "autopilot", stroke: "--s0", from: ["GLOBAL_POSITION_INT"] },
   { name: "fusion", stroke: "--s3", from: ["fusion"] },
 ];
@@ -26,7 +25,7 @@ class Scene extends Space {
     this.ground = null;
     this.tracks = TRACKS.map((track) => ({ ...track, points: [], newest_us: -Infinity }));
   }
-  // East, north and up of a position on the earth, by its latitude and longitude in radians.
+  // East, north and up of a geodetic position, latitude and longitude in radians.
   place(position) { return this.local(ecef(position)); }
   local(point) {
     const [lat, lon] = this.origin;
@@ -69,7 +68,7 @@ class Scene extends Space {
   }
   draw(attitude, type) {
     this.gather();
-    const [ctx, width, height] = fitted(this.canvas);
+    const [ctx, width, height] = fitCanvas(this.canvas);
     ctx.clearRect(0, 0, width, height);
     const main = this.tracks.find((track) => track.points.at(-1));
     if (!main) return;

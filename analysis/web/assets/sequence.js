@@ -1,21 +1,21 @@
 "use strict";
-// A test sequence: steps that follow one another, checked by the server, run as a schedule and watched.
+// A test sequence: a list of steps, checked by the server and run as a schedule.
 
-const DEEDS = ["arm", "take-off", "hold", "mission", "return", "land", "disarm"];
-const ASKED_S = 10; // a command by its button is repeated so long at most, until it is granted
+const COMMAND_NAMES = ["arm", "take-off", "hold", "mission", "return", "land", "disarm"];
+const COMMAND_TIMEOUT_S = 10; // a button's command is repeated until it is accepted, at most for this long
 const CHECK_MS = 300;
 let allowed = { commands: false, sequences: null }, steps = [], checkTimer = 0, checkNumber = 0, phases = [];
 
 // -- a step -------------------------------------------------------------------------------------
 
-// A row for one entry of a schedule: when it begins can be changed, the rest stays as it came.
+// A row for one entry of a schedule: its start can be edited, the rest is kept.
 class Step {
   constructor({ at_s, after, when, ...rest }) {
     this.rest = rest;
     this.id = rest.id;
     const { id = after, event = "end", delay_s = 0 } = typeof after === "object" ? after : {};
     this.wanted = id ? `${event}:${id}` : "";
-    this.earliest_s = id ? at_s : undefined; // both may stand in a file
+    this.earliest_s = id ? at_s : undefined; // a file may have both
     this.begin = make("select");
     this.wait = make("input", { type: "text", inputMode: "decimal", value: id ? delay_s : at_s ?? 0 });
     this.when = make("input", { type: "text", value: when ?? "", placeholder: "condition", spellcheck: false });
@@ -37,7 +37,7 @@ class Step {
       make("span", { className: "what note", textContent: described(rest) }),
       make("div", { className: "when" }, named("begins", this.begin), named("wait, s", this.wait), named("until", this.when), ...height ? [named("height, m", height)] : []));
   }
-  // The moments that it may follow: the beginning, and begin and end of every other step.
+  // The possible predecessors: the start, and start and end of every other step.
   offer(others) {
     const choices = [["", "from the start"], ...others.flatMap((id) => [[`end:${id}`, `after ${id} ends`], [`start:${id}`, `after ${id} starts`]])];
     this.begin.replaceChildren(...choices.map(([value, textContent]) => make("option", { value, textContent, selected: value === this.wanted })));
@@ -55,7 +55,7 @@ class Step {
     const own = faults.filter(({ id }) => id === this.id || id.replace(/\.\d+$/, "") === this.id);
     const now = own.some((one) => one.state === "active") ? "active" : own.some((one) => one.state === "waiting") ? "waiting" : own.length ? "done" : "";
     this.element.className = now;
-    this.state.textContent = { active: "runs", waiting: "waits", done: "done" }[now] || "";
+    this.state.textContent = { active: "running", waiting: "waiting", done: "done" }[now] || "";
     if (now === "active") this.element.setAttribute("aria-current", "step");
     else this.element.removeAttribute("aria-current");
     return now;
@@ -70,7 +70,7 @@ function described({ fault, preset, target, value, for_s, number, ...rest }) {
 
 // -- the list -------------------------------------------------------------------------------------
 
-// A new step follows the one before: its end, or its start where it never ends.
+// A new step follows the end of the previous one, or its start if it never ends.
 function addStep(entry, name) {
   const before = steps.at(-1), taken = new Set(steps.map((one) => one.id));
   let id = entry.id || name;
@@ -79,117 +79,117 @@ function addStep(entry, name) {
   const { at_s = 0, ...rest } = entry;
   const after = { id: before?.id, event: ends ? "end" : "start", delay_s: at_s };
   steps.push(new Step({ ...rest, id, ...before ? { after } : { at_s } }));
-  lay();
+  layOut();
 }
 
 function remove(step) {
   steps = steps.filter((one) => one !== step);
-  for (const one of steps) if (one.wanted.endsWith(`:${step.id}`)) one.wanted = step.wanted; // the chain closes
-  lay();
+  for (const one of steps) if (one.wanted.endsWith(`:${step.id}`)) one.wanted = step.wanted; // its successors follow its predecessor
+  layOut();
 }
 
 function moveUp(step) {
   const place = steps.indexOf(step);
   if (place > 0) steps.splice(place - 1, 2, step, steps[place - 1]);
-  lay();
+  layOut();
 }
 
-function lay() {
+function layOut() {
   for (const one of steps) one.offer(steps.filter((other) => other !== one).map((other) => other.id));
   $("steps").replaceChildren(...steps.map((one) => one.element));
   followSequence(state.faults);
-  soonCheck();
+  scheduleCheck();
 }
 
 function openSteps({ steps: entries }) {
   steps = entries.map((entry) => new Step(entry));
-  lay();
+  layOut();
 }
 
 const asSequence = () => JSON.stringify({ faults: steps.map((one) => one.entry()) });
 
-function soonCheck() {
+function scheduleCheck() {
   clearTimeout(checkTimer);
   for (const id of ["run-sequence", "download-sequence", "keep"]) $(id).disabled = !token || !steps.length;
   if (token && steps.length) checkTimer = setTimeout(checkSteps, CHECK_MS);
-  else say("sequence-said", "");
+  else showMessage("sequence-message", "");
 }
 
 async function checkSteps() {
   const number = ++checkNumber;
   let wrong = "";
-  try { await ask("sequence/check", asSequence()); } catch (error) { wrong = error.message; }
-  if (number === checkNumber) say("sequence-said", wrong);
+  try { await post("sequence/check", asSequence()); } catch (error) { wrong = error.message; }
+  if (number === checkNumber) showMessage("sequence-message", wrong);
 }
 
-// Which steps are done, which runs; called with each state of the schedule.
+// Show which steps are done and running; called with each state of the schedule.
 function followSequence(faults) {
   phases = steps.map((one) => one.show(faults));
   const running = steps.filter((_, place) => phases[place] === "active").map((one) => one.id);
   const done = phases.filter((one) => one === "done").length;
   const text = !phases.some(Boolean) ? "" : done === steps.length ? "the sequence is done"
-    : `${done} of ${steps.length} steps done${running.length ? `; ${running.join(", ")} runs` : ""}`;
+    : `${done} of ${steps.length} steps done${running.length ? `; running: ${running.join(", ")}` : ""}`;
   if ($("sequence-state").textContent !== text) $("sequence-state").textContent = text;
 }
 
 // -- buttons --------------------------------------------------------------------------------------
 
-// What a button says stands: a check that is still under way must not wipe it away.
+// A button's message is kept: a pending check must not overwrite it.
 function press(act) {
   clearTimeout(checkTimer);
   checkNumber++;
-  return attempt("sequence-said", act);
+  return attempt("sequence-message", act);
 }
 
-$("steps").addEventListener("input", soonCheck);
+$("steps").addEventListener("input", scheduleCheck);
 $("add-step").onclick = () => addStep({ fault: "command", do: $("deed").value }, $("deed").value);
 $("add-fault").onclick = () => press(async () => {
   const { id, ...data } = entry();
-  await ask("sequence/check", JSON.stringify({ faults: [data] }));
+  await post("sequence/check", JSON.stringify({ faults: [data] }));
   addStep({ ...id ? { id } : {}, ...data }, id || data.preset || data.fault);
 });
 $("run-sequence").onclick = () => press(async () => {
-  const { yaml } = await ask("sequence/check", asSequence());
+  const { yaml } = await post("sequence/check", asSequence());
   await change("ctl/schedule/begin", yaml);
-  return "the sequence runs";
+  return "the sequence is running";
 });
 $("download-sequence").onclick = () => press(async () => {
-  download("sequence.yaml", (await ask("sequence/check", asSequence())).yaml, "application/yaml");
+  download("sequence.yaml", (await post("sequence/check", asSequence())).yaml, "application/yaml");
 });
 $("open-sequence").onchange = () => press(async () => {
   const file = $("open-sequence").files[0];
   $("open-sequence").value = "";
-  if (file) openSteps(await ask("sequence/check", await file.text()));
+  if (file) openSteps(await post("sequence/check", await file.text()));
 });
 $("keep").onclick = () => press(async () => {
   const name = $("kept-name").value.trim();
-  showKept((await ask(`sequence/write/${encodeURIComponent(name)}`, asSequence())).sequences);
-  return `${name} is kept`;
+  showStored((await post(`sequence/write/${encodeURIComponent(name)}`, asSequence())).sequences);
+  return `${name} is stored`;
 });
 $("open-kept").onclick = () => press(async () => {
-  openSteps(await ask(`sequence/read/${encodeURIComponent($("kept-name").value.trim())}`));
+  openSteps(await post(`sequence/read/${encodeURIComponent($("kept-name").value.trim())}`));
 });
 
-function showKept(names) {
+function showStored(names) {
   $("kept").hidden = !names;
   $("kept-names").replaceChildren(...(names || []).map((value) => make("option", { value })));
 }
 
 function commandButton(deed) {
   const button = make("button", { type: "button", textContent: deed.replace("-", " ") });
-  button.onclick = () => attempt("commands-said", async () => {
+  button.onclick = () => attempt("commands-message", async () => {
     const height = deed === "take-off" ? { height_m: scalar($("height").value, { type: "number" }) } : {};
-    await ask(`ctl/fault/command-${deed}/arm`, JSON.stringify({ fault: "command", do: deed, for_s: ASKED_S, ...height }));
-    return `${deed}: asked, until it is granted or ${ASKED_S} s are over`;
+    await post(`ctl/fault/command-${deed}/arm`, JSON.stringify({ fault: "command", do: deed, for_s: COMMAND_TIMEOUT_S, ...height }));
+    return `${deed}: sent until accepted, for at most ${COMMAND_TIMEOUT_S} s`;
   });
   return button;
 }
 
-async function askAllowed() {
-  if (token) allowed = await ask("allowed");
+async function loadPermissions() {
+  if (token) allowed = await post("allowed");
   $("commands").hidden = $("command-step").hidden = !allowed.commands;
-  $("deed").replaceChildren(...DEEDS.map((value) => make("option", { value, textContent: value.replace("-", " ") })));
-  $("commands").prepend(...DEEDS.map(commandButton));
-  showKept(allowed.sequences);
-  soonCheck();
+  $("deed").replaceChildren(...COMMAND_NAMES.map((value) => make("option", { value, textContent: value.replace("-", " ") })));
+  $("commands").prepend(...COMMAND_NAMES.map(commandButton));
+  showStored(allowed.sequences);
+  scheduleCheck();
 }

@@ -1,16 +1,16 @@
 "use strict";
-// Plots of single fields: as they came to the proxy, as they left it, and what was true.
+// Plots of single fields: received by the proxy, forwarded by it, and true.
 
-const MOST_SIGNALS = 6;
-const LINES = [0, 3.5, 1.5, 1.2]; // widths in pixels: time, received, sent on, truth
+const MAX_SIGNALS = 6;
+const LINES = [0, 3.5, 1.5, 1.2]; // widths in pixels: time, received, forwarded, truth
 const FIRST = ["HIL_SENSOR.xgyro", "ATTITUDE.rollspeed", "RAW_IMU.xgyro"];
 const DEGREES = 180 / Math.PI;
 
-// What stands for a message where a fault takes it whole.
-const STANDS_FOR = { HIL_SENSOR: "xgyro", HIL_GPS: "lat", GPS_RAW_INT: "lat", ATTITUDE: "roll", ATTITUDE_QUATERNION: "q1",
+// The field to plot for a fault that acts on an entire message.
+const DEFAULT_FIELDS = { HIL_SENSOR: "xgyro", HIL_GPS: "lat", GPS_RAW_INT: "lat", ATTITUDE: "roll", ATTITUDE_QUATERNION: "q1",
   GLOBAL_POSITION_INT: "relative_alt", VFR_HUD: "airspeed", ODOMETRY: "x", RAW_IMU: "xgyro", DISTANCE_SENSOR: "current_distance" };
 
-// Fields of which HIL_STATE_QUATERNION holds the truth, and the factor between the units.
+// Fields whose truth is in HIL_STATE_QUATERNION, and the factor between the units.
 const G_MPS2 = 9.80665e-3; // of one mG
 const TRUTH = {
   "HIL_SENSOR.xgyro": ["rollspeed"], "HIL_SENSOR.ygyro": ["pitchspeed"], "HIL_SENSOR.zgyro": ["yawspeed"],
@@ -30,7 +30,7 @@ function angles([w, x, y, z]) {
     Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))];
 }
 
-// The truth of a field as rows and what to read from them.
+// The truth of a field as rows and a function that reads its value.
 function truthOf(name, end_us, span_us) {
   const table = store.tables.get("HIL_STATE_QUATERNION");
   const [field, factor = 1] = TRUTH[name] || [];
@@ -40,7 +40,7 @@ function truthOf(name, end_us, span_us) {
   return [table.window("sent", end_us, span_us), read];
 }
 
-// Rows [t_us, ...] as two columns, as many as can be told apart; a break where far more time passed than is usual.
+// Rows [t_us, ...] as two columns, reduced to the screen's resolution; interrupted at unusually long gaps.
 function column(rows, read, usual_us) {
   const t = [], y = [], far_us = Math.max(4 * usual_us, 2e6 * shown.span_s / BINS);
   let before = null;
@@ -60,25 +60,25 @@ class Signal {
     this.name = name;
     const [message, field] = name.split(".");
     Object.assign(this, { message, field, range: message === "PSEUDORANGE", plot: null, drawn: "" });
-    this.said = make("p", { className: "note", textContent: "nothing of it has come yet" });
+    this.note = make("p", { className: "note", textContent: "nothing received yet" });
     const close = make("button", { type: "button", className: "small", textContent: "Remove", onclick: remove });
     close.setAttribute("aria-label", `Remove ${name}`);
     const unit = this.range ? "m" : catalogue?.units[name.split("[")[0]];
     this.area = make("div", { className: "plot" });
     this.now = make("span", { className: "now" });
     this.element = make("div", { className: "signal" },
-      make("div", { className: "title" }, make("b", { textContent: name }), unit ? `, ${unit}` : "", this.now, close), this.said, this.area);
+      make("div", { className: "title" }, make("b", { textContent: name }), unit ? `, ${unit}` : "", this.now, close), this.note, this.area);
     area.append(this.element);
     this.observer = new ResizeObserver(() => this.plot?.setSize(this.size()));
     this.observer.observe(this.area);
   }
   size() { return { width: Math.max(240, this.area.clientWidth), height: 150 }; }
-  // A range is 20,000 km and changes by the second: only what a fault adds to it can be seen.
+  // A range is 20,000 km and changes constantly: only the change by a fault is visible.
   changes(table, place, span_us) {
     const came = new Map(table.window("received", store.newest_us, span_us).map((row) => [row[0], row[place]]));
     return table.window("sent", store.newest_us, span_us).map((row) => [row[0], row[place] == null ? null : row[place] - came.get(row[0])]);
   }
-  // Whether there was something to draw.
+  // Returns whether there was something to draw.
   draw() {
     const table = store.tables.get(this.message);
     const drawn = `${shown.end_s} ${shown.span_s}`;
@@ -96,10 +96,10 @@ class Signal {
       !this.range && !table.faulted ? came : column(sent, this.range ? (row) => row[1] : pick, usual_us),
       column(...truthOf(this.name, store.newest_us, span_us), 1e9),
     ], [[1, 1], [1, 1], [1, 1]]);
-    this.said.hidden = true;
+    this.note.hidden = true;
     const digits = (value) => value == null ? "–" : String(+value.toPrecision(Math.abs(value) > 1e5 ? 10 : 5));
-    this.now.textContent = this.range ? `sent on minus received ${digits(sent.at(-1)?.[1])}`
-      : `received ${digits(table.newest(this.field, "received"))}, sent on ${digits(table.newest(this.field))}`;
+    this.now.textContent = this.range ? `forwarded minus received ${digits(sent.at(-1)?.[1])}`
+      : `received ${digits(table.newest(this.field, "received"))}, forwarded ${digits(table.newest(this.field))}`;
     if (!this.plot) this.make(data);
     this.plot.series.forEach((one, number) => { one.width = lineWidth(LINES[number]); });
     this.plot.setData(data);
@@ -112,9 +112,9 @@ class Signal {
     this.plot = new uPlot({
       ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false }, sync: SYNC },
       scales: { x: { time: false, range: shownRange } },
-      axes: [x, { ...y, size: wide }], hooks: { drawClear: [shadeFaults] },
+      axes: [x, { ...y, size: axisWidth }], hooks: { drawClear: [shadeFaults] },
       series: [{ label: "t", value: (u, t) => t == null ? "–" : `${t.toFixed(2)} s` },
-        line("received", "--s0", { alpha: 0.45 }), line("sent on", "--s1"), line("truth", "--s2", { dash: [5, 4] })],
+        line("received", "--s0", { alpha: 0.45 }), line("forwarded", "--s1"), line("truth", "--s2", { dash: [5, 4] })],
     }, data, this.area);
     this.plot.over.setAttribute("aria-hidden", "true");
   }
@@ -125,13 +125,13 @@ class Signal {
   }
 }
 
-// Room for the longest number of an axis.
-function wide(u, values) {
+// Width for the longest number of an axis.
+function axisWidth(u, values) {
   return 16 + 7 * Math.max(4, ...(values || []).map((text) => String(text).length));
 }
 
 class Signals {
-  // What the viewer picked stays; what a fault acts on comes by itself, the newest two.
+  // Fields picked by the viewer are kept; the two newest fields that faults act on are added automatically.
   constructor(area) {
     this.area = area;
     this.shown = new Map();
@@ -143,7 +143,7 @@ class Signals {
   pick(name) {
     this.picked.add(name);
     this.removed.delete(name);
-    this.lay();
+    this.layOut();
   }
   follow(faults) {
     const before = this.acting;
@@ -154,27 +154,27 @@ class Signals {
     if (!fresh.length) return;
     for (const name of fresh) this.removed.delete(name);
     this.followed = [...new Set([...fresh, ...this.followed])].slice(0, 2);
-    this.lay();
+    this.layOut();
   }
-  lay() {
-    const names = [...new Set([...this.picked, ...this.followed])].filter((name) => !this.removed.has(name)).slice(0, MOST_SIGNALS);
+  layOut() {
+    const names = [...new Set([...this.picked, ...this.followed])].filter((name) => !this.removed.has(name)).slice(0, MAX_SIGNALS);
     for (const [name, signal] of this.shown) if (!names.includes(name)) { signal.remove(); this.shown.delete(name); }
     for (const name of names) {
       if (!this.shown.has(name)) this.shown.set(name, new Signal(name, this.area, () => this.drop(name)));
     }
-    wish([...this.shown.values()].map((signal) => signal.message));
+    requestMessages([...this.shown.values()].map((signal) => signal.message));
   }
   drop(name) {
     this.picked.delete(name);
     this.removed.add(name);
-    this.lay();
+    this.layOut();
     $("field").focus();
   }
-  // Something to see before any fault has acted.
+  // Show a field before any fault has acted.
   begin() {
     if (this.shown.size || this.removed.size) return;
     const found = FIRST.find((name) => store.tables.has(name.split(".")[0]));
-    if (found) { this.followed = [found]; this.lay(); }
+    if (found) { this.followed = [found]; this.layOut(); }
   }
 }
 
@@ -182,7 +182,7 @@ class Signals {
 function fieldOf(target) {
   const [message, field] = target.split(".");
   if (message === "PLANT") return undefined;
-  const some = field || STANDS_FOR[message] || Object.keys(catalogue?.units || {}).find((name) => name.startsWith(`${message}.`))?.split(".")[1];
+  const some = field || DEFAULT_FIELDS[message] || Object.keys(catalogue?.units || {}).find((name) => name.startsWith(`${message}.`))?.split(".")[1];
   return some && `${message}.${some}`;
 }
 
@@ -190,8 +190,8 @@ const signals = new Signals($("signals"));
 $("pick").onsubmit = (event) => {
   event.preventDefault();
   const name = $("field").value.trim();
-  if (!/^\w+\.\w+(\[\d+\])?$/.test(name)) return say("field-said", `${name || "nothing"} is no field; write MESSAGE.field, such as HIL_GPS.alt`);
-  say("field-said", "");
+  if (!/^\w+\.\w+(\[\d+\])?$/.test(name)) return showMessage("field-message", `${name || "nothing"} is not a field; write MESSAGE.field, such as HIL_GPS.alt`);
+  showMessage("field-message", "");
   $("field").value = "";
   signals.pick(name);
 };

@@ -1,9 +1,9 @@
 "use strict";
-// A view into space: camera, ground, paths and an aircraft. Points are east, north, up in metres.
-// Drag or arrow keys turn, + and - zoom.
+// A view into space: camera, ground, paths and an aircraft. Points are east, north, up in metres. Drag or arrow keys
+// rotate, + and - zoom.
 
-// A canvas of the size it has on the screen, in its own pixels; its context is in CSS pixels.
-function fitted(canvas) {
+// Set a canvas to its size on the screen in device pixels; its context uses CSS pixels.
+function fitCanvas(canvas) {
   const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);
@@ -14,7 +14,7 @@ function fitted(canvas) {
   return [ctx, width, height];
 }
 
-// Triangles in body axes (forward, right, down), in parts of the aircraft's size.
+// Triangles in body axes (forward, right, down), in units of the aircraft's size.
 const WINGED = [
   [[1, 0, 0], [-0.9, 0.1, -0.05], [-0.9, -0.1, -0.05]], [[1, 0, 0], [-0.2, 0.13, 0.12], [-0.2, -0.13, 0.12]],
   [[0.25, 0, -0.06], [-0.15, 1.15, -0.08], [-0.4, 1.15, -0.08]], [[0.25, 0, -0.06], [-0.4, 1.15, -0.08], [-0.3, 0, -0.06]],
@@ -51,7 +51,7 @@ class Space {
       from = [event.clientX, event.clientY];
     });
     canvas.addEventListener("wheel", (event) => {
-      if (document.activeElement !== canvas) return; // the page scrolls until the view is chosen
+      if (document.activeElement !== canvas) return; // the page scrolls unless the view has the focus
       event.preventDefault();
       this.zoom(event.deltaY > 0 ? 1.15 : 1 / 1.15);
     }, { passive: false });
@@ -104,7 +104,7 @@ class Space {
     }
     return lines;
   }
-  // As it is in ink, or as it is believed to be in outline.
+  // The true attitude filled, the estimate as an outline.
   aircraft(ctx, project, here, [w, x, y, z], mesh, believed = false) {
     const size = this.distance * 0.09;
     const turn = ([fx, fy, fz]) => { // body to east, north, up

@@ -1,8 +1,8 @@
 "use strict";
-// All that came since the page was opened, by time: values as they came to the proxy and as they
-// left it, and what the detectors said. What the page draws and the CSV file are taken from here.
+// All data since the page was opened, by time: values received and forwarded by the proxy, and detector results. Source
+// of the plots and the CSV file.
 
-const ROWS_KEPT = 30000; // of a message: ten minutes at 50 samples a second
+const ROWS_KEPT = 30000; // per message: ten minutes at 50 samples a second
 const ALWAYS = ["HIL_STATE_QUATERNION", "HIL_SENSOR", "HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION",
   "GLOBAL_POSITION_INT", "HEARTBEAT", "SYS_STATUS", "ESTIMATOR_STATUS", "EKF_STATUS_REPORT", "COMMAND_ACK"];
 
@@ -18,7 +18,7 @@ class Table {
   }
   add(received, sent) {
     const last = this.received.at(-1)?.[0] ?? -Infinity;
-    if (received.length && received[0][0] < last - 1e6) { this.received = []; this.sent = []; } // a clock begun anew
+    if (received.length && received[0][0] < last - 1e6) { this.received = []; this.sent = []; } // the clock was reset
     this.faulted ||= Boolean(sent);
     this.received.push(...received);
     this.sent.push(...sent || received);
@@ -31,7 +31,7 @@ class Table {
     const row = this[side].at(-1);
     return row && row[this.place(field)];
   }
-  // The rows of the newest so many microseconds before `end_us`.
+  // The rows of the last `span_us` before `end_us`.
   window(side, end_us, span_us) {
     const rows = this[side];
     let first = rows.length;
@@ -40,7 +40,7 @@ class Table {
   }
 }
 
-// Satellites rise and set: give the table room for new ones, and the rows its order.
+// Satellites rise and set: add columns for new ones, and reorder the rows.
 function widen(table, one) {
   for (const name of one.fields) {
     if (table.places.has(name)) continue;
@@ -75,7 +75,7 @@ class Store {
       this.seen(one.received.at(-1)?.[0]);
     }
   }
-  // The first source of a message carries its name alone; others say what tells them apart.
+  // The first source of a message has its name as label; further ones add instance or system and component.
   label(one) {
     if (!this.tables.has(one.message)) return one.message;
     const number = one.instance ? ` ${one.instance}` : "";
@@ -86,18 +86,18 @@ class Store {
     if (!this.tables.has(label)) this.tables.set(label, new Table(label, fields));
     return this.tables.get(label);
   }
-  // A row that is no message; `t_us` must grow within a label, or it is told again after a reconnection.
+  // A row that is not a message; rows that repeat after a reconnection, with an old `t_us`, are ignored.
   note(label, t_us, values) {
     const table = this.table(label, Object.keys(values));
     if (t_us <= table.received.at(-1)?.[0]) return;
     table.add([[t_us, ...Object.values(values)]], null);
-    this.newest_us = Math.max(this.newest_us ?? t_us, t_us); // results are late: they never set the clock back
+    this.newest_us = Math.max(this.newest_us ?? t_us, t_us); // results are late: they must not set the clock back
   }
-  // The newest time of any message; a jump back is a clock begun anew.
+  // The newest time of any message; a jump back is a clock reset.
   seen(t_us) { if (t_us > this.newest_us || t_us < this.newest_us - 1e6) this.newest_us = t_us; }
   seconds(t_us) { return (t_us - (this.t0_us ?? 0)) / 1e6; }
 
-  // One line for each instant; cells stay empty where nothing came then.
+  // One line per time; cells without a value are empty.
   csv() {
     const columns = ["t_s", "t_us"], lines = new Map();
     for (const table of this.tables.values()) {

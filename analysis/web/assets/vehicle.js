@@ -1,5 +1,5 @@
 "use strict";
-// What the vehicle says of itself: attitude from every source, the autopilot's and the estimator's state.
+// The vehicle: attitude from every source, state of autopilot and estimator.
 
 const NO_AUTOPILOT = 8; // MAV_AUTOPILOT_INVALID: the simulator, a ground station
 const ARMED = 128; // MAV_MODE_FLAG_SAFETY_ARMED
@@ -10,14 +10,14 @@ const ESTIMATES = ["attitude", "horizontal velocity", "vertical velocity", "hori
 const WARNINGS = new Set(["constant position", "GPS glitch", "accelerometer error", "uninitialised"]);
 const RATIOS = { vel_ratio: "velocity", pos_horiz_ratio: "horizontal position", pos_vert_ratio: "height", mag_ratio: "magnetometer", hagl_ratio: "height above ground", tas_ratio: "airspeed" };
 const VARIANCES = { velocity_variance: "velocity", pos_horiz_variance: "horizontal position", pos_vert_variance: "height", compass_variance: "magnetometer", terrain_alt_variance: "terrain" };
-const UNSEEN_US = 3e6;
+const LOST_US = 3e6;
 
 function quaternionOf(table, field, side = "sent") {
   const row = table?.[side].at(-1), first = table?.place(field);
   return row && [0, 1, 2, 3].map((n) => row[first + n]);
 }
 
-// Quaternions by source, as far as they come.
+// Quaternions of the available sources.
 function attitudes() {
   const found = new Map();
   const truth = quaternionOf(store.tables.get("HIL_STATE_QUATERNION"), "attitude_quaternion");
@@ -39,7 +39,7 @@ function fromAngles(table) {
 const scene = new Scene($("scene"));
 let vehicleType = null, vehicleDrawn = { ms: 0, us: null }, legend = "";
 
-// Both canvases as they are now; at once, so that a resized or captured page is never blank.
+// Draw both canvases immediately, so that a resized or captured page is never blank.
 function drawViews() {
   const sources = [...attitudes()];
   drawHorizon($("horizon"), sources[0] && angles(sources[0][1]), sources[1] && angles(sources[1][1]));
@@ -114,13 +114,13 @@ function statusItems() {
   if (beat) {
     const [type, autopilot, base, custom, system] = ["type", "autopilot", "base_mode", "custom_mode", "system_status"].map((field) => beat.newest(field));
     vehicleType = type;
-    const lost = store.newest_us - beat.received.at(-1)[0] > UNSEEN_US;
+    const lost = store.newest_us - beat.received.at(-1)[0] > LOST_US;
     items.push(["", base & ARMED ? "armed" : "disarmed", false], ["mode", modeOf(autopilot, type, base, custom), false],
       ["state", lost ? "no heartbeat" : STATES[system] || `state ${system}`, lost || system >= 5]);
   }
   const gps = ["HIL_GPS", "GPS_RAW_INT"].map((name) => store.tables.get(name)).find((table) => table?.sent.length);
   if (gps) {
-    const fix = gps.newest("fix_type"), lost = store.newest_us - gps.sent.at(-1)[0] > UNSEEN_US;
+    const fix = gps.newest("fix_type"), lost = store.newest_us - gps.sent.at(-1)[0] > LOST_US;
     items.push(["GPS", lost ? "lost" : `${FIXES[fix] ?? `fix ${fix}`}, ${gps.newest("satellites_visible")} satellites`, lost || fix < 3]);
   }
   const fused = store.tables.get("fusion");
@@ -135,9 +135,9 @@ function estimatorItems() {
   const flags = table.newest("flags"), names = table === px4 ? ESTIMATES : [...ESTIMATES.slice(0, 10), "uninitialised"];
   const warnings = names.filter((name, bit) => flags >> bit & 1 && WARNINGS.has(name));
   const missing = names.slice(0, 6).filter((name, bit) => name !== "horizontal position (relative)" && !(flags >> bit & 1));
-  const said = [...warnings, ...missing.map((name) => `no ${name}`)];
+  const problems = [...warnings, ...missing.map((name) => `no ${name}`)];
   const tests = Object.entries(table === px4 ? RATIOS : VARIANCES).map(([field, name]) => [name, table.newest(field)]).filter(([, value]) => value != null && value > 0);
-  return [["estimator", said.join(", ") || "all estimates good", said.length > 0],
+  return [["estimator", problems.join(", ") || "all estimates good", problems.length > 0],
     ...tests.map(([name, value]) => [`${name} test`, `${value.toFixed(2)}${value > 1 ? " fails" : ""}`, value > 1])];
 }
 

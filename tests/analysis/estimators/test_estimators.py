@@ -37,7 +37,7 @@ def test_an_estimator_follows_turns_without_noise(flights, name, limit_deg):
     assert np.sqrt((error[:, 3] ** 2).mean()) < limit_deg
 
 
-def test_a_fix_that_does_not_tell_the_climb_leaves_the_ekf_as_it_is():
+def test_a_fix_without_vertical_velocity_is_ignored_by_the_ekf():
     ekf = make_estimator("ekf")
     state = ekf.start(Prior(0, quaternion_of_euler(0.0, 0.0, 0.0)))
     v_ned_mps = np.array([20.0, 0.0, np.nan])
@@ -93,7 +93,7 @@ def test_a_sample_from_the_past_and_a_long_gap_do_no_harm(name):
 
 
 @pytest.mark.parametrize("name", estimator_names())
-def test_an_update_leaves_the_state_it_was_given_as_it_was(name, flights):
+def test_an_update_does_not_change_the_previous_state(name, flights):
     estimator = make_estimator(name)
     state = estimator.start(Prior(0, flights["clean"].q_nb[0]))
     for sample in flights["clean"].samples[:100]:

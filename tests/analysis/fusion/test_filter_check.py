@@ -66,7 +66,7 @@ def static(shared_data: Path):
     return read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
 
 
-def test_satellites_left_out_by_turns_cost_the_graph_no_more_than_the_filter(static):
+def test_alternating_exclusions_cost_the_graph_no_more_than_the_filter(static):
     first = next(s for s in static if isinstance(s, Epoch)).satellites
     wrong = [name for name in first if name[0] in "GE"][:6]
 
@@ -84,7 +84,7 @@ def test_satellites_left_out_by_turns_cost_the_graph_no_more_than_the_filter(sta
     assert error_m(states) < 1.05 * error_m(decisions)
 
 
-def test_without_satellites_the_graph_ends_with_the_filter_and_begins_with_it(static):
+def test_without_satellites_the_graph_stops_and_starts_with_the_filter(static):
     def few(epoch, since_s):
         count = 4 if 50.0 <= since_s < 150.0 else len(epoch.satellites)
         keep = [i for i, name in enumerate(epoch.satellites) if name[0] == "G"][:count]
@@ -98,7 +98,7 @@ def test_without_satellites_the_graph_ends_with_the_filter_and_begins_with_it(st
     assert error_m(states) < 1.05 * error_m([d for d in decisions if d.position_ecef_m])
 
 
-def test_where_nothing_bounds_the_filter_no_fused_state_is_told(shared_data: Path):
+def test_without_an_error_bound_of_the_filter_there_is_no_fused_state(shared_data: Path):
     folder = shared_data / "gnss_static"
     obs, nav = folder / "SEPT078M.21O", folder / "SEPT078M.21P"
     jump = {"preset": "gnss-spoof-jump", "at_s": 40, "for_s": 20}
@@ -109,7 +109,7 @@ def test_where_nothing_bounds_the_filter_no_fused_state_is_told(shared_data: Pat
     assert {round(s.t_s - begin_s) for s in states} == {*range(40), *range(60, 80)}
 
 
-def test_in_turns_that_neither_an_imu_nor_a_doppler_tells_the_graph_does_not_lag(
+def test_without_imu_and_doppler_the_fused_position_does_not_lag_in_turns(
     shared_data: Path,
 ):
     folder = shared_data / "gnss_static"
@@ -152,19 +152,19 @@ def test_a_graph_that_began_at_the_filter_is_as_good(begun):
     assert filter_contradiction(graph, motion, CONFIG.correlation) == ""
 
 
-def test_a_graph_off_the_filter_is_told(begun):
+def test_a_graph_far_from_the_filter_is_reported(begun):
     graph, motion = begun
     x = motion.x.copy()
     x[0] += 100.0
-    told = filter_contradiction(graph, motion._replace(x=x), CONFIG.correlation)
-    assert "100.0 m" in told
-    assert "off the filter" in told
+    found = filter_contradiction(graph, motion._replace(x=x), CONFIG.correlation)
+    assert "100.0 m" in found
+    assert "from the filter" in found
 
 
-def test_a_graph_that_knows_much_less_than_the_filter_is_told(begun):
+def test_a_graph_with_a_much_larger_sigma_than_the_filter_is_reported(begun):
     graph, motion = begun
-    told = filter_contradiction(graph, motion._replace(p=motion.p / 100.0), CONFIG.correlation)
-    assert told == "the graph was 30 times less sure than the filter"
+    found = filter_contradiction(graph, motion._replace(p=motion.p / 100.0), CONFIG.correlation)
+    assert found == "the graph's sigma was 30 times the filter's"
 
 
 def state_at(x_m: float) -> FusedState:
@@ -181,16 +181,16 @@ def state_at(x_m: float) -> FusedState:
 
 
 @pytest.mark.parametrize(
-    ("off_m", "told_m", "share"), [(0.7, 0.0, 1.0), (1.125, 0.5625, 0.5), (1.6, 1.6, 0.0)]
+    ("off_m", "expected_m", "share"), [(0.7, 0.0, 1.0), (1.125, 0.5625, 0.5), (1.6, 1.6, 0.0)]
 )
-def test_a_graph_that_is_not_told_apart_from_the_filter_has_its_position(off_m, told_m, share):
+def test_a_graph_indistinguishable_from_the_filter_has_its_position(off_m, expected_m, share):
     decision = Decision(
         t_us=0, statistic=1.0, threshold=9.0, dof=5, p_value=0.5, alarm=False,
         hypothesis="none", position_ecef_m=(0.0, 0.0, 0.0), position_sigma_m=(3.0, 0.0, 0.0),
     )  # fmt: skip
-    told = blend_with_filter(state_at(off_m), decision)
-    assert told.position_ecef_m[0] == pytest.approx(told_m)
-    assert told.weights == {"G01": 1.0, FILTER: pytest.approx(share)}
+    found = blend_with_filter(state_at(off_m), decision)
+    assert found.position_ecef_m[0] == pytest.approx(expected_m)
+    assert found.weights == {"G01": 1.0, FILTER: pytest.approx(share)}
     unbounded = msgspec.structs.replace(decision, position_sigma_m=None)
     assert blend_with_filter(state_at(off_m), unbounded) == state_at(off_m)
 

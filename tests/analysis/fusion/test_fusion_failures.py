@@ -55,7 +55,7 @@ def short(flights):
 
 
 @pytest.mark.parametrize("broken", [lost_variable, indeterminate])
-def test_a_failing_graph_is_reported_and_goes_on_from_the_last_good_state(
+def test_a_failing_graph_is_reported_and_restarts_from_the_last_good_state(
     broken, monkeypatch, short
 ):
     commit, seen = Graph.commit, []
@@ -70,8 +70,8 @@ def test_a_failing_graph_is_reported_and_goes_on_from_the_last_good_state(
     monkeypatch.setattr(Graph, "commit", breaking)
     results = results_of(short)
     states = [r for r in results if isinstance(r, FusedState)]
-    told = [state for state in states if "failed" in state.reason]
-    assert [state.t_us for state in told] == [FAILS_US]
+    reported = [state for state in states if "failed" in state.reason]
+    assert [state.t_us for state in reported] == [FAILS_US]
     assert len(states) == len([r for r in results if isinstance(r, Decision)])
     apart = [
         np.linalg.norm(np.subtract(a.position_ecef_m, b.position_ecef_m))
@@ -89,7 +89,9 @@ def test_the_smoother_raises_what_the_step_catches():
         window.commit()
 
 
-def test_a_graph_that_leaves_the_filter_tells_the_filter_s_answer_and_goes_on(monkeypatch, short):
+def test_a_graph_that_contradicts_the_filter_reports_the_filters_solution_and_continues(
+    monkeypatch, short
+):
     commit, seen = Graph.commit, []
 
     def misled(graph):
@@ -102,7 +104,7 @@ def test_a_graph_that_leaves_the_filter_tells_the_filter_s_answer_and_goes_on(mo
     results = results_of(short)
     states = [r for r in results if isinstance(r, FusedState)]
     assert seen
-    assert [s.t_us for s in states if "off the filter; it began anew there" in s.reason] == [
+    assert [s.t_us for s in states if "from the filter; it was restarted there" in s.reason] == [
         FAILS_US
     ]
     places = {r.t_us: r.position_ecef_m for r in results if isinstance(r, Decision)}

@@ -49,22 +49,22 @@ def test_the_sign_of_a_residual_does_not_matter():
     assert residual_weight(-4.0, 3.0, 6.0) == residual_weight(4.0, 3.0, 6.0) < 1.0
 
 
-def test_a_suspicious_satellite_is_weighed_down_and_the_healthy_are_not():
+def test_a_suspicious_satellite_gets_less_weight_and_the_healthy_do_not():
     weights = range_weights(decided(normalised=(0.1, 4.5, -2.9)), CONFIG)
     assert weights == {"G01": 1.0, "G02": pytest.approx(0.5), "G03": 1.0}
 
 
-def test_an_isolated_satellite_weighs_nothing_and_its_fault_is_not_held_against_the_others():
+def test_an_isolated_satellite_gets_no_weight_and_does_not_affect_the_others():
     said = decided(alarm=True, hypothesis="satellites", excluded=("G02",), normalised=(5.0, 9.0, 4))
     assert range_weights(said, CONFIG) == {"G01": 1.0, "G02": 0.0, "G03": 1.0}
 
 
-def test_nothing_is_trusted_while_the_detector_cannot_tell_who_is_wrong():
+def test_nothing_is_trusted_while_isolation_fails():
     said = decided(alarm=True, hypothesis="multiple-unknown")
     assert set(range_weights(said, CONFIG).values()) == {0.0}
 
 
-def test_without_decisions_everything_weighs_one():
+def test_without_decisions_every_weight_is_one():
     said = decided(alarm=True, hypothesis="satellites", excluded=("G04",))
     weights = range_weights(said, FusionConfig(decide=False))
     assert weights == dict.fromkeys(("G01", "G02", "G03", "G04"), 1.0)
@@ -82,7 +82,7 @@ def test_isolated_and_alarmed_sensors_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 is not positive"),
         ({"hopeless": 2.0}, "is not above suspicious"),
@@ -91,23 +91,27 @@ def test_isolated_and_alarmed_sensors_are_left_out():
         ({"lag_s": "five"}, "expected `float`"),
     ],
 )
-def test_a_wrong_setting_is_refused_by_name(values, told):
+def test_a_wrong_setting_is_refused_by_name(values, message):
     with pytest.raises(ConfigError, match=r"night\.yaml") as refused:
         monitor_config({"fusion": values}, "night.yaml")
-    assert told in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_fusion_is_off_unless_asked_for():
+def test_fusion_is_off_by_default():
     assert monitor_config({}, "x").fusion is None
     assert monitor_config({"fusion": {}}, "x").fusion == FusionConfig()
 
 
-def test_a_wrong_rate_is_that_of_the_satellite_it_is_told_of():
-    def told(sensor: str, suspect: str) -> SensorDecision:
+def test_a_faulty_rate_excludes_only_its_own_satellite():
+    def decided(sensor: str, suspect: str) -> SensorDecision:
         return SensorDecision(
             t_us=0, sensor=sensor, statistic=40.0, threshold=30.0, dof=8, alarm=True,
             isolated=True, suspect=suspect,
         )  # fmt: skip
 
-    results = [told("satellites", "G05"), told("satellites", ""), told("actuators", "motor 2")]
+    results = [
+        decided("satellites", "G05"),
+        decided("satellites", ""),
+        decided("actuators", "motor 2"),
+    ]
     assert faulty_rates(results) == {"G05"}

@@ -24,11 +24,11 @@ def flown(flights):
     return states, pipeline._fusion_states[0].graph
 
 
-def test_the_graph_does_not_begin_anew(flown):
-    assert [state.reason for state in flown[0] if state.reason] == ["the graph began"]
+def test_the_graph_does_not_restart(flown):
+    assert [state.reason for state in flown[0] if state.reason] == ["the graph started"]
 
 
-def test_the_imu_weighs_nothing_from_the_fault_on(flown):
+def test_the_imu_has_no_weight_from_the_fault_on(flown):
     late = [state for state in flown[0] if state.t_us > FROM_US]
     assert {state.weights["imu"] for state in late} == {0.0}
     before = [state for state in flown[0] if 5_000_000 < state.t_us <= FROM_US]

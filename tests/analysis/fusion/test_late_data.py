@@ -51,18 +51,18 @@ def in_order(short):
     return fused(short)
 
 
-def test_a_late_epoch_is_put_in_and_the_solution_is_as_if_it_had_come_in_time(short, in_order):
+def test_a_late_epoch_is_inserted_with_the_same_solution_as_in_time(short, in_order):
     late = [s for s in short if isinstance(s, Epoch) and s.t_us == LATE_US]
     states, graph = fused(moved(short, late, ARRIVES_US))
-    told = [state for state in states if "late" in state.reason]
-    assert [state.t_us for state in told] == [6_600_000]
+    reported = [state for state in states if "late" in state.reason]
+    assert [state.t_us for state in reported] == [6_600_000]
     assert LATE_US not in {state.t_us for state in states}
     assert LATE_US in {epoch.t_us for epoch in graph.epochs.values()}
     off = apart_m(states, in_order[0])
     assert max(distance for t_us, distance in off.items() if t_us > ARRIVES_US) < 0.05
 
 
-def test_a_late_epoch_with_a_lie_in_it_does_not_get_the_lie_in(short, in_order):
+def test_a_fault_in_a_late_epoch_is_weighted_down(short, in_order):
     late = next(s for s in short if isinstance(s, Epoch) and s.t_us == LATE_US)
     lying = replace(
         late, pseudorange_m=late.pseudorange_m + 60.0 * (np.arange(len(late.satellites)) == 0)

@@ -146,7 +146,7 @@ def test_a_source_that_vanishes_and_comes_back_drops_and_adds_its_factors(rich):
     assert not [state for state in states if "failed" in state.reason]
 
 
-def test_a_jump_of_vision_weighs_nothing(rich):
+def test_a_jump_of_vision_gets_no_weight(rich):
     samples = [
         replace(s, r_ned_m=s.r_ned_m + JUMP_M)
         if isinstance(s, VisionSample) and s.t_us == JUMP_US
@@ -156,8 +156,8 @@ def test_a_jump_of_vision_weighs_nothing(rich):
     states, _ = flown(samples)
     there_and_back = {JUMP_US, JUMP_US + 400_000}
     assert not used(states, "vision") & there_and_back
-    sound, jumped = errors(rich[1], rich[0]), errors(states, rich[0])
-    assert max(abs(jumped[t_us] - sound[t_us]) for t_us in jumped if t_us >= JUMP_US) < 0.05
+    reference, jumped = errors(rich[1], rich[0]), errors(states, rich[0])
+    assert max(abs(jumped[t_us] - reference[t_us]) for t_us in jumped if t_us >= JUMP_US) < 0.05
     believing, _ = flown(samples, decide=False)
     assert used(believing, "vision") >= there_and_back
 

@@ -84,7 +84,7 @@ def test_the_rows_of_rates_are_those_of_the_detectors_innovations(seen):
     assert np.allclose(np.linalg.norm(jacobian[:, 6:9], axis=1), jacobian[:, 10], rtol=1e-9)
 
 
-def test_nothing_that_weighs_gives_no_factor(seen):
+def test_without_weights_there_is_no_factor(seen):
     ranges, frame, node, weights = seen
     none = np.zeros_like(weights)
     assert ranges.factor(node, first_guess(node), frame, CLOCK, none, False) is None

@@ -134,26 +134,26 @@ def test_velocity_and_attitude_fit_the_truth(smooth, short):
         assert math.degrees(angle) < 4.0 * max(state.attitude_sigma_deg)
 
 
-def test_a_lying_satellite_is_left_out_and_leaves_no_mark(faulty, smooth, short):
+def test_a_faulty_satellite_is_excluded_and_leaves_no_error(faulty, smooth, short):
     name, rows = faulty
     states = fused(rows)
     assert all(state.weights[name] == 0.0 for state in late(states))
     assert rmse(errors(late(states), short)) < 1.1 * rmse(errors(late(smooth), short)) + 0.1
 
 
-def test_without_decisions_the_lie_pulls_the_position_away(faulty, short):
+def test_without_decisions_the_fault_moves_the_position(faulty, short):
     _, rows = faulty
     believed = late(fused(rows, FusionConfig(decide=False)))
     assert rmse(errors(believed, short)) > 2.0
 
 
-def test_a_fault_found_late_is_taken_back_over_its_epochs(faulty, smooth, short):
+def test_a_fault_detected_late_is_removed_from_its_epochs(faulty, smooth, short):
     name, rows = faulty
-    told = [
+    reported = [
         (sample, [_not_yet(r) for r in results] if sample.t_us < FOUND_US else results, core)
         for sample, results, core in rows
     ]
-    states = fused(told)
+    states = fused(reported)
     before = [s for s in states if FAULT_US <= s.t_us < FOUND_US]
     after = [s for s in states if s.t_us >= FOUND_US]
     # The graph believes it and leaves the filter, which is without it.
@@ -179,7 +179,7 @@ def _not_yet(result):
     )
 
 
-def test_motion_goes_on_without_the_imu(short):
+def test_motion_continues_without_the_imu(short):
     gap = [s for s in short if not (isinstance(s, ImuSample) and 9_000_000 < s.t_us < 9_900_000)]
     states = fused(detected(gap))
     blind = [s for s in states if 9_200_000 <= s.t_us <= 9_800_000]
@@ -200,7 +200,7 @@ def test_a_barometer_that_comes_and_goes_joins_and_leaves(clean):
     assert max(used) == 8_800_000
 
 
-def test_a_graph_that_fails_is_reported_and_begins_anew(clean, monkeypatch, short):
+def test_a_graph_that_fails_is_reported_and_restarts(clean, monkeypatch, short):
     commit, failed = Graph.commit, []
 
     def breaking(self):
@@ -211,13 +211,13 @@ def test_a_graph_that_fails_is_reported_and_begins_anew(clean, monkeypatch, shor
 
     monkeypatch.setattr(Graph, "commit", breaking)
     states = fused(clean)
-    told = [state for state in states if "failed" in state.reason]
-    assert [state.t_us for state in told] == [FAULT_US]
-    assert "Indeterminant linear system detected" in told[0].reason
+    reported = [state for state in states if "failed" in state.reason]
+    assert [state.t_us for state in reported] == [FAULT_US]
+    assert "Indeterminant linear system detected" in reported[0].reason
     assert rmse(errors(late(states), short)) < 2.0
 
 
-def test_a_graph_that_cannot_begin_leaves_the_last_good_state(clean, monkeypatch):
+def test_a_graph_that_cannot_start_repeats_the_last_good_state(clean, monkeypatch):
     commit = Graph.commit
 
     def breaking(self):

@@ -67,10 +67,10 @@ def test_both_fused_solutions_are_on_the_map_and_in_the_plots():
 
 
 def test_weights_are_curves_and_reasons_of_the_fused_solution_are_events():
-    states = [state(0, 0.0, reason="the graph began"), state(1, 0.0, weights={"G01": 0.5})]
+    states = [state(0, 0.0, reason="the graph started"), state(1, 0.0, weights={"G01": 0.5})]
     recording = recording_of_results([], states, 0)
     assert curves(recording, "fused-weight")["G01"].tolist() == [0.5]
-    assert [event.text for event in recording.events] == ["fused: the graph began"]
+    assert [event.text for event in recording.events] == ["fused: the graph started"]
 
 
 def test_without_the_truth_there_is_no_error_and_no_table():

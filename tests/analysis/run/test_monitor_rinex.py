@@ -38,7 +38,7 @@ def test_the_verdict_uses_epochs_and_errors(folder):
     assert [row["name"] for row in summary["criteria"]] == [
         "horizontal error at 95 %, m",
         "vertical error at 95 %, m",
-        "share of epochs that nothing explains",
+        "share of epochs with an unexplained alarm",
         "share of epochs tested",
     ]
     errors = summary["position_error"]["filter"]

@@ -76,7 +76,7 @@ def test_errors_within_a_fault_are_counted_apart():
     assert found["nominal"]["max_deg"]["yaw"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_phases_of_flight_are_told_from_the_truth():
+def test_flight_phases_are_determined_from_the_truth():
     samples = [
         truth(0), autopilot(10, roll=0.1), truth(100_000, v_ned=(20.0, 0.0, -3.0)),
         autopilot(150_000), truth(200_000, roll=0.5),

@@ -13,7 +13,7 @@ def fault(**changes: Any) -> dict[str, Any]:
     return base | {"detected": True, "delay_s": 0.2, "verdict": "isolated"} | changes
 
 
-def blamed(name: str) -> dict[str, Any]:
+def isolated_wrongly(name: str) -> dict[str, Any]:
     return {"channel": "baro", "outside": 0, "inside": 1, "blamed": [name]}
 
 
@@ -53,7 +53,7 @@ def test_a_summary_inside_every_limit_passes() -> None:
         {"faults": [fault(delay_s=3.0)]},
         {"faults": [fault(verdict="wrong")]},
         {"faults": [fault(detected=False, verdict="missed"), fault()]},
-        {"false_by_channel": [blamed("baro")]},
+        {"false_by_channel": [isolated_wrongly("baro")]},
         {"false_alarms": 1},
         {"untestable_epochs": 1},
         {"attitude_rmse_deg": {"max": 5.1}},
@@ -70,17 +70,17 @@ def test_each_limit_can_fail_the_run(change: dict[str, Any]) -> None:
         ({"faults": [fault(verdict="missed")]}, {"may_miss": ("step",)}),
         ({"faults": [fault(verdict="missed")]}, {"may_miss": ("bias",)}),
         ({"faults": [fault(verdict="late")]}, {"may_miss": ("satellite-step",)}),
-        ({"false_by_channel": [blamed("baro")]}, {"may_blame": ("baro",)}),
+        ({"false_by_channel": [isolated_wrongly("baro")]}, {"may_blame": ("baro",)}),
     ],
 )
-def test_a_miss_or_a_wrong_blame_fails_by_default_and_can_be_let_pass(
+def test_a_miss_or_a_wrong_isolation_fails_by_default_and_can_be_allowed(
     change: dict[str, Any], loosened: dict[str, Any]
 ) -> None:
     assert overall_verdict(check_criteria(Criteria(), summary(**change))) == "FAIL"
     assert overall_verdict(check_criteria(Criteria(**loosened), summary(**change))) == "PASS"
 
 
-def test_what_nothing_can_see_bears_no_verdict() -> None:
+def test_a_fault_that_no_channel_observes_gives_no_verdict() -> None:
     unseen = summary(faults=[fault(verdict="not judged")])
     assert overall_verdict(check_criteria(Criteria(), unseen)) == "NO VERDICT"
 
@@ -92,7 +92,7 @@ def test_without_labels_and_criteria_there_is_no_verdict() -> None:
     )
 
 
-def test_what_was_not_measured_bears_no_verdict() -> None:
+def test_a_value_that_was_not_measured_gives_no_verdict() -> None:
     checks = check_criteria(Criteria(max_position_rmse_m=1.0), summary(position_rmse_m=None))
     assert [check.passed for check in checks] == [True, True, None]
     assert overall_verdict(checks) == "NO VERDICT"

@@ -1,4 +1,4 @@
-"""The truth table of verdicts, as docs/verdicts.md tells it."""
+"""The truth table of verdicts, of docs/verdicts.md."""
 
 from collections.abc import Iterable, Sequence
 
@@ -78,20 +78,20 @@ def judged(labels: Sequence[Label], results: Sequence[Result]) -> list[FaultOutc
 
 
 G12, GYRO, FIX = "PSEUDORANGE.G12", "HIL_SENSOR.xgyro", "HIL_GPS.lat"
-BLAMED = [decision(t, ["G12"]) for t in from_to(10.2, 22)]
+G12_EXCLUDED = [decision(t, ["G12"]) for t in from_to(10.2, 22)]
 
-# what was done, what was said -> verdict, who was blamed rightly, who wrongly, what is left open
+# targets, results -> verdict, correct isolations, wrong isolations, reason
 TRUTH = {
-    "the right one and nobody else": (G12, BLAMED, "isolated", ("G12",), (), ""),
+    "the faulty one alone": (G12, G12_EXCLUDED, "isolated", ("G12",), (), ""),
     "another satellite": (
         G12,
         [decision(12, ["E05"])],
-        *("wrong", (), ("E05",), "in truth missed"),
+        *("wrong", (), ("E05",), "otherwise missed"),
     ),
     "the right one, and a healthy one on another channel": (
         G12,
-        [*BLAMED, *(sensor(t, "imu") for t in from_to(12, 15))],
-        *("wrong", ("G12",), ("imu",), "in truth isolated"),
+        [*G12_EXCLUDED, *(sensor(t, "imu") for t in from_to(12, 15))],
+        *("wrong", ("G12",), ("imu",), "otherwise isolated"),
     ),
     "healthy ones inside, and the right one only after the end": (
         G12,
@@ -99,19 +99,19 @@ TRUTH = {
             *(sensor(t, name) for name in ("imu", "mag", "baro") for t in from_to(11, 14)),
             decision(20.9, ["G12"]),
         ],
-        *("wrong", (), ("imu", "mag", "baro"), "in truth found 0.9 s after its end"),
+        *("wrong", (), ("imu", "mag", "baro"), "otherwise detected 0.9 s after its end"),
     ),
-    "an alarm that blames nobody": (
+    "an alarm without isolation": (
         G12,
         [decision(11, hypothesis="multiple-unknown")],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
     "the same for an IMU, which the epoch's test can see": (
         GYRO,
         [decision(11, hypothesis="multiple-unknown")],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
-    "an alarm that cannot tell between two": (
+    "an alarm with two hypotheses": (
         GYRO,
         [decision(11, hypothesis="GPS-or-imu")],
         *("ambiguous", (), (), "GPS-or-imu"),
@@ -124,12 +124,12 @@ TRUTH = {
     "a sensor suspected, not left out": (
         "HIL_SENSOR.xmag",
         [sensor(11, "mag", isolated=False)],
-        *("detected", (), (), "nobody was blamed"),
+        *("detected", (), (), "nothing was isolated"),
     ),
     "one of two satellites": (
         f"{G12} PSEUDORANGE.E05",
-        BLAMED,
-        *("detected", ("G12",), (), "not blamed: E05"),
+        G12_EXCLUDED,
+        *("detected", ("G12",), (), "not isolated: E05"),
     ),
     "a receiver's velocity for its position": (
         FIX,
@@ -138,7 +138,7 @@ TRUTH = {
     ),
     "a receiver's position beside its satellite": (
         G12,
-        [*BLAMED, sensor(12, "gps-position")],
+        [*G12_EXCLUDED, sensor(12, "gps-position")],
         *("isolated", ("G12", "gps-position"), (), ""),
     ),
     "one sensor of a message that is lost": (
@@ -151,23 +151,23 @@ TRUTH = {
         [decision(20.1, ["G12"])],
         *("isolated", ("G12",), (), ""),
     ),
-    "later": (G12, [decision(23, ["G12"])], "late", (), (), "found 3.0 s after its end"),
+    "later": (G12, [decision(23, ["G12"])], "late", (), (), "detected 3.0 s after its end"),
     "after its echo": (G12, [decision(31, ["G12"])], "missed", (), (), ""),
     "nothing": (G12, [], "missed", (), (), ""),
     "an alarm from before": (
         G12,
         [decision(t, ["G12"]) for t in from_to(8, 12)],
-        *("not judged", (), (), "G12 was under alarm from before"),
+        *("not judged", (), (), "G12 had an alarm before the fault"),
     ),
     "no channel": (
         "BATTERY_STATUS.voltages[0]",
         [],
-        *("not judged", (), (), "no channel watches BATTERY_STATUS.voltages[0]"),
+        *("not judged", (), (), "no channel monitors BATTERY_STATUS.voltages[0]"),
     ),
     "a satellite that is lost": (
         "PLANT.satellite_lost[G12]",
         [],
-        *("not judged", (), (), "a hill hides a satellite as well: it is no error"),
+        *("not judged", (), (), "a lost satellite is no error: terrain hides satellites too"),
     ),
     "no such sensor": (
         "HIL_SENSOR.diff_pressure",
@@ -177,7 +177,7 @@ TRUTH = {
     "a healthy sensor while the plant is at fault": (
         "PLANT.mass_kg_add",
         [sensor(12, "mag")],
-        *("wrong", (), ("mag",), "in truth no channel watches the plant (mass_kg_add)"),
+        *("wrong", (), ("mag",), "otherwise no channel monitors the plant (mass_kg_add)"),
     ),
     "the motor that is weak": (
         "PLANT.motor_efficiency[1]",
@@ -187,7 +187,7 @@ TRUTH = {
     "another motor": (
         "PLANT.motor_efficiency[1]",
         [actuator(12, "motor 3")],
-        *("wrong", (), ("motor 3",), "in truth missed"),
+        *("wrong", (), ("motor 3",), "otherwise missed"),
     ),
     "one of two motors": (
         "PLANT.motor_efficiency[1]",
@@ -223,7 +223,7 @@ def test_the_outputs_of_a_plane_are_those_of_the_simulator() -> None:
 def test_truth_table(case: tuple) -> None:
     targets, results, verdict, isolated, wrongly, reason = case
     (row,) = judged([label("f", targets)], results)
-    found = row.verdict, row.isolated, tuple(blame.who for blame in row.wrongly), row.reason
+    found = row.verdict, row.isolated, tuple(wrong.who for wrong in row.wrongly), row.reason
     assert found == (verdict, isolated, wrongly, reason)
 
 
@@ -236,7 +236,7 @@ def test_truth_table(case: tuple) -> None:
         ("bias", G12, "missed"),
     ],
 )
-def test_a_satellite_that_does_not_come_in_is_not_judged_a_receiver_that_is_silent_is(
+def test_a_lost_satellite_is_not_judged_a_silent_receiver_is(
     fault: str, target: str, verdict: str
 ) -> None:
     done = msgspec.structs.replace(label("f", target), fault=fault)
@@ -244,15 +244,15 @@ def test_a_satellite_that_does_not_come_in_is_not_judged_a_receiver_that_is_sile
     assert row.verdict == verdict
 
 
-def test_a_wrong_blame_is_told_with_its_time() -> None:
+def test_a_wrong_isolation_has_its_time() -> None:
     results = [sensor(t, "imu") for t in from_to(12, 15)]
     (row,) = judged([label("f", G12)], results)
-    (blame,) = row.wrongly
-    assert (blame.from_s, blame.for_s) == (12.0, 3.0)
+    (wrong,) = row.wrongly
+    assert (wrong.from_s, wrong.for_s) == (12.0, 3.0)
 
 
 def test_the_delay_counts_to_the_first_alarm_on_a_channel_that_can_see_it() -> None:
-    results = [sensor(10.4, "baro", isolated=False), *BLAMED]
+    results = [sensor(10.4, "baro", isolated=False), *G12_EXCLUDED]
     (row,) = judged([label("f", G12)], results)
     assert (row.detected, row.delay_s) == (True, 0.2)
 
@@ -263,7 +263,7 @@ def test_two_faults_at_once_each_have_their_own() -> None:
     assert [row.verdict for row in rows] == ["isolated", "isolated"]
 
 
-def test_a_later_fault_proves_no_earlier_one() -> None:
+def test_an_alarm_of_a_later_fault_does_not_detect_an_earlier_one() -> None:
     labels = [label("a", G12, 10, 12), label("b", G12, 15, 18)]
     rows = judged(labels, [decision(t, ["G12"]) for t in from_to(15.2, 18)])
     assert [row.verdict for row in rows] == ["missed", "isolated"]
@@ -285,7 +285,7 @@ def test_false_alarms_are_counted_by_channel_outside_and_inside_faults() -> None
     ]
 
 
-def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
+def test_a_correct_isolation_is_false_after_the_aftermath() -> None:
     (row,) = false_alarms(
         [label("f", G12)], windows(decision(t, ["G12"]) for t in from_to(11, 35)), 60, 200_000
     )
@@ -293,7 +293,7 @@ def test_a_right_blame_that_outlasts_the_echo_is_false_from_there() -> None:
     assert row.seconds == pytest.approx(4.8, abs=0.01)
 
 
-def test_who_is_back_ten_seconds_after_the_first_sound_epoch_was_left_out_rightly() -> None:
+def test_an_exclusion_that_ends_ten_seconds_after_the_first_healthy_epoch_is_correct() -> None:
     fault, back_s = label("f", "HIL_GPS.lat", 10, 20.12), 20.2 + RECOVERY_S
     left_out = [decision(t, ["GPS"]) for t in from_to(10.2, back_s - 0.1)]
     assert not false_alarms([fault], windows(left_out), 60.0, 200_000)

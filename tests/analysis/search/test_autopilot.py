@@ -89,17 +89,17 @@ def test_the_error_is_that_in_the_air_less_the_flight_without_faults(flights, ch
     assert flown[0]["words"][1:] == ["--autopilot", "px4"]
 
 
-def test_a_flight_that_never_began_is_flown_again_and_then_told(flights, choice):
+def test_a_failed_take_off_is_repeated_and_then_reported(flights, choice):
     coming, _ = flights
     coming += [{"error_deg": 0.0, "off_ground": False}] * 2 + [{"error_deg": FAULTED_DEG}]
     found, _ = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
     assert found.lasted_s == 10.0
     coming += [{"error_deg": 0.0, "off_ground": False, "landed": False}] * 3
-    with pytest.raises(ConfigError, match="no flight came of it, 3 times; it never left the gr"):
+    with pytest.raises(ConfigError, match="3 flights failed; it never took off"):
         autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
 
 
-def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
+def test_a_flight_that_does_not_land_by_itself_counts_as_a_crash(flights):
     coming, _ = flights
     coming += [{"error_deg": FAULTED_DEG, "landed": False}]
     flown = SimulatedBatch(read_test(EXAMPLE))
@@ -110,7 +110,7 @@ def test_a_flight_that_does_not_land_by_itself_met_the_ground(flights):
 
 def test_an_autopilot_needs_a_scenario():
     choice = {"kind": "px4"}
-    with pytest.raises(ValueError, match="an autopilot flies a scenario; give scenario too"):
+    with pytest.raises(ValueError, match="autopilot is set without scenario; give scenario too"):
         TestFile(estimator="autopilot", autopilot=choice)  # type: ignore[arg-type]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
-from analysis.search.cases import test_yaml
+from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
 from analysis.search.evaluation.pool import InProcessPool, LocalProcessPool
 from analysis.search.history import RECORD
@@ -70,18 +70,18 @@ def test_workers_change_nothing(tmp_path):
     assert (tmp_path / "a/history.bin").read_bytes() == (tmp_path / "b/history.bin").read_bytes()
 
 
-def test_the_worst_that_is_told_never_gets_better(tmp_path):
-    told = []
+def test_the_reported_worst_error_never_decreases(tmp_path):
+    worst_errors = []
     run_search(
         TEST,
         InProcessPool(),
         tmp_path / "s",
-        progress=lambda tests, worst, budget: told.append(worst),
+        progress=lambda tests, worst, budget: worst_errors.append(worst),
     )
-    assert told == sorted(told)
+    assert worst_errors == sorted(worst_errors)
 
 
-def test_a_killed_search_goes_on_where_it_was(tmp_path):
+def test_a_killed_search_continues_where_it_was(tmp_path):
     whole = run_search(TEST, InProcessPool(), tmp_path / "whole")[0]
 
     def kill(tests, worst, budget):
@@ -106,7 +106,7 @@ def test_a_killed_search_goes_on_where_it_was(tmp_path):
     assert min(flown) >= found // 16 - 40  # one batch again at most
 
 
-def test_flights_in_the_simulator_are_kept_in_small_portions(tmp_path):
+def test_flights_in_the_simulator_are_saved_in_small_batches(tmp_path):
     test = TestFile(
         estimator="fusion", method="random", budget=40, initial=InitialState(roll_deg=(-9.0, 9.0))
     )
@@ -125,7 +125,7 @@ def test_flights_in_the_simulator_are_kept_in_small_portions(tmp_path):
     assert len((tmp_path / "history.bin").read_bytes()) == 16 * RECORD.itemsize
 
 
-def test_another_test_does_not_go_on_in_the_same_folder(tmp_path):
+def test_another_test_is_refused_in_the_same_folder(tmp_path):
     run_search(TestFile(duration_s=1.0, mission=Mission()), InProcessPool(), tmp_path)
     with pytest.raises(ConfigError, match="another search"):
         run_search(TEST, InProcessPool(), tmp_path)
@@ -133,7 +133,7 @@ def test_another_test_does_not_go_on_in_the_same_folder(tmp_path):
 
 def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, capsys):
     path = tmp_path / "test.yaml"
-    path.write_text(test_yaml(TEST))
+    path.write_text(yaml_of_test(TEST))
     out = tmp_path / "out"
     arguments = argparse.Namespace(
         testfile=str(path), budget=80, method="random", seed=2, workers=None, ray=None,
@@ -145,7 +145,7 @@ def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, cap
     for said in (
         "Number of tests           80",
         "Greatest error",
-        "InitialState position",
+        "Initial position",
         "Run time",
     ):
         assert said in text
@@ -174,7 +174,7 @@ def test_the_archive_keeps_cases_apart():
 def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
     test = TestFile(mission=Mission(), initial=InitialState(roll_deg=3.0), seed=9)
     path = tmp_path / "t.yaml"
-    path.write_text(test_yaml(test))
+    path.write_text(yaml_of_test(test))
     assert read_test(path) == test
 
 
@@ -192,14 +192,14 @@ def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
             "unknown; known: HIL_SENSOR.xgyro",
         ),
         ("faults: [{fault: bias, target: HIL_SENSOR.xgyro}]", "faults.value is missing"),
-        ("estimator: autopilot", "section autopilot need each other"),
-        ("vary: {seed: [1, 2]}", "vary is for the keys of a scenario"),
+        ("estimator: autopilot", "needs the section autopilot"),
+        ("vary: {seed: [1, 2]}", "vary is set without scenario"),
         ("{criterion: state, estimator: ekf}", "ekf estimates fewer"),
         ("duration_s: 0", "duration_s = 0.* is not positive"),
         ("- 1", "a test file is a YAML mapping"),
     ],
 )
-def test_what_is_wrong_in_a_test_file_is_said_with_its_line(tmp_path, text, said):
+def test_errors_of_a_test_file_name_the_line(tmp_path, text, said):
     path = tmp_path / "t.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=said):

@@ -136,7 +136,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
     assert rmse["max"] == pytest.approx(cases[0].parts["rmse_deg"]["max"], rel=1e-9)
 
 
-def test_a_worst_case_is_a_cell_of_a_campaign(tmp_path):
+def test_a_worst_case_is_a_test_cell_of_a_campaign(tmp_path):
     (tmp_path / "quad.yaml").write_text(SCENARIO)
     (tmp_path / "search.yaml").write_text(SEARCH)
     cases, _ = run_search(read_test(tmp_path / "search.yaml"), InProcessPool(), tmp_path / "out")

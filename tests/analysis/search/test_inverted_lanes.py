@@ -128,6 +128,8 @@ def test_a_blocked_pitot_tube_is_a_wrong_airspeed() -> None:
         ),
     ],
 )
-def test_what_the_kernels_cannot_tell_is_refused(changes: dict[str, object], error: str) -> None:
+def test_criteria_that_the_kernels_cannot_evaluate_are_refused(
+    changes: dict[str, object], error: str
+) -> None:
     with pytest.raises((ValueError, ConfigError), match=error):
         msgspec.structs.replace(LEVEL, **changes)

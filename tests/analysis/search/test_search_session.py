@@ -40,4 +40,4 @@ def test_the_title_has_the_unit_of_the_criterion(tmp_path):
     )  # fmt: skip
     session = SearchSession(test, tmp_path)
     session.next()
-    assert f"inverse-model errs by {session.error:.3f} m (worst so far" in session.title
+    assert f"error of inverse-model {session.error:.3f} m (worst so far" in session.title

@@ -19,7 +19,7 @@ def search(method, seed, budget, function=hill):
     while sum(map(len, points)) < budget:
         asked = made.ask()
         found = function(asked)
-        made.tell(asked, found)
+        made.report(asked, found)
         points.append(asked)
         values.append(found)
     return np.concatenate(points), np.concatenate(values)
@@ -59,7 +59,7 @@ def test_a_searcher_leaves_numpys_global_generator_alone():
 
 def test_a_search_of_many_evaluations_asks_for_several_islands_at_once():
     made = make_searcher("mixed", 4, 1, 100_000)
-    made.tell(first := made.ask(), hill(first))
+    made.report(first := made.ask(), hill(first))
     assert len(made.ask()) >= 80
 
 

@@ -1,4 +1,4 @@
-"""What the search's page is told of a flight."""
+"""The search page's data of a flight."""
 
 import json
 from pathlib import Path

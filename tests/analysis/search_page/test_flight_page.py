@@ -60,7 +60,7 @@ def token_of(address: str) -> dict[str, str]:
     return {"X-Token": address.partition("token=")[2]}
 
 
-def test_looking_is_free_and_flying_needs_the_token(address: str) -> None:
+def test_reading_is_open_and_flying_needs_the_token(address: str) -> None:
     assert asked(address, "state", {}, None)[0] == 200
     assert asked(address, "state", {"Host": "elsewhere.example"}, None)[0] == 403
     for what in ("next", "save"):
@@ -69,7 +69,7 @@ def test_looking_is_free_and_flying_needs_the_token(address: str) -> None:
         assert "the token is wrong" in answer["error"]
 
 
-def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
+def test_the_page_responds_while_a_test_is_in_flight(tmp_path: Path) -> None:
     session = HeldSession(TEST, tmp_path)
     with serve_search_page(Flights(session), port=0) as address:
         try:
@@ -79,22 +79,24 @@ def test_the_page_answers_while_a_test_is_flown(tmp_path: Path) -> None:
             for what in ("next", "save"):
                 status, answer = asked(address, what, token_of(address))
                 assert status == 400
-                assert answer["error"] == "a test is being flown; wait until it is down"
+                assert answer["error"] == "a test is in flight; wait until it ends"
         finally:
             session.go_on.set()
 
 
-def test_what_the_simulator_flies_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--interactive: shows flights of the compiled kernels"):
+def test_a_test_for_the_simulator_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match="--interactive: shows only flights of the compiled kernels"
+    ):
         make_flights(TestFile(estimator="fusion"), tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "found").write_text("in the way")
     flights = make_flights(TEST, tmp_path / "found")
     flights.next()
     flights.close()
-    with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder by --out"):
+    with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder with --out"):
         flights.save()
 
 
@@ -108,13 +110,13 @@ class BrokenSession(SearchSession):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_flight_that_fails_is_told_and_saves_nothing(tmp_path: Path) -> None:
+def test_a_flight_that_fails_is_reported_and_saves_nothing(tmp_path: Path) -> None:
     flights = Flights(BrokenSession(TEST, tmp_path / "found"))
     for _ in range(2):
         flights.next()
         flights.close()
     assert json.loads(flights.state()) == {"number": 0, "flying": False, "failed": True}
-    with pytest.raises(ConfigError, match="no test is on show that could be saved"):
+    with pytest.raises(ConfigError, match="no test is displayed; fly one first"):
         flights.save()
     assert not (tmp_path / "found").exists()
 
@@ -142,9 +144,9 @@ def test_the_next_test_is_flown_shown_and_saved(page: Any, tmp_path: Path) -> No
     assert page.text_content("#values") != first
     assert "bias on HIL_SENSOR.xgyro from 0.50 s on" in page.text_content("#acting")
     page.click("#save:not([disabled])")
-    page.wait_for_selector("#said:has-text('saved:')")
+    page.wait_for_selector("#message:has-text('saved:')")
     files = [tmp_path / "found" / f"test-0001.{kind}" for kind in ("csv", "yaml")]
-    assert page.text_content("#said").splitlines()[1:] == [str(one) for one in files]
+    assert page.text_content("#message").splitlines()[1:] == [str(one) for one in files]
     assert all(one.is_file() for one in files)
 
 
@@ -199,7 +201,7 @@ def test_a_narrow_screen_shows_all_of_a_flight(page: Any) -> None:
 
 
 @pytest.mark.browser
-def test_the_end_of_the_search_is_told(browser: Any, tmp_path: Path) -> None:
+def test_the_end_of_the_search_is_shown(browser: Any, tmp_path: Path) -> None:
     viewer = browser.new_page()
     with serve_search_page(make_flights(TEST, tmp_path), port=0) as address:
         viewer.goto(address)

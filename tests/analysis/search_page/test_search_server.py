@@ -11,7 +11,7 @@ from pathlib import Path
 TEST = "duration_s: 1\ninitial: {roll_deg: [-30, 30]}\n"
 
 
-def told(host: str, what: str, token: str = "") -> dict:
+def fetch(host: str, what: str, token: str = "") -> dict:
     request = urllib.request.Request(
         f"{host}/api/{what}", data=b"" if token else None, headers={"X-Token": token}
     )
@@ -26,14 +26,14 @@ def begun(folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
 
 
-def test_ctrl_c_ends_the_page_and_tells_what_was_saved(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_page_and_lists_the_saved_files(tmp_path: Path) -> None:
     with begun(tmp_path) as process:
         assert process.stdout is not None
         host, _, token = process.stdout.readline().removeprefix("page: ").strip().partition("/#")
         until_s = time.monotonic() + 200.0  # kernels may have to be compiled first
-        while told(host, "state")["flying"]:
+        while fetch(host, "state")["flying"]:
             assert time.monotonic() < until_s
-        saved = told(host, "save", token.removeprefix("token="))["files"]
+        saved = fetch(host, "save", token.removeprefix("token="))["files"]
         process.send_signal(signal.SIGINT)
         rest = process.stdout.read()
     assert process.returncode == 0

@@ -89,7 +89,7 @@ class Loop:
                     self.xgyro = round(float(frame.number("xgyro")), 6)
 
     def _grant(self, command: Frame) -> None:
-        """Answer a command as a vehicle that does all it is told."""
+        """Answer a command as a vehicle that accepts every command."""
         number = int(command.number("command"))
         self.commands.append((number, command.number("param7")))
         raw = build_frame(message_layout("COMMAND_ACK"), {"command": number})

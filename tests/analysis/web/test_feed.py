@@ -37,7 +37,7 @@ def test_a_frozen_viewer_holds_a_bounded_queue_and_no_other_viewer() -> None:
     assert frozen.queue.qsize() <= MAX_QUEUED_BATCHES
 
 
-def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
+def test_a_viewer_that_lags_gets_a_new_snapshot() -> None:
     feed = Feed()
     viewer = feed.add_viewer()
     feed.add_sample("fdi/events", b'"early"')
@@ -51,7 +51,7 @@ def test_a_viewer_that_fell_behind_is_given_the_whole_picture_again() -> None:
     ]
 
 
-def test_who_joins_late_is_told_the_events_and_the_newest_samples() -> None:
+def test_a_late_joiner_gets_the_events_and_the_newest_samples() -> None:
     feed = Feed()
     feed.add_sample("proxy/labels", b"1")
     feed.add_sample("schedule/state", b"2")
@@ -73,7 +73,7 @@ def test_a_sample_that_is_no_json_does_not_spoil_the_batch() -> None:
     assert said(viewer) == [["att/ekf/score", 3]]
 
 
-def test_a_burst_of_a_curve_is_sent_whole_up_to_a_bound() -> None:
+def test_a_burst_of_a_curve_is_complete_up_to_a_bound() -> None:
     feed = Feed()
     viewer = feed.add_viewer()
     said(viewer)
@@ -93,7 +93,7 @@ def test_a_late_joiner_is_shown_the_past_of_a_curve() -> None:
     assert said(feed.add_viewer())[1:] == [["fdi/main/stat", number] for number in range(3)]
 
 
-def test_the_proxy_is_asked_for_what_any_viewer_wants_and_exists() -> None:
+def test_existing_messages_of_all_viewers_are_requested() -> None:
     feed = Feed()
     one, other = feed.add_viewer(), feed.add_viewer()
     one.request_messages('["HIL_GPS", "NO_SUCH_MESSAGE"]')
@@ -104,9 +104,9 @@ def test_the_proxy_is_asked_for_what_any_viewer_wants_and_exists() -> None:
     assert feed.requested_messages() == ["HIL_GPS"]
 
 
-def test_more_viewers_than_a_page_is_for_are_turned_away() -> None:
+def test_too_many_viewers_are_refused() -> None:
     feed = Feed()
     for _ in range(MAX_VIEWERS):
         feed.add_viewer()
-    with pytest.raises(ConfigError, match="viewers already"):
+    with pytest.raises(ConfigError, match="the page already has"):
         feed.add_viewer()

@@ -36,7 +36,7 @@ def test_a_wrong_token_is_explained_where_it_was_used(
     page = open_page(address.replace("token=", "token=not-"))
     page.select_option("#kind", "preset:gyro-bias")
     page.click("#arm")
-    page.wait_for_selector("#form-said:has-text('the token is wrong')")
+    page.wait_for_selector("#form-message:has-text('the token is wrong')")
     assert loop.engine.ids() == []
 
 
@@ -61,7 +61,7 @@ def status_of(address: str, headers: dict[str, str], what: str = "ctl/schedule/s
         {"X-Token": "TOKEN", "Host": "rebound.example:8350"},
     ],
 )
-def test_what_comes_without_the_token_or_from_elsewhere_is_refused(
+def test_requests_without_the_token_or_from_elsewhere_are_refused(
     address: str, headers: dict[str, str]
 ) -> None:
     token = address.partition("token=")[2]

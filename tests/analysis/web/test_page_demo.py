@@ -61,7 +61,7 @@ def test_faults_armed_by_clicking_are_found_in_flight(
     page.fill("[data-key=target]", "PSEUDORANGE.G12")
     page.fill("[data-key=value]", "60")
     page.click("#arm")
-    page.wait_for_selector("#now:has-text('was above at')")  # the statistic, its threshold
+    page.wait_for_selector("#now:has-text('was above it at')")  # the statistic, its threshold
     page.wait_for_selector(".sat.out:has-text('G12')")
 
     with page.expect_download() as saved:

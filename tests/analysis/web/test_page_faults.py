@@ -34,12 +34,12 @@ def test_a_slider_changes_what_the_vehicle_is_sent_and_the_change_is_labelled(
     page.fill("#faults input[type=number]", "4")
     slider.focus()
     page.keyboard.press("End")  # the slider's reach is half as much again
-    page.wait_for_selector(".signal .now:has-text('received 0.5, sent on 6.5')")
+    page.wait_for_selector(".signal .now:has-text('received 0.5, forwarded 6.5')")
     assert loop.xgyro == 6.5
     page.wait_for_selector("#events li:has-text('bias: value set to 6')")
     assert loop.labels[-1].value == 6.0
     page.click("#faults button[aria-pressed=true]")  # stop streaming: the healthy value passes
-    page.wait_for_selector(".signal .now:has-text('received 0.5, sent on 0.5')")
+    page.wait_for_selector(".signal .now:has-text('received 0.5, forwarded 0.5')")
     assert page.complaints == []
 
 
@@ -59,8 +59,8 @@ def test_a_stream_stays_stopped_though_a_value_waited_to_be_sent(page: Any, loop
     page.click("#faults button[aria-pressed=true]")
     with page.expect_response("**/value"):
         held[0].continue_()
-    page.wait_for_selector("#events li:has-text('bias: fault begins')")
-    page.wait_for_selector(".signal .now:has-text('received 0.5, sent on 0.5')")
+    page.wait_for_selector("#events li:has-text('bias: fault starts')")
+    page.wait_for_selector(".signal .now:has-text('received 0.5, forwarded 0.5')")
     assert page.get_attribute("#faults button[aria-pressed]", "aria-pressed") == "false"
     assert [label.value for label in loop.labels if label.value is not None] == [4.0]
 
@@ -83,10 +83,10 @@ def test_a_schedule_is_saved_loaded_and_a_wrong_one_explained(
     good.write_text("faults:\n- {id: still, fault: freeze, target: HIL_SENSOR.zacc}\n")
     wrong.write_text("faults:\n- {id: still, fault: freeez, target: HIL_SENSOR.zacc}\n")
     page.set_input_files("#load", good)
-    page.wait_for_selector("#schedule-said.fine")
+    page.wait_for_selector("#schedule-message.fine")
     page.set_input_files("#load", wrong)
-    page.wait_for_selector("#schedule-said:not(.fine)")
-    assert "freeez is unknown" in page.text_content("#schedule-said")
+    page.wait_for_selector("#schedule-message:not(.fine)")
+    assert "freeez is unknown" in page.text_content("#schedule-message")
     assert loop.engine.ids() == ["still"]
     with page.expect_download() as saved:
         page.click("#save")
@@ -141,14 +141,14 @@ def test_a_change_is_undone_and_a_fault_that_is_over_is_armed_again(page: Any, l
     page.fill("[data-key=for_s]", "0.3")
     assert page.is_disabled("#undo")
     page.click("#arm")
-    page.wait_for_selector("#faults li:has-text('is over')")
+    page.wait_for_selector("#faults li:has-text('finished')")
     page.click("[aria-label='Re-arm bias']")
     page.wait_for_selector("#faults li.active")
-    page.wait_for_selector("#faults li:has-text('is over')")
-    page.wait_for_selector("#schedule-said:has-text('armed again: bias')")
+    page.wait_for_selector("#faults li:has-text('finished')")
+    page.wait_for_selector("#schedule-message:has-text('armed again: bias')")
     assert len([label for label in loop.labels if label.end_us]) == 2
     page.click("#undo")
-    page.wait_for_selector("#schedule-said:has-text('undone')")
+    page.wait_for_selector("#schedule-message:has-text('undone')")
     page.click("#undo")
     page.wait_for_selector("#faults li", state="detached")
     assert loop.engine.ids() == []

@@ -48,9 +48,9 @@ def compose(page: Any, for_s: str = "0.3") -> None:
 
 
 def test_a_sequence_is_composed_run_and_watched(page: Any, loop: Any) -> None:
-    compose(page, for_s="")  # for good: what is waited for stays
+    compose(page, for_s="")  # without an end: the condition stays true
     page.click("#run-sequence")
-    page.wait_for_selector("#sequence-state:has-text('2 of 3 steps done; bias runs')")
+    page.wait_for_selector("#sequence-state:has-text('2 of 3 steps done; running: bias')")
     page.wait_for_selector("#steps li.active[aria-current=step] b:text-is('bias')")
     assert loop.commands == [(400, 0.0), (21, 0.0)]
     assert loop.engine.active == ["bias"]
@@ -58,7 +58,7 @@ def test_a_sequence_is_composed_run_and_watched(page: Any, loop: Any) -> None:
     assert page.complaints == []
 
 
-def test_a_sequence_is_downloaded_kept_and_opened_again(
+def test_a_sequence_is_downloaded_stored_and_opened_again(
     page: Any, loop: Any, tmp_path: Path
 ) -> None:
     compose(page)
@@ -67,7 +67,7 @@ def test_a_sequence_is_downloaded_kept_and_opened_again(
     text = Path(saved.value.path()).read_text()
     page.fill("#kept-name", "night.yaml")
     page.click("#keep")
-    page.wait_for_selector("#sequence-said:has-text('night.yaml is kept')")
+    page.wait_for_selector("#sequence-message:has-text('night.yaml is stored')")
     kept = tmp_path / "night.yaml"
     assert kept.read_text() == text
     arm, bias, land = read_schedule(kept).faults
@@ -81,9 +81,7 @@ def test_a_sequence_is_downloaded_kept_and_opened_again(
     assert page.complaints == []
 
 
-def test_a_sequence_from_a_file_keeps_all_that_it_says(
-    page: Any, loop: Any, tmp_path: Path
-) -> None:
+def test_a_sequence_from_a_file_keeps_all_its_keys(page: Any, loop: Any, tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(SEQUENCE)
     page.click("#sequence summary")
@@ -109,13 +107,13 @@ def test_a_sequence_from_a_file_keeps_all_that_it_says(
 def test_a_wrong_step_is_explained_and_nothing_runs(page: Any, loop: Any) -> None:
     compose(page)
     page.fill("[aria-label='until of bias']", "altitud_m > 5")
-    page.wait_for_selector("#sequence-said:has-text('altitud_m is unknown')")
+    page.wait_for_selector("#sequence-message:has-text('altitud_m is unknown')")
     page.click("#run-sequence")
-    page.wait_for_selector("#sequence-said:not(.fine):has-text('faults[1].when')")
+    page.wait_for_selector("#sequence-message:not(.fine):has-text('faults[1].when')")
     assert loop.engine.ids() == []
 
 
-def test_a_button_commands_the_vehicle_until_it_grants_it(page: Any, loop: Any) -> None:
+def test_a_button_commands_the_vehicle_until_it_accepts(page: Any, loop: Any) -> None:
     page.fill("#height", "25")
     page.click("#commands button:has-text('take off')")
     page.wait_for_selector("#faults li.done:has-text('command-take-off')")
@@ -123,7 +121,7 @@ def test_a_button_commands_the_vehicle_until_it_grants_it(page: Any, loop: Any) 
     assert page.complaints == []
 
 
-def test_without_the_option_the_page_commands_nothing(
+def test_without_the_option_commands_are_refused(
     loop: Any, open_page: Callable[[str], Any]
 ) -> None:
     with serve_page(loop.bus.url, port=0) as address:
@@ -133,31 +131,31 @@ def test_without_the_option_the_page_commands_nothing(
         page.select_option("#kind", "fault:command")
         page.select_option("[data-key=do]", "arm")
         page.click("#arm")
-        page.wait_for_selector("#form-said:has-text('start it with --allow-commands')")
+        page.wait_for_selector("#form-message:has-text('start the page with --allow-commands')")
         page.set_input_files(
             "#load", {"name": "a.yaml", "mimeType": "", "buffer": SEQUENCE.encode()}
         )
-        page.wait_for_selector("#schedule-said:has-text('start it with --allow-commands')")
+        page.wait_for_selector("#schedule-message:has-text('start the page with --allow-commands')")
         page.close()
     assert loop.engine.ids() == []
 
 
 def test_a_folder_of_sequences_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with (
-        pytest.raises(ConfigError, match=r"--sequences .*is no folder"),
+        pytest.raises(ConfigError, match=r"--sequences .*is not a folder"),
         serve_page("tcp/127.0.0.1:1", port=0, offer=PageOptions(sequences=tmp_path / "none")),
     ):
         pass
 
 
 @pytest.mark.parametrize("name", ["../out.yaml", ".hidden.yaml", "no-yaml.txt", "link.yaml"])
-def test_a_sequence_is_kept_in_its_folder_only(
+def test_a_sequence_is_stored_in_its_folder_only(
     page: Any, loop: Any, tmp_path: Path, name: str
 ) -> None:
     (tmp_path / "link.yaml").symlink_to(tmp_path.parent / "target.yaml")
     compose(page)
     page.fill("#kept-name", name)
     page.click("#keep")
-    page.wait_for_selector("#sequence-said:not(.fine)")
+    page.wait_for_selector("#sequence-message:not(.fine)")
     assert not (tmp_path.parent / "target.yaml").exists()
     assert not (tmp_path.parent / "out.yaml").exists()

@@ -11,10 +11,10 @@ from pathlib import Path
 
 def test_a_second_signal_ends_the_page_in_order_too(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ui", "--port", "0"]
-    nobody = ["--zenoh", "tcp/127.0.0.1:9"]
+    no_router = ["--zenoh", "tcp/127.0.0.1:9"]
     environment = {**os.environ, "XDG_STATE_HOME": str(tmp_path)}
     with subprocess.Popen(
-        [*command, *nobody],
+        [*command, *no_router],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
     ) as page:  # fmt: skip
         assert page.stdout is not None
@@ -28,9 +28,9 @@ def test_a_second_signal_ends_the_page_in_order_too(tmp_path: Path) -> None:
             while True:  # until it has begun to end
                 socket.create_connection(("127.0.0.1", int(address.split(":")[2][:-1])), 60).close()
         page.send_signal(signal.SIGINT)
-        summary, told = page.communicate(timeout=60)
-    # uvicorn told of cancelled tasks, and the source's thread could abort the process.
-    assert (page.returncode, told) == (0, "")
+        summary, errors = page.communicate(timeout=60)
+    # uvicorn logged cancelled tasks, and the source's thread could abort the process.
+    assert (page.returncode, errors) == (0, "")
     assert summary.startswith("stopped after ")
 
 
@@ -48,5 +48,5 @@ def test_a_signal_that_comes_when_all_is_done_changes_nothing(tmp_path: Path) ->
         while page.poll() is None:  # from here to the last of the interpreter
             page.send_signal(signal.SIGINT)
             page.send_signal(signal.SIGTERM)
-        _, told = page.communicate()
-    assert (page.returncode, told) == (0, "")
+        _, errors = page.communicate()
+    assert (page.returncode, errors) == (0, "")

@@ -1,4 +1,4 @@
-"""What a proxy and a monitor tell is seen on the page, in a real browser."""
+"""Data of a proxy and a monitor on the page, in a real browser."""
 
 import csv
 import math
@@ -36,12 +36,10 @@ def test_autopilot_and_estimator_say_how_they_are(page: Any) -> None:
     ]  # fmt: skip
 
 
-def test_a_recording_that_stops_is_told_and_what_it_lost_stays_in_sight(
-    page: Any, loop: Any
-) -> None:
+def test_a_stopped_recording_is_shown_and_its_losses_stay_visible(page: Any, loop: Any) -> None:
     assert page.is_hidden("#recording")
     loop.live.publish_recording("[Errno 28] No space left on device", 0)
-    page.wait_for_selector("#recording.gone:has-text('Nothing is recorded now: [Errno 28] No')")
+    page.wait_for_selector("#recording.gone:has-text('Recording has stopped: [Errno 28] No')")
     loop.live.publish_recording(None, 17)
     page.wait_for_selector("#recording.note:has-text('17 records are missing in the logs.')")
 
@@ -66,14 +64,14 @@ def test_what_was_received_is_saved_by_time(page: Any, loop: Any) -> None:
     assert float(epoch["attitude error ekf.angle_deg"]) == 0.3
 
 
-def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
+def test_a_proxy_that_restarts_is_shown_and_followed(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
     with serve_page(first.bus.url, port=0) as address:
         page = open_page(address)
         first.close()
-        page.wait_for_selector("#connection:has-text('The proxy is gone')")
+        page.wait_for_selector("#connection:has-text('The proxy has disconnected')")
         second = new_loop(first.bus.url)
         try:
             page.wait_for_selector("#connection.there")
@@ -82,7 +80,7 @@ def test_a_proxy_that_goes_and_comes_back_is_told_and_followed(
             second.close()
 
 
-def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
+def test_the_faults_of_a_lost_proxy_can_be_restored(
     open_page: Callable[[str], Any], new_loop: Callable[..., Any]
 ) -> None:
     first = new_loop()
@@ -96,10 +94,10 @@ def test_the_faults_of_a_proxy_that_died_are_offered_to_the_next(
         with page.expect_response("**/schedule/save"):  # in case the proxy dies
             page.wait_for_selector("#faults li.active")
         first.close()
-        page.wait_for_selector("#connection:has-text('The proxy is gone')")
+        page.wait_for_selector("#connection:has-text('The proxy has disconnected')")
         second = new_loop(first.bus.url)
         try:
-            page.click("#adopt button:has-text('Load them here')")
+            page.click("#adopt button:has-text('Restore them here')")
             page.wait_for_selector("#faults li.active:has-text('bias')")
             assert second.engine.active == ["bias"]
             page.wait_for_selector("#adopt", state="hidden")
@@ -116,9 +114,9 @@ def test_of_several_runs_each_has_a_row_and_the_viewer_chooses_one(page: Any, lo
         page.wait_for_selector("#runs button[aria-pressed=true]:has-text('other')")
         # What the other run does is seen while this one is looked at.
         loop.live.ask("@ctl/fault/still/arm", b'{"fault": "freeze", "target": "HIL_SENSOR.zacc"}')
-        page.wait_for_selector("#runs button:has-text('flight-1: still acts')")
+        page.wait_for_selector("#runs button:has-text('flight-1: still active')")
         loop.epoch(12.0, excluded=("G12",))
-        page.wait_for_selector("#runs button.bad:has-text('flight-1: still acts, ⚠ G12')")
+        page.wait_for_selector("#runs button.bad:has-text('flight-1: still active, ⚠ G12')")
         page.click("#runs button:has-text('flight-1')")
         page.wait_for_selector("#connection:has-text('connected to flight-1')")
         page.wait_for_selector("#adopt", state="hidden")  # the other one is alive
@@ -173,13 +171,13 @@ def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(page: Any) -> None:
 
 
 ISOLATED = """() => {
-  const tell = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
+  const show = (t_s, statistic, isolated) => showSensor({ sensor: "mag", t_us: 1e9 + t_s * 1e6,
     statistic, threshold: statistic === null ? null : 10, alarm: isolated, isolated });
-  tell(1, 5, false);
-  tell(2, 20, true);
-  tell(3, null, true);
-  tell(4, null, true);
-  tell(5, 4, false);
+  show(1, 5, false);
+  show(2, 20, true);
+  show(3, null, true);
+  show(4, null, true);
+  show(5, 4, false);
   others.draw();
   return others.names.map((name, i) => [name, others.rows.get(name).filter((y) => y !== null),
     others.plot.series[i + 1].dash?.length]).filter(([name]) => name.startsWith("magnetometer"));
@@ -194,20 +192,20 @@ def test_the_curve_of_an_isolated_sensor_goes_on_dashed(page: Any) -> None:
     ]
 
 
-def test_the_header_says_when_blame_ended_and_why(page: Any, loop: Any) -> None:
-    loop.steps_left = 0  # or the blame ends by itself on a slow machine
+def test_the_header_shows_when_an_isolation_ended_and_why(page: Any, loop: Any) -> None:
+    loop.steps_left = 0  # or the isolation ends by itself on a slow machine
     loop.epoch(10.0)
     loop.epoch(12.0, excluded=("G12",))
     page.wait_for_selector("#verdict:has-text('fault in satellites G12')")
     loop.epoch(15.0)
-    page.wait_for_selector("#verdict:has-text('it agrees with the others again')")
+    page.wait_for_selector("#verdict:has-text('it is consistent with the others again')")
     stretch = re.search(r"from ([\d.]+) to ([\d.]+) s;", page.text_content("#verdict"))
     assert stretch is not None
     assert float(stretch[2]) - float(stretch[1]) == pytest.approx(3.0, abs=0.11)
-    assert "blame ended: fault in satellites G12" in page.text_content("#events")
+    assert "isolation ended: fault in satellites G12" in page.text_content("#events")
 
 
-def test_blame_is_told_without_any_satellite_epoch(page: Any, loop: Any) -> None:
+def test_isolation_is_shown_without_any_satellite_epoch(page: Any, loop: Any) -> None:
     # As where there is no receiver: verdicts on sensors alone.
     loop.steps_left = 0
     loop.sensor(10.0, "baro", 2.0)
@@ -216,43 +214,43 @@ def test_blame_is_told_without_any_satellite_epoch(page: Any, loop: Any) -> None
     page.wait_for_selector("#verdict.alarm:has-text('fault in barometer')")
     page.wait_for_selector("#sensors li.bad:has-text('barometer: isolated')")
     loop.sensor(14.0, "baro", 3.0)
-    page.wait_for_selector("#verdict.calm:has-text('it agrees with the others again')")
-    page.wait_for_selector("#events li:has-text('blame ended: fault in barometer from')")
+    page.wait_for_selector("#verdict.calm:has-text('it is consistent with the others again')")
+    page.wait_for_selector("#events li:has-text('isolation ended: fault in barometer from')")
     assert not page.is_visible("#quiet")
     assert page.complaints == []
 
 
 def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
-    # What watches a stream speaks only while it is silent; nobody says that it is well again.
+    # A stream monitor reports only silence, never that the stream is back.
     loop.steps_left = 0
     loop.sensor(10.0, "mag", bad=True)
     page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
     loop.sensor(12.0, "baro", 2.0)
-    page.wait_for_selector("#sensors li:has-text('barometer: agrees')")
+    page.wait_for_selector("#sensors li:has-text('barometer: consistent')")
     assert page.is_visible("#verdict.alarm")
     loop.sensor(13.5, "baro", 2.0)
-    page.wait_for_selector("#verdict.calm:has-text('nothing was found against it for 3 s')")
-    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
+    page.wait_for_selector("#verdict.calm:has-text('no fault was found in it for 3 s')")
+    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: no fault found now')")
 
 
-def test_a_blame_ends_where_no_further_verdict_comes(page: Any, loop: Any) -> None:
+def test_an_isolation_ends_without_further_verdicts(page: Any, loop: Any) -> None:
     # Without a receiver nothing is tested, and what watches the streams is silent again.
     loop.steps_left = 0
     loop.sensor(loop.now_s, "mag", bad=True)
     page.wait_for_selector("#verdict.alarm:has-text('fault in magnetometer')")
     loop.steps_left = math.inf
-    page.wait_for_selector("#verdict:not(.alarm):has-text('nothing found, nothing tested now')")
-    assert "nothing was found against it for 3 s" in page.text_content("#verdict")
-    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: nothing found now')")
-    page.wait_for_selector("#events li:has-text('blame ended: fault in magnetometer')")
+    page.wait_for_selector("#verdict:not(.alarm):has-text('no fault found, nothing tested now')")
+    assert "no fault was found in it for 3 s" in page.text_content("#verdict")
+    page.wait_for_selector("#sensors li:not(.bad):has-text('magnetometer: no fault found now')")
+    page.wait_for_selector("#events li:has-text('isolation ended: fault in magnetometer')")
 
 
-def test_the_end_of_a_fault_explains_that_of_a_blame_without_satellites(
+def test_the_end_of_a_fault_explains_that_of_an_isolation_without_satellites(
     page: Any, loop: Any
 ) -> None:
     off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
     loop.live.ask("@ctl/fault/off/arm", msgspec.json.encode(off))
-    page.wait_for_selector("#events li:has-text('off: fault begins')")
+    page.wait_for_selector("#events li:has-text('off: fault starts')")
     loop.steps_left = 0
     loop.sensor(500.0, "mag", 40.0, bad=True)
     page.wait_for_selector("#verdict.alarm")

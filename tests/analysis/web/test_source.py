@@ -20,7 +20,7 @@ class Statuses(Feed):
         self.heard: queue.Queue[tuple[str, object]] = queue.Queue()
 
     def add_sample(self, key: str, payload: bytes) -> None:
-        super().push(key, payload)
+        super().add_sample(key, payload)
         self.heard.put((key, msgspec.json.decode(payload)))
 
     def next_run(self) -> object:
@@ -51,7 +51,7 @@ def test_a_request_without_a_proxy_says_that_there_is_none(
     feed: Statuses, source: RunSource
 ) -> None:
     assert feed.next_run() is None
-    with pytest.raises(ConfigError, match="no proxy and no run is there"):
+    with pytest.raises(ConfigError, match="no proxy or run is available"):
         source.query("schedule/stop", b"")
 
 
@@ -87,5 +87,5 @@ def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
 
 
 def test_a_run_that_is_not_there_cannot_be_chosen(source: RunSource) -> None:
-    with pytest.raises(ConfigError, match="'nobody' is not there; there are: none"):
-        source.choose("nobody")
+    with pytest.raises(ConfigError, match="'other' is not available; available: none"):
+        source.choose("other")

@@ -1,5 +1,5 @@
 "use strict";
-// Elements by id and new ones, what is asked of the server, and where its answers are said.
+// DOM helpers, requests to the server, and messages of their results.
 
 const $ = (id) => document.getElementById(id);
 
@@ -16,26 +16,26 @@ if (printed) {
 }
 const token = sessionStorage.getItem("token") || "";
 
-async function ask(path, body = "") {
+async function post(path, body = "") {
   let reply;
   try {
     reply = await fetch(`/api/${path}`, { method: "POST", headers: { "X-Token": token }, body });
   } catch {
-    throw new Error("the page's server does not answer");
+    throw new Error("the page's server does not answer; is it still running?");
   }
   const value = await reply.json();
   if (!reply.ok) throw new Error(value.error);
   return value;
 }
 
-function say(id, text, fine = false) {
+function showMessage(id, text, fine = false) {
   $(id).textContent = text;
   $(id).hidden = !text;
   $(id).classList.toggle("fine", fine);
 }
 
 async function attempt(id, act) {
-  try { say(id, await act() || "", true); } catch (error) { say(id, error.message); }
+  try { showMessage(id, await act() || "", true); } catch (error) { showMessage(id, error.message); }
 }
 
 function download(name, text, type) {
