@@ -117,12 +117,12 @@ def with_rates(samples: list[Sample]) -> list[Sample]:
         if isinstance(s, Epoch):
             core = state.core
             still = replace(s, doppler_mps=np.zeros(len(s.satellites)))
-            observed = observe_epoch(still, core.chosen)
+            observed = observe_epoch(still, core.broadcast.selection)
             seen = predict_innovations(
-                observed, core.motion.x, detector.config.sigma, core.ionosphere
+                observed, core.motion.x, detector.config.sigma, core.broadcast.ionosphere
             )
             noise = np.sqrt(seen.rate_variance) * rng.standard_normal(len(s.satellites))
-            s = replace(s, doppler_mps=noise - seen.v_mps)
+            s = replace(s, doppler_mps=noise - seen.rate_mps)
         out.append(s)
     return out
 

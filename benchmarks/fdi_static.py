@@ -10,11 +10,8 @@ import numpy as np
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
-from analysis.detection.filter.measurement import (
-    observe_epoch,
-    predict_innovations,
-    select_ephemerides,
-)
+from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
@@ -126,19 +123,19 @@ def with_noise(
         x[3:6] += pushed
         x[16] += dt * x[17] + noise.clock_m * np.sqrt(dt) * rng.standard_normal()
         x[17] += noise.drift_mps * np.sqrt(dt) * rng.standard_normal()
-        chosen = select_ephemerides(s, state.core.ephemerides)
+        chosen = select_ephemerides(s, state.core.broadcast.ephemerides)
         observed = observe_epoch(s, chosen)
         if observed is None:
             continue
-        seen = predict_innovations(observed, x, config.sigma, state.core.ionosphere)
-        drawn = np.sqrt(seen.variance) * rng.standard_normal(len(seen.v_m))
+        seen = predict_innovations(observed, x, config.sigma, state.core.broadcast.ionosphere)
+        drawn = np.sqrt(seen.variance) * rng.standard_normal(len(seen.range_m))
         out.append(
             Epoch(
                 s.t_us,
                 s.week,
                 s.tow_s,
                 observed.satellites,
-                observed.pseudorange_m - seen.v_m + drawn,
+                observed.pseudorange_m - seen.range_m + drawn,
                 np.full(len(drawn), np.nan),
                 observed.cn0_dbhz,
             )

@@ -7,8 +7,6 @@ from scipy.stats import binom
 
 from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE
 from analysis.detection.filter.information import normal_equations_over
-from analysis.detection.isolation.bank import normalised_by_weights, projected_weights
-from analysis.detection.isolation.chi_square import chi_square_threshold, two_sided_bound
 from analysis.detection.isolation.hypotheses import select_hypothesis
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
@@ -18,6 +16,8 @@ from analysis.detection.isolation.ramp_windows import (
     ramp_statistics,
     respond_to_ranges,
 )
+from analysis.detection.statistics.bank import normalised_by_weights, projected_weights
+from analysis.detection.statistics.chi_square import chi_square_threshold, two_sided_bound
 
 RNG = np.random.default_rng(20260101)
 

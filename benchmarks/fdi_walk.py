@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.filter.measurement import (
-    observe_epoch,
-    predict_innovations,
-    select_ephemerides,
-)
+from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.decoder import Decoder
@@ -89,18 +86,20 @@ def range_errors(
             state = detector.step(s, state)[1]
         if not isinstance(s, Epoch) or round(s.t_us * 4e-6) not in where:
             continue
-        observed = observe_epoch(s, select_ephemerides(s, state.core.ephemerides))
+        observed = observe_epoch(s, select_ephemerides(s, state.core.broadcast.ephemerides))
         if observed is None:
             continue
         x = np.zeros(21)
         x[0:3], x[6] = where[round(s.t_us * 4e-6)], 1.0
-        seen = predict_innovations(observed, x, detector.config.sigma, state.core.ionosphere)
+        seen = predict_innovations(
+            observed, x, detector.config.sigma, state.core.broadcast.ionosphere
+        )
         for system in "GE":
             own = np.array([name[0] == system for name in observed.satellites])
             high = own & (seen.elevation_rad > np.radians(20.0))
-            clock = np.median(seen.v_m[high]) if high.any() else np.nan
+            clock = np.median(seen.range_m[high]) if high.any() else np.nan
             for i in np.flatnonzero(own):
-                off = (seen.v_m[i] - clock) / np.sqrt(seen.variance[i])
+                off = (seen.range_m[i] - clock) / np.sqrt(seen.variance[i])
                 errors.setdefault(observed.satellites[i], {})[s.t_us] = float(off)
     for row in errors.values():
         middle = float(np.median(list(row.values())))

@@ -362,7 +362,7 @@ def blocks(samples: Iterable[Sample]) -> Iterable[Block]:
 
 
 def with_others(samples: list[Sample]) -> list[Sample]:
-    """The flight with a healthy barometer, magnetometer and airspeed at 10 Hz, where truth is near."""
+    """The flight with a healthy barometer, magnetometer and airspeed at 10 Hz near the truth."""
     rng = np.random.default_rng(5)
     first = next(s for s in samples if isinstance(s, TruthSample))
     lat, lon = math.radians(first.lat_deg), math.radians(first.lon_deg)

@@ -17,10 +17,11 @@ from msgspec.structs import replace
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
-from analysis.detection.detection_config import DetectorConfig, SigmaModel
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.measurement import observe_epoch, predict_innovations
+from analysis.detection.filter.range_noise import SigmaModel
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import Epoch, Sample, Vector
 from mavproxy_fault.documents.document_check import decode
@@ -109,15 +110,19 @@ def _pass(
 
 def _residuals(epoch: Epoch, state: DetectorState, config: DetectorConfig) -> Vector:
     core = state.core
-    observed = observe_epoch(epoch, core.chosen) if core.chosen is not None else None
-    if observed is None or core.motion is None:
+    selection = core.broadcast.selection
+    observation = observe_epoch(epoch, selection) if selection is not None else None
+    if observation is None or core.motion is None:
         return np.empty((3, 0))
-    modelled = predict_innovations(observed, core.motion.x, config.sigma, core.ionosphere)
+    ionosphere = core.broadcast.ionosphere
+    innovations = predict_innovations(observation, core.motion.x, config.sigma, ionosphere)
     # Satellites that were excluded are no noise either.
-    keep = np.array([name not in core.excluded for name in observed.satellites])
-    keep &= modelled.elevation_rad >= np.radians(config.mask_deg)
-    keep &= np.abs(modelled.v_m) < OUTLIER_SIGMAS * np.sqrt(modelled.variance)
-    return np.array([modelled.v_m[keep], modelled.elevation_rad[keep], observed.cn0_dbhz[keep]])
+    keep = np.array([name not in core.trust.excluded for name in observation.satellites])
+    keep &= innovations.elevation_rad >= np.radians(config.mask_deg)
+    keep &= np.abs(innovations.range_m) < OUTLIER_SIGMAS * np.sqrt(innovations.variance)
+    return np.array(
+        [innovations.range_m[keep], innovations.elevation_rad[keep], observation.cn0_dbhz[keep]]
+    )
 
 
 def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:

@@ -39,7 +39,7 @@ from analysis.detection.filter.lasting_errors import (
     range_geometry,
 )
 from analysis.detection.filter.measurement import Innovations
-from analysis.detection.isolation.chi_square import two_sided_bound
+from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.orbits.broadcast import geomagnetic_latitude, troposphere_m
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
@@ -127,9 +127,9 @@ def bounds_kernel(
     weight = _weights(used, _vertical_m(lat, lon), max(factor, 1.0) * (1.0 + slow_share))
     v, out = np.empty(weight.shape[0]), np.empty(AXES + 2)
     for i in range(v.shape[0]):
-        v[i] = used.v_m[i] + offset_m[i]
+        v[i] = used.range_m[i] + offset_m[i]
         for k in range(AXES):
-            v[i] -= used.h[i, k] * moved_m[k]
+            v[i] -= used.geometry[i, k] * moved_m[k]
     out[:AXES] = lasting_position_variance(used, lines, axes, factor)
     most = _levels(lines, weight, v, factors)
     out[AXES], out[AXES + 1] = math.hypot(most[0], most[1]), most[2]

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import StoredOrbit
-from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.filter.ephemerides import StoredOrbit, select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.sky_geometry import NO_IONOSPHERE, orbits_of
 from analysis.orbits.broadcast import POSITION, VELOCITY
 from analysis.orbits.snapshot import solve_position
@@ -46,15 +46,15 @@ def recorded_sky(
 
     def sky(t_us: int) -> dict[str, Vector]:
         epoch = epochs.get(t_us)
-        observed = (
+        observation = (
             None if epoch is None else observe_epoch(epoch, select_ephemerides(epoch, orbits))
         )
-        if observed is None:
+        if observation is None:
             return {}
-        states = observed.states
+        states = observation.satellite_states
         place = (states[:, POSITION : POSITION + 3] - r_ecef_m) @ axes.T
         motion = states[:, VELOCITY : VELOCITY + 3] @ axes.T
-        return dict(zip(observed.satellites, np.hstack([place, motion]), strict=True))
+        return dict(zip(observation.satellites, np.hstack([place, motion]), strict=True))
 
     return sky
 

@@ -10,13 +10,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import StoredOrbit
-from analysis.detection.filter.measurement import (
+from analysis.detection.filter.ephemerides import (
     EphemerisSelection,
-    Indices,
-    observe_epoch,
+    StoredOrbit,
     select_ephemerides,
 )
+from analysis.detection.filter.measurement import Indices, observe_epoch
 from analysis.orbits.broadcast import (
     AZIMUTH,
     ELEVATION,
@@ -72,25 +71,27 @@ def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
 
 
 def _seen(decision: Decision, epoch: Epoch, chosen: EphemerisSelection) -> Decision:
-    observed = observe_epoch(epoch, chosen)
-    if observed is None:
+    observation = observe_epoch(epoch, chosen)
+    if observation is None:
         return decision
     r_ecef_m = np.array(decision.position_ecef_m)
-    table = predict_ranges(observed.states, r_ecef_m, AT_REST, observed.tow_s, NO_IONOSPHERE)
-    places = {name: i for i, name in enumerate(observed.satellites)}
+    table = predict_ranges(
+        observation.satellite_states, r_ecef_m, AT_REST, observation.tow_s, NO_IONOSPHERE
+    )
+    places = {name: i for i, name in enumerate(observation.satellites)}
     if not all(name in places for name in decision.satellites):
         return decision
     at = [places[name] for name in decision.satellites]
     signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
     used = [places[name] for name in decision.satellites if name not in decision.excluded]
     hdop, vdop = _dilution(
-        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3], observed.system[used], r_ecef_m
+        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3], observation.system[used], r_ecef_m
     )
     return replace(
         decision,
         elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
         azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
-        cn0_dbhz=tuple(c if math.isfinite(c) else None for c in observed.cn0_dbhz[at].tolist()),
+        cn0_dbhz=tuple(c if math.isfinite(c) else None for c in observation.cn0_dbhz[at].tolist()),
         signals=tuple(signals.get(name, "") for name in decision.satellites),
         hdop=hdop,
         vdop=vdop,

@@ -18,7 +18,7 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R
-from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.graph import Graph
 from analysis.results import Decision, FusedState

@@ -8,7 +8,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig, ProcessNoise
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.fusion.factors.imu_factors import (
     FREE_RATE_RPS,
     imu_params,

@@ -10,10 +10,12 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
+    ACCEL_BIAS_SIGMA_MPS2,
     BA,
     BG,
     CLOCK,
     DRIFT,
+    GYRO_BIAS_SIGMA_RPS,
     PSI,
     X_BA,
     X_BG,
@@ -25,7 +27,6 @@ from analysis.detection.filter.inertial import (
     R,
     V,
 )
-from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.values import Value
 from analysis.fusion.factors.unary_factors import MAX_EPOCHS, NO_CLOCK
 from analysis.fusion.local_frame import LocalFrame, frame_at, quaternion_of_matrix

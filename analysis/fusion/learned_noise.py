@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from msgspec.structs import replace
 
-from analysis.detection.detection_config import ProcessNoise
+from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 

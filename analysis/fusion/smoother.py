@@ -5,11 +5,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig, ProcessNoise
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import X_ISB
-from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch
+from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.detection.filter.propagation import ImuSegment, imu_run_of
 from analysis.fusion.factors.factor_weights import (
     faulty_rates,
@@ -61,7 +63,7 @@ class Fusion:
         self, piece: BlockSlice, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
         """Like `step`, for the samples up to an event and the event's results."""
-        state.add_imu(piece.imu if core.imu_id is None else piece.of_imu(core.imu_id))
+        state.add_imu(piece.imu if core.imu.id is None else piece.of_imu(core.imu.id))
         states: list[Result] = []
         for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
@@ -85,7 +87,7 @@ class Fusion:
             Changed in place.
         """
         if type(sample) is ImuSample:
-            if core.imu_id is None or core.imu_id == sample.id:
+            if core.imu.id is None or core.imu.id == sample.id:
                 state.add_imu(imu_run_of([sample]))
             return [], state
         decision = next((result for result in results if isinstance(result, Decision)), None)
@@ -201,7 +203,7 @@ class Fusion:
         record = now.record
         before = record.core.motion if record is not None else None
         if record is not None and before is not None and before.t_us == since_us:
-            return record.part
+            return record.segment
         t_us = now.decision.t_us
         return segment_between(state.imu_until(t_us), since_us, t_us)
 
@@ -212,8 +214,8 @@ class Fusion:
         excluded = frozenset(now.decision.excluded) if self.config.decide else frozenset()
         # Only new ones: the others were removed when they were excluded.
         for name in excluded - state.excluded:
-            if name in now.core.excluded:
-                graph.remove_satellite(name, now.core.excluded[name].onset_us)
+            if name in now.core.trust.excluded:
+                graph.remove_satellite(name, now.core.trust.excluded[name].onset_us)
         graph.commit()
         if self.config.robust == "gnc" and graph.begins_span():
             self._drop_outliers(graph)
@@ -254,7 +256,7 @@ class Fusion:
             return None
         motion = now.motion
         if motion is None or not motion.inertial:
-            suspended = self.config.decide and now.core.imu_bad_until_us is not None
+            suspended = self.config.decide and now.core.imu.suspended_until_us is not None
             if not suspended and np.trace(graph.covariance[:3, :3]) < 3.0 * GOOD_ATTITUDE_RAD**2:
                 state.attitude_lost = False
             return None
@@ -271,16 +273,21 @@ class Fusion:
         self, graph: Graph, now: FusionEpoch, state: FusionState
     ) -> dict[str, float]:
         """Attach the epoch's ranges; returns the weights of those used."""
-        if not isinstance(now.sample, Epoch) or now.motion is None or now.core.chosen is None:
+        if (
+            not isinstance(now.sample, Epoch)
+            or now.motion is None
+            or now.core.broadcast.selection is None
+        ):
             return {}
         record = now.record
-        observed = record.observed if record else observe_epoch(now.sample, now.core.chosen)
-        if observed is None:
+        selection = now.core.broadcast.selection
+        observation = record.observation if record else observe_epoch(now.sample, selection)
+        if observation is None:
             return {}
         core, config, decision, noise = now.core, self.config, now.decision, state.noise
         if config.decide:
-            observed = observed.without_rates(faulty_rates(now.results))
-        ranges = EpochRanges(observed, now.motion.x, core, config, self.detector, decision.t_us)
+            observation = observation.without_rates(faulty_rates(now.results))
+        ranges = EpochRanges(observation, now.motion.x, core, config, self.detector, decision.t_us)
         weights = ranges.weights(range_weights(decision, config))
         if config.learn:
             if decision.hypothesis in NOISE_HYPOTHESES:
@@ -327,15 +334,15 @@ class Fusion:
     ) -> None:
         """Attach late ranges: the detector cannot test them, so their residuals give the
         weights."""
-        chosen = select_ephemerides(sample, core.ephemerides, self.detector.systems)
-        observed = observe_epoch(sample, chosen)
-        if observed is None or core.motion is None:
+        chosen = select_ephemerides(sample, core.broadcast.ephemerides, self.detector.systems)
+        observation = observe_epoch(sample, chosen)
+        if observation is None or core.motion is None:
             return
         node = graph.insert_late(sample.t_us)
         if node is None:
             return
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
-        ranges = EpochRanges(observed, x, core, self.config, self.detector, sample.t_us)
+        ranges = EpochRanges(observation, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
             ranges.scale_rates(state.noise)
         weights = ranges.residual_weights(state.excluded)

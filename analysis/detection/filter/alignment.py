@@ -13,19 +13,19 @@ References
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import DetectorCore
-from analysis.detection.filter.filter_state import Alignment, MotionEstimate
+from analysis.detection.filter.filter_config import FilterConfig
+from analysis.detection.filter.filter_state import Alignment, ImuStatus, MotionEstimate
 from analysis.detection.filter.inertial import (
+    ACCEL_BIAS_SIGMA_MPS2,
     BA,
     BG,
     ERROR_SIZE,
     GYRO,
+    GYRO_BIAS_SIGMA_RPS,
     PSI,
     gravity_ecef,
     unsampled_variance,
 )
-from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
 from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -83,7 +83,7 @@ def extend_alignment(
 ) -> Alignment:
     """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
     q, alpha, more = _integrate(alignment.q_0b, alignment.alpha, samples)
-    speed, turn = (before + news for before, news in zip(alignment.unseen, more, strict=True))
+    speed, turn = (before + news for before, news in zip(alignment.unsampled, more, strict=True))
     v = motion.x[3:6]
     # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)
@@ -97,8 +97,8 @@ def extend_alignment(
     information = (
         alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
     )
-    unseen = (speed, turn)
-    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information, unseen)
+    unsampled = (speed, turn)
+    return Alignment(alignment.start_us, q, alpha, beta, v.copy(), cross, information, unsampled)
 
 
 def finish_alignment(
@@ -120,7 +120,7 @@ def finish_alignment(
         # A heading by the magnetometer alone must pass, so the limit lies above its own sigma.
         limit = 1.1 * HEADING_BY_MAG_RAD
     # The weakest axis decides, and how far the vehicle may have turned between two samples.
-    turn = alignment.unseen[1]
+    turn = alignment.unsampled[1]
     if np.linalg.eigvalsh(information)[0] * (limit**2 - turn) < 1.0:
         return None
     left, _, right = np.linalg.svd(cross)
@@ -166,27 +166,27 @@ def _mag_pair(alignment: Alignment, motion: MotionEstimate, mag_b: Vector) -> tu
 
 
 def align_attitude(
-    core: DetectorCore,
+    imu: ImuStatus,
     motion: MotionEstimate,
-    part: ImuSegment,
+    segment: ImuSegment,
     dt_s: float,
-    config: DetectorConfig,
+    config: FilterConfig,
 ) -> MotionEstimate:
     """After an epoch without inertial attitude: gather, and switch to the IMU once it is found; one
     that has been lost is found anew."""
     if motion.inertial:
         return motion._replace(inertial=False) if _lost(motion) else motion
-    if not len(part.samples) or part.gap_s > config.gap_s:
+    if not len(segment.samples) or segment.gap_s > config.gap_s:
         return motion
     # Between samples so far apart a vehicle turns in ways that nobody measured.
-    if dt_s > SLOWEST_SAMPLING_S * (len(part.samples) - 1):
+    if dt_s > SLOWEST_SAMPLING_S * (len(segment.samples) - 1):
         return motion._replace(alignment=None)
     # An IMU that was blamed must stay sound for a while before it may give an attitude.
-    if core.imu_bad_until_us is not None and motion.t_us < core.imu_bad_until_us:
+    if imu.suspended_until_us is not None and motion.t_us < imu.suspended_until_us:
         return motion
     alignment = motion.alignment
     if alignment is None or (motion.t_us - alignment.start_us) * 1e-6 > LONGEST_ALIGNMENT_S:
         return motion._replace(alignment=new_alignment(motion))
-    alignment = extend_alignment(alignment, motion, part.samples, dt_s)
-    found = finish_alignment(alignment, motion, core.mag_b)
+    alignment = extend_alignment(alignment, motion, segment.samples, dt_s)
+    found = finish_alignment(alignment, motion, imu.mag_b)
     return found if found is not None else motion._replace(alignment=alignment)

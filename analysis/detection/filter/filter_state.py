@@ -1,18 +1,15 @@
-"""The parts of the detector's state: pending IMU samples, the filter, what is left out."""
+"""What the filter keeps between epochs: motion, attitude search, unused IMU samples."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
-from analysis.samples.sample import StateVector, Vector
-from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
-
-StoredOrbit = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
+from analysis.samples.sample import Vector
 
 
 class PendingImu(NamedTuple):
-    """IMU samples not yet used, the newest run first; `depth` of them, as memory is bounded."""
+    """IMU samples not yet used, the newest run first; `depth` counts them, as memory is bounded."""
 
     run: ImuRun
     older: "PendingImu | None"
@@ -21,12 +18,13 @@ class PendingImu(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """What the IMU and GNSS velocity tell of attitude while it is unknown.
+    """What IMU and GNSS velocity have shown of the attitude while it is unknown.
 
-    `q_0b` (4,) turns body to the axes at the start, `alpha` (3,) is the specific force integrated
-    in those, `beta` (3,) the same from GNSS in ECEF; `cross` and `information` (3, 3) are sums of
-    beta alpha' and of (beta' beta I - beta beta'), each over the pair's variance. `unseen` are the
-    variances of alpha and of the turn by what happened between the samples of a slow IMU.
+    `q_0b` (4,) rotates body axes to those at the start, `alpha` (3,) is the specific force
+    integrated in the latter, `beta` (3,) the same from GNSS in ECEF; `cross` and `information`
+    (3, 3) are sums of beta alpha' and of (beta' beta I - beta beta'), each over its variance.
+    `unsampled` are the variances of alpha and of the rotation by what happened between the samples
+    of a slow IMU.
     """
 
     start_us: int
@@ -36,24 +34,13 @@ class Alignment:
     v_ecef_mps: Vector
     cross: Vector
     information: Vector
-    unseen: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Exclusion:
-    """A satellite left out: since when, when found, since when it looks healthy again, and whether
-    it was left out with its whole system, not for what it did itself."""
-
-    onset_us: int
-    found_us: int
-    healthy_since_us: int | None = None
-    whole_system: bool = False
+    unsampled: tuple[float, float] = (0.0, 0.0)
 
 
 class MotionEstimate(Value, frozen=True):
     """The filter: time, state x (21,) and covariance p (20, 20) of `inertial`.
 
-    `inertial` says whether the IMU moves it, `alignment` is how far its attitude has been found.
+    `inertial` says whether the IMU propagates it, `alignment` is the search for its attitude.
     """
 
     t_us: int
@@ -61,3 +48,16 @@ class MotionEstimate(Value, frozen=True):
     p: Vector
     inertial: bool = False
     alignment: Alignment | None = None
+
+
+class ImuStatus(Value, frozen=True):
+    """The IMU in use: its number, and the usual time between two of its samples (0: unknown).
+
+    It is not used until `suspended_until_us` where it was isolated (None: it is trusted). `mag_b`
+    (3,) is the newest magnetometer sample, which can give the attitude its heading.
+    """
+
+    id: int | None = None
+    interval_s: float = 0.0
+    suspended_until_us: int | None = None
+    mag_b: Vector | None = None

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from analysis.detection.detection_config import NoiseDensities
+from analysis.detection.filter.process_noise import NoiseDensities
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import (
@@ -41,6 +41,8 @@ R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how many
 DIAGONAL = ERROR_SIZE + 1  # from one diagonal element of a covariance (400,) to the next
+# One sigma of the biases of cheap MEMS sensors at power-on; the filter narrows them in flight.
+GYRO_BIAS_SIGMA_RPS, ACCEL_BIAS_SIGMA_MPS2 = 0.02, 0.3
 COVARIANCE_STEP_S = 0.25  # so much at most of the covariance's way at once
 SPARSE_SAMPLE_S = 0.03  # of longer steps nobody knows what force and rates were meanwhile
 

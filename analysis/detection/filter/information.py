@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.filter.inertial import PSI, X_Q
+from analysis.detection.filter.inertial import DRIFT, PSI, X_Q, V
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import (
@@ -40,6 +40,7 @@ from mavproxy_fault.numerics.linear import (
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference
 
 Indices = NDArray[np.int64]
+RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
 
 
 class NormalEquations(NamedTuple):
@@ -115,6 +116,24 @@ def normal_equations_over(
             for k in range(count):
                 information[j, k] += share * a[i, k]
     return NormalEquations(states, a, variance, v, information, b, total)
+
+
+@compiled
+def rate_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
+    """The normal equations of the Doppler rates v (n,) that are known; h (n, 20) is the geometry of
+    the ranges."""
+    count = 0
+    a, known_variance, known = np.empty((v.shape[0], 4)), np.empty(v.shape[0]), np.empty(v.shape[0])
+    for i in range(v.shape[0]):
+        if np.isfinite(v[i]):
+            for k in range(3):
+                a[count, k] = h[i, k]
+            a[count, 3], known_variance[count], known[count] = 1.0, variance[i], v[i]
+            count += 1
+    # A copy: a global array is a constant of the compiled code and may not be changed.
+    return normal_equations_over(
+        RATE_STATES.copy(), a[:count], known_variance[:count], known[:count]
+    )
 
 
 @compiled

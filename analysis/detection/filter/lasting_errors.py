@@ -78,7 +78,7 @@ class RangeGeometry(NamedTuple):
 @compiled
 def range_geometry(used: Innovations, axes: Vector) -> RangeGeometry:
     """The geometry by the rows of `axes` (3, 3), with a clock for each system that is in use."""
-    count, h = used.h.shape[0], used.h
+    count, h = used.geometry.shape[0], used.geometry
     sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
     # The last place is GPS's, whose clock is the filter's own.
     place, unknowns = np.full(CLOCKS, -1), AXES

@@ -1,15 +1,13 @@
-"""An epoch's usable satellites and what the model makes of them."""
+"""The usable measurements of an epoch, and their innovations against a state of the filter."""
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.detection_config import SigmaModel, SigmaNumbers, range_variance
-from analysis.detection.filter.filter_state import StoredOrbit
+from analysis.detection.filter.ephemerides import EphemerisSelection
 from analysis.detection.filter.inertial import (
     CLOCK,
     DRIFT,
@@ -20,35 +18,29 @@ from analysis.detection.filter.inertial import (
     X_ISB,
     V,
 )
+from analysis.detection.filter.range_noise import SigmaModel, SigmaNumbers, range_variance
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
-    CLOCK_OF,
     DELAY,
     ELEVATION,
     LINE_OF_SIGHT,
-    PACKED,
     RANGE,
     RATE,
-    SYSTEMS,
     WEEK_S,
-    packed_for_carrier,
     predict_ranges,
     satellite_states,
 )
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.constants import L1_HZ
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-KLOBUCHAR_COEFFICIENTS = (
-    8  # Klobuchar's; behind them, how much more than broadcast ones they are off
-)
-RESELECT_S = 300.0  # at the latest the choice is looked at again
-# Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's
-# factor), BeiDou's B3I wanders as much more on a recorded walk.
+# Klobuchar's; the element behind them is the factor by which their error exceeds broadcast ones'
+KLOBUCHAR_COEFFICIENTS = 8
+# Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's factor), BeiDou's
+# B3I wanders as much more on a recorded walk (benchmarks/fdi_walk.py).
 SYSTEM_VARIANCE_FACTOR = (1.0, 1.0, 1.5**2, 1.5**2)
-RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium orbits as seen from near the earth
+RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium and geosynchronous orbits as seen from near the Earth
 
 
 class EpochMeasurements(NamedTuple):
@@ -64,10 +56,10 @@ class EpochMeasurements(NamedTuple):
 
 
 class EpochObservation(Value, frozen=True):
-    """Usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
+    """The usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
 
-    `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the
-    receiver's time.
+    `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the receiver's
+    time.
     """
 
     satellites: tuple[str, ...]
@@ -80,8 +72,8 @@ class EpochObservation(Value, frozen=True):
     tow_s: float
 
     @property
-    def measured(self) -> EpochMeasurements:
-        """What was measured, without the names."""
+    def measurements(self) -> EpochMeasurements:
+        """The numbers without the names."""
         return EpochMeasurements(
             self.packed,
             self.pseudorange_m,
@@ -93,9 +85,9 @@ class EpochObservation(Value, frozen=True):
         )
 
     @property
-    def states(self) -> Vector:
-        """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
-        return transmitting_states(self.measured)
+    def satellite_states(self) -> Vector:
+        """Satellites (n, 9) at transmission, as `broadcast.satellite_states`."""
+        return transmitting_states(self.measurements)
 
     def without_rates(self, names: Collection[str]) -> "EpochObservation":
         """The same without the Doppler rates of some satellites."""
@@ -105,7 +97,7 @@ class EpochObservation(Value, frozen=True):
         return self._replace(doppler_mps=np.where(wrong, np.nan, self.doppler_mps))
 
     def select(self, keep: Mask) -> "EpochObservation":
-        """Those that `keep` (n,), a mask, keeps."""
+        """The satellites that the mask `keep` (n,) selects."""
         names = tuple(
             name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
         )
@@ -122,103 +114,65 @@ class EpochObservation(Value, frozen=True):
 
 
 class Innovations(NamedTuple):
-    """Innovations at a state: ranges and rates with geometry.
+    """Ranges and Doppler rates of n satellites minus their predictions, with geometry and noise.
 
-    `v_m` and `v_mps` (n,), `variance` and `rate_variance` (n,) of both, `elevation_rad` (n,), the
-    ionosphere's delay `ionosphere_m` (n,) by which its model may be off, and `h` (n, 20) of the
-    ranges.
+    `range_m` and `rate_mps` (n,) are the innovations, `variance` and `rate_variance` (n,) the
+    noise of each, `elevation_rad` (n,), the ionospheric delay `ionosphere_m` (n,) by which its
+    model may be off, and `geometry` (n, 20) the ranges' derivatives by the errors of the state.
     """
 
-    v_m: Vector
-    v_mps: Vector
+    range_m: Vector
+    rate_mps: Vector
     variance: Vector
     rate_variance: Vector
     elevation_rad: Vector
     ionosphere_m: Vector
-    h: Vector
+    geometry: Vector
 
     def between(self, begin: int, end: int) -> "Innovations":
-        """Those in a row; views."""
+        """The satellites from one place to another, as views."""
         return Innovations(*(column[begin:end] for column in self))
 
     def select(self, keep: Mask) -> "Innovations":
-        """Those that `keep` (n,), a mask, keeps."""
+        """The satellites that the mask `keep` (n,) selects."""
         return Innovations(*(column[keep] for column in self))
+
+
+class RateInnovations(NamedTuple):
+    """Doppler rates of n satellites that may be used, NaN where one may not: innovations and
+    variance (n,), and the ranges' geometry of the same satellites (n, 20)."""
+
+    rate_mps: Vector
+    variance: Vector
+    geometry: Vector
 
 
 _NONE = np.empty(0)
 NO_INNOVATIONS = Innovations(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERROR_SIZE)))
+NO_RATES = RateInnovations(_NONE, _NONE, NO_INNOVATIONS.geometry)
 
 
-@dataclass(frozen=True, slots=True)
-class EphemerisSelection:
-    """The ephemerides of a set of satellites, which hold from `from_us` until `until_us`: indices
-    of those that have one (None: all have), and their packed rows (n, 25)."""
-
-    satellites: tuple[str, ...]
-    week: int
-    from_us: int
-    until_us: int
-    keep: Indices | None
-    names: tuple[str, ...]
-    packed: Vector
-    system: Indices
-
-    def is_valid_for(self, epoch: Epoch) -> bool:
-        """Whether the choice still holds for an epoch."""
-        same = self.satellites == epoch.satellites and self.week == epoch.week
-        return same and self.from_us <= epoch.t_us <= self.until_us
-
-
-def select_ephemerides(
-    epoch: Epoch,
-    ephemerides: dict[str, tuple[StoredOrbit, ...]],
-    systems: str = SYSTEMS,
-    before: EphemerisSelection | None = None,
-) -> EphemerisSelection:
-    """The healthy ephemeris nearest in time for each satellite of an epoch that has one.
-
-    `systems` are the first letters of those that are used, `before` is the last choice."""
-    keep, rows, holds_s = [], [], RESELECT_S
-    carriers = [L1_HZ] * len(epoch.satellites)
-    if epoch.carrier_hz is not None:
-        carriers = epoch.carrier_hz.tolist()
-    for i, name in enumerate(epoch.satellites):
-        packed, same_s = _nearest(ephemerides.get(name, ()), epoch)
-        holds_s = min(holds_s, same_s)
-        if packed is not None and name[0] in systems:
-            keep.append(i)
-            rows.append(packed if carriers[i] == L1_HZ else packed_for_carrier(packed, carriers[i]))
-    names = tuple(epoch.satellites[i] for i in keep)
-    # The same object where nothing changed: what follows compares it by identity first.
-    names = before.names if before is not None and before.names == names else names
-    return EphemerisSelection(
-        epoch.satellites,
-        epoch.week,
-        epoch.t_us,
-        epoch.t_us + int(holds_s * 1e6),
-        np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
-        names,
-        np.array(rows).reshape(len(rows), PACKED),
-        np.array([CLOCK_OF[name[0]] for name in names], dtype=np.int64),
-    )
-
-
-def observe_epoch(epoch: Epoch, chosen: EphemerisSelection) -> EpochObservation | None:
-    """The satellites that can be used; None where there are none."""
-    if not chosen.names or not 0.0 <= epoch.tow_s <= WEEK_S:
+def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservation | None:
+    """The satellites of an epoch that can be used; None where there are none."""
+    if not selection.names or not 0.0 <= epoch.tow_s <= WEEK_S:
         return None
     columns = epoch.pseudorange_m, epoch.doppler_mps, epoch.cn0_dbhz
-    if chosen.keep is not None:
-        columns = columns[0][chosen.keep], columns[1][chosen.keep], columns[2][chosen.keep]
-    observed = EpochObservation(
-        chosen.names, *columns, chosen.packed, chosen.system, float(epoch.week), epoch.tow_s
+    if selection.keep is not None:
+        keep = selection.keep
+        columns = columns[0][keep], columns[1][keep], columns[2][keep]
+    observation = EpochObservation(
+        selection.names,
+        *columns,
+        selection.packed,
+        selection.system,
+        float(epoch.week),
+        epoch.tow_s,
     )
     if _all_plausible(columns[0]):
-        return observed
+        return observation
     ranges = columns[0]
     plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
-    return observed.select(plausible) if plausible.any() else None
+    return observation.select(plausible) if plausible.any() else None
 
 
 @compiled
@@ -230,65 +184,42 @@ def _all_plausible(ranges: Vector) -> bool:
     return plausible
 
 
-def _nearest(stored: tuple[StoredOrbit, ...], epoch: Epoch) -> tuple[Vector | None, float]:
-    """The packed ephemeris whose time is nearest, if one is healthy and still holds, and for how
-    many seconds that stays so."""
-    best, age, ahead_s, changes_s = None, float("inf"), 0.0, [float("inf")]
-    healthy = []
-    for ephemeris, packed in stored:
-        to_come_s = (ephemeris.week - epoch.week) * WEEK_S + ephemeris.toe_s - epoch.tow_s
-        if ephemeris.health != 0:
-            continue
-        healthy.append(to_come_s)
-        changes_s += [to_come_s - ephemeris.fit_half_s, to_come_s + ephemeris.fit_half_s]
-        if abs(to_come_s) < age and abs(to_come_s) <= ephemeris.fit_half_s:
-            best, age, ahead_s = packed, abs(to_come_s), to_come_s
-    # Another one is nearer from half the way to it.
-    changes_s += [0.5 * (to_come_s + ahead_s) for to_come_s in healthy]
-    return best, min(change_s for change_s in changes_s if change_s >= 0.0)
-
-
-def unusable_reason(epoch: Epoch, ephemerides: dict[str, tuple[StoredOrbit, ...]]) -> str:
-    """Why `observe_epoch` found nothing to use."""
-    if not epoch.satellites:
-        return "no pseudoranges"
-    if not 0.0 <= epoch.tow_s <= WEEK_S:
-        return f"time of week {epoch.tow_s} is none"
-    if not any(name in ephemerides for name in epoch.satellites):
-        return "no ephemeris for any satellite in view"
-    weeks = sorted({e.week for stored in ephemerides.values() for e, _ in stored})
-    if epoch.week not in range(weeks[0] - 1, weeks[-1] + 2):
-        return f"GPS week {epoch.week} does not fit the ephemerides of week {weeks[-1]}"
-    return "no satellite has a valid ephemeris and a plausible pseudorange"
-
-
 def predict_innovations(
-    observed: EpochObservation, x: Vector, sigma: SigmaModel, ionosphere: Vector
+    observation: EpochObservation, x: Vector, sigma: SigmaModel, ionosphere: Vector
 ) -> Innovations:
     """Innovations, their geometry and variance at the state x (21,).
 
-    `ionosphere` (8,) or (9,) are Klobuchar's coefficients, and how much more than broadcast ones
-    they are off.
+    `ionosphere` (8,) or (9,) are Klobuchar's coefficients, and the factor by which their error
+    exceeds that of broadcast ones.
     """
-    return innovations_kernel(observed.measured, observed.states, x, ionosphere, sigma.numbers)
+    states = observation.satellite_states
+    return innovations_kernel(observation.measurements, states, x, ionosphere, sigma.numbers)
 
 
 @compiled
-def transmitting_states(measured: EpochMeasurements) -> Vector:
+def transmitting_states(measurements: EpochMeasurements) -> Vector:
     """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
-    return satellite_states(measured.packed, measured.week, measured.tow_s, measured.pseudorange_m)
+    return satellite_states(
+        measurements.packed, measurements.week, measurements.tow_s, measurements.pseudorange_m
+    )
 
 
 @compiled
 def innovations_kernel(
-    measured: EpochMeasurements, states: Vector, x: Vector, ionosphere: Vector, sigma: SigmaNumbers
+    measurements: EpochMeasurements,
+    states: Vector,
+    x: Vector,
+    ionosphere: Vector,
+    sigma: SigmaNumbers,
 ) -> Innovations:
-    """The same for kernels, with the satellites (n, 9) of `transmitting_states`."""
-    predicted = predict_ranges(states, x[0:3], x[3:6], measured.tow_s, ionosphere)
+    """`predict_innovations` for kernels, with the satellites (n, 9) of `transmitting_states`."""
+    predicted = predict_ranges(states, x[0:3], x[3:6], measurements.tow_s, ionosphere)
     count, elevation = states.shape[0], predicted[:, ELEVATION].copy()
-    systems, range_m, rate_mps = measured.system, measured.pseudorange_m, measured.doppler_mps
+    systems = measurements.system
+    range_m, rate_mps = measurements.pseudorange_m, measurements.doppler_mps
     v, v_rate, rate_variance = np.empty(count), np.empty(count), np.empty(count)
-    variance, h = range_variance(elevation, measured.cn0_dbhz, sigma), np.zeros((count, ERROR_SIZE))
+    variance = range_variance(elevation, measurements.cn0_dbhz, sigma)
+    h = np.zeros((count, ERROR_SIZE))
     for i in range(count):
         system = systems[i]
         isb = x[X_ISB - 1 + system] if system > 0 else 0.0
@@ -301,20 +232,21 @@ def innovations_kernel(
         h[i, CLOCK] = 1.0
         if system > 0:
             h[i, ISB - 1 + system] = 1.0
-    # Coefficients that nobody has sent are off by more: as if there were so much more to model.
-    doubt = (
-        ionosphere[KLOBUCHAR_COEFFICIENTS] if ionosphere.shape[0] > KLOBUCHAR_COEFFICIENTS else 1.0
-    )
-    delay_m = doubt * predicted[:, DELAY]
+    factor = 1.0
+    # Coefficients that were not broadcast err by more: as if there were more delay to model.
+    if ionosphere.shape[0] > KLOBUCHAR_COEFFICIENTS:
+        factor = ionosphere[KLOBUCHAR_COEFFICIENTS]
+    delay_m = factor * predicted[:, DELAY]
     return Innovations(v, v_rate, variance, rate_variance, elevation, delay_m, h)
 
 
 @compiled
-def rate_geometry(h: Vector, known: Indices) -> Vector:
-    """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of h."""
-    out = np.zeros((known.shape[0], h.shape[1]))
+def rate_geometry(geometry: Vector, known: Indices) -> Vector:
+    """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of the ranges'
+    geometry (n, 20)."""
+    out = np.zeros((known.shape[0], geometry.shape[1]))
     for i in range(known.shape[0]):
         for k in range(3):
-            out[i, V + k] = h[known[i], k]
+            out[i, V + k] = geometry[known[i], k]
         out[i, DRIFT] = 1.0
     return out

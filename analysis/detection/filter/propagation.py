@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.antenna import shift_by_lever_arm
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.filter_state import MotionEstimate, PendingImu
 from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.samples.block import ImuRun, Stamps
@@ -107,7 +107,7 @@ def update_interval_s(known_s: float, run: ImuRun) -> float:
     return known_s + (INTERVAL_GAIN if known_s > 0.0 else 1.0) * (interval_s - known_s)
 
 
-def is_silent(gap_s: float, usual_s: float, config: DetectorConfig) -> bool:
+def is_silent(gap_s: float, usual_s: float, config: FilterConfig) -> bool:
     """Whether a gap is the IMU's fault: one too long for the filter, and for the IMU itself."""
     return gap_s > max(config.gap_s, SILENT_INTERVALS * usual_s)
 
@@ -149,7 +149,7 @@ def segment_steps(
 
 
 def propagate_filter(
-    motion: MotionEstimate, part: ImuSegment, until_us: int, config: DetectorConfig
+    motion: MotionEstimate, part: ImuSegment, until_us: int, config: FilterConfig
 ) -> tuple[MotionEstimate, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6

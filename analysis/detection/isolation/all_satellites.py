@@ -1,36 +1,37 @@
-"""All satellites at once: what no IMU can do to the prediction is the signals' doing, or the
-receiver's.
+"""All satellites at once: innovations that no IMU fault can cause come from the signals or the
+receiver.
 
-An IMU's fault reaches the position through the velocity, and the velocity through a force that is
-wrong. So a position that leaves while the Doppler rates still fit, or a velocity that leaves faster
-than a wrongly turned force could drive it while the IMU's own output did not change, or both where
-the place is farther off than that velocity could have led it, is not the IMU's. The satellites
-agree among themselves: the hypothesis is `gps`, and nothing of the epoch is used.
+An IMU fault reaches the position through the velocity, and the velocity through a wrong force. So
+it is not the IMU where the position leaves while the Doppler rates still fit, where the velocity
+leaves faster than a wrongly rotated force could drive it while the IMU's own output did not change,
+or where both leave and the position is farther off than that velocity could have carried it. The
+satellites agree among themselves: the hypothesis is `gps`, and nothing of the epoch is used.
 
-Without an IMU a place that leaps as no vehicle does, while the satellites agree, is `gps` too. The
-filter follows, as nothing else tells where it is, but nothing bounds the position until the
-satellites have leapt back.
+Without an IMU a position that jumps as no vehicle can, while the satellites agree, is `gps` too.
+The filter follows, as it has no other source, but the position stays unbounded until the satellites
+have jumped back.
 """
 
 import numpy as np
 
-from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.covariance_release import free_position, free_system_clocks
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE
-from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
-from analysis.detection.isolation.assessment import EpochStatistics
-from analysis.detection.isolation.chi_square import chi_square_threshold
-from analysis.detection.isolation.range_test import RangeVerdict, free_position, free_system_clocks
-from analysis.detection.isolation.rate_test import NO_RATES, RateVerdict
+from analysis.detection.filter.measurement import NO_INNOVATIONS, NO_RATES, Innovations
+from analysis.detection.isolation.epoch_statistics import EpochStatistics
+from analysis.detection.isolation.range_test import RangeVerdict
+from analysis.detection.isolation.rate_test import RateVerdict
+from analysis.detection.isolation.trust import Trust
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 
-RANGES_DISTRUSTED, RATES_DISTRUSTED = "ranges", "rates"  # what of all satellites is distrusted
+RANGES_DISTRUSTED, RATES_DISTRUSTED = "ranges", "rates"  # values of `Trust.distrusted`
 LEAST_SHIFT_M = 10.0  # a smaller shift may be the geometry's, when other satellites are used
-VELOCITY_SLACK_MPS = 0.5  # of the velocity, for noise and for what has come together before
-JUMP_M, JUMP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity is no vehicle's
-JUMP_SIGMAS = 5.0  # of the prediction
-AGREEING_DOF = 3  # that the satellites must agree by
+VELOCITY_SLACK_MPS = 0.5  # for noise, and for velocity errors from before
+JUMP_M, JUMP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity: no vehicle does more
+JUMP_SIGMAS = 5.0  # of the prediction: 6e-7 by chance
+AGREEING_DOF = 3  # redundancy with which the satellites must agree
 JUMP_REASON = "all satellites leapt together, and nothing tells which place is right"
 COASTING_REASON = (
     "all satellites are left out: the IMU alone carries the position, and nothing bounds it"
@@ -42,137 +43,147 @@ FOLLOWED_REASON = (
 
 def rates_beyond_imu(
     rates: RateVerdict,
-    core: DetectorCore,
+    trust: Trust,
+    before: MotionEstimate,
     motion: MotionEstimate,
-    used: Innovations,
+    innovations: Innovations,
     runs: tuple[ImuRun | None, ImuRun],
 ) -> RateVerdict:
-    """The rates' verdict; `gps` where it blames an IMU that cannot have done it, or that was sound
-    when the satellites began to lie.
+    """The rates' verdict; `gps` where it isolates an IMU that cannot be the cause, or that was
+    healthy when the satellites became wrong.
 
-    `runs` are what the IMU gave in the interval before, where that is known, and in this one.
+    `before` is the filter at the last epoch, `motion` the prediction; `runs` are the IMU's samples
+    of the interval before, where these are known, and of this one.
     """
     if not motion.inertial:
         return rates
-    wrong = core.distrusted == RATES_DISTRUSTED
     if rates.hypothesis == "imu" and (
-        core.distrusted or _faster_than_force(used, *runs) or _leapt(core, motion, used)
+        trust.distrusted
+        or _is_faster_than_force(innovations, *runs)
+        or _has_jumped(trust.unexplained_since_us or before.t_us, motion, innovations)
     ):
         return RateVerdict(rates.statistic, rates.threshold, rates.dof, "gps", NO_RATES)
-    return rates._replace(fit=NO_RATES) if wrong else rates  # used again once the ranges fit too
+    # Rates that were wrong are used again once the ranges fit too.
+    wrong = trust.distrusted == RATES_DISTRUSTED
+    return rates._replace(usable=NO_RATES) if wrong else rates
 
 
-def next_distrust(core: DetectorCore, rates: RateVerdict, tested: RangeVerdict) -> str:
-    """What is distrusted of all satellites after an epoch."""
-    if tested.hypothesis != "gps":
+def next_distrust(distrusted: str, rates: RateVerdict, ranges: RangeVerdict) -> str:
+    """What of all satellites is distrusted after an epoch."""
+    if ranges.hypothesis != "gps":
         return ""
-    return (
-        RATES_DISTRUSTED
-        if rates.hypothesis == "gps" or core.distrusted == RATES_DISTRUSTED
-        else RANGES_DISTRUSTED
-    )
+    by_rates = rates.hypothesis == "gps" or distrusted == RATES_DISTRUSTED
+    return RATES_DISTRUSTED if by_rates else RANGES_DISTRUSTED
 
 
-def _faster_than_force(used: Innovations, before: ImuRun | None, run: ImuRun) -> bool:
-    """Whether the velocity left faster than what the IMU measured could drive it."""
+def _is_faster_than_force(innovations: Innovations, before: ImuRun | None, run: ImuRun) -> bool:
+    """Whether the velocity left faster than the force that the IMU measured could drive it."""
     if before is None or len(run.t_us) < 2 or len(before.t_us) < 2:
         return False
     force, force_before = run.values[:, 3:6].mean(axis=0), before.values[:, 3:6].mean(axis=0)
     if not np.isfinite(force + force_before).all():
         return False
     dt_s = float(run.t_us[-1] - before.t_us[-1]) * 1e-6
-    columns = np.column_stack([used.h[:, 0:3], np.ones(len(used.v_mps))])
-    grown_mps = np.linalg.norm(_shift(columns, used.v_mps, used.rate_variance))
+    grown_mps = np.linalg.norm(_velocity_shift(innovations))
     changed_mps = np.linalg.norm(force - force_before) * dt_s
     turned_mps = max(np.linalg.norm(force), np.linalg.norm(force_before)) * dt_s
     return bool(grown_mps > turned_mps + changed_mps + VELOCITY_SLACK_MPS)
 
 
-def _leapt(core: DetectorCore, motion: MotionEstimate, used: Innovations) -> bool:
-    """Whether the place is farther off than the velocity that is wrong could have led it since the
-    ranges were used."""
-    assert core.motion is not None
-    dt_s = (motion.t_us - (core.unknown_since_us or core.motion.t_us)) * 1e-6
-    clocks = used.h[:, CLOCK:ERROR_SIZE]
-    place = np.hstack([used.h[:, :3], clocks[:, clocks.any(axis=0)]])
-    speed = np.column_stack([used.h[:, :3], np.ones(len(used.v_mps))])
-    shift_m = np.linalg.norm(_shift(place, used.v_m, used.variance))
-    led_m = 2.0 * dt_s * np.linalg.norm(_shift(speed, used.v_mps, used.rate_variance))
-    unsure_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
-    return bool(shift_m > LEAST_SHIFT_M + led_m + unsure_m)
+def _has_jumped(since_us: int, motion: MotionEstimate, innovations: Innovations) -> bool:
+    """Whether the position is farther off than the wrong velocity could have carried it since the
+    ranges were last used."""
+    dt_s = (motion.t_us - since_us) * 1e-6
+    shift_m = np.linalg.norm(_position_shift(innovations))
+    carried_m = 2.0 * dt_s * np.linalg.norm(_velocity_shift(innovations))
+    uncertain_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
+    return bool(shift_m > LEAST_SHIFT_M + carried_m + uncertain_m)
 
 
 def ranges_beyond_imu(
-    tested: RangeVerdict,
+    ranges: RangeVerdict,
     rates: RateVerdict,
-    core: DetectorCore,
+    trust: Trust,
     motion: MotionEstimate,
-    used: Innovations,
+    innovations: Innovations,
 ) -> RangeVerdict:
-    """The ranges' verdict; `gps` where it blames an IMU whose velocity the rates confirm.
+    """The ranges' verdict; `gps` where it isolates an IMU whose velocity the rates confirm.
 
-    `motion` is the prediction before anything of it was forgotten.
+    `motion` is the prediction before any of it was released.
     """
     confirmed = rates.statistic is not None and rates.hypothesis == "none"
     if rates.hypothesis != "gps":
-        if not (confirmed and motion.inertial and tested.hypothesis == "imu"):
-            return tested
-        columns = np.column_stack([used.h[:, 0:3], used.h[:, CLOCK]])
-        shift_m = np.linalg.norm(_shift(columns, used.v_m, used.variance))
-        if shift_m < LEAST_SHIFT_M and not core.distrusted:
-            return tested
-    return reject_all(motion, tested)
+        if not (confirmed and motion.inertial and ranges.hypothesis == "imu"):
+            return ranges
+        h = innovations.geometry
+        columns = np.column_stack([h[:, 0:3], h[:, CLOCK]])
+        shift_m = np.linalg.norm(_shift(columns, innovations.range_m, innovations.variance))
+        if shift_m < LEAST_SHIFT_M and not trust.distrusted:
+            return ranges
+    return reject_all(motion, ranges)
 
 
-def reject_all(motion: MotionEstimate, tested: RangeVerdict) -> RangeVerdict:
-    """The ranges' verdict where all satellites lie: nothing of the epoch is used."""
+def reject_all(motion: MotionEstimate, ranges: RangeVerdict) -> RangeVerdict:
+    """The ranges' verdict where all satellites are wrong: nothing of the epoch is used."""
     return RangeVerdict(
-        motion, "gps", True, (), tested.statistic, tested.threshold, tested.probabilities,
-        NO_INNOVATIONS, True,
-    )  # fmt: skip
+        motion,
+        "gps",
+        True,
+        (),
+        ranges.statistic,
+        ranges.threshold,
+        ranges.probabilities,
+        NO_INNOVATIONS,
+        True,
+    )
 
 
 def common_jump_m(
-    tested: RangeVerdict,
+    ranges: RangeVerdict,
     motion: MotionEstimate,
-    used: Innovations,
-    tests: EpochStatistics,
+    innovations: Innovations,
+    statistics: EpochStatistics,
     dt_s: float,
     p_agree: float,
 ) -> Vector | None:
-    """How far (3,) all satellites together have leapt, where no vehicle has, else None.
+    """How far (3,) all satellites have jumped together, where no vehicle has, else None.
 
-    `motion` is the prediction over `dt_s`, `tested` what the main test says of it, `p_agree` the
-    false-alarm probability of the test whether the satellites agree.
+    `motion` is the prediction over `dt_s`, `ranges` the verdict on it, `p_agree` the false-alarm
+    probability of the test whether the satellites agree.
     """
-    explained = tested.hypothesis == "satellites" or tested.whole_system
-    if motion.inertial or not tested.prediction_freed or explained:
+    explained = ranges.hypothesis == "satellites" or ranges.whole_system
+    if motion.inertial or not ranges.prediction_freed or explained:
         return None
-    dof = tests.parity_dof
-    if dof < AGREEING_DOF or tests.parity > chi_square_threshold(dof, p_agree):
+    dof = statistics.parity_dof
+    if dof < AGREEING_DOF or statistics.parity > chi_square_threshold(dof, p_agree):
         return None
-    clocks = used.h[:, CLOCK:ERROR_SIZE]
-    shift_m = _shift(
-        np.hstack([used.h[:, :3], clocks[:, clocks.any(axis=0)]]), used.v_m, used.variance
-    )
-    unsure_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
-    most_m = JUMP_M + 0.5 * JUMP_MPS2 * dt_s**2 + unsure_m
+    shift_m = _position_shift(innovations)
+    uncertain_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
+    most_m = JUMP_M + 0.5 * JUMP_MPS2 * dt_s**2 + uncertain_m
     return shift_m if np.linalg.norm(shift_m) > most_m else None
 
 
-def follow_jump(tested: RangeVerdict, motion: MotionEstimate, used: Innovations) -> RangeVerdict:
-    """The verdict on satellites that leapt together: all are followed."""
-    free = free_system_clocks(free_position(motion))
-    chances = tested.probabilities
+def follow_jump(
+    ranges: RangeVerdict, motion: MotionEstimate, innovations: Innovations
+) -> RangeVerdict:
+    """The verdict on satellites that jumped together: all are used, and the filter follows."""
     return RangeVerdict(
-        free, "gps", True, (), tested.statistic, tested.threshold, chances, used, True
-    )  # fmt: skip
+        free_system_clocks(free_position(motion)),
+        "gps",
+        True,
+        (),
+        ranges.statistic,
+        ranges.threshold,
+        ranges.probabilities,
+        innovations,
+        True,
+    )
 
 
 def accumulated_jump_m(so_far_m: Vector | None, shift_m: Vector | None) -> Vector | None:
-    """How far (3,) the satellites have leapt since they were where they belong; None: not at all.
+    """How far (3,) the satellites have jumped in all; None where they are back.
 
-    A leap back ends it: as far as geometry and the vehicle's own motion let it.
+    A jump back ends it, as accurately as geometry and the vehicle's own motion allow.
     """
     if shift_m is None:
         return so_far_m
@@ -180,8 +191,23 @@ def accumulated_jump_m(so_far_m: Vector | None, shift_m: Vector | None) -> Vecto
     return total_m if np.linalg.norm(total_m) > 0.5 * np.linalg.norm(shift_m) else None
 
 
+def _position_shift(innovations: Innovations) -> Vector:
+    """The shift of position (3,) that the ranges share, their clocks unknown."""
+    h = innovations.geometry
+    clocks = h[:, CLOCK:ERROR_SIZE]
+    columns = np.hstack([h[:, :3], clocks[:, clocks.any(axis=0)]])
+    return _shift(columns, innovations.range_m, innovations.variance)
+
+
+def _velocity_shift(innovations: Innovations) -> Vector:
+    """The shift of velocity (3,) that the rates share, the drift unknown."""
+    rate_mps = innovations.rate_mps
+    columns = np.column_stack([innovations.geometry[:, 0:3], np.ones(len(rate_mps))])
+    return _shift(columns, rate_mps, innovations.rate_variance)
+
+
 def _shift(columns: Vector, v: Vector, variance: Vector) -> Vector:
-    """What moves all of some innovations v (n,): the weighted solution's first three (3,)."""
+    """The weighted least-squares solution's first three (3,) for innovations v (n,)."""
     known = np.isfinite(v)
     weight = 1.0 / np.sqrt(variance[known])
     solution = np.linalg.lstsq(columns[known] * weight[:, np.newaxis], v[known] * weight)[0]

@@ -1,38 +1,41 @@
-"""A velocity that all Doppler rates show off the IMU's: three parameters, so it is seen early.
+"""A velocity shift that all Doppler rates share: it has three parameters, so it is detected early.
 
-The rates' main test has as many degrees of freedom as satellites, and a receiver that is led off at
-0.5 m/s is within them. With N and b of the rates' normal equations and P_c the covariance of
-velocity and drift, the shift that they share and its statistic are
+The rates' main test has as many degrees of freedom as satellites, and a receiver that a spoofer
+drags away at 0.5 m/s passes it. With N and b of the rates' normal equations and P_c the covariance
+of velocity and drift, the shift that they share and its statistic are
 
     u = [inv(N) b]_v,   u' inv([inv(N) + P_c]_vv) u,   chi-square(3) without a fault,
 
-the drift unknown. Most receivers are far better than the noise that is assumed of them, so it is
-held against the flight's own level. That only begins a question, asked at the epochs behind it too:
-whether all satellites are led away (`imu_or_satellites`).
+the drift unknown. Most receivers are far better than the assumed noise, so the statistic is
+compared with this flight's own level. A large one only raises the suspicion that all satellites
+lead the filter away; `imu_or_satellites` then decides, at this epoch and the following ones.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.information import NormalEquations, covariance_block, quadratic_form
-from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
 
 SHIFT_DOF = 3
-SUSPECTED_US = 3_000_000  # for how long the question stands
-SETTLING_US = 10_000_000  # behind what failed a test: what follows may come of it
-LEAST_LEVEL = 0.1
-LARGEST_SQUARE = 9.0  # one outlier says little of the level
-FIRST_WEIGHT, MOST_WEIGHT = 10.0, 150.0  # epochs of the level: at first in favour of 1
+SUSPECTED_US = 3_000_000  # how long a suspicion lasts: slow drags show within it
+SETTLING_US = 10_000_000  # no suspicion so soon after a failed test, whose after-effects look alike
+LEAST_LEVEL = 0.1  # of the flight's level: no receiver is trusted to be better by more
+LARGEST_SQUARE = 9.0  # 3 sigma: larger ones do not raise the level
+FIRST_WEIGHT, MOST_WEIGHT = 10.0, 150.0  # epochs: prior in favour of 1, and memory of the level
 
 
 class CommonShift(NamedTuple):
-    """The level of innovations, a mean square over `weight` epochs that passed their tests; until
-    when it is asked whether all satellites lead away, and from when on it may be."""
+    """What is known of the shift: its usual level, and whether it is suspected.
+
+    `level` is the mean square per degree of freedom over `weight` epochs that passed their tests.
+    All satellites are suspected until `suspected_until_us`, and not before `settled_from_us`.
+    """
 
     level: float = 1.0
     weight: float = FIRST_WEIGHT
@@ -52,32 +55,34 @@ def shift_statistic(p: Vector, rates: NormalEquations) -> float:
     )
 
 
-def shift_stands_out(watched: CommonShift, shift: float, t_us: int, config: DetectorConfig) -> bool:
-    """Whether the statistic `shift` of an epoch is more than this flight's noise."""
-    limit = max(watched.level, LEAST_LEVEL) * chi_square_threshold(SHIFT_DOF, config.p_other)
-    return t_us >= watched.settled_from_us and shift > limit
+def shift_stands_out(
+    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
+) -> bool:
+    """Whether the statistic of an epoch exceeds this flight's noise."""
+    limit = max(known.level, LEAST_LEVEL) * chi_square_threshold(SHIFT_DOF, config.p_other)
+    return t_us >= known.settled_from_us and statistic > limit
 
 
 def shift_is_suspected(
-    watched: CommonShift, shift: float, t_us: int, config: DetectorConfig
+    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
 ) -> bool:
-    """Whether it is to be asked who is wrong, by this epoch's shift or an earlier one."""
-    return t_us < watched.suspected_until_us or shift_stands_out(watched, shift, t_us, config)
+    """Whether all satellites are suspected, by the statistic of this epoch or of an earlier one."""
+    return t_us < known.suspected_until_us or shift_stands_out(known, statistic, t_us, config)
 
 
 def update_common_shift(
-    watched: CommonShift, shift: float, t_us: int, config: DetectorConfig
+    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
 ) -> CommonShift:
-    """Behind an epoch whose tests passed."""
-    if shift_stands_out(watched, shift, t_us, config):
-        return watched._replace(suspected_until_us=t_us + SUSPECTED_US)
-    if t_us < watched.suspected_until_us:
-        return watched  # what is in question must not excuse itself
-    weight = min(watched.weight + 1.0, MOST_WEIGHT)
-    news = min(shift / SHIFT_DOF, LARGEST_SQUARE)
-    return watched._replace(level=watched.level + (news - watched.level) / weight, weight=weight)
+    """What is known after an epoch whose tests passed."""
+    if shift_stands_out(known, statistic, t_us, config):
+        return known._replace(suspected_until_us=t_us + SUSPECTED_US)
+    if t_us < known.suspected_until_us:
+        return known  # a suspected shift must not raise the level that it is compared with
+    weight = min(known.weight + 1.0, MOST_WEIGHT)
+    square = min(statistic / SHIFT_DOF, LARGEST_SQUARE)
+    return known._replace(level=known.level + (square - known.level) / weight, weight=weight)
 
 
-def reset_common_shift(watched: CommonShift, t_us: int) -> CommonShift:
-    """Behind an epoch that failed a test, or where the IMU does not move the filter."""
-    return watched._replace(suspected_until_us=0, settled_from_us=t_us + SETTLING_US)
+def reset_common_shift(known: CommonShift, t_us: int) -> CommonShift:
+    """What is known after an epoch that failed a test, or that no IMU has predicted."""
+    return known._replace(suspected_until_us=0, settled_from_us=t_us + SETTLING_US)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.isolation.bank import Indices, freed_statistic
-from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.statistics.bank import Indices, freed_statistic
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled

@@ -1,30 +1,47 @@
-"""Which satellites stay excluded, and when one is readmitted."""
+"""Which satellites stay excluded, and when they are readmitted."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.filter_state import Exclusion, MotionEstimate
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK
 from analysis.detection.filter.lasting_errors import lasting_variance
 from analysis.detection.filter.measurement import Innovations
-from analysis.detection.isolation.chi_square import two_sided_bound
+from analysis.detection.isolation.isolation_config import IsolationConfig
+from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-RETURNED_SHARE = 0.75  # share of a system's satellites that look healthy once it is
-HEALTHY_P = 1e-3  # a satellite looks healthy within the bounds of this probability
+RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
+HEALTHY_P = 1e-3  # two-sided: a healthy satellite leaves the bound once in a thousand epochs
+
+
+@dataclass(frozen=True, slots=True)
+class Exclusion:
+    """A satellite that is not used: since when it is faulty, when that was found, and since when it
+    has looked healthy again (None: it does not).
+
+    `whole_system` says that it was excluded with its whole system, not for its own range.
+    """
+
+    onset_us: int
+    found_us: int
+    healthy_since_us: int | None = None
+    whole_system: bool = False
+
+
+Exclusions = dict[str, Exclusion]  # by satellite
 
 
 class ExcludedInnovations(Value, frozen=True):
-    """Excluded satellites, with their innovations (n,) in m and over their own sigma, without and
-    with what lasts in it."""
+    """Excluded satellites with their innovations (n,): in m, over their sigma, and over a sigma
+    that includes lasting errors."""
 
     names: tuple[str, ...]
-    v_m: Vector
+    range_m: Vector
     normalised: Vector
     lasting: Vector
 
@@ -33,33 +50,33 @@ NONE_EXCLUDED = ExcludedInnovations((), np.empty(0), np.empty(0), np.empty(0))
 
 
 def innovations_of_excluded(
-    names: tuple[str, ...], modelled: Innovations, before: MotionEstimate, after: MotionEstimate
+    names: tuple[str, ...], innovations: Innovations, before: MotionEstimate, after: MotionEstimate
 ) -> ExcludedInnovations:
-    """Those excluded against the filter after the epoch, which does not use them."""
+    """Innovations of excluded satellites against the filter after the epoch, which does not use
+    them; those given are against the filter `before`."""
     if not names:
         return NONE_EXCLUDED
-    table = _outside(modelled, before.x, after.x, after.p)
+    table = _excluded_innovations(innovations, before.x, after.x, after.p)
     return ExcludedInnovations(names, table[0], table[1], table[2])
 
 
 @compiled
-def _outside(modelled: Innovations, before: Vector, after: Vector, p: Vector) -> Vector:
-    """Innovations (3, n), in m and over their sigma without and with what lasts, at the state
-    `after` with covariance p.
-
-    Those of `modelled` are at the state `before`; what moved in between is subtracted.
-    """
-    v, h, lasts = modelled.v_m, modelled.h, lasting_variance(modelled, 1.0)
+def _excluded_innovations(
+    innovations: Innovations, before: Vector, after: Vector, p: Vector
+) -> Vector:
+    """Innovations (3, n) at the state `after` with covariance p: in m, and over their sigma without
+    and with lasting errors. Those given are at the state `before`."""
+    v, h, lasts = innovations.range_m, innovations.geometry, lasting_variance(innovations, 1.0)
     moved = np.zeros(h.shape[1])
-    # Attitude and biases stand between and are not seen by a range.
+    # Attitude and biases lie in between; a range does not observe them.
     for i in range(3):
         moved[i] = after[i] - before[i]
-    # The state has one number more than the error before this, the quaternion's fourth.
+    # The state has one number more than the error before the clock: the quaternion's fourth.
     for i in range(CLOCK, h.shape[1]):
         moved[i] = after[i + 1] - before[i + 1]
     out = np.empty((3, v.shape[0]))
     for i in range(v.shape[0]):
-        remaining, total = v[i], modelled.variance[i]
+        remaining, total = v[i], innovations.variance[i]
         for j in range(h.shape[1]):
             remaining -= h[i, j] * moved[j]
             for k in range(h.shape[1]):
@@ -70,43 +87,44 @@ def _outside(modelled: Innovations, before: Vector, after: Vector, p: Vector) ->
 
 
 def add_exclusions(
-    excluded: dict[str, Exclusion],
+    excluded: Exclusions,
     names: tuple[str, ...],
     onset_us: int,
     found_us: int,
-    whole: bool = False,
-) -> dict[str, Exclusion]:
-    """Exclude more satellites since `onset_us`, as a `whole_system` system or each for itself;
-    those excluded already stay as they are."""
-    # The first onset stays: a second finding is the same fault.
+    whole_system: bool = False,
+) -> Exclusions:
+    """Exclude more satellites, faulty since `onset_us`; those excluded already stay as they are."""
+    # The first onset stays: a second detection is of the same fault.
     new = {
-        name: Exclusion(onset_us, found_us, None, whole) for name in names if name not in excluded
+        name: Exclusion(onset_us, found_us, None, whole_system)
+        for name in names
+        if name not in excluded
     }
     return {**excluded, **new} if new else excluded
 
 
 def readmit_satellites(
-    excluded: dict[str, Exclusion], outside: ExcludedInnovations, t_us: int, config: DetectorConfig
-) -> dict[str, Exclusion]:
-    """Those still excluded after what was seen of them at `t_us`.
+    excluded: Exclusions, innovations: ExcludedInnovations, t_us: int, config: IsolationConfig
+) -> Exclusions:
+    """The exclusions that remain after the innovations of an epoch.
 
-    An excluded satellite's innovation against a filter that does not use it is normal when it is
-    healthy; it is readmitted when that has been so for `readmit_s` without a break.
+    A healthy satellite's innovation against a filter that does not use it is normal; the satellite
+    is readmitted when that has been so for `readmit_s` without a break.
     """
     if not excluded:
         return excluded
     out = dict(excluded)
     bound = two_sided_bound(HEALTHY_P)
     # Over its own sigma: a satellite low over the horizon is noisier, not less healthy.
-    healthy = (np.abs(outside.normalised) <= bound).tolist()
-    returned = _returned_systems(excluded, outside, bound)
-    for i, (name, fine) in enumerate(zip(outside.names, healthy, strict=True)):
+    healthy = (np.abs(innovations.normalised) <= bound).tolist()
+    returned = _returned_systems(excluded, innovations, bound)
+    for i, (name, is_healthy) in enumerate(zip(innovations.names, healthy, strict=True)):
         entry = out[name]
         if entry.whole_system:
-            fine = name[0] in returned and bool(abs(outside.lasting[i]) <= bound)
+            is_healthy = name[0] in returned and bool(abs(innovations.lasting[i]) <= bound)
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
-        # A break starts the wait again, and so does an epoch from before it was found.
-        if not fine or t_us < entry.found_us:
+        # A break restarts the wait, and so does an epoch from before the fault was found.
+        if not is_healthy or t_us < entry.found_us:
             out[name] = replace(entry, healthy_since_us=None)
         elif (t_us - since) * 1e-6 >= config.readmit_s:
             del out[name]
@@ -116,15 +134,17 @@ def readmit_satellites(
 
 
 def _returned_systems(
-    excluded: dict[str, Exclusion], outside: ExcludedInnovations, bound: float
+    excluded: Exclusions, innovations: ExcludedInnovations, bound: float
 ) -> set[str]:
-    """The systems that were left out as a whole and nearly all of whose satellites look healthy.
+    """The systems that were excluded as a whole and most of whose satellites look healthy.
 
-    One that lies across a spoofer's shift looks so alone. Each may be off by what lasts: nothing
-    was held against it, and what had been learnt of it in use is lost.
+    A single satellite may look healthy because it lies across a spoofer's shift. Lasting errors are
+    allowed for: no satellite was found faulty itself, and its learned offset is lost.
     """
     looks: dict[str, list[bool]] = {}
-    for name, normalised in zip(outside.names, outside.lasting.tolist(), strict=True):
+    for name, normalised in zip(innovations.names, innovations.lasting.tolist(), strict=True):
         if excluded[name].whole_system:
             looks.setdefault(name[0], []).append(abs(normalised) <= bound)
-    return {system for system, fine in looks.items() if sum(fine) >= RETURNED_SHARE * len(fine)}
+    return {
+        system for system, healthy in looks.items() if sum(healthy) >= RETURNED_SHARE * len(healthy)
+    }

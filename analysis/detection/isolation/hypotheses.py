@@ -12,8 +12,6 @@ older literature, "no leave-out set passes, so it is the IMU", can be chosen for
 
 import math
 
-from analysis.detection.isolation.bank import best_subset, freed_statistic
-from analysis.detection.isolation.chi_square import chi_square_threshold, subset_threshold
 from analysis.detection.isolation.constellations import (
     NO_SYSTEM_GROUPS,
     PENALTY,
@@ -24,6 +22,8 @@ from analysis.detection.isolation.constellations import (
     is_ambiguous,
     leaves_out_system,
 )
+from analysis.detection.statistics.bank import best_subset, freed_statistic
+from analysis.detection.statistics.chi_square import chi_square_threshold, subset_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import multiply_vector

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.inertial import ERROR_SIZE
 from analysis.detection.filter.measurement import Indices
-from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.isolation.constellations import PENALTY
+from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
     WINDOW_COUNT,
@@ -14,6 +13,7 @@ from analysis.detection.isolation.ramp_windows import (
     StrongestRamp,
     ramp_statistics,
 )
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
@@ -75,7 +75,7 @@ def prepare_ramps(
     among: tuple[str, ...],
     names: tuple[str, ...],
     variance: Vector,
-    config: DetectorConfig,
+    config: IsolationConfig,
 ) -> RampBank:
     """The ramp tests before an epoch at `t_us` in which `names` (n satellites) are used of
     `in_view`; `variance` (n,) of their ranges."""
@@ -128,7 +128,7 @@ def _renewed(windows: RampWindows, t_us: int) -> RampWindows:
     return RampWindows(starts_us, d, sums, windows.offset, windows.spread, offsets, spreads)
 
 
-def evaluate_ramps(ramps: RampBank, found: StrongestRamp, config: DetectorConfig) -> RampVerdict:
+def evaluate_ramps(ramps: RampBank, found: StrongestRamp, config: IsolationConfig) -> RampVerdict:
     """Whether a window has seen a ramp, and whose; the rival is a wrong acceleration."""
     count = len(ramps.names)
     threshold = chi_square_threshold(1, config.p_slow / max(count, 1))
@@ -143,7 +143,7 @@ def evaluate_ramps(ramps: RampBank, found: StrongestRamp, config: DetectorConfig
     return RampVerdict(statistic, threshold, "satellites", ramps.names[found.satellite], onset_us)
 
 
-def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfig) -> int:
+def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: IsolationConfig) -> int:
     """Since when a satellite found faulty at `t_us` has been so, by the windows."""
     if ramps is None or name not in ramps.names:
         return t_us

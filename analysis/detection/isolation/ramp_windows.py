@@ -36,10 +36,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import RampNumbers
 from analysis.detection.filter.inertial import V
 from analysis.detection.filter.information import Indices, NormalEquations, row_quadratic_form
-from analysis.detection.isolation.bank import cholesky_reduction
+from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import add_product, multiply_matrices, multiply_vector
@@ -48,6 +47,19 @@ WINDOW_COUNT = 4
 STRIDE_S = 5.0
 YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
 NEWS_S = 1.0  # epochs closer than this tell little new of an offset
+
+
+class RampNumbers(NamedTuple):
+    """What the ramp tests assume of a healthy satellite and a healthy IMU.
+
+    An unknown offset's variance over that of the range and its correlation time, the variance of a
+    natural slope (m/s)^2, and that of a healthy IMU's acceleration error (m/s^2)^2.
+    """
+
+    offset_share: float
+    offset_s: float
+    slope: float
+    acceleration: float
 
 
 class RampWindows(NamedTuple):

@@ -1,33 +1,35 @@
-"""The main test F00 on all trusted pseudoranges, and the bank when it trips."""
+"""The main test F00 on all trusted pseudoranges, and the verdict where it trips."""
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.covariance_release import (
+    free_by_rates,
+    free_clock,
+    free_position,
+    free_system_clocks,
+)
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import CLOCK, DRIFT, ERROR_SIZE, ISB, PSI
+from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, ISB
 from analysis.detection.filter.information import innovation_statistic, inverse_covariance
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
+from analysis.detection.isolation.epoch_statistics import EpochStatistics
 from analysis.detection.isolation.hypotheses import IsolationVerdict, select_hypothesis
+from analysis.detection.isolation.isolation_config import IsolationConfig
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-# What a prediction that was found wrong is trusted to from then on.
-FREE_POSITION_M = 300.0
-FREE_SPEED_MPS = 30.0
-FREE_TILT_RAD = 0.3
-FREE_CLOCK_M = 1000.0  # larger jumps are removed before
-FREE_DRIFT_MPS = 100.0
-MOST_ROUNDS = 3  # a clock jump and a wrong prediction may come together
+MOST_ROUNDS = 3  # a clock jump, a wrong prediction and what is left: each is one round
 
 
 class RangeVerdict(Value, frozen=True):
-    """What the tests found, and what of the epoch the filter may use.
+    """What the range test found, and which ranges the filter may use.
 
-    `motion` is the prediction, with what was found wrong of it forgotten (`prediction_freed`);
-    `usable` are the innovations of those that are trusted, none where nothing is. `faulty` are
-    indices of satellites found so; the statistic is that of the first round. `whole_system` says
-    that a system is meant as a whole.
+    `motion` is the prediction; where a part of it was found wrong, that part's covariance is
+    released (`prediction_freed`). `usable` are the innovations of the satellites that may be used,
+    none where no explanation was found. `faulty` are the places of the isolated satellites; the
+    statistic is that of the first round. `whole_system` says that a system is faulty as a whole.
     """
 
     motion: MotionEstimate
@@ -43,95 +45,121 @@ class RangeVerdict(Value, frozen=True):
 
 
 def largest_subset(count: int, wanted: int) -> int:
-    """How many satellites may be left out: enough must stay for the set to be the only one."""
-    # One satellite may be left out of four even so: the filter's prediction stands beside them.
+    """How many of `count` satellites may be left out: enough must stay to make the set unique."""
+    # One satellite may be left out of four even so: the filter's prediction supports the others.
     return max(min(wanted, (count - 4) // 2), 1 if count >= 4 else 0)
 
 
-def pass_ranges(
-    motion: MotionEstimate, modelled: Innovations, q: float, threshold: float
+def run_range_test(
+    motion: MotionEstimate,
+    innovations: Innovations,
+    statistics: EpochStatistics,
+    by_rates: str,
+    offset_m: Vector,
+    config: IsolationConfig,
 ) -> RangeVerdict:
-    """F00 passed: all ranges may be used."""
-    return RangeVerdict(motion, "none", False, (), q, threshold, {}, modelled, False)
+    """Test n ranges against the prediction, after the rates' verdict `by_rates` on it.
+
+    `offset_m` (n,) are the satellites' learned offsets.
+    """
+    freed, q = free_by_rates(motion, by_rates), statistics.q
+    if freed is not motion:
+        # The statistic is computed again only where the covariance changed.
+        q = innovation_statistic(
+            freed.p, innovations.geometry, innovations.variance, innovations.range_m
+        )
+    threshold = chi_square_threshold(len(innovations.range_m), config.p_false_alarm)
+    if q <= threshold:
+        return RangeVerdict(freed, "none", False, (), q, threshold, {}, innovations, False)
+    return isolate_ranges(freed, innovations, q, threshold, offset_m, config)
 
 
 def isolate_ranges(
     motion: MotionEstimate,
-    modelled: Innovations,
+    innovations: Innovations,
     q: float,
     threshold: float,
-    standing_m: Vector,
-    config: DetectorConfig,
+    offset_m: Vector,
+    config: IsolationConfig,
     by_past: bool = False,
 ) -> RangeVerdict:
-    """The verdict on ranges of `modelled` (n satellites) whose statistic q failed F00.
+    """The verdict on n ranges whose statistic q failed F00.
 
-    `standing_m` (n,) is each satellite's learnt offset: where some are excluded it is subtracted
-    from the rest, so that the position does not jump with the geometry. `by_past` judges them where
-    F00 passed, too.
+    `offset_m` (n,) are the satellites' learned offsets: where some satellites are excluded they are
+    subtracted from the rest, so that the position does not jump with the geometry. `by_past` asks
+    for a verdict although F00 passed, because a test with memory failed.
     """
-    hypothesis, verdict, motion = _freed(motion, modelled, threshold, by_past, config)
-    part = modelled
+    hypothesis, verdict, motion = _explain(motion, innovations, threshold, by_past, config)
+    usable = innovations
     if verdict.hypothesis == "satellites":
-        # What was learnt while a whole system moved is its shift, and no offset of the others.
-        part = without_satellites(modelled, verdict.subset, standing_m * (not verdict.whole_system))
+        # Offsets learned while a whole system moved are its shift, not offsets of the others.
+        offset_m = offset_m * (not verdict.whole_system)
+        usable = without_satellites(innovations, verdict.subset, offset_m)
     elif verdict.hypothesis != "none":
-        part = NO_INNOVATIONS
-    shown = hypothesis
-    # An IMU found wrong earlier outweighs what is found of the rest.
+        usable = NO_INNOVATIONS
+    reported = hypothesis
+    # An IMU found wrong in an earlier round outweighs what is found in a later one.
     if verdict.hypothesis != "none" and hypothesis in ("none", "clock", SYSTEM_CLOCK):
-        shown = verdict.hypothesis
-    # Receivers set their clocks: that is shown, and is no alarm.
-    alarm = shown not in ("none", "clock")
-    shown = "clock" if shown == SYSTEM_CLOCK else shown
-    subset, chances = verdict.subset, verdict.probabilities
+        reported = verdict.hypothesis
+    # Receivers set their clocks: that is reported, and is no alarm.
+    alarm = reported not in ("none", "clock")
+    reported = "clock" if reported == SYSTEM_CLOCK else reported
     return RangeVerdict(
-        motion, shown, alarm, subset, q, threshold, chances, part, True, verdict.whole_system
+        motion,
+        reported,
+        alarm,
+        verdict.subset,
+        q,
+        threshold,
+        verdict.probabilities,
+        usable,
+        True,
+        verdict.whole_system,
     )
 
 
 def without_satellites(
-    modelled: Innovations, subset: tuple[int, ...], standing_m: Vector
+    innovations: Innovations, subset: tuple[int, ...], offset_m: Vector
 ) -> Innovations:
-    """The innovations of the satellites that are not in `subset`, their offsets `standing_m` (n,)
-    subtracted."""
-    keep = np.ones(len(modelled.v_m), dtype=bool)
+    """The innovations of the satellites that are not in `subset`, less their offsets (n,)."""
+    keep = np.ones(len(innovations.range_m), dtype=bool)
     keep[list(subset)] = False
-    part = modelled.select(keep)
-    return part._replace(v_m=part.v_m - standing_m[keep])
+    kept = innovations.select(keep)
+    return kept._replace(range_m=kept.range_m - offset_m[keep])
 
 
-def _freed(
+def _explain(
     motion: MotionEstimate,
-    modelled: Innovations,
+    innovations: Innovations,
     threshold: float,
     by_past: bool,
-    config: DetectorConfig,
+    config: IsolationConfig,
 ) -> tuple[str, IsolationVerdict, MotionEstimate]:
-    """Judge what failed; forget the clock or the position where they explain it, and judge again.
+    """Explain a failed test; release the clock or the position where they explain it, and test
+    again.
 
-    The hypothesis so far, the last verdict ("none" once what is left passes), and the filter. A
-    prediction without an IMU claims little: its failure is a manoeuvre and no fault.
+    Returns the hypothesis so far, the last verdict ("none" once the rest passes), and the filter. A
+    prediction without an IMU claims little: its failure is a manoeuvre, not a fault.
     """
     hypothesis = "none"
-    chances: dict[str, float] = {}
-    largest = largest_subset(len(modelled.v_m), config.left_out)
+    probabilities: dict[str, float] = {}
+    largest = largest_subset(len(innovations.range_m), config.left_out)
     # Contiguous, since a kernel is compiled anew for each memory layout.
-    position = np.ascontiguousarray(modelled.h[:, 0:3])
-    clock = np.ascontiguousarray(modelled.h[:, CLOCK : CLOCK + 1])
-    systems = group_by_system(position, modelled.h[:, ISB:ERROR_SIZE])
+    position = np.ascontiguousarray(innovations.geometry[:, 0:3])
+    clock = np.ascontiguousarray(innovations.geometry[:, CLOCK : CLOCK + 1])
+    systems = group_by_system(position, innovations.geometry[:, ISB:ERROR_SIZE])
     whole = False
+    h, variance, v = innovations.geometry, innovations.variance, innovations.range_m
     for number in range(MOST_ROUNDS):
-        h, variance, v = modelled.h, modelled.variance, modelled.v_m
-        asked = by_past and number == 0
-        if not asked and innovation_statistic(motion.p, h, variance, v) <= threshold:
-            return hypothesis, IsolationVerdict("none", (), chances, whole), motion
+        forced = by_past and number == 0
+        if not forced and innovation_statistic(motion.p, h, variance, v) <= threshold:
+            return hypothesis, IsolationVerdict("none", (), probabilities, whole), motion
         m = inverse_covariance(motion.p, h, variance)
         p = config.p_false_alarm
         verdict = select_hypothesis(m, v, position, clock, p, largest, config.rule, systems)
         whole = whole or verdict.whole_system
-        # The chances of the first round: those before anything was forgotten.
-        chances = chances or verdict.probabilities
+        # The probabilities of the first round: those before anything was released.
+        probabilities = probabilities or verdict.probabilities
         if verdict.hypothesis == "clock":
             motion = free_clock(motion)
             hypothesis = "clock" if hypothesis == "none" else hypothesis
@@ -142,31 +170,7 @@ def _freed(
             hypothesis = "imu" if motion.inertial else hypothesis
             motion = free_position(motion)
         else:
-            return hypothesis, verdict._replace(probabilities=chances, whole_system=whole), motion
-    # Three rounds did not settle it.
-    return hypothesis, IsolationVerdict("multiple-unknown", (), chances, whole), motion
-
-
-def free_clock(motion: MotionEstimate) -> MotionEstimate:
-    """The filter with its clock forgotten: jumps of the receiver's clock are states."""
-    p = motion.p.copy()
-    p[CLOCK, CLOCK] += FREE_CLOCK_M**2
-    p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
-    return motion._replace(p=p)
-
-
-def free_system_clocks(motion: MotionEstimate) -> MotionEstimate:
-    """The filter with the systems' offsets forgotten; which clock left is not asked."""
-    motion = free_clock(motion)
-    p = motion.p.copy()
-    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += FREE_CLOCK_M**2
-    return motion._replace(p=p)
-
-
-def free_position(motion: MotionEstimate) -> MotionEstimate:
-    """The filter with its position and velocity forgotten, moved freely from here."""
-    p = motion.p.copy()
-    # Added, not set: what is unsure already does not become surer.
-    for at, sigma in ((0, FREE_POSITION_M), (3, FREE_SPEED_MPS), (PSI, FREE_TILT_RAD)):
-        p[range(at, at + 3), range(at, at + 3)] += sigma**2
-    return motion._replace(p=p, inertial=False, alignment=None)
+            verdict = verdict._replace(probabilities=probabilities, whole_system=whole)
+            return hypothesis, verdict, motion
+    # No explanation within three rounds.
+    return hypothesis, IsolationVerdict("multiple-unknown", (), probabilities, whole), motion

@@ -5,12 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import BA, BG, CLOCK, DRIFT, ERROR_SIZE, PSI, X_Q, X_SIZE, R
+from analysis.detection.filter.inertial import (
+    ACCEL_BIAS_SIGMA_MPS2,
+    BA,
+    BG,
+    CLOCK,
+    DRIFT,
+    ERROR_SIZE,
+    GYRO_BIAS_SIGMA_RPS,
+    PSI,
+    X_Q,
+    X_SIZE,
+    R,
+)
 from analysis.detection.filter.information import innovation_statistic, measurement_update
-from analysis.detection.filter.initial_fix import ACCEL_BIAS_SIGMA_MPS2, GYRO_BIAS_SIGMA_RPS
-from analysis.detection.isolation.chi_square import chi_square_threshold
+from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import GpsFix, Vector
 from mavproxy_fault.numerics.earth import ecef_of
 from mavproxy_fault.numerics.earth_kernel import ned_axes
@@ -72,7 +83,7 @@ def fix_measurement(fix: GpsFix) -> tuple[FixMeasurement | None, str]:
 
 
 def run_fix_tests(
-    measured: FixMeasurement, motion: MotionEstimate, config: DetectorConfig
+    measured: FixMeasurement, motion: MotionEstimate, config: FalseAlarmRates
 ) -> tuple[FixTest, FixTest | None]:
     """Test position, and velocity where it is known, against the prediction."""
     h = np.zeros((3, ERROR_SIZE))

@@ -14,17 +14,17 @@ Whatever neither explains is the receiver or the IMU, and that is the verdict.
 
 import numpy as np
 
-from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import LastFix
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.propagation import ImuSegment
-from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
     FixMeasurement,
     FixTest,
     known_or_zero,
 )
+from analysis.detection.receiver.receiver_state import LastFix
+from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
@@ -73,7 +73,7 @@ def isolate_receiver_or_imu(
     predicted: MotionEstimate,
     velocity: FixTest,
     part: ImuSegment,
-    config: DetectorConfig,
+    config: FalseAlarmRates,
 ) -> str:
     """`imu`, `gps` or `GPS-or-imu`, for a receiver that agrees with itself but not with the IMU.
 

@@ -29,7 +29,6 @@ from analysis.detection.detector import Detector
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE
-from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.sensors.sensor_kernel import (
     CODE,
     DECIDED_US,
@@ -54,6 +53,7 @@ from analysis.detection.sensors.sensor_kernel import (
     run_sensor_tests,
 )
 from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.block import WIDTH, Block, BlockSlice, block_of, split_at_events
 from analysis.samples.sample import Sample, Vector

@@ -14,7 +14,7 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.inertial import R
 from analysis.detection.filter.measurement import EpochObservation
-from analysis.detection.filter.offsets import frozen_offsets_m
+from analysis.detection.isolation.epoch_memory import frozen_offsets_m
 from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.factors.range_rows import (
     ABOVE_MASK,
@@ -52,22 +52,23 @@ class EpochRanges:
 
     def __init__(
         self,
-        observed: EpochObservation,
+        observation: EpochObservation,
         x: Vector,
         core: DetectorCore,
         config: FusionConfig,
         detector: DetectorConfig,
         t_us: int,
     ) -> None:
-        self.satellites = observed.satellites
-        self._observed, self._config, self._doppler = observed, config, detector.doppler
+        self.satellites = observation.satellites
+        self._observation, self._config, self._doppler = observation, config, detector.doppler
         self._r_m = x[R : R + 3]
-        offset_m = frozen_offsets_m(core, observed.satellites, t_us, detector)
-        measured = observed.measured
+        names, frozen = observation.satellites, core.memory.frozen
+        offset_m = frozen_offsets_m(frozen, names, t_us, detector)
+        measurements = observation.measurements
         self.table = range_table(
-            measured._replace(pseudorange_m=measured.pseudorange_m - offset_m),
+            measurements._replace(pseudorange_m=measurements.pseudorange_m - offset_m),
             x,
-            core.ionosphere,
+            core.broadcast.ionosphere,
             detector.sigma.numbers,
             config.correlation,
             math.radians(detector.mask_deg),
@@ -158,7 +159,7 @@ class EpochRanges:
         self, i: int, pose: int, seconds: int, frame: LocalFrame, clock: ClockState, noise: Any
     ) -> Any:
         """One satellite's factor on a pose and a clock in seconds, two keys."""
-        state = self._observed.states[i]
+        state = self._observation.satellite_states[i]
         return gtsam.PseudorangeFactorArm(
             pose,
             seconds,
@@ -174,7 +175,7 @@ class EpochRanges:
     @property
     def unknowns(self) -> int:
         """Number of unknowns of a snapshot solution."""
-        return 3 + len(systems_of(self._observed.system))
+        return 3 + len(systems_of(self._observation.system))
 
     def slow_covariance(self, weights: Vector, share: float) -> Vector | None:
         """Covariance (3, 3) in ECEF of the errors that do not average out; None if undetermined.
@@ -184,5 +185,5 @@ class EpochRanges:
         """
         # The table's sigmas include the correlation factor; this needs those of one epoch.
         sigmas = share / self._config.correlation
-        covariance = snapshot_covariance(self.table, weights, self._observed.system, sigmas)
+        covariance = snapshot_covariance(self.table, weights, self._observation.system, sigmas)
         return covariance if math.isfinite(covariance[0, 0]) else None

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.detection_config import SigmaNumbers
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
 from analysis.detection.filter.measurement import (
     EpochMeasurements,
@@ -13,6 +12,7 @@ from analysis.detection.filter.measurement import (
     innovations_kernel,
     transmitting_states,
 )
+from analysis.detection.filter.range_noise import SigmaNumbers
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.orbits.broadcast import CLOCKS
 from analysis.samples.sample import Vector
@@ -31,7 +31,7 @@ SHIFT, VELOCITY, CLOCK, DRIFT, RIGHT_SIDE, ROW = 3, 6, 9, 10, 11, 12
 
 @compiled
 def range_table(
-    measured: EpochMeasurements,
+    measurements: EpochMeasurements,
     x: Vector,
     ionosphere: Vector,
     sigma: SigmaNumbers,
@@ -39,27 +39,27 @@ def range_table(
     mask_rad: float,
 ) -> Vector:
     """The table (n, COLUMNS) of an epoch's satellites at the filter's state x (21,)."""
-    states = transmitting_states(measured)
-    modelled = innovations_kernel(measured, states, x, ionosphere, sigma)
+    states = transmitting_states(measurements)
+    innovations = innovations_kernel(measurements, states, x, ionosphere, sigma)
     out = np.empty((states.shape[0], COLUMNS))
     for i in range(out.shape[0]):
         square, along = 0.0, 0.0
         for k in range(3):
             square += (states[i, k] - x[k]) ** 2
-            out[i, LOS + k] = -modelled.h[i, k]
-            along -= modelled.h[i, k] * x[V + k]
+            out[i, LOS + k] = -innovations.geometry[i, k]
+            along -= innovations.geometry[i, k] * x[V + k]
         sagnac = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (
             GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS
         )
-        white = math.sqrt(modelled.variance[i])
-        out[i, RESIDUAL] = modelled.v_m[i] + x[X_CLOCK]
+        white = math.sqrt(innovations.variance[i])
+        out[i, RESIDUAL] = innovations.range_m[i] + x[X_CLOCK]
         out[i, CORRECTED] = out[i, RESIDUAL] + math.sqrt(square) + sagnac - states[i, SAT_CLOCK]
-        out[i, RATE] = modelled.v_mps[i] + x[X_DRIFT] - along
+        out[i, RATE] = innovations.rate_mps[i] + x[X_DRIFT] - along
         out[i, SIGMA] = correlation * white
-        out[i, RATE_SIGMA] = math.sqrt(modelled.rate_variance[i])
-        out[i, NORMALISED] = modelled.v_m[i] / white
-        out[i, NORMALISED + 1] = modelled.v_mps[i] / out[i, RATE_SIGMA]
-        out[i, ABOVE_MASK] = 1.0 if modelled.elevation_rad[i] >= mask_rad else 0.0
+        out[i, RATE_SIGMA] = math.sqrt(innovations.rate_variance[i])
+        out[i, NORMALISED] = innovations.range_m[i] / white
+        out[i, NORMALISED + 1] = innovations.rate_mps[i] / out[i, RATE_SIGMA]
+        out[i, ABOVE_MASK] = 1.0 if innovations.elevation_rad[i] >= mask_rad else 0.0
     return out
 
 

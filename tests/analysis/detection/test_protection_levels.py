@@ -6,14 +6,10 @@ import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
+from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.lasting_errors import VarianceFactor
-from analysis.detection.filter.measurement import (
-    observe_epoch,
-    predict_innovations,
-    select_ephemerides,
-)
-from analysis.detection.isolation.chi_square import two_sided_bound
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.detection.protection_levels import (
     AXES,
     INTEGRITY_RISK,
@@ -23,6 +19,7 @@ from analysis.detection.protection_levels import (
     bound_position,
     level_factors,
 )
+from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch
@@ -39,8 +36,8 @@ def seen(shared_data):
     first = next(i for i, s in enumerate(samples) if isinstance(s, Epoch))
     detector = Detector(CONFIG)
     _, state = detector.step(samples[: first + 1], detector.new_state())
-    chosen = select_ephemerides(samples[first], state.core.ephemerides, "GE")
-    return observe_epoch(samples[first], chosen), state.core.ionosphere
+    chosen = select_ephemerides(samples[first], state.core.broadcast.ephemerides, "GE")
+    return observe_epoch(samples[first], chosen), state.core.broadcast.ionosphere
 
 
 def levels(seen, keep=None, r_m=ANTENNA_M, config=CONFIG):

@@ -8,11 +8,8 @@ import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
-from analysis.detection.filter.measurement import (
-    observe_epoch,
-    predict_innovations,
-    select_ephemerides,
-)
+from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
@@ -80,7 +77,7 @@ def test_a_broadcast_replaces_the_one_of_its_own_time_alone(static):
     state = detector.step(orbits[0], detector.new_state())[1]
     for sample in (*own, spoilt):
         state = detector.step(sample, state)[1]
-    stored = state.core.ephemerides[name]
+    stored = state.core.broadcast.ephemerides[name]
     times = [(e.week, e.toe_s) for e, _ in stored]
     assert times == sorted(set(times))
     assert [e.health for e, _ in stored if e.toe_s == spoilt.ephemeris.toe_s] == [1]
@@ -118,20 +115,20 @@ def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight)
         state = detector.step(sample, state)[1]
     core = state.core
     assert core.motion is not None
-    assert core.chosen is not None
+    assert core.broadcast.selection is not None
     epoch = next(s for s in free if isinstance(s, Epoch) and s.t_us >= 27_000_000)
     five = epoch.select([i for i, name in enumerate(epoch.satellites) if name[0] == "G"][:5])
-    chosen = select_ephemerides(five, core.ephemerides)
+    chosen = select_ephemerides(five, core.broadcast.ephemerides)
     observed = observe_epoch(five, chosen)
     assert observed is not None
     far = core.motion.x.copy()
     far[:3] += np.array([3000.0, -4000.0, 1000.0])
     config = DetectorConfig()
     here, there = (
-        predict_innovations(observed, x, config.sigma, core.ionosphere)
+        predict_innovations(observed, x, config.sigma, core.broadcast.ionosphere)
         for x in (core.motion.x, far)
     )
-    moved = replace(five, pseudorange_m=five.pseudorange_m + here.v_m - there.v_m)
+    moved = replace(five, pseudorange_m=five.pseudorange_m + here.range_m - there.range_m)
     (decision,), _ = detector.step(moved, state)
     assert isinstance(decision, Decision)
     assert decision.hypothesis == "untestable"

@@ -33,7 +33,7 @@ def seen(flights):
         _, state = references.step(sample, state)
     core = state.detector.core
     epoch = [sample for sample in samples if isinstance(sample, Epoch)][-1]
-    observed = observe_epoch(epoch, core.chosen)
+    observed = observe_epoch(epoch, core.broadcast.selection)
     x = core.motion.x
     ranges = EpochRanges(observed, x, core, FusionConfig(), DetectorConfig(), 0)
     frame = frame_at(x[:3] + 30.0, stamp_us=0)

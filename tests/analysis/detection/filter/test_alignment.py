@@ -11,8 +11,7 @@ import pytest
 
 from analysis.detection import Detector
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import PSI
-from analysis.detection.filter.initial_fix import GYRO_BIAS_SIGMA_RPS
+from analysis.detection.filter.inertial import GYRO_BIAS_SIGMA_RPS, PSI
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.block import block_of

@@ -8,6 +8,7 @@ import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.calibrate import calibrate_sigma
+from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.lasting_errors import (
     IONOSPHERE_SHARE,
@@ -15,11 +16,7 @@ from analysis.detection.filter.lasting_errors import (
     TROPOSPHERE_M,
     VarianceFactor,
 )
-from analysis.detection.filter.measurement import (
-    observe_epoch,
-    predict_innovations,
-    select_ephemerides,
-)
+from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.detection.protection_levels import bound_position
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
@@ -106,15 +103,17 @@ def test_what_lasts_is_mapped_by_the_snapshot(static):
     first = next(i for i, s in enumerate(static) if isinstance(s, Epoch))
     detector = Detector()
     _, state = detector.step(static[: first + 1], detector.new_state())
-    epoch, ionosphere = static[first], state.core.ionosphere
-    observed = observe_epoch(epoch, select_ephemerides(epoch, state.core.ephemerides, "GE"))
+    epoch, ionosphere = static[first], state.core.broadcast.ionosphere
+    observed = observe_epoch(
+        epoch, select_ephemerides(epoch, state.core.broadcast.ephemerides, "GE")
+    )
     x = np.zeros(X_SIZE)
     x[:3] = ANTENNA_M
     used = predict_innovations(observed, x, DetectorConfig().sigma, ionosphere)
     misfit = VarianceFactor(total=30.0, dof=10.0)
-    found = bound_position(used, np.zeros(3), np.zeros(len(used.v_m)), ANTENNA_M, misfit, 1.0)
+    found = bound_position(used, np.zeros(3), np.zeros(len(used.range_m)), ANTENNA_M, misfit, 1.0)
     gps = np.array([name[0] == "G" for name in observed.satellites], dtype=float)
-    design = np.column_stack([used.h[:, :3], gps, 1.0 - gps])
+    design = np.column_stack([used.geometry[:, :3], gps, 1.0 - gps])
     weight = 1.0 / used.variance
     response = np.linalg.inv(design.T * weight @ design) @ (design.T * weight)
     wet_m = TROPOSPHERE_M * 1.001 / np.sqrt(0.002001 + np.sin(used.elevation_rad) ** 2)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector
-from analysis.detection.filter.measurement import observe_epoch, select_ephemerides
+from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
 from analysis.detection.isolation.hypotheses import select_hypothesis
 from analysis.orbits.broadcast import LINE_OF_SIGHT, predict_ranges
@@ -49,7 +50,7 @@ def test_a_system_whose_position_jumped_is_left_out_as_a_whole():
     right = 0
     for seed in range(100):
         found = judged(lambda sight: of_galileo(sight @ [40.0, -20.0, 10.0]), seed)
-        right += (found.hypothesis, found.subset) == ("satellites", whole) and found.whole
+        right += (found.hypothesis, found.subset) == ("satellites", whole) and found.whole_system
     # In a few of the random skies most of them lie across the shift.
     assert right >= 97
 
@@ -83,7 +84,7 @@ def test_few_satellites_of_a_system_are_not_blamed_where_the_other_may_have_move
     whole = [set(range(GPS)), set(range(GPS, GPS + few))]
     assert not [verdict for verdict in found if set(verdict.subset) in whole]
     # In the others of the random skies one or two satellites explain it nearly as well.
-    assert sum((v.hypothesis, v.whole) == ("multiple-unknown", True) for v in found) >= 75
+    assert sum((v.hypothesis, v.whole_system) == ("multiple-unknown", True) for v in found) >= 75
 
 
 def test_one_of_few_satellites_of_a_system_is_still_told():
@@ -122,7 +123,7 @@ def spoofed(samples, system, shift_m, clock_m=lambda _: 0.0):
             continue
         if since_s >= 0.0:
             sample = moved(
-                sample, state.core.ephemerides, system, shift_m(since_s), clock_m(since_s)
+                sample, state.core.broadcast.ephemerides, system, shift_m(since_s), clock_m(since_s)
             )
         results, state = detector.step(sample, state)
         decisions += [(since_s, r) for r in results if isinstance(r, Decision) and since_s >= 0.0]
@@ -132,7 +133,9 @@ def spoofed(samples, system, shift_m, clock_m=lambda _: 0.0):
 def moved(epoch, ephemerides, system, shift_m, clock_m):
     """An epoch as received 'shift_m' further north by one system."""
     observed = observe_epoch(epoch, select_ephemerides(epoch, ephemerides, "GE"))
-    seen = predict_ranges(observed.states, ANTENNA_M, np.zeros(3), observed.tow_s, np.zeros(8))
+    seen = predict_ranges(
+        observed.satellite_states, ANTENNA_M, np.zeros(3), observed.tow_s, np.zeros(8)
+    )
     along = dict(
         zip(observed.satellites, seen[:, LINE_OF_SIGHT : LINE_OF_SIGHT + 3] @ NORTH_M, strict=True)
     )

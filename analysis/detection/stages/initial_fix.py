@@ -7,11 +7,13 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
+    ACCEL_BIAS_SIGMA_MPS2,
     BA,
     BG,
     CLOCK,
     DRIFT,
     ERROR_SIZE,
+    GYRO_BIAS_SIGMA_RPS,
     ISB,
     PSI,
     X_CLOCK,
@@ -24,8 +26,6 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
-from analysis.detection.isolation.bank import projected_weights
-from analysis.detection.isolation.chi_square import chi_square_threshold
 from analysis.detection.isolation.constellations import (
     SEPARABLE_COST,
     SYSTEMS_CONTRADICT,
@@ -34,6 +34,8 @@ from analysis.detection.isolation.constellations import (
 )
 from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.detection.protection_levels import PositionBounds, bound_position
+from analysis.detection.statistics.bank import projected_weights
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
@@ -44,9 +46,6 @@ CONVERGED_M = 1e-3
 FAR_FROM_EARTH_M = 1.0e6
 # Wide enough that a system's first ranges alone fix its offset.
 ISB_SIGMA_M = 300.0
-# Of cheap MEMS sensors as they are switched on; the filter narrows them in flight.
-GYRO_BIAS_SIGMA_RPS = 0.02
-ACCEL_BIAS_SIGMA_MPS2 = 0.3
 UNKNOWN_SPEED_SIGMA_MPS = 30.0
 UNKNOWN_DRIFT_SIGMA_MPS = 300.0
 TRUSTED_START_DOF = 3  # a start with fewer cannot tell a faulty satellite and test the rest
@@ -66,37 +65,37 @@ class InitialFix:
 
 
 def solve_initial_fix(
-    t_us: int, observed: EpochObservation, config: DetectorConfig, ionosphere: Vector
+    t_us: int, observation: EpochObservation, config: DetectorConfig, ionosphere: Vector
 ) -> InitialFix:
     """Least squares over all satellites above the mask, tested, and repaired if it fails.
 
     `ionosphere` (8,) are Klobuchar's coefficients.
     """
     # First all, since the mask needs a position to tell elevations.
-    x = _solve(observed, np.zeros(X_SIZE), config, ionosphere)
+    x = _solve(observation, np.zeros(X_SIZE), config, ionosphere)
     if x is None:
-        return InitialFix(None, _too_few(observed))
-    above = predict_innovations(observed, x, config.sigma, ionosphere).elevation_rad
-    observed = observed.select(above >= np.radians(config.mask_deg))
-    x = _solve(observed, x, config, ionosphere)
+        return InitialFix(None, _too_few(observation))
+    above = predict_innovations(observation, x, config.sigma, ionosphere).elevation_rad
+    observation = observation.select(above >= np.radians(config.mask_deg))
+    x = _solve(observation, x, config, ionosphere)
     if x is None:
-        return InitialFix(None, _too_few(observed))
-    modelled = predict_innovations(observed, x, config.sigma, ionosphere)
-    design = design_matrix(-modelled.h[:, 0:3], observed.system)
+        return InitialFix(None, _too_few(observation))
+    innovations = predict_innovations(observation, x, config.sigma, ionosphere)
+    design = design_matrix(-innovations.geometry[:, 0:3], observation.system)
     dof = len(design) - design.shape[1]
     # Without redundancy a faulty start could not be told from a sound one.
     if dof < 1:
         return InitialFix(
             None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test"
         )
-    m = projected_weights(design, 1.0 / modelled.variance)
-    u = m @ modelled.v_m
-    q = float(modelled.v_m @ u)
+    m = projected_weights(design, 1.0 / innovations.variance)
+    u = m @ innovations.range_m
+    q = float(innovations.range_m @ u)
     threshold = chi_square_threshold(dof, config.p_false_alarm)
     if q <= threshold:
-        motion = _motion(t_us, x, observed, modelled, design, config)
-        return InitialFix(motion, "", (), q, dof, threshold, _bounds(modelled, x, config))
-    return _repaired(t_us, x, observed, m, q, config, ionosphere)
+        motion = _motion(t_us, x, observation, innovations, design, config)
+        return InitialFix(motion, "", (), q, dof, threshold, _bounds(innovations, x, config))
+    return _repaired(t_us, x, observation, m, q, config, ionosphere)
 
 
 def check_against_prior(
@@ -126,20 +125,20 @@ def check_against_prior(
 def _repaired(
     t_us: int,
     x: Vector,
-    observed: EpochObservation,
+    observation: EpochObservation,
     m: Vector,
     q: float,
     config: DetectorConfig,
     ionosphere: Vector,
 ) -> InitialFix:
     """The start without the satellites that make it fail."""
-    modelled = predict_innovations(observed, x, config.sigma, ionosphere)
-    u = m @ modelled.v_m
-    unknowns = 3 + len(systems_of(observed.system))
+    innovations = predict_innovations(observation, x, config.sigma, ionosphere)
+    u = m @ innovations.range_m
+    unknowns = 3 + len(systems_of(observation.system))
     # Two satellites of redundancy for each that is left out, or the set is not the only one.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
-    systems = group_by_system(modelled.h[:, 0:3], modelled.h[:, ISB:ERROR_SIZE])
+    systems = group_by_system(innovations.geometry[:, 0:3], innovations.geometry[:, ISB:ERROR_SIZE])
     wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
         return InitialFix(None, "the first solutions fail their test", (), q, len(u) - unknowns)
@@ -156,49 +155,51 @@ def _repaired(
         return InitialFix(None, reason, (), q, len(u) - unknowns)
     keep = np.ones(len(u), dtype=bool)
     keep[list(found.subset)] = False
-    faulty = tuple(observed.satellites[i] for i in found.subset)
-    observed = observed.select(keep)
-    solved = _solve(observed, x, config, ionosphere)
+    faulty = tuple(observation.satellites[i] for i in found.subset)
+    observation = observation.select(keep)
+    solved = _solve(observation, x, config, ionosphere)
     if solved is None:
-        return InitialFix(None, _too_few(observed))
-    modelled = predict_innovations(observed, solved, config.sigma, ionosphere)
-    design = design_matrix(-modelled.h[:, 0:3], observed.system)
-    motion = _motion(t_us, solved, observed, modelled, design, config)
+        return InitialFix(None, _too_few(observation))
+    innovations = predict_innovations(observation, solved, config.sigma, ionosphere)
+    design = design_matrix(-innovations.geometry[:, 0:3], observation.system)
+    motion = _motion(t_us, solved, observation, innovations, design, config)
     dof = len(u) - unknowns
     threshold = chi_square_threshold(dof, config.p_false_alarm)
-    return InitialFix(motion, "", faulty, q, dof, threshold, _bounds(modelled, solved, config))
+    return InitialFix(motion, "", faulty, q, dof, threshold, _bounds(innovations, solved, config))
 
 
-def _bounds(modelled: Innovations, x: Vector, config: DetectorConfig) -> PositionBounds:
+def _bounds(innovations: Innovations, x: Vector, config: DetectorConfig) -> PositionBounds:
     """The bounds of a snapshot x (21,) of its own satellites."""
-    nothing_m = np.zeros(len(modelled.v_m))
+    nothing_m = np.zeros(len(innovations.range_m))
     return bound_position(
-        modelled, np.zeros(3), nothing_m, x[:3], VarianceFactor(), config.sigma.slow**2
+        innovations, np.zeros(3), nothing_m, x[:3], VarianceFactor(), config.sigma.slow**2
     )
 
 
-def _too_few(observed: EpochObservation) -> str:
-    return f"{len(observed.satellites)} satellites with an ephemeris give no position"
+def _too_few(observation: EpochObservation) -> str:
+    return f"{len(observation.satellites)} satellites with an ephemeris give no position"
 
 
 def _solve(
-    observed: EpochObservation, x: Vector, config: DetectorConfig, ionosphere: Vector
+    observation: EpochObservation, x: Vector, config: DetectorConfig, ionosphere: Vector
 ) -> Vector | None:
     """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
     x = x.copy()
     # The first system's offset is the clock's; systems out of view have none.
-    offset = [X_ISB + kind - 1 for kind in systems_of(observed.system)[1:]]
+    offset = [X_ISB + kind - 1 for kind in systems_of(observation.system)[1:]]
     x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
-    if len(observed.satellites) < 4 + len(offset):
+    if len(observation.satellites) < 4 + len(offset):
         return None
     for _ in range(MOST_ITERATIONS):
         # From the middle of the Earth the weights, which depend on elevation, mean nothing.
         near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
         # At the exact centre the sight vectors have no direction.
-        modelled = predict_innovations(observed, x if near else x + 1e-3, config.sigma, ionosphere)
-        weight = modelled.variance**-0.5 if near else np.ones(len(modelled.v_m))
-        design = design_matrix(-modelled.h[:, 0:3], observed.system) * weight[:, None]
-        step, _, rank, _ = np.linalg.lstsq(design, modelled.v_m * weight, rcond=1e-10)
+        innovations = predict_innovations(
+            observation, x if near else x + 1e-3, config.sigma, ionosphere
+        )
+        weight = innovations.variance**-0.5 if near else np.ones(len(innovations.range_m))
+        design = design_matrix(-innovations.geometry[:, 0:3], observation.system) * weight[:, None]
+        step, _, rank, _ = np.linalg.lstsq(design, innovations.range_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
             return None
         x[0:3] += step[:3]
@@ -211,31 +212,31 @@ def _solve(
 def _motion(
     t_us: int,
     x: Vector,
-    observed: EpochObservation,
-    modelled: Innovations,
+    observation: EpochObservation,
+    innovations: Innovations,
     design: Vector,
     config: DetectorConfig,
 ) -> MotionEstimate:
     """The filter at the solution x, with velocity from Doppler where there is enough of it."""
     p = np.zeros((ERROR_SIZE, ERROR_SIZE))
-    weighted = design / np.sqrt(modelled.variance)[:, None]
+    weighted = design / np.sqrt(innovations.variance)[:, None]
     # The cofactor of the solution is the covariance, since the rows are weighted by their sigmas.
     cofactor = np.linalg.inv(weighted.T @ weighted)
     p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = ISB_SIGMA_M**2
-    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observed.system)[1:])]
+    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observation.system)[1:])]
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
     # No attitude yet: any unit quaternion, with 3 rad of sigma below.
     x[X_Q] = 1.0
-    known = np.isfinite(observed.doppler_mps)
+    known = np.isfinite(observation.doppler_mps)
     # Four unknowns and one to spare.
     if known.sum() >= 5:
-        h = np.hstack([modelled.h[known, 0:3], np.ones((known.sum(), 1))])
-        solution, *_ = np.linalg.lstsq(h, modelled.v_mps[known], rcond=None)
+        h = np.hstack([innovations.geometry[known, 0:3], np.ones((known.sum(), 1))])
+        solution, *_ = np.linalg.lstsq(h, innovations.rate_mps[known], rcond=None)
         *velocity_mps, drift_mps = solution
         x[V : V + 3] += velocity_mps
         x[X_DRIFT] += drift_mps
-        # Four times the modelled sigma: the start's rates are not tested.
+        # Four times the innovations sigma: the start's rates are not tested.
         rate = np.linalg.inv(h.T @ h) * (4.0 * config.sigma.rate_mps) ** 2
         # A floor of 0.1 m/s, also where the geometry is very good.
         p[np.ix_([3, 4, 5, DRIFT], [3, 4, 5, DRIFT])] = rate + 0.01 * np.eye(4)

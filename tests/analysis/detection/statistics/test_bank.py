@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from analysis.detection.isolation.bank import (
+from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.detection.statistics.bank import (
     best_subset,
     freed_statistic,
     normalised_by_weights,
     projected_weights,
 )
-from analysis.detection.isolation.chi_square import chi_square_threshold
-from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.detection.statistics.chi_square import chi_square_threshold
 
 RNG = np.random.default_rng(5)
 

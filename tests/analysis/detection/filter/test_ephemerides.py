@@ -6,8 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.detection.filter.filter_state import StoredOrbit
-from analysis.detection.filter.measurement import RESELECT_S, EphemerisSelection, select_ephemerides
+from analysis.detection.filter.ephemerides import (
+    RESELECT_S,
+    EphemerisSelection,
+    StoredOrbit,
+    select_ephemerides,
+)
 from analysis.orbits.broadcast import PACKED
 from analysis.samples.sample import Epoch
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris

@@ -1,4 +1,4 @@
-"""Offsets of healthy satellites: learnt, frozen when others are trusted, faded."""
+"""Offsets of healthy satellites: learned, frozen when other satellites are used, faded."""
 
 import math
 from dataclasses import replace
@@ -8,9 +8,13 @@ import pytest
 
 from analysis.detection import DetectorConfig, SigmaModel
 from analysis.detection.detector import Detector, run_detector
-from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.information import normal_equations_over
-from analysis.detection.filter.offsets import freeze_offsets, frozen_offsets_m, learned_offsets_m
+from analysis.detection.isolation.epoch_memory import (
+    EpochMemory,
+    freeze_offsets,
+    frozen_offsets_m,
+    learned_offsets_m,
+)
 from analysis.detection.isolation.ramp_test import new_ramps
 from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, RampWindows, learn_offsets
 from analysis.results import Decision
@@ -21,7 +25,8 @@ FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).ramp_numbers
 NAMES = ("E05", "G12")
 
 
-def core_that_knows(offsets_m: list[float]) -> DetectorCore:
+def memory_of(offsets_m: list[float]) -> EpochMemory:
+    """A memory that has learned these offsets."""
     ramps = new_ramps(0)
     windows = ramps.windows._replace(
         offset=np.array(offsets_m),
@@ -29,37 +34,34 @@ def core_that_knows(offsets_m: list[float]) -> DetectorCore:
         offsets=np.full((WINDOW_COUNT, 2), 0.5),
         spreads=np.ones((WINDOW_COUNT, 2)),
     )
-    return DetectorCore(None, {}, np.zeros(8), ramps=ramps._replace(names=NAMES, windows=windows))
+    return EpochMemory(ramps=ramps._replace(names=NAMES, windows=windows))
 
 
-def test_what_was_learnt_is_frozen_and_learnt_anew_from_nothing():
-    core = freeze_offsets(core_that_knows([1.0, -2.0]), 1_000_000, CONFIG)
-    assert frozen_offsets_m(core, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
-    assert learned_offsets_m(core, NAMES).tolist() == [0.0, 0.0]
-    assert core.ramps is not None
-    assert core.ramps.windows.offsets.tolist() == [[-0.5, 2.5]] * WINDOW_COUNT
+def test_learned_offsets_are_frozen_and_learned_again_from_zero():
+    memory = freeze_offsets(memory_of([1.0, -2.0]), 1_000_000, CONFIG)
+    assert frozen_offsets_m(memory.frozen, NAMES, 1_000_000, CONFIG).tolist() == [1.0, -2.0]
+    assert learned_offsets_m(memory.ramps, NAMES).tolist() == [0.0, 0.0]
+    assert memory.ramps is not None
+    assert memory.ramps.windows.offsets.tolist() == [[-0.5, 2.5]] * WINDOW_COUNT
 
 
 def test_freezing_again_adds_to_what_is_frozen():
-    core = freeze_offsets(core_that_knows([1.0, -2.0]), 0, CONFIG)
-    assert core.ramps is not None
-    windows = core.ramps.windows._replace(offset=np.array([0.25, 0.0]))
-    core = core._replace(ramps=core.ramps._replace(windows=windows))
-    assert frozen_offsets_m(freeze_offsets(core, 0, CONFIG), NAMES, 0, CONFIG).tolist() == [
-        1.25,
-        -2.0,
-    ]
+    memory = freeze_offsets(memory_of([1.0, -2.0]), 0, CONFIG)
+    assert memory.ramps is not None
+    windows = memory.ramps.windows._replace(offset=np.array([0.25, 0.0]))
+    memory = memory._replace(ramps=memory.ramps._replace(windows=windows))
+    frozen = freeze_offsets(memory, 0, CONFIG).frozen
+    assert frozen_offsets_m(frozen, NAMES, 0, CONFIG).tolist() == [1.25, -2.0]
 
 
 def test_frozen_offsets_fade_with_their_correlation_time():
-    core = freeze_offsets(core_that_knows([1.0, -2.0]), 0, CONFIG)
+    frozen = freeze_offsets(memory_of([1.0, -2.0]), 0, CONFIG).frozen
     later_us = round(CONFIG.sigma.slow_s * 1e6)
-    assert frozen_offsets_m(core, ("G12", "G30"), later_us, CONFIG) == pytest.approx(
-        [-2.0 / math.e, 0.0]
-    )
+    left_m = frozen_offsets_m(frozen, ("G12", "G30"), later_us, CONFIG)
+    assert left_m == pytest.approx([-2.0 / math.e, 0.0])
 
 
-def test_an_offset_is_learnt_as_kalman_s_filter_does():
+def test_an_offset_is_learned_as_a_kalman_filter_does():
     rng = np.random.default_rng(2)
     none, table = np.zeros(1), np.zeros((1, 1))
     mean, spread = np.zeros(1), np.ones(1)
@@ -74,7 +76,7 @@ def test_an_offset_is_learnt_as_kalman_s_filter_does():
 
 
 def without(samples: list[Sample], names: tuple[str, ...], from_us: int) -> list[Sample]:
-    """The samples with some satellites gone from a moment on."""
+    """The samples with some satellites gone from a time on."""
     out: list[Sample] = []
     for s in samples:
         if isinstance(s, Epoch) and s.t_us >= from_us:

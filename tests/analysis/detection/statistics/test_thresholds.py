@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.special import chdtrc, chdtri, ndtri
 
-from analysis.detection.isolation.chi_square import chi_square_threshold, p_value, two_sided_bound
+from analysis.detection.statistics.chi_square import chi_square_threshold, p_value, two_sided_bound
 
 PROBABILITIES = (0.4, 0.1, 1e-3, 1e-4, 1e-6, 1e-9, 1e-13)
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.ephemerides import BroadcastData
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import DRIFT, ERROR_SIZE, X_DRIFT, X_SIZE
-from analysis.detection.receiver.clock_drift import clock_results
+from analysis.detection.stages.clock_drift import clock_results
 from analysis.samples.sample import Vector
 
 
@@ -16,30 +17,30 @@ def motion(t_s: float, drift_mps: float, sigma_mps: float) -> MotionEstimate:
     return MotionEstimate(round(t_s * 1e6), x, p)
 
 
-def told(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
-    """The epochs, by number, at which a filter with these drifts tells of its clock."""
+def alarms(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
+    """The epochs, by number, at which a filter with these drifts raises an alarm on its clock."""
     history: tuple[EpochRecord, ...] = ()
     numbers = []
     for number, drift in enumerate(drifts_mps):
         now = motion(number * every_s, drift, sigma_mps)
         if clock_results(now, history):
             numbers.append(number)
-        core = DetectorCore(now, {}, np.zeros(9))
-        # Neither ranges nor IMU are asked for.
+        core = DetectorCore(now, BroadcastData({}, np.zeros(9)))
+        # Neither ranges nor IMU samples are read.
         history = (*history, EpochRecord(now.t_us, core, None, None))  # type: ignore[arg-type]
     return numbers
 
 
 @pytest.mark.parametrize("every_s", [0.2, 1.0])
-def test_a_clock_that_leaves_at_once_is_told_for_a_second(every_s: float) -> None:
+def test_a_sudden_change_of_drift_raises_the_alarm_for_a_second(every_s: float) -> None:
     drifts = np.repeat([100.0, 130.0], 20)
-    assert told(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
+    assert alarms(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
 
 
-def test_a_crystal_that_warms_up_is_not_nor_a_clock_that_is_not_known_well() -> None:
-    assert not told(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
-    assert not told(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
+def test_neither_a_warming_crystal_nor_an_uncertain_clock_raises_it() -> None:
+    assert not alarms(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
+    assert not alarms(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
 
 
-def test_after_a_gap_nothing_is_said() -> None:
-    assert not told(np.array([0.0, 0.0, 200.0]), 3.0)
+def test_after_a_gap_no_alarm_is_raised() -> None:
+    assert not alarms(np.array([0.0, 0.0, 200.0]), 3.0)

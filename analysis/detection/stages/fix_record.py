@@ -3,14 +3,15 @@
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector_state import RECEIVER, DetectorCore
+from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.propagation import is_silent
-from analysis.detection.isolation.chi_square import p_value
 from analysis.detection.receiver.position_test import FixTest
+from analysis.detection.statistics.chi_square import p_value
 from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
+RECEIVER = "GPS"  # the receiver's name among what is excluded
 UNBOUNDED_REASON = (
     "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
 )
@@ -35,9 +36,9 @@ def build_fix_decision(
     motion = core.motion
     assert motion is not None
     sigma = np.sqrt(np.diag(motion.p)[:3])
-    reason = UNBOUNDED_REASON if core.unbounded else ""
+    reason = UNBOUNDED_REASON if core.trust.unbounded else ""
     # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
-    if RECEIVER in core.excluded and position and sigma @ sigma > position.variance.sum():
+    if RECEIVER in core.trust.excluded and position and sigma @ sigma > position.variance.sum():
         reason = COASTING_REASON
     if position is not None:
         sigma = np.sqrt(
@@ -52,7 +53,7 @@ def build_fix_decision(
         p_value=p_value(position.statistic, 3) if position else None,
         alarm=alarm,
         hypothesis=hypothesis,
-        excluded=tuple(sorted(core.excluded)),
+        excluded=tuple(sorted(core.trust.excluded)),
         position_ecef_m=(float(motion.x[0]), float(motion.x[1]), float(motion.x[2])),
         position_sigma_m=None if reason else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
         reason=reason,
@@ -73,7 +74,7 @@ def fix_sensor_decisions(
     """The same in the form of the other sensors' verdicts, and a silent IMU."""
     results: list[Result] = []
     # A receiver once excluded is blamed for what still fails.
-    blamed = hypothesis == "gps" or RECEIVER in core.excluded
+    blamed = hypothesis == "gps" or RECEIVER in core.trust.excluded
     for sensor, part in (("gps-position", position), ("gps-velocity", velocity)):
         if part is not None:
             results.append(
@@ -87,7 +88,7 @@ def fix_sensor_decisions(
                     isolated=blamed and not part.passes,
                 )
             )
-    silent = is_silent(gap_s, core.imu_interval_s, config)
+    silent = is_silent(gap_s, core.imu.interval_s, config)
     if silent or hypothesis == "imu":
         results.append(
             SensorDecision(

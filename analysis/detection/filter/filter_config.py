@@ -1,0 +1,61 @@
+"""Parameters of the detection filter and of the measurements it uses."""
+
+import math
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.range_noise import SigmaModel
+from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
+from analysis.orbits.broadcast import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
+from analysis.samples.sample import Vector
+
+Seconds = Annotated[float, Meta(ge=0, le=1e6)]
+Axes = tuple[float, float, float]
+Klobuchar = tuple[float, float, float, float, float, float, float, float]
+
+
+class FilterConfig(FalseAlarmRates, frozen=True, kw_only=True, dict=True):
+    """What the filter uses, and the noise it assumes.
+
+    `systems` are the first letters of the systems in use: GPS, Galileo, GLONASS (R), BeiDou (C),
+    QZSS (J). `antenna_b_m` is the lever arm from IMU to antenna in body axes, `mask_deg` the lowest
+    elevation used, `doppler` whether rates are used, `gap_s` the longest IMU gap that is bridged.
+    `ionosphere` holds Klobuchar's coefficients until some are received.
+    """
+
+    systems: str = "GE"
+    antenna_b_m: Axes = (0.0, 0.0, 0.0)
+    mask_deg: Annotated[float, Meta(ge=0, lt=90)] = 10.0
+    doppler: bool = True
+    gap_s: Seconds = 0.15
+    sigma: SigmaModel = SigmaModel()
+    noise: ProcessNoise = ProcessNoise()
+    ionosphere: Klobuchar = (*TYPICAL_ALPHA, *TYPICAL_BETA)
+
+    def __post_init__(self) -> None:
+        """Refuse unknown systems.
+
+        Raises
+        ------
+        ValueError
+            Naming the field, its value and what is allowed.
+        """
+        if not self.systems or not set(self.systems) <= set(SYSTEMS):
+            raise ValueError(
+                f"systems = {self.systems!r} names no system or an unknown one; give letters of "
+                f"{SYSTEMS}"
+            )
+
+    @cached_property
+    def mask_rad(self) -> float:
+        """The lowest elevation used."""
+        return math.radians(self.mask_deg)
+
+    @cached_property
+    def antenna(self) -> Vector | None:
+        """The antenna's lever arm (3,); None where it is at the IMU."""
+        return np.array(self.antenna_b_m) if any(self.antenna_b_m) else None

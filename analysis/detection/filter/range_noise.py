@@ -1,0 +1,68 @@
+"""The noise of pseudoranges and Doppler rates as a function of elevation and C/N0."""
+
+import math
+from functools import cached_property
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.compile import compiled
+
+NotNegative = Annotated[float, Meta(ge=0)]
+
+
+class SigmaNumbers(NamedTuple):
+    """The terms of `SigmaModel` that describe white noise, as kernels read them."""
+
+    scale: float
+    floor_m: float
+    zenith_m: float
+    thermal_m: float
+    rate_mps: float
+
+
+class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+    """One sigma of a pseudorange from elevation and C/N0.
+
+    sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
+
+    Errors that last for minutes (multipath, ephemeris and atmosphere residuals) must not trip the
+    tests with memory: those allow an offset of `slow` times sigma with a correlation time of
+    `slow_s`, and a slope of `slow_mps`. `rate_mps` is one sigma of a Doppler rate in the zenith.
+    """
+
+    scale: Annotated[float, Meta(gt=0)] = 1.0
+    floor_m: Annotated[float, Meta(gt=0)] = 0.3
+    zenith_m: NotNegative = 0.4
+    thermal_m: NotNegative = 0.3
+    slow: NotNegative = 1.0
+    slow_s: Annotated[float, Meta(gt=0)] = 300.0
+    slow_mps: NotNegative = 0.02
+    rate_mps: Annotated[float, Meta(gt=0)] = 0.15
+
+    def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
+        """One sigma (n,) of each pseudorange; C/N0 counts as 45 dBHz where it is unknown."""
+        result: Vector = np.sqrt(range_variance(elevation_rad, cn0_dbhz, self.numbers))
+        return result
+
+    @cached_property
+    def numbers(self) -> SigmaNumbers:
+        """The terms that the kernels need."""
+        values = (self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps)
+        return SigmaNumbers(*map(float, values))
+
+
+@compiled
+def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: SigmaNumbers) -> Vector:
+    """Variance (n,) of pseudoranges in m^2."""
+    out = np.empty(elevation_rad.shape[0])
+    for i in range(out.shape[0]):
+        # A negative C/N0 is no signal; it must not make the variance explode.
+        cn0 = max(cn0_dbhz[i], 0.0) if np.isfinite(cn0_dbhz[i]) else 45.0
+        sine = math.sin(max(elevation_rad[i], 0.05))
+        thermal = sigma.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
+        out[i] = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2 + thermal)
+    return out

@@ -1,0 +1,49 @@
+"""Parameters of fault isolation: how a verdict is found, and how long it holds."""
+
+from functools import cached_property
+from typing import Annotated
+
+from msgspec import Meta
+
+from analysis.detection.filter.filter_config import FilterConfig, Seconds
+from analysis.detection.filter.process_noise import NotNegative
+from analysis.detection.isolation.hypotheses import ISOLATION_RULES
+from analysis.detection.isolation.ramp_windows import RampNumbers
+
+MOST_LEFT_OUT = 64  # satellites: more than are ever in view
+
+
+class IsolationConfig(FilterConfig, frozen=True, kw_only=True, dict=True):
+    """What may be isolated, and until when it is not used.
+
+    `rule` is how a verdict is found, `left_out` the most satellites left out for it. An excluded
+    satellite must look healthy for `readmit_s` before it is used again; a faulty IMU is not used
+    for `imu_hold_s`. `slow_accel_mps2` is what a healthy IMU's acceleration may be wrong by for
+    seconds.
+    """
+
+    rule: str = "explicit"
+    left_out: Annotated[int, Meta(ge=0, le=MOST_LEFT_OUT)] = 3
+    readmit_s: Seconds = 10.0
+    imu_hold_s: Seconds = 10.0
+    slow_accel_mps2: NotNegative = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown rule.
+
+        Raises
+        ------
+        ValueError
+            Naming the field, its value and what is allowed.
+        """
+        super().__post_init__()
+        if self.rule not in ISOLATION_RULES:
+            known = ", ".join(sorted(ISOLATION_RULES))
+            raise ValueError(f"rule = {self.rule!r} is unknown; known: {known}")
+
+    @cached_property
+    def ramp_numbers(self) -> RampNumbers:
+        """What the ramp tests' kernels need."""
+        sigma = self.sigma
+        slope, acceleration = sigma.slow_mps**2, self.slow_accel_mps2**2
+        return RampNumbers(*map(float, (sigma.slow**2, sigma.slow_s, slope, acceleration)))

@@ -1,0 +1,32 @@
+"""Which sources the detector believes, from epoch to epoch."""
+
+from analysis.detection.isolation.exclusion import Exclusions
+from analysis.detection.receiver.carry_off_windows import CarryOff
+from analysis.detection.values import Value
+from analysis.samples.sample import Vector
+
+NO_EXCLUSIONS: Exclusions = {}
+NO_RATE_FAULTS: dict[str, int] = {}
+
+
+class Trust(Value, frozen=True):
+    """What is excluded, and what is known of faults that all satellites share.
+
+    `excluded` are satellites (or the receiver) that are not used. No epoch could be explained since
+    `unexplained_since_us` (None: the last one was). `distrusted` says what of all satellites
+    together was wrong at the last epoch: "ranges", "rates" or nothing; `carry_off` is how they, or
+    a receiver, were carried off when they were excluded. `jump_m` (3,) is how far all satellites
+    have jumped together while it is unknown which place is right. `unbounded` says that the filter
+    may follow a wrong source, `misled` that it follows satellites that were found to be wrong all
+    together. `rate_faults` counts the epochs in a row in which a satellite's Doppler rate alone was
+    wrong.
+    """
+
+    excluded: Exclusions = NO_EXCLUSIONS
+    unexplained_since_us: int | None = None
+    distrusted: str = ""
+    carry_off: CarryOff | None = None
+    jump_m: Vector | None = None
+    unbounded: bool = False
+    misled: bool = False
+    rate_faults: dict[str, int] = NO_RATE_FAULTS

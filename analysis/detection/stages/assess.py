@@ -1,0 +1,116 @@
+"""Assess: an epoch's innovations against the prediction, and every test statistic of them.
+
+Where a receiver has set its clock the prediction follows; where other satellites are used than at
+the last epoch their learned offsets are frozen.
+"""
+
+import numpy as np
+
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.covariance_release import free_clock
+from analysis.detection.filter.filter_config import FilterConfig
+from analysis.detection.filter.inertial import X_CLOCK
+from analysis.detection.filter.measurement import NO_INNOVATIONS, EpochObservation, Innovations
+from analysis.detection.isolation.epoch_memory import (
+    EpochMemory,
+    freeze_offsets,
+    frozen_offsets_m,
+)
+from analysis.detection.isolation.epoch_statistics import (
+    CLOCK_JUMP_M,
+    EpochStatistics,
+    compute_statistics,
+)
+from analysis.detection.stages.predict import Prediction
+from analysis.detection.values import Value
+
+
+class Assessment(Value, frozen=True):
+    """An epoch before any verdict: satellites above the mask with their innovations.
+
+    `satellites` are trusted, with `innovations` and their `statistics`; `excluded` are not, with
+    `excluded_innovations`. `in_view` are all satellites of the observation. `prediction` and
+    `memory` are those that the innovations hold for; `clock_jumped` says that the receiver set its
+    clock.
+    """
+
+    prediction: Prediction
+    memory: EpochMemory
+    in_view: tuple[str, ...]
+    satellites: tuple[str, ...]
+    innovations: Innovations
+    excluded: tuple[str, ...]
+    excluded_innovations: Innovations
+    statistics: EpochStatistics
+    clock_jumped: bool = False
+
+    @property
+    def shortage(self) -> str:
+        """Why there are too few satellites to test; empty where there are enough."""
+        # Without the IMU one more than the unknowns, three of position and a clock per system; with
+        # it the prediction can be contradicted by three.
+        inertial = self.prediction.motion.inertial
+        needed = 3 if inertial else 4 + max(self.statistics.systems, 1)
+        count = len(self.satellites)
+        if count >= needed:
+            return ""
+        return f"{count} healthy satellites above the mask; {needed} are needed"
+
+
+def assess(
+    observation: EpochObservation, prediction: Prediction, core: DetectorCore, config: FilterConfig
+) -> Assessment:
+    """The epoch against the prediction."""
+    memory = core.memory
+    assessment = compare(observation, prediction, core, memory, config)
+    # The median needs sorting, so it is computed only when most innovations are large.
+    jump_m = _clock_jump_m(assessment) if assessment.statistics.far else 0.0
+    if jump_m:
+        x = prediction.motion.x.copy()
+        x[X_CLOCK] += jump_m
+        motion = free_clock(prediction.motion._replace(x=x))
+        prediction = prediction._replace(motion=motion)
+        assessment = compare(observation, prediction, core, memory, config)
+    # Again at a change of satellites: the innovations must be those with the new offsets.
+    if memory.ramps is not None and memory.ramps.names != assessment.satellites:
+        memory = freeze_offsets(memory, prediction.motion.t_us, config)
+        assessment = compare(observation, prediction, core, memory, config)
+    return assessment._replace(clock_jumped=True) if jump_m else assessment
+
+
+def compare(
+    observation: EpochObservation,
+    prediction: Prediction,
+    core: DetectorCore,
+    memory: EpochMemory,
+    config: FilterConfig,
+) -> Assessment:
+    """The innovations of an observation and their statistics, with the offsets in `memory`."""
+    names, excluded = observation.satellites, core.trust.excluded
+    ordered = compute_statistics(
+        observation.measurements,
+        np.array([name not in excluded for name in names], dtype=bool),
+        frozen_offsets_m(memory.frozen, names, prediction.motion.t_us, config),
+        prediction.motion.x,
+        prediction.motion.p,
+        core.broadcast.ionosphere,
+        config.sigma.numbers,
+        config.mask_rad,
+    )
+    count, above, innovations = ordered.trusted, ordered.above, ordered.innovations
+    if count == len(names):
+        parts = names, innovations, (), NO_INNOVATIONS
+    else:
+        in_order = tuple(names[i] for i in ordered.order.tolist())
+        used, outside = innovations.between(0, count), innovations.between(count, above)
+        parts = in_order[:count], used, in_order[count:above], outside
+    return Assessment(prediction, memory, names, *parts, ordered.statistics)
+
+
+def _clock_jump_m(assessment: Assessment) -> float:
+    """How far the receiver set its clock; 0 if it did not."""
+    used, outside = assessment.innovations, assessment.excluded_innovations
+    ranges_m = sorted((*used.range_m.tolist(), *outside.range_m.tolist()))
+    # The median: a single faulty satellite must not set the clock.
+    middle_m: float = ranges_m[len(ranges_m) // 2]
+    return middle_m if abs(middle_m) > CLOCK_JUMP_M else 0.0

@@ -1,0 +1,179 @@
+"""The results of an epoch, as `analysis.results` has them."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import DetectorCore
+from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
+from analysis.detection.filter.measurement import EpochObservation
+from analysis.detection.filter.propagation import is_silent
+from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
+from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
+from analysis.detection.stages.initial_fix import InitialFix
+from analysis.detection.statistics.chi_square import chi_square_threshold, p_value
+from analysis.detection.streams.pause_filter import IMU_SILENT
+from analysis.results import Decision, Result, SensorDecision
+from analysis.samples.sample import Epoch
+
+
+def build_decision(
+    epoch: Epoch, tested: TestedEpoch, core: DetectorCore, late: bool, config: DetectorConfig
+) -> Decision:
+    """The decision on a tested epoch; `core` is the one after it, `late` says that a fault was
+    found that had begun earlier."""
+    assessment, ranges, ramps = tested.assessment, tested.verdict.ranges, tested.verdict.ramps
+    statistics, names, motion = assessment.statistics, assessment.satellites, core.motion
+    dof, excluded = statistics.parity_dof, tested.excluded
+    bounds = None if tested.unbounded else tested.bounds
+    used = [name for i, name in enumerate(names) if i not in ranges.faulty]
+    onsets = [entry.onset_us for entry in core.trust.excluded.values()]
+    # A fault that was found by its past is one of satellites, also where this epoch passed.
+    hypothesis = "satellites" if late and tested.hypothesis == "none" else tested.hypothesis
+    return Decision(
+        t_us=epoch.t_us,
+        statistic=ranges.statistic,
+        threshold=ranges.threshold,
+        dof=len(names),
+        p_value=p_value(ranges.statistic, len(names)),
+        alarm=tested.alarm or late,
+        hypothesis=hypothesis,
+        excluded=tuple(sorted(core.trust.excluded)),
+        satellites=names + excluded.names,
+        residual_m=(*statistics.residual_m.tolist(), *excluded.range_m.tolist()),
+        normalised=(*statistics.normalised.tolist(), *excluded.normalised.tolist()),
+        # The newest onset: older exclusions have been reported before.
+        onset_us=max(onsets, default=None),
+        probabilities=dict(ranges.probabilities),
+        position_ecef_m=_position(motion) if motion is not None else None,
+        position_sigma_m=_sigma(motion, bounds) if motion and not tested.unbounded else None,
+        **_levels(bounds, used),
+        reason=tested.unbounded,
+        mode="inertial" if motion is not None and motion.inertial else "free",
+        # Without a degree of freedom there is no test: zeros, not NaN.
+        parity_statistic=statistics.parity if dof else 0.0,
+        parity_threshold=chi_square_threshold(dof, config.p_false_alarm) if dof else 0.0,
+        parity_dof=dof,
+        slow_statistic=ramps.statistic if ramps is not None else None,
+        slow_threshold=ramps.threshold if ramps is not None else None,
+    )
+
+
+def build_start_decision(
+    epoch: Epoch, observation: EpochObservation, fix: InitialFix, core: DetectorCore
+) -> Decision:
+    """The decision on the epoch that the filter starts with; `core` is the one after it."""
+    motion, trust = fix.motion, core.trust
+    unbounded = JUMP_REASON if trust.jump_m is not None else ""
+    unbounded = unbounded or (FOLLOWED_REASON if trust.unbounded else "")
+    assert motion is not None
+    # One degree of freedom detects a fault, but does not isolate it.
+    few = "" if fix.dof > 1 else "a start with 1 degree of freedom: it tests little"
+    bounds = None if unbounded else fix.bounds
+    return Decision(
+        t_us=epoch.t_us,
+        statistic=fix.statistic,
+        threshold=fix.threshold,
+        dof=fix.dof,
+        p_value=p_value(fix.statistic, fix.dof),
+        alarm=bool(fix.faulty),
+        hypothesis=reported_hypothesis(trust, core.imu, "none", False, False),
+        excluded=tuple(sorted(trust.excluded)),
+        satellites=observation.satellites,
+        position_ecef_m=_position(motion),
+        position_sigma_m=None if unbounded else _sigma(motion, bounds),
+        **_levels(bounds, observation.satellites),
+        mode="start",
+        reason=unbounded or few,
+    )
+
+
+def untestable_decision(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
+    """No decision, and why."""
+    return Decision(
+        t_us=t_us,
+        statistic=None,
+        threshold=None,
+        dof=0,
+        p_value=None,
+        alarm=False,
+        hypothesis="untestable",
+        excluded=tuple(sorted(excluded)),
+        reason=reason,
+    )
+
+
+def imu_results(
+    epoch: Epoch, tested: TestedEpoch, imu: ImuStatus, config: DetectorConfig
+) -> list[Result]:
+    """The IMU's decision: on its silence, and on the velocity it predicts."""
+    prediction, rates = tested.assessment.prediction, tested.verdict.rates
+    gap_s = prediction.segment.gap_s
+    silent = is_silent(gap_s, imu.interval_s, config)
+    faulty = silent or (tested.imu_isolated and tested.hypothesis == "imu")
+    # Silence is reported even without rates to test.
+    if not prediction.before.inertial or (rates.statistic is None and not faulty):
+        return []
+    return [
+        SensorDecision(
+            t_us=epoch.t_us,
+            sensor="imu",
+            statistic=rates.statistic,
+            threshold=rates.threshold,
+            dof=rates.dof,
+            alarm=faulty,
+            isolated=faulty,
+            reason=f"{IMU_SILENT} {gap_s:.2f} s" if silent else "",
+        )
+    ]
+
+
+def rate_results(epoch: Epoch, tested: TestedEpoch) -> list[Result]:
+    """The satellites whose Doppler rate contradicts the others and the prediction: their rates are
+    not used, their ranges are."""
+    rates = tested.verdict.rates
+    return [
+        SensorDecision(
+            t_us=epoch.t_us,
+            sensor="satellites",
+            suspect=name,
+            statistic=rates.statistic,
+            threshold=rates.threshold,
+            dof=rates.dof,
+            alarm=True,
+            isolated=True,
+            reason="its Doppler rate is wrong, its range is not",
+        )
+        for name in tested.rate_faulty
+    ]
+
+
+def _position(motion: MotionEstimate) -> tuple[float, float, float]:
+    x = motion.x
+    return x.item(0), x.item(1), x.item(2)
+
+
+def _sigma(motion: MotionEstimate, bounds: PositionBounds | None) -> tuple[float, float, float]:
+    """One sigma of white and lasting errors together."""
+    p, (x, y, z) = motion.p, bounds.lasting_m2 if bounds is not None else (0.0, 0.0, 0.0)
+    f = bounds.factor if bounds is not None else 1.0
+    return (
+        math.sqrt(f * p.item(0, 0) + x),
+        math.sqrt(f * p.item(1, 1) + y),
+        math.sqrt(f * p.item(2, 2) + z),
+    )
+
+
+def _levels(bounds: PositionBounds | None, names: Iterable[str]) -> dict[str, Any]:
+    """The protection levels, with what they assume of the satellites in use."""
+    if bounds is None:
+        return {}
+    levels = {"hpl_m": _level(bounds.hpl_m), "vpl_m": _level(bounds.vpl_m)}
+    return {**levels, "level_assumes": level_assumptions(names)} if any(levels.values()) else levels
+
+
+def _level(level_m: float) -> float | None:
+    """A protection level as reported; None where there is none."""
+    return round(level_m, 3) if level_m < LARGEST_LEVEL_M else None

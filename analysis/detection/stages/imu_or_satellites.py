@@ -1,0 +1,319 @@
+"""All satellites or the IMU: which of them is faulty where they contradict each other.
+
+A spoofer of all signals moves ranges and Doppler rates together, as a faulty IMU seems to. The
+tests that separate the two for a receiver's own fix (`carry_off_windows`, `receiver_or_imu`) do so
+for raw ranges too, once an epoch's ranges and rates are combined to a fix: its clocks are
+eliminated, with N and b of `information` in blocks of position p and clocks c,
+
+    N_p = N_pp - N_pc inv(N_cc) N_cp,   b_p = b_p - N_pc inv(N_cc) b_c,   v = inv(N_p) b_p,
+
+and the rates in the same way. To cost nothing in normal flight, the epochs of the last seconds are
+tested again only when the IMU is about to be isolated. It is the IMU where its own force changed by
+the difference of the velocities, or where a wrong force or rate explains more than a steady
+carry-off; it is the satellites where the carry-off explains more; else it is undecided, unless the
+IMU was faulty before.
+
+Satellites that were excluded all together fit again soon, as the filter grows uncertain without
+them. They stay excluded while they are nearer to where they had carried it than to the filter.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import EpochRecord
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, V
+from analysis.detection.filter.measurement import NO_RATES, Innovations
+from analysis.detection.isolation.all_satellites import reject_all
+from analysis.detection.isolation.epoch_statistics import LEAST_RATES
+from analysis.detection.isolation.range_test import RangeVerdict
+from analysis.detection.isolation.rate_test import RateVerdict
+from analysis.detection.receiver.carry_off_windows import (
+    LEAST_RATIO_LEAD,
+    WITH_TURNS,
+    CarryOff,
+    CarryOffDetection,
+    CarryOffWindows,
+    FixInnovation,
+    compare_windows,
+    extend_windows,
+    find_significant_carry_off,
+    fits_carry_off,
+    new_windows,
+    remove_carry_off,
+    renew_oldest_window,
+)
+from analysis.detection.receiver.receiver_or_imu import (
+    ALIKE_SHARE,
+    INTERVALS,
+    UNDECIDED,
+    mean_force,
+    unexplained_square,
+)
+from analysis.detection.stages.assess import Assessment, compare
+from analysis.detection.stages.predict import predict
+from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
+
+LIKELIER = 5.0  # by which an IMU, which fails more often than all satellites, must explain more
+SPAN_US = 5_000_000  # of the epochs that are tested again
+LEAST_EPOCHS = 5  # a filter that has just begun to use an IMU may have its attitude wrong
+
+
+class EpochFix(NamedTuple):
+    """An assessed epoch with north, east and down (3, 3) there, and its ranges and rates as a fix
+    (None: they are too few)."""
+
+    assessment: Assessment
+    axes: Vector
+    fix: FixInnovation | None
+
+
+class SourceVerdict(NamedTuple):
+    """The verdicts of rates and ranges; the faulty source where they isolate the IMU (`imu`, or
+    undecided), or where both are `gps`; and how the satellites carry the filter off."""
+
+    rates: RateVerdict
+    ranges: RangeVerdict
+    source: str = "imu"
+    carry_off: CarryOff | None = None
+
+
+class RepeatedTests(NamedTuple):
+    """Carry-off windows over the last seconds; whether the IMU's own force explains the last
+    epoch."""
+
+    windows: CarryOffWindows
+    explained_by_force: bool
+
+
+def isolate_source(
+    assessment: Assessment,
+    excluded_for: CarryOff | None,
+    history: Sequence[EpochRecord],
+    rates: RateVerdict,
+    ranges: RangeVerdict,
+    config: DetectorConfig,
+) -> SourceVerdict:
+    """The verdicts on an epoch that an IMU has predicted, after every test that can be made.
+
+    `excluded_for` is the carry-off for which all satellites are excluded already.
+    """
+    motion = assessment.prediction.motion
+    if ranges.hypothesis == "gps":
+        return SourceVerdict(rates, ranges, "gps", _carry_off_now(assessment))
+    # First: satellites known to be wrong contradict the IMU at every epoch.
+    stays_excluded = _stays_excluded(excluded_for, assessment)
+    if "imu" in (rates.hypothesis, ranges.hypothesis) and not stays_excluded:
+        source, detection = isolate_imu_or_satellites(history, assessment, config)
+        if detection is None:
+            return SourceVerdict(rates, ranges, source)
+        return reject_carried_off(detection, motion, rates, ranges)
+    if not stays_excluded:
+        return SourceVerdict(rates, ranges)
+    return SourceVerdict(_reject_rates(rates), reject_all(motion, ranges), "gps", excluded_for)
+
+
+def _stays_excluded(excluded_for: CarryOff | None, assessment: Assessment) -> bool:
+    """Whether satellites that were excluded all together lie where they carried the filter."""
+    if excluded_for is None:
+        return False
+    motion = assessment.prediction.motion
+    fix = _combine_to_fix(assessment, _local_axes(motion))
+    return fix is not None and fits_carry_off(excluded_for, motion.t_us, fix)
+
+
+def reject_carried_off(
+    detection: CarryOffDetection, motion: MotionEstimate, rates: RateVerdict, ranges: RangeVerdict
+) -> SourceVerdict:
+    """The verdicts where all satellites have carried the filter off: nothing of the epoch is used,
+    and what the filter has followed is removed."""
+    corrected = reject_all(remove_carry_off(motion, detection), ranges)
+    return SourceVerdict(_reject_rates(rates), corrected, "gps", detection.carried)
+
+
+def _reject_rates(rates: RateVerdict) -> RateVerdict:
+    return rates._replace(hypothesis="gps", usable=NO_RATES)
+
+
+def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
+    """Whether a prediction knows the position less well than the ranges in use would on their own:
+    a fault of the IMU itself would then go undetected."""
+    h = innovations.geometry
+    clocks = _observed_clocks(h)
+    _, alone = _eliminate_clocks(h[:, :3], clocks, innovations.range_m, innovations.variance)
+    return bool(np.trace(motion.p[:3, :3]) > np.trace(alone))
+
+
+def _carry_off_now(assessment: Assessment) -> CarryOff | None:
+    """How far the satellites are off the filter, and how fast they go on."""
+    motion = assessment.prediction.motion
+    fix = _combine_to_fix(assessment, _local_axes(motion))
+    return None if fix is None else CarryOff(motion.t_us, fix.v[3:], fix.v[:3])
+
+
+def isolate_imu_or_satellites(
+    history: Sequence[EpochRecord], assessment: Assessment, config: DetectorConfig
+) -> tuple[str, CarryOffDetection | None]:
+    """`imu`, `gps` with what the filter has followed, or `GPS-or-imu`."""
+    tests = _repeat_tests(history, assessment, config)
+    if tests is None:
+        return "imu", None
+    by_carry_off, by_imu, detection = compare_windows(tests.windows)
+    if by_imu > by_carry_off + LIKELIER or tests.explained_by_force:
+        return "imu", None
+    if by_carry_off > by_imu + LEAST_RATIO_LEAD:
+        return "gps", detection
+    return ("imu" if _imu_was_faulty(history) else UNDECIDED), None
+
+
+def find_slow_carry_off(
+    history: Sequence[EpochRecord], assessment: Assessment, level: float, config: DetectorConfig
+) -> CarryOffDetection | None:
+    """A carry-off by all satellites while every test passed, if it is significant; `level` is the
+    mean square of this flight's innovations."""
+    tests = _repeat_tests(history, assessment, config)
+    if tests is None or tests.explained_by_force:
+        return None
+    threshold = chi_square_threshold(3, config.p_slow)
+    t_us = assessment.prediction.motion.t_us
+    return find_significant_carry_off(tests.windows, t_us, level, threshold)
+
+
+def _repeat_tests(
+    history: Sequence[EpochRecord], assessment: Assessment, config: DetectorConfig
+) -> RepeatedTests | None:
+    """The last seconds tested again; None where the epochs are too few, or their ranges are."""
+    now = _with_fix(assessment)
+    epochs = [*_last_epochs(history, assessment.prediction.motion.t_us, config), now]
+    if len(epochs) < LEAST_EPOCHS:
+        return None
+    windows = new_windows(epochs[0].assessment.prediction.motion.t_us, WITH_TURNS)
+    for epoch in epochs:
+        if epoch.fix is None:
+            return None
+        prediction = epoch.assessment.prediction
+        t_us = prediction.motion.t_us
+        windows = extend_windows(
+            windows, t_us, prediction.dt_s, prediction.transition, epoch.axes, epoch.fix
+        )
+        if epoch is not now:
+            windows = renew_oldest_window(windows, t_us)
+    assert now.fix is not None
+    assessments = [epoch.assessment for epoch in epochs]
+    return RepeatedTests(windows, _is_explained_by_force(assessments, now.fix, config))
+
+
+def _imu_was_faulty(history: Sequence[EpochRecord]) -> bool:
+    """Whether the IMU was isolated within the history: then it most likely is faulty again."""
+    cores = [record.core for record in history]
+    return any(
+        core.imu.suspended_until_us is not None and not core.trust.unbounded for core in cores
+    )
+
+
+def _last_epochs(
+    history: Sequence[EpochRecord], until_us: int, config: DetectorConfig
+) -> list[EpochFix]:
+    """The epochs of the last seconds, as far back as the IMU propagated the filter unbroken."""
+    epochs: list[EpochFix] = []
+    for record in reversed(history):
+        epoch = None if record.t_us < until_us - SPAN_US else _assess_again(record, config)
+        if epoch is None:
+            break
+        epochs.append(epoch)
+    return epochs[::-1]
+
+
+@lru_cache(maxsize=256)  # needed at one epoch, it is needed at the next ones too
+def _assess_again(record: EpochRecord, config: DetectorConfig) -> EpochFix | None:
+    """A past epoch; None where the IMU did not propagate the filter."""
+    before = record.core.motion
+    if before is None or not before.inertial:
+        return None
+    prediction = predict(before, record.run, record.t_us, config)
+    if not prediction.motion.inertial:
+        return None
+    core = record.core
+    return _with_fix(compare(record.observation, prediction, core, core.memory, config))
+
+
+def _with_fix(assessment: Assessment) -> EpochFix:
+    axes = _local_axes(assessment.prediction.motion)
+    return EpochFix(assessment, axes, _combine_to_fix(assessment, axes))
+
+
+def _local_axes(motion: MotionEstimate) -> Vector:
+    """North, east and down (3, 3) in ECEF."""
+    lat, lon, _ = geodetic_position(motion.x[:3])
+    axes: Vector = ned_axes(lat, lon)
+    return axes
+
+
+def _combine_to_fix(assessment: Assessment, axes: Vector) -> FixInnovation | None:
+    """Ranges and rates as a position and a velocity; None where they are too few."""
+    innovations, p = assessment.innovations, assessment.prediction.motion.p
+    geometry, rate_mps = innovations.geometry, innovations.rate_mps
+    known, clocks = np.isfinite(rate_mps), _observed_clocks(geometry)
+    if known.sum() < LEAST_RATES or len(innovations.range_m) < 3 + clocks.shape[1]:
+        return None
+    ones = np.ones((int(known.sum()), 1))
+    position = _eliminate_clocks(geometry[:, :3], clocks, innovations.range_m, innovations.variance)
+    velocity = _eliminate_clocks(
+        geometry[known, :3], ones, rate_mps[known], innovations.rate_variance[known]
+    )
+    r = np.zeros((6, 6))
+    r[:3, :3], r[3:, 3:] = axes @ position[1] @ axes.T, axes @ velocity[1] @ axes.T
+    h = np.zeros((6, ERROR_SIZE))
+    h[:3, :3], h[3:, V : V + 3] = axes, axes
+    cross = p @ h.T
+    m: Vector = np.linalg.inv(np.asarray(h @ cross + r, dtype=np.float64))
+    v = np.r_[axes @ position[0], axes @ velocity[0]]
+    return FixInnovation(v, np.arange(6), h, m, cross @ m)
+
+
+def _observed_clocks(geometry: Vector) -> Vector:
+    """The columns (n, k) of the clocks that the ranges observe."""
+    clocks = geometry[:, CLOCK:]
+    observed: Vector = clocks[:, clocks.any(axis=0)]
+    return observed
+
+
+def _eliminate_clocks(
+    h: Vector, clocks: Vector, v: Vector, variance: Vector
+) -> tuple[Vector, Vector]:
+    """A vector (3,) and its covariance (3, 3) by innovations v (n,) whose clocks are unknown."""
+    columns = np.hstack([h, clocks]) / np.sqrt(variance)[:, None]
+    # Pseudo-inverse: satellites in one direction leave an axis without information.
+    cofactor: Vector = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), np.float64)
+    return (cofactor @ columns.T @ (v / np.sqrt(variance)))[:3], cofactor[:3, :3]
+
+
+def _is_explained_by_force(
+    assessments: Sequence[Assessment], fix: FixInnovation, config: DetectorConfig
+) -> bool:
+    """Whether the IMU's force left its trend within the last intervals by the difference of the
+    velocities."""
+    segments = [one.prediction.segment for one in assessments[-2 - INTERVALS :]]
+    forces = [force for force in map(mean_force, segments) if force is not None]
+    if len(forces) < len(segments):
+        return False
+    prediction = assessments[-1].prediction
+    motion, dt_s = prediction.motion, prediction.dt_s
+    rot = _local_axes(motion) @ rotation_matrix(motion.x[6:10])
+    v_mps, sigma_mps = fix.v[3:], np.sqrt(np.diag(np.linalg.inv(fix.m))[3:])
+    different = float(np.sum((v_mps / sigma_mps) ** 2))
+    if different <= chi_square_threshold(3, config.p_other):
+        return False  # there is nothing to explain at this epoch
+    for since in range(1, len(forces) - 1):
+        trend, before = forces[-since - 1] - forces[-since - 2], forces[-since - 1]
+        changed_mps = rot @ (forces[-1] - before - since * trend) * dt_s
+        if unexplained_square(v_mps, sigma_mps, changed_mps, since) <= ALIKE_SHARE**2 * different:
+            return True
+    return False

@@ -1,0 +1,197 @@
+"""Isolate: which hypothesis explains the tests of an epoch, and what the filter may use.
+
+First the tests of the epoch alone: Doppler rates, ranges, the IMU against all satellites, a jump of
+all satellites. Where these leave the prediction unbroken the tests with memory follow: they need
+the filter's update by this epoch, which is kept for `commit` unless they reject it.
+"""
+
+from collections.abc import Sequence
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.information import rate_equations
+from analysis.detection.isolation.all_satellites import (
+    common_jump_m,
+    follow_jump,
+    ranges_beyond_imu,
+    rates_beyond_imu,
+)
+from analysis.detection.isolation.common_shift import (
+    LEAST_LEVEL,
+    shift_is_suspected,
+    shift_statistic,
+)
+from analysis.detection.isolation.epoch_memory import learned_offsets_m
+from analysis.detection.isolation.epoch_statistics import LEAST_RATES
+from analysis.detection.isolation.ramp_test import (
+    RampBank,
+    RampVerdict,
+    evaluate_ramps,
+    new_ramps,
+    prepare_ramps,
+)
+from analysis.detection.isolation.ramp_update import EpochStep, update_with_ramps
+from analysis.detection.isolation.range_test import RangeVerdict, isolate_ranges, run_range_test
+from analysis.detection.isolation.rate_test import RateVerdict, run_rate_test
+from analysis.detection.receiver.carry_off_windows import CarryOff
+from analysis.detection.stages.assess import Assessment
+from analysis.detection.stages.imu_or_satellites import (
+    SourceVerdict,
+    find_slow_carry_off,
+    isolate_imu_or_satellites,
+    isolate_source,
+    reject_carried_off,
+)
+from analysis.detection.values import Value
+from analysis.samples.block import ImuRun
+from analysis.samples.sample import Vector
+
+SOUND_PREDICTION = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
+
+
+class FilterUpdate(Value, frozen=True):
+    """The filter after the epoch, with its ramp tests and their verdict (None: they begin anew)."""
+
+    motion: MotionEstimate
+    ramps: RampBank | None = None
+    verdict: RampVerdict | None = None
+
+
+class EpochVerdict(Value, frozen=True):
+    """What the tests of an epoch say together.
+
+    `source` is the faulty source where `rates` or `ranges` isolate the IMU: the IMU itself, or
+    undecided. `jump_m` (3,) is how far all satellites have jumped, `carry_off` how they carry the
+    filter off, `shift` the statistic of the velocity that all rates share. `update` is the filter
+    after the epoch; where it is None, the usable innovations are still to be used.
+    """
+
+    rates: RateVerdict
+    ranges: RangeVerdict
+    source: str = "imu"
+    carry_off: CarryOff | None = None
+    jump_m: Vector | None = None
+    shift: float = 0.0
+    update: FilterUpdate | None = None
+
+    @property
+    def ramps(self) -> RampVerdict | None:
+        """The verdict of the ramp tests; None where they were not made."""
+        return self.update.verdict if self.update is not None else None
+
+    def has_passed(self, assessment: Assessment, doppler: bool) -> bool:
+        """Whether an epoch that the IMU has predicted passed every test, with rates to compare."""
+        ramps = self.ramps
+        if ramps is None or {ramps.hypothesis, self.rates.hypothesis, self.ranges.hypothesis} != {
+            "none"
+        }:
+            return False
+        known = doppler and assessment.statistics.rates >= LEAST_RATES
+        return known and assessment.prediction.before.inertial and self.ranges.motion.inertial
+
+
+def isolate(
+    assessment: Assessment,
+    core: DetectorCore,
+    run: ImuRun,
+    history: Sequence[EpochRecord],
+    config: DetectorConfig,
+) -> EpochVerdict:
+    """The verdict on an assessed epoch; `run` are the IMU's samples since the last one, `history`
+    the epochs before."""
+    verdict = _isolate_by_epoch(assessment, core, run, history, config)
+    before, ranges = assessment.prediction.before, verdict.ranges
+    unbroken = not assessment.clock_jumped and not ranges.prediction_freed
+    unbroken = unbroken and verdict.rates.hypothesis in SOUND_PREDICTION
+    # Ramp tests need one unbroken filter: what was released or has jumped has no response.
+    if unbroken and before.inertial == ranges.motion.inertial:
+        return _isolate_by_memory(assessment, verdict, core, history, config)
+    return verdict
+
+
+def _isolate_by_epoch(
+    assessment: Assessment,
+    core: DetectorCore,
+    run: ImuRun,
+    history: Sequence[EpochRecord],
+    config: DetectorConfig,
+) -> EpochVerdict:
+    """The verdict of the tests without memory."""
+    prediction, trust = assessment.prediction, core.trust
+    motion, innovations, statistics = (
+        prediction.motion,
+        assessment.innovations,
+        assessment.statistics,
+    )
+    rates = run_rate_test(motion, innovations, statistics, config)
+    runs = history[-1].run if history else None, run
+    rates = rates_beyond_imu(rates, trust, prediction.before, motion, innovations, runs)
+    offset_m = learned_offsets_m(assessment.memory.ramps, assessment.satellites)
+    ranges = run_range_test(motion, innovations, statistics, rates.hypothesis, offset_m, config)
+    ranges = ranges_beyond_imu(ranges, rates, trust, motion, innovations)
+    found = SourceVerdict(rates, ranges)
+    if prediction.is_inertial:
+        found = isolate_source(assessment, trust.carry_off, history, rates, ranges, config)
+    jump_m = common_jump_m(
+        found.ranges, motion, innovations, statistics, prediction.dt_s, config.p_false_alarm
+    )
+    verdict = EpochVerdict(*found, jump_m=jump_m)
+    if jump_m is None:
+        return verdict
+    return verdict._replace(ranges=follow_jump(found.ranges, motion, innovations))
+
+
+def _isolate_by_memory(
+    assessment: Assessment,
+    verdict: EpochVerdict,
+    core: DetectorCore,
+    history: Sequence[EpochRecord],
+    config: DetectorConfig,
+) -> EpochVerdict:
+    """The verdict on an epoch that passed its own tests, after those with memory."""
+    prediction, ranges, rates = assessment.prediction, verdict.ranges, verdict.rates
+    update = _update_with_ramps(assessment, verdict, config)
+    verdict = verdict._replace(update=update)
+    assert update.verdict is not None
+    detection = None
+    if prediction.before.inertial and update.verdict.hypothesis == "imu":
+        source, detection = isolate_imu_or_satellites(history, assessment, config)
+        verdict = verdict._replace(source=source)
+    elif verdict.has_passed(assessment, config.doppler):
+        innovations, known = assessment.innovations, core.memory.common_shift
+        equations = rate_equations(
+            innovations.geometry, innovations.rate_variance, innovations.rate_mps
+        )
+        shift = shift_statistic(prediction.motion.p, equations)
+        verdict = verdict._replace(shift=shift)
+        if shift_is_suspected(known, shift, prediction.motion.t_us, config):
+            level = max(known.level, LEAST_LEVEL)
+            detection = find_slow_carry_off(history, assessment, level, config)
+    if detection is not None:
+        rejected = reject_carried_off(detection, prediction.motion, rates, ranges)
+        return verdict._replace(**rejected._asdict(), update=FilterUpdate(rejected.ranges.motion))
+    if update.verdict.hypothesis != "satellites":
+        return verdict
+    # The ramp of one satellite may be better explained by its whole system.
+    offset_m = learned_offsets_m(assessment.memory.ramps, assessment.satellites)
+    q, threshold, used = ranges.statistic, ranges.threshold, assessment.innovations
+    whole = isolate_ranges(ranges.motion, used, q, threshold, offset_m, config, by_past=True)
+    return verdict._replace(ranges=whole, update=None) if whole.whole_system else verdict
+
+
+def _update_with_ramps(
+    assessment: Assessment, verdict: EpochVerdict, config: DetectorConfig
+) -> FilterUpdate:
+    """The filter after the usable measurements, and the ramp tests' verdict."""
+    prediction, ranges = assessment.prediction, verdict.ranges
+    motion, t_us = ranges.motion, prediction.motion.t_us
+    ramps = assessment.memory.ramps or new_ramps(prediction.before.t_us)
+    ramps = prepare_ramps(
+        ramps, t_us, assessment.in_view, assessment.satellites, ranges.usable.variance, config
+    )
+    step = EpochStep(prediction.transition, prediction.dt_s, t_us, motion.inertial)
+    motion, ramps, strongest = update_with_ramps(
+        motion, ranges.usable, verdict.rates.usable, ramps, step, config.ramp_numbers
+    )
+    return FilterUpdate(motion, ramps, evaluate_ramps(ramps, strongest, config))

@@ -1,0 +1,289 @@
+"""Without raw ranges: the same tests on a receiver's own position and velocity.
+
+Three position components have no redundancy among themselves, so who lies is told by the velocity
+and by whether the receiver agrees with itself: a position that leaves while the velocity still
+fits the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move
+with it is the receiver's or the IMU's, see `receiver_or_imu`. Where that cannot be told the filter
+follows the receiver, and its position is declared unbounded.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import DetectorCore, DetectorState
+from analysis.detection.filter.alignment import align_attitude
+from analysis.detection.filter.covariance_release import free_position
+from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.propagation import ImuSegment, split_pending, update_interval_s
+from analysis.detection.isolation.exclusion import add_exclusions
+from analysis.detection.receiver.carry_off_test import (
+    Tests,
+    detect_carry_off,
+    estimate_carry_off,
+    is_still_carried_off,
+)
+from analysis.detection.receiver.carry_off_windows import remove_carry_off
+from analysis.detection.receiver.fix_latency import (
+    append_interval,
+    compensate_latency,
+    initial_latency,
+    mean_acceleration,
+    update_latency,
+)
+from analysis.detection.receiver.frozen_fix import fix_values
+from analysis.detection.receiver.heading import limit_heading_update
+from analysis.detection.receiver.position_test import (
+    VELOCITY_SIGMA_MPS,
+    FixMeasurement,
+    fix_measurement,
+    run_fix_tests,
+    start_at_fix,
+    update_with_fix,
+)
+from analysis.detection.receiver.receiver_or_imu import (
+    UNDECIDED,
+    isolate_acceleration_fault,
+    isolate_receiver_or_imu,
+    new_last_fix,
+)
+from analysis.detection.receiver.receiver_state import LastFix
+from analysis.detection.stages.decision_record import untestable_decision
+from analysis.detection.stages.epoch_outcome import update_suspension
+from analysis.detection.stages.fix_record import RECEIVER, build_fix_decision, fix_sensor_decisions
+from analysis.detection.stages.predict import Prediction, predict
+from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.results import Result
+from analysis.samples.sample import GpsFix, Vector
+
+RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
+IMU_IN_DOUBT = (
+    "imu",
+    UNDECIDED,
+)  # hypotheses after which the filter does not trust the IMU for a while
+PAUSED_S = 1.5  # without a fix
+LOST_M = 300.0  # a filter as unsure as this is started anew
+
+
+def step_position(
+    fix: GpsFix, state: DetectorState, config: DetectorConfig
+) -> tuple[list[Result], DetectorState]:
+    """The decision on one fix and the next state."""
+    core, pending, mag_b = state
+    receiver = core.receiver
+    # The same receiver may come in several messages, which are no second witness: one of them is
+    # followed, HIL_GPS wherever it is.
+    if receiver.source not in (None, fix.source) and fix.source != "HIL_GPS":
+        return [], state
+    latency = receiver.latency if fix.source == receiver.source else initial_latency(fix.source)
+    repeats = receiver.repeats.updated(fix.t_us, fix_values(fix))
+    receiver = receiver._replace(source=fix.source, latency=latency, repeats=repeats)
+    core = core._replace(receiver=receiver, imu=core.imu._replace(mag_b=mag_b))
+    measurement, reason = fix_measurement(fix)
+    motion = core.motion
+    if measurement is None:
+        return [untestable_decision(fix.t_us, reason)], DetectorState(core, pending, mag_b)
+    if motion is not None:
+        since_s = (fix.t_us - motion.t_us) * 1e-6
+        if -config.reset_s < since_s <= 0.0:
+            reason = f"time went back by {-since_s:.3f} s"
+            return [untestable_decision(fix.t_us, reason)], DetectorState(core, pending, mag_b)
+        if not 0.0 < since_s <= config.reset_s or np.sqrt(motion.p[0, 0]) > LOST_M:
+            motion = None
+    run, pending = split_pending(pending, fix.t_us)
+    if motion is None:
+        core = _restart(core, start_at_fix(fix.t_us, measurement))
+        decision = build_fix_decision(fix, core, None, None, "none", False, "start")
+        return [decision], DetectorState(core, pending, mag_b)
+    interval_s = update_interval_s(core.imu.interval_s, run)
+    core = core._replace(imu=core.imu._replace(interval_s=interval_s))
+    results, core = _run_stages(
+        fix, measurement, predict(motion, run, fix.t_us, config), core, config
+    )
+    return results, DetectorState(core, pending, mag_b)
+
+
+def _run_stages(
+    fix: GpsFix,
+    measurement: FixMeasurement,
+    prediction: Prediction,
+    core: DetectorCore,
+    config: DetectorConfig,
+) -> tuple[list[Result], DetectorCore]:
+    """The decisions on a predicted fix, and the core after it."""
+    before, motion, segment = prediction.before, prediction.motion, prediction.segment
+    dt_s, receiver = prediction.dt_s, core.receiver
+    acceleration = mean_acceleration(before, motion, measurement.axes)
+    latency = append_interval(receiver.latency, dt_s, acceleration)
+    receiver = receiver._replace(latency=latency)
+    measurement = compensate_latency(measurement, motion, latency)
+    tests = run_fix_tests(measurement, motion, config)
+    core = core._replace(receiver=receiver)
+    hypothesis, alarm = _isolate(core, measurement, motion, segment, tests, config)
+    filters, trusted = (before, motion, prediction.transition), not core.trust.excluded
+    receiver, found, wrong_mps2 = detect_carry_off(
+        receiver, filters, segment, measurement, tests, trusted, config
+    )
+    if found is not None:
+        core = core._replace(trust=core.trust._replace(carry_off=found.carried))
+        motion, hypothesis, alarm = remove_carry_off(motion, found), "gps", True
+        tests = run_fix_tests(measurement, motion, config)
+    elif wrong_mps2 is not None:
+        alarm = True
+        hypothesis = isolate_acceleration_fault(
+            receiver.last_fix, wrong_mps2, measurement, motion, segment
+        )
+    if hypothesis == "none" and tests[1] is not None:
+        latency = update_latency(receiver.latency, tests[1], motion.p)
+        receiver = receiver._replace(latency=latency)
+    core = core._replace(receiver=receiver)
+    core = _with_hysteresis(core, hypothesis, measurement, tests, motion, config)
+    moved = _update_filter(motion, core, hypothesis, measurement, tests, acceleration, config)
+    moved = align_attitude(core.imu, moved, segment, dt_s, config)
+    last = new_last_fix(receiver.last_fix, measurement, segment, moved)
+    core = core._replace(motion=moved, receiver=core.receiver._replace(last_fix=last))
+    shown = _reported_hypothesis(core, hypothesis)
+    mode = "position" if moved.inertial else "position-free"
+    results: list[Result] = [build_fix_decision(fix, core, *tests, shown, alarm, mode)]
+    # Everybody paused where there was no fix either.
+    paused = dt_s > PAUSED_S and segment.gap_s > 0.8 * dt_s
+    gap_s = segment.gap_s if (motion.inertial or before.inertial) and not paused else 0.0
+    results += fix_sensor_decisions(fix, core, *tests, gap_s, hypothesis, config)
+    return results, core
+
+
+def _restart(core: DetectorCore, motion: MotionEstimate) -> DetectorCore:
+    """A filter that begins, and nothing of the past."""
+    trust = core.trust._replace(excluded={}, unbounded=False, carry_off=None)
+    receiver = core.receiver._replace(last_fix=None, windows=None)
+    return core._replace(motion=motion, trust=trust, receiver=receiver)
+
+
+def _reported_hypothesis(core: DetectorCore, hypothesis: str) -> str:
+    """What the decision says while somebody is still left out."""
+    if hypothesis != "none":
+        return hypothesis
+    if RECEIVER in core.trust.excluded:
+        return "gps"
+    if core.imu.suspended_until_us is not None:
+        return UNDECIDED if core.trust.unbounded else "imu"
+    return "none"
+
+
+def _isolate(
+    core: DetectorCore,
+    measurement: FixMeasurement,
+    motion: MotionEstimate,
+    segment: ImuSegment,
+    tests: Tests,
+    config: DetectorConfig,
+) -> tuple[str, bool]:
+    """Whose fault a failed test is, and whether it is an alarm; `segment` is the IMU since the last
+    fix, which moved the filter to `motion`."""
+    position, velocity = tests
+    # A fix that is only repeated measures nothing, however well it fits.
+    if core.receiver.repeats.frozen:
+        return "gps", True
+    if position.passes and (velocity is None or velocity.passes):
+        return "none", False
+    last = core.receiver.last_fix
+    agrees = _self_consistent(last, measurement, motion.t_us, config)
+    if not motion.inertial:  # nothing but steady motion predicts: a jump of position it is, or none
+        return ("none", False) if agrees else ("gps", True)
+    if velocity is None or velocity.passes or RECEIVER in core.trust.excluded:
+        return "gps", True
+    if agrees:
+        faulty = isolate_receiver_or_imu(last, measurement, motion, velocity, segment, config)
+        return faulty, True
+    return ("gps", True) if position.passes else ("multiple-unknown", True)
+
+
+def _self_consistent(
+    last: LastFix | None, measurement: FixMeasurement, t_us: int, config: DetectorConfig
+) -> bool:
+    """Whether the receiver's position moved as its velocities say since the last fix.
+
+    They say how fast it was at both ends. When in between the speed changed is not known: at an
+    impact with the ground at once. So it may have moved by either velocity, or anything between.
+    """
+    if last is None or measurement.v_ned_mps is None:
+        return True
+    dt_s = (t_us - last.t_us) * 1e-6
+    known = np.isfinite(measurement.v_ned_mps)
+    # Without an earlier velocity it is taken for unchanged.
+    earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measurement.v_ned_mps)
+    changed = (measurement.v_ned_mps - earlier)[known]
+    moved = measurement.axes @ (measurement.r_ecef_m - last.r_ecef_m)
+    difference = moved[known] - (measurement.v_ned_mps[known] - changed / 2) * dt_s
+    between_m = float(np.linalg.norm(changed)) * dt_s / 2
+    unexplained_m = max(float(np.linalg.norm(difference)) - between_m, 0.0)
+    variance = 0.5**2 + (VELOCITY_SIGMA_MPS[0] ** 2 + config.noise.motion_mps2**2 * dt_s) * dt_s**2
+    q = unexplained_m**2 / variance
+    return bool(q <= chi_square_threshold(int(known.sum()), config.p_other))
+
+
+def _with_hysteresis(
+    core: DetectorCore,
+    hypothesis: str,
+    measurement: FixMeasurement,
+    tests: Tests,
+    motion: MotionEstimate,
+    config: DetectorConfig,
+) -> DetectorCore:
+    """The receiver left out or back in; the IMU left out for a while."""
+    (position, velocity), t_us, trust = tests, motion.t_us, core.trust
+    if hypothesis in IMU_IN_DOUBT:
+        trust = trust._replace(unbounded=trust.unbounded or hypothesis == UNDECIDED)
+        imu = update_suspension(core.imu, True, t_us, config)
+        receiver = core.receiver._replace(windows=None)
+        return core._replace(imu=imu, trust=trust, receiver=receiver)
+    core = core._replace(imu=update_suspension(core.imu, False, t_us, config))
+    if hypothesis in ("gps", "multiple-unknown"):
+        carry_off = trust.carry_off
+        if carry_off is None:
+            carry_off = estimate_carry_off(core.receiver.last_fix, measurement, velocity)
+        # One that is carried off slowly, or stands, fits at first.
+        position_alone = carry_off is None and not core.receiver.repeats.frozen
+        names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
+        excluded = add_exclusions(trust.excluded, names, t_us, t_us)
+        again = replace(excluded[RECEIVER], healthy_since_us=None)
+        trust = trust._replace(
+            excluded={**excluded, RECEIVER: again}, carry_off=carry_off, unbounded=False
+        )
+        return core._replace(trust=trust)
+    entry = trust.excluded.get(RECEIVER)
+    if entry is None or not position.passes or (velocity is not None and not velocity.passes):
+        return core
+    since_us = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
+    if is_still_carried_off(trust.carry_off, measurement, tests, motion):
+        entry = replace(entry, healthy_since_us=None)
+    elif (t_us - since_us) * 1e-6 >= config.readmit_s:
+        return core._replace(trust=trust._replace(excluded={}, carry_off=None))
+    else:
+        entry = replace(entry, healthy_since_us=since_us)
+    return core._replace(trust=trust._replace(excluded={**trust.excluded, RECEIVER: entry}))
+
+
+def _update_filter(
+    motion: MotionEstimate,
+    core: DetectorCore,
+    hypothesis: str,
+    measurement: FixMeasurement,
+    tests: Tests,
+    acceleration_mps2: Vector,
+    config: DetectorConfig,
+) -> MotionEstimate:
+    """The filter after what is trusted of the fix."""
+    position, velocity = tests
+    if hypothesis in IMU_IN_DOUBT or (hypothesis == "none" and not position.passes):
+        motion = free_position(motion)
+        position, velocity = run_fix_tests(measurement, motion, config)
+    before = motion
+    if RECEIVER not in core.trust.excluded and position.passes:
+        motion = update_with_fix(motion, position)
+    if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.trust.excluded:
+        # Predicted anew, as the position has just moved the filter's velocity, too.
+        again = run_fix_tests(measurement, motion, config)[1]
+        motion = update_with_fix(motion, again if again is not None else velocity)
+    return limit_heading_update(before, motion, acceleration_mps2, measurement.axes)
