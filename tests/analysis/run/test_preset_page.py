@@ -39,4 +39,4 @@ def test_no_healthy_sensor_is_isolated(script: ModuleType) -> None:
 @pytest.mark.parametrize("job", FLOWN, ids=" ".join)
 def test_a_row_matches_its_flight(script: ModuleType, job: tuple[str, str]) -> None:
     (row,) = [row for row in script.page_rows() if (row.vehicle, row.preset) == job]
-    assert script.fly(job) == row
+    assert script.fly_preset(job) == row

@@ -45,7 +45,7 @@ def test_nested_structs_lists_and_mappings_are_built() -> None:
     assert decode(read_yaml("wheels: {size_m: 1}", "a"), Cart).wheels == Wheel(size_m=1.0)
 
 
-def test_all_errors_come_at_once_each_with_its_line() -> None:
+def test_all_errors_are_reported_at_once_with_their_lines() -> None:
     assert errors("""\
 nme: x
 colour: blue
@@ -61,15 +61,15 @@ places: [[1, 2]]
         "cart.yaml:1: nme is unknown; did you mean name?",
         "cart.yaml:2: colour = 'blue' is unknown; known: green, red",
         "cart.yaml:4: wheels[0].size_m = 0 does not fit: expected `float` > 0.0",
-        "cart.yaml:5: wheels[1] lacks size_m; it must be given",
+        "cart.yaml:5: wheels[1] lacks size_m, which is required; add it",
         "cart.yaml:6: wheels[2].size_m = 3.0 is too large; up to 2",
-        "cart.yaml:7: pair[1] = nan is not finite; a number is needed",
+        "cart.yaml:7: pair[1] = nan is not finite; give a finite number",
         "cart.yaml:9: spare.a.size_m = 'x' does not fit: expected `float`, got `str`",
         "cart.yaml:10: places[0] = [1, 2] does not fit: expected `array` of length 3, got 2",
     ]
 
 
-def test_a_part_of_a_document_is_decoded_with_the_lines_of_the_whole() -> None:
+def test_a_part_of_a_document_is_decoded_with_its_lines() -> None:
     document = read_yaml("a: 1\nb:\n  size_m: -1\n", "cart.yaml")
     with pytest.raises(ConfigError, match=r"cart.yaml:3: b.size_m = -1"):
         decode(document, Wheel, ("b",))
@@ -83,5 +83,5 @@ def test_a_flood_of_errors_is_cut() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "5", "[1]", "text"])
-def test_a_document_that_is_no_mapping_is_refused(text: str) -> None:
+def test_a_document_that_is_not_a_mapping_is_refused(text: str) -> None:
     assert "does not fit: expected `object`" in errors(text)[0]
