@@ -1,5 +1,5 @@
-"""The simulator as a process: the `sim` subcommand, its loops, its pace and its pictures.
+"""The simulator as a process: the `sim` subcommand, its loops, its pace and its plots.
 
-The *lockstep loop* flies the simulation under an autopilot on the HIL link; the *server* flies it
-in real time or faster.
+The *lockstep loop* runs the simulation with an autopilot on the HIL link; the *server* runs it in
+real time or faster with the built-in controller.
 """

@@ -1,4 +1,4 @@
-"""Pictures of a flight: the path over the ground and the states over time, to PNG."""
+"""Plots of a simulated flight: the ground track and the states over time, as PNG, SVG or PDF."""
 
 import sys
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True, slots=True)
 class PlottedFlight:
-    """What was flown, at about 10 Hz; arrays have n rows.
+    """A completed flight sampled at about 10 Hz; arrays have n rows.
 
     Time [s], position NED and height above ground [m], velocity NED and airspeed [m/s], roll,
     pitch, yaw [deg], body rates [deg/s], controls and their names; and the planned path (m, 2) [m].
@@ -39,7 +39,7 @@ class PlottedFlight:
 
 
 def trace_flight(scenario: Scenario, seed: int | None = None) -> PlottedFlight:
-    """Fly a scenario with the built-in controller and keep what a picture shows."""
+    """Fly a scenario with the built-in controller and record the plotted quantities."""
     # `None`: the scenario's own seed.
     simulation = Simulation(scenario, seed)
     track = simulation.controller.track
@@ -50,7 +50,7 @@ def trace_flight(scenario: Scenario, seed: int | None = None) -> PlottedFlight:
     next_us = 0
     while simulation.truth.t_us < scenario.duration_s * 1e6:
         t_us, truth, _ = simulation.step()
-        # About 10 Hz: a picture shows no more.
+        # About 10 Hz: a plot resolves no more.
         if t_us < next_us:
             continue
         next_us = t_us + 100_000
@@ -72,10 +72,11 @@ def trace_flight(scenario: Scenario, seed: int | None = None) -> PlottedFlight:
 
 
 def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int:
-    """Fly a scenario and draw it; the exit code."""
-    # Before the flight: a wrong ending costs no minutes.
+    """Fly a scenario and plot it; returns the exit code."""
+    # Checked before the flight, which may take minutes.
     if Path(path).suffix.lower() not in _PICTURE_SUFFIXES:
-        raise ConfigError(f"--plot: {path} is no picture; {', '.join(_PICTURE_SUFFIXES)} are known")
+        known = ", ".join(_PICTURE_SUFFIXES)
+        raise ConfigError(f"--plot: {path} is not a picture file; use one of {known}")
     figure = draw_flight(trace_flight(scenario, seed), scenario.name)
     try:
         figure.savefig(path, dpi=110)
@@ -86,8 +87,8 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
 
 
 def draw_flight(flight: PlottedFlight, title: str) -> Any:
-    """Path on the left, states over time on the right."""
-    # `Figure` without pyplot: nothing stays behind, no window is needed.
+    """Draw the path on the left and the states over time on the right."""
+    # `Figure` without pyplot keeps no global state and needs no display.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14.0, 8.5), layout="constrained")
@@ -109,7 +110,7 @@ def draw_flight(flight: PlottedFlight, title: str) -> Any:
             axes.plot(flight.t_s, column, linewidth=0.9, label=name or None)
         axes.set_ylabel(label, fontsize=8)
         axes.grid(alpha=0.3)
-        # A single curve is named by its axis.
+        # A single curve needs no legend: the axis label names it.
         if len(legend) > 1:
             axes.legend(fontsize=7, ncols=len(legend), loc="upper right")
     axes.set_xlabel("time [s]")
@@ -117,13 +118,13 @@ def draw_flight(flight: PlottedFlight, title: str) -> Any:
 
 
 def draw_path(axes: Any, flight: PlottedFlight) -> None:
-    """The planned and the flown path, north up."""
+    """Draw the planned and the flown path, north up."""
     if len(flight.plan_m):
         axes.plot(flight.plan_m[:, 1], flight.plan_m[:, 0], "--", color="0.6", label="planned")
     axes.plot(flight.r_ned_m[:, 1], flight.r_ned_m[:, 0], color="tab:blue", label="flown")
-    # Axes are east and north: the order of NED turns round.
+    # The plot's x axis is east: swap north and east.
     axes.plot(*flight.r_ned_m[0, 1::-1], "o", color="tab:green", label="start")
-    # Metres east and north alike, or a circle would look like an ellipse.
+    # Equal scales, so that a circle looks like a circle.
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
@@ -137,8 +138,8 @@ def _speeds(flight: PlottedFlight) -> Array:
 
 
 def _break_at_wraps(angles_deg: Array) -> Array:
-    """Angles with a gap instead of a stroke where they wrap."""
+    """Angles with a gap instead of a line where they wrap."""
     out = angles_deg.copy()
-    # Half a turn between two samples is the wrap, not the vehicle.
+    # A jump of over half a turn between two samples is a wrap, not motion.
     out[1:][np.abs(np.diff(angles_deg, axis=0)) > 180.0] = np.nan
     return out

@@ -1,4 +1,4 @@
-"""The loop that flies the simulation under an autopilot on the HIL link, in lockstep."""
+"""The loop that runs the simulation with an autopilot on the HIL link, in lockstep."""
 
 import math
 import time
@@ -17,56 +17,54 @@ from simvehicle.vehicles.actuators import CHANNEL_COUNT, Mix, read_controls
 from simvehicle.vehicles.body import Controls, Truth
 
 RESTART_ADVICE = (
-    "it, or the proxy before it, may have died; start simulator, proxy and autopilot anew "
-    "together, for PX4 does not connect a second time"
+    "the autopilot or the proxy may have crashed; restart simulator, proxy and autopilot together, "
+    "as PX4 does not reconnect"
 )
 STALE_AUTOPILOT_ADVICE = (
-    "an autopilot that flew before this simulator was started has to be started anew, and a proxy "
-    "with it: its clock does not go back"
+    "restart an autopilot that ran before this simulator started, and the proxy with it: its clock "
+    "cannot go back"
 )
-FIRST_MESSAGE_TIMEOUT_S = 5.0  # after which a peer that only listens is served too
-FIRST_ANSWER_TIMEOUT_S = (
-    15.0  # after which it is told that none comes; PX4 needs three, a busy machine ten
-)
+FIRST_MESSAGE_TIMEOUT_S = 5.0  # after this a connected peer that only listens is served too
+FIRST_ANSWER_TIMEOUT_S = 15.0  # until a warning; PX4 needs 3 s to start, a busy machine 10 s
 
 
 class SteppedSimulation(ChangeablePlant, Protocol):
-    """What the loop needs of a simulation."""
+    """The interface of a simulation that the loop steps."""
 
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
-        """One step: its instant, the truth and what was measured."""
+        """Take one step; returns its time [us], the truth and the readings."""
 
     def prepare(self) -> None:
-        """Do what can be done of the next step before its controls are there."""
+        """Compute the part of the next step that does not depend on its controls."""
 
 
 class FramePacker(Protocol):
-    """What the loop needs to tell of a step; `simvehicle.hil.hil_frames.HilPacker` is one."""
+    """Packs a step into frames; implemented by `simvehicle.hil.hil_frames.HilPacker`."""
 
     start_us: int
-    step_us: int | None  # the stamp that the autopilot answers, of the last frames; None: nobody
+    step_us: int | None  # timestamp of the last frames that the autopilot answers, None without one
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
-        """The frames of a step."""
+        """Pack the frames of a step."""
 
 
 class FrameSource(Protocol):
-    """What the loop needs to hear an autopilot; `Inbox` is one."""
+    """Receives frames of an autopilot; implemented by `Inbox`."""
 
     link: Link
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
-        """What has come since the last call, after waiting so long at most for something."""
+        """The frames received since the last call; waits at most `wait_s` for the first."""
 
 
 class PlainStepper(Protocol):
-    """What flies plain steps in the loop's place; `simvehicle.plain` says what those are."""
+    """Runs plain steps instead of the loop; `simvehicle.plain` defines them."""
 
     def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
-        """Fly on until a step needs the loop, whose answer is still to come.
+        """Step until a step needs the loop; the answer to that step is still outstanding.
 
-        Takes the controls of the last answer, gives back those of the newest one, and tells
-        `flown` of where it has come now and then.
+        Takes the controls of the last answer, returns those of the newest one, and calls `flown`
+        with the current truth from time to time.
         """
 
 
@@ -75,7 +73,7 @@ class PeerGoneError(RuntimeError):
 
 
 class LockstepLoop:
-    """One autopilot flown from its first word to its last.
+    """Runs the simulation with one autopilot, from its first message to its last.
 
     Parameters
     ----------
@@ -85,18 +83,18 @@ class LockstepLoop:
     inbox : Incoming
         The HIL link.
     mix : Mix
-        Channels to actuators.
+        Maps autopilot channels to actuators.
     speed : float
-        Times real time, infinite for as fast as the autopilot answers.
+        Multiple of real time; infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
-        One that somebody else tells of answers too.
+        One that is also fed with answers from elsewhere.
     plain : Plain, optional
-        Flies plain steps at full speed, while the autopilot answers.
+        Runs plain steps at full speed while the autopilot answers.
 
     Attributes
     ----------
     unanswered, unlocked : str
-        What is added where no answer ever came, and to the progress while steps wait for none.
+        Advice if no answer ever comes, and the progress note while steps wait for no answer.
     """
 
     unanswered = STALE_AUTOPILOT_ADVICE
@@ -122,18 +120,17 @@ class LockstepLoop:
         self._battery = BatteryWarnings(progress.say)
         self._mix = mix
         self._progress = progress
-        self._controls = Controls(
-            mix([0.0] * CHANNEL_COUNT), armed=False
-        )  # until PX4's first answer
+        # Until PX4's first answer
+        self._controls = Controls(mix([0.0] * CHANNEL_COUNT), armed=False)
         self._speed = speed
         self._plain = plain if math.isinf(speed) else None
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
-        self._answer_due_s: float | None = None  # the first; None where no more has to be told
+        self._answer_due_s: float | None = None  # of the first answer; None once reported
 
     @property
     def armed(self) -> bool:
-        """Whether the autopilot's motors are on."""
+        """Whether the autopilot has armed the motors."""
         return self._controls.armed
 
     def run(self, until_us: int | None = None) -> None:
@@ -150,15 +147,15 @@ class LockstepLoop:
             self._step()
 
     def _await_autopilot(self) -> None:
-        """Wait for a peer and its first word: PX4 speaks first."""
+        """Wait for a peer and its first message: PX4 speaks first."""
         link = self._inbox.link
         self._progress.say(f"{link.name}: waiting for an autopilot")
         connected_s: float | None = None
         while True:
-            # A connection or a byte wakes it; else it looks again for the time-out.
+            # A connection or a byte ends the wait early; otherwise check the timeout again.
             for frame in self._inbox.frames(0.2):
                 self._receive(frame)
-            # Bytes, for a word that is not for the simulator does not come in as a frame.
+            # Count bytes: a message that is not for the simulator is no frame in the inbox.
             if link.counters.bytes_in:
                 break
             now_s = time.monotonic()
@@ -171,11 +168,11 @@ class LockstepLoop:
 
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
-        # Sent in one piece: an autopilot must not be woken by half a step.
+        # Sent in one write: half a step must not wake the autopilot.
         self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
-        # Whatever need not be done before, while the autopilot works.
+        # The rest runs while the autopilot computes its answer.
         self._flown(truth)
         self._simulation.prepare()
         if self._plain is not None and self._locked:
@@ -193,7 +190,7 @@ class LockstepLoop:
         self._battery.update(truth)
 
     def _await_answer(self) -> None:
-        """Take what comes until the step is answered, its time-out is over and the pace allows."""
+        """Receive frames until the step is answered or timed out and the pace allows the next."""
         wait_s = self._wait_s()
         while True:
             for frame in self._inbox.frames(wait_s):
@@ -217,7 +214,7 @@ class LockstepLoop:
         return max(answer_s, self._pace.wait_s(self.t_us, now_s))
 
     def _change_pace(self, locked: bool) -> None:
-        """At most real time while nobody is waited for, and a new start of the clock."""
+        """Restart the pace; outside lockstep it runs at real time at most."""
         self._locked = locked
         # Faster than real time only while an autopilot keeps up by answering.
         self._pace = Pace(self._speed if locked else min(self._speed, 1.0))
@@ -225,17 +222,17 @@ class LockstepLoop:
         if locked:
             self._progress.say(f"in lockstep from {stamp_s:.3f} s")
             if self._answer_due_s is not None and self.armed:
-                self._progress.say(f"its motors are on already; {STALE_AUTOPILOT_ADVICE}")
+                self._progress.say(f"the motors are already on; {STALE_AUTOPILOT_ADVICE}")
             self._answer_due_s = None
         else:
             self._progress.say(
-                f"no answer to the step at {stamp_s:.3f} s; going on in real time on the last "
+                f"no answer to the step at {stamp_s:.3f} s; continuing in real time with the last "
                 "commands"
             )
 
     def _receive(self, frame: Frame) -> None:
         if frame.layout.name == "HIL_ACTUATOR_CONTROLS":
-            # Controls and their stamp: the stamp says which step was answered.
+            # The timestamp identifies the step that this message answers.
             stamp_us, self._controls = read_controls(frame, self._mix)
             self.lockstep.received(stamp_us, time.monotonic())
             return
@@ -243,14 +240,14 @@ class LockstepLoop:
 
 
 def serve_autopilot(loop: LockstepLoop, progress: Progress, until_us: int | None) -> int:
-    """Run the loop; the exit code, 1 when the autopilot went away while it was needed."""
+    """Run the loop; returns the exit code, 1 if the autopilot was lost during the flight."""
     try:
         loop.run(until_us)
     except (PeerGoneError, AutopilotSilentError) as gone:
-        armed = ", with its motors on" if loop.armed else ""
+        armed = ", with the motors on" if loop.armed else ""
         progress.say(f"{gone} after {loop.t_us * 1e-6:.3f} s of flight{armed}")
         progress.say(RESTART_ADVICE)
-        # Without an end of its own a flight is over when the autopilot leaves on the ground.
+        # A flight without an end time is over when the autopilot disconnects on the ground.
         over = until_us is None and isinstance(gone, PeerGoneError) and not loop.armed
         return 0 if over else 1
     return 0

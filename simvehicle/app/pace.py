@@ -1,14 +1,14 @@
-"""How fast simulated time passes: real time, N times real time, or as fast as possible."""
+"""The pace of simulated time: real time, N times real time, or as fast as possible."""
 
 import math
 
 from mavproxy_fault.documents.errors import ConfigError
 
-LARGEST_LAG_S = 0.5  # a simulator that fell behind further than this does not hurry after it
+LARGEST_LAG_S = 0.5  # a larger lag is dropped, as catching it up would flood the peers
 
 
 def parse_speed(text: str) -> float:
-    """Times real time; `max` is infinite.
+    """Multiple of real time in a `--speed` argument; `max` is infinite.
 
     Raises
     ------
@@ -22,27 +22,27 @@ def parse_speed(text: str) -> float:
     except ValueError:
         speed = math.nan
     if not 0.0 < speed < math.inf:
-        raise ConfigError(f"--speed: {text} is not a speed; a number above 0, or max, is allowed")
+        raise ConfigError(f"--speed: {text} is not a speed; use a number above 0, or max")
     return speed
 
 
 class Pace:
-    """When the next step is due; wall time comes in as seconds of any steady clock."""
+    """Schedules the steps; wall time is passed in as seconds of any monotonic clock."""
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
         self._start: tuple[float, int] | None = None
 
     def late_s(self, t_us: int, now_s: float) -> float:
-        """How long ago the step after the one at `t_us` was due; 0 before the first."""
+        """Seconds by which the step after the one at `t_us` is overdue; 0 before the first."""
         if self._start is None or math.isinf(self.speed):
             return 0.0
         wall_s, from_us = self._start
         return max((now_s - wall_s) - (t_us - from_us) * 1e-6 / self.speed, 0.0)
 
     def wait_s(self, t_us: int, now_s: float) -> float:
-        """How long to wait before the step at `t_us`; 0 when it is due."""
-        # No clock is asked: at full speed a step is always due.
+        """Seconds to wait before the step at `t_us`; 0 when it is due."""
+        # At full speed every step is due.
         if math.isinf(self.speed):
             return 0.0
         if self._start is None:
@@ -50,6 +50,6 @@ class Pace:
         wall_s, from_us = self._start
         ahead_s = (t_us - from_us) * 1e-6 / self.speed - (now_s - wall_s)
         if ahead_s < -LARGEST_LAG_S:
-            # Counted anew from here: hurrying after a long stop would overrun the peers.
+            # Restart the count: catching up after a long pause would flood the peers.
             self._start = (now_s, t_us)
         return max(ahead_s, 0.0)

@@ -1,7 +1,6 @@
-"""Hardware in the loop: the simulation goes on in real time, whoever answers.
+"""Hardware in the loop: the simulation runs in real time and waits for no answer.
 
-An autopilot on its own board has a clock of its own: its HIL_ACTUATOR_CONTROLS act when they come,
-and no step waits for one.
+An autopilot on its own board has its own clock: its HIL_ACTUATOR_CONTROLS take effect on arrival.
 """
 
 import time
@@ -11,25 +10,25 @@ from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import SILENCE_TIMEOUT_S, AutopilotSilentError, Lockstep
 from simvehicle.vehicles.actuators import Mix
 
-OVERRUN_S = 1e-3  # a step that begins later than this is an overrun
-SILENCE_WARNING_S = 1.0  # without controls, after which it is told
+OVERRUN_S = 1e-3  # a step that starts later is an overrun; chosen: a quarter of the IMU's 4 ms step
+SILENCE_WARNING_S = 1.0  # without controls, until a warning; chosen: hundreds of missed steps
 
 
 class FreeRunning(Lockstep):
-    """A lockstep that is none: it remembers when the autopilot was heard, and waits for nothing."""
+    """Replaces lockstep: it records when the autopilot was last heard and never waits."""
 
     def received(self, stamp_us: int, now_s: float) -> None:
-        """Controls have come, for whatever step."""
+        """Record that controls have arrived, for whichever step."""
         self.answered = True
         self._heard_s = now_s
 
     def wait_s(self, now_s: float) -> float:
-        """No time at all.
+        """Always 0: no step waits.
 
         Raises
         ------
         AutopilotSilentError
-            When controls that once came have been missing for long.
+            When controls have stopped for longer than the silence timeout.
         """
         if self.silent_s(now_s) > self._silence_s:
             raise AutopilotSilentError(
@@ -38,38 +37,38 @@ class FreeRunning(Lockstep):
         return 0.0
 
     def silent_s(self, now_s: float) -> float:
-        """For how long controls have been missing; 0 before the first."""
+        """Seconds since the last controls; 0 before the first."""
         return now_s - self._heard_s if self.answered else 0.0
 
 
 class Overruns:
-    """Steps that began late."""
+    """Counts the steps that started late."""
 
     def __init__(self) -> None:
         self.steps = self.late = 0
         self.worst_s = 0.0
 
     def add(self, late_s: float) -> None:
-        """Count a step that began so late."""
+        """Count a step that started `late_s` seconds late."""
         self.steps += 1
         self.late += late_s > OVERRUN_S
         self.worst_s = max(self.worst_s, late_s)
 
     def text(self) -> str:
-        """One line."""
+        """The counts as one line of text."""
         worst_ms = self.worst_s * 1e3
-        return f"{self.late} of {self.steps} steps over 1 ms late, the latest {worst_ms:.1f} ms"
+        return f"{self.late} of {self.steps} steps over 1 ms late, worst {worst_ms:.1f} ms"
 
 
 class RealTimeLoop(LockstepLoop):
-    """The loop without lockstep, at the pace of the clock.
+    """The loop without lockstep, paced by the wall clock.
 
     Attributes
     ----------
     overruns : Overruns
     """
 
-    unanswered = "a board answers in its HIL mode only (PX4: SYS_HITL 1 and a HIL airframe)"
+    unanswered = "switch the board to HIL mode (PX4: set SYS_HITL to 1 and select a HIL airframe)"
     unlocked = ""
 
     def __init__(
@@ -83,21 +82,21 @@ class RealTimeLoop(LockstepLoop):
         self._free = FreeRunning()
         super().__init__(simulation, hil, inbox, mix, 1.0, progress, self._free)
         self.overruns = Overruns()
-        self._mute = False  # it was told that controls are missing
+        self._silent = False  # the missing controls have been reported
 
     def _step(self) -> None:
         now_s = time.monotonic()
         self.overruns.add(self._pace.late_s(self.t_us, now_s))
-        self._tell_silence(now_s)
+        self._report_silence(now_s)
         super()._step()
 
-    def _tell_silence(self, now_s: float) -> None:
-        """The vehicle flies on its last controls: nobody may take that for the autopilot's."""
-        mute = self._free.silent_s(now_s) > SILENCE_WARNING_S
-        if mute and not self._mute:
+    def _report_silence(self, now_s: float) -> None:
+        """Report when controls stop and resume, as the vehicle keeps the last ones meanwhile."""
+        silent = self._free.silent_s(now_s) > SILENCE_WARNING_S
+        if silent and not self._silent:
             self._progress.say(
                 f"no controls for {SILENCE_WARNING_S:g} s; the vehicle flies on the last ones"
             )
-        if self._mute and not mute:
-            self._progress.say("controls come again")
-        self._mute = mute
+        if self._silent and not silent:
+            self._progress.say("receiving controls again")
+        self._silent = silent

@@ -1,9 +1,9 @@
-"""`sim`: a scenario flown in real time, faster, or in lockstep with an autopilot.
+"""`sim`: simulates a scenario in real time, faster, or in lockstep with an autopilot.
 
-With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep, on a serial device or
-with `--real-time` one that runs on its own board; else the vehicle's own controller does, and HIL
-frames are published to whoever listens. With `--gcs` a ground station commands it; a mission of the
-scenario's own is flown until it does. Without one the scenario ends in time.
+With `--hil tcpin:` (or `tcp:`) an autopilot flies the vehicle in lockstep; on a serial device, or
+with `--real-time`, an autopilot on its own board flies it in real time. Otherwise the built-in
+controller flies and HIL frames are published. With `--gcs` a ground station takes command of the
+vehicle and its mission at any time; without `--gcs` the scenario ends at `duration_s`.
 """
 
 import argparse
@@ -37,11 +37,11 @@ from simvehicle.scenario.scenario_file import Scenario, read_scenario
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import Mix
 
-DATAGRAM_MAX_BYTES = 1400  # bytes that cross an Ethernet in one piece
+DATAGRAM_MAX_BYTES = 1400  # fits an Ethernet frame with IP and UDP headers
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run the simulator; the exit code."""
+    """Run the simulator; returns the exit code."""
     speed = parse_speed(args.speed)
     scenario = read_scenario(args.scenario)
     if args.plot:
@@ -51,12 +51,12 @@ def main(args: argparse.Namespace) -> int:
     kind = parse_spec(args.hil).kind if args.hil else ""
     real_time = args.real_time or kind == "serial"
     check_real_time(args, real_time=real_time)
-    # TCP is PX4's way; over UDP nobody answers but hardware.
+    # PX4's simulator link is TCP; over UDP only hardware answers.
     served = real_time or kind in ("tcpin", "tcp")
     if served and args.gcs:
         raise ConfigError(
-            f"--gcs: {args.gcs} is not served beside --hil {args.hil}, whose autopilot answers "
-            "ground stations itself; leave one of them out"
+            f"--gcs: {args.gcs} cannot be combined with --hil {args.hil}, whose autopilot answers "
+            "ground stations itself; remove one of them"
         )
     if args.hil:
         check_sensors(scenario)
@@ -74,33 +74,33 @@ def main(args: argparse.Namespace) -> int:
             if served and hil is not None:
                 return _run_lockstep(simulation, hil, speed, progress)
             loop = FreeLoop(simulation, hil, gcs, speed, progress)
-            # With a ground station the flight goes on until somebody ends it.
+            # With a ground station the flight runs until it is interrupted.
             loop.run(None if gcs else round(scenario.duration_s * 1e6))
             return 0
         except KeyboardInterrupt:
             progress.say("stopped")
             return 0
-        # Also after Ctrl-C: how far it came is said at the end.
+        # Also after Ctrl-C: the summary says how far the flight got.
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
 
 
 def check_real_time(args: argparse.Namespace, *, real_time: bool) -> None:
-    """Refuse what hardware cannot have.
+    """Refuse options that are impossible with hardware.
 
     Raises
     ------
     ConfigError
-        With the option.
+        If --real-time has no --hil, or --speed is not 1 with hardware.
     """
     if args.real_time and not args.hil:
-        raise ConfigError("--real-time: needs --hil, the link to the autopilot")
+        raise ConfigError("--real-time: needs a link to the autopilot; add --hil")
     if real_time and args.speed != "1":
-        raise ConfigError(f"--speed: {args.speed} is not for hardware, whose clock is real; 1 is")
+        raise ConfigError(f"--speed: {args.speed} is not possible with hardware; use 1")
 
 
 def check_sensors(scenario: Scenario) -> None:
-    """Refuse more sensors of a kind than PX4 takes from HIL_SENSOR.
+    """Refuse more sensors of a kind than PX4 accepts from HIL_SENSOR.
 
     Raises
     ------
@@ -108,18 +108,18 @@ def check_sensors(scenario: Scenario) -> None:
         If a list of sensors is too long, or an id too high.
     """
     for kind, most in (("imu", IMU_IDS), ("mag", MAG_IDS), ("baro", BARO_IDS)):
-        fitted = getattr(scenario.sensors, kind) or []
+        section = getattr(scenario.sensors, kind) or []
         # One sensor or several.
-        every = fitted if isinstance(fitted, list) else [fitted]
-        if len(every) > most:
+        sensors = section if isinstance(section, list) else [section]
+        if len(sensors) > most:
             raise ConfigError(
-                f"sensors.{kind}: {len(every)} are too many for a HIL link; at most {most}"
+                f"sensors.{kind}: {len(sensors)} are too many for a HIL link; use at most {most}"
             )
-        for sensor in every:
+        for sensor in sensors:
             # Ids count from zero.
             if sensor.id >= most:
                 raise ConfigError(
-                    f"sensors.{kind}.id = {sensor.id} is not read from a HIL link; 0 to {most - 1}"
+                    f"sensors.{kind}.id = {sensor.id} is too high for HIL; use 0 to {most - 1}"
                 )
 
 
@@ -140,21 +140,21 @@ def _run_real_time(simulation: Simulation, link: Link, progress: Progress) -> in
 
 
 def mav_type_and_mix(simulation: Any) -> tuple[MavType, Mix]:
-    """What the vehicle calls itself, and how PX4's channels drive it."""
+    """The vehicle's MAV_TYPE, and the mapping from PX4's channels to its actuators."""
     kind, vehicle = simulation.kind, simulation.vehicle
     return kind.mav_type(vehicle), kind.mix(vehicle)
 
 
 class FreeLoop:
-    """The vehicle flown by its own controller, published as it goes.
+    """Runs the vehicle with its built-in controller and publishes its frames.
 
     Parameters
     ----------
     simulation : Simulation
     hil, gcs : Link or None
-        Where HIL frames go; where a ground station is.
+        The link for HIL frames, and the link to a ground station.
     speed : float
-        Times real time, infinite for as fast as possible.
+        Multiple of real time; infinite for as fast as possible.
     """
 
     def __init__(
@@ -183,7 +183,7 @@ class FreeLoop:
         self._links = [link for link in (hil, gcs) if link is not None]
 
     def run(self, until_us: int | None) -> None:
-        """Step until `until_us`, or for ever."""
+        """Step until `until_us`, or endlessly with None."""
         while until_us is None or self.t_us < until_us:
             self.step()
             now_s = self._clock()
@@ -193,9 +193,9 @@ class FreeLoop:
                 wait_until_readable(self._links, wait_s)
 
     def step(self) -> None:
-        """One step of the simulation and of everything on the links."""
+        """Take one step of the simulation and serve the links."""
         pilot = self._pilot
-        # Until a ground station commands, the scenario's own controller flies.
+        # Until the ground station commands it, the built-in controller flies the scenario.
         controls = pilot.controls() if pilot and pilot.flight.goal_active else None
         self.t_us, truth, readings = self._simulation.step(controls)
         self._battery.update(truth)
@@ -203,7 +203,7 @@ class FreeLoop:
             for chunk in join_datagrams(self._packer.frames(self.t_us, truth, readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
-                # Plant faults come back on the HIL link.
+                # Plant faults arrive on the HIL link.
                 self._changes.carry_out(frame)
         if self._gcs and self._services:
             link = self._gcs.link
@@ -212,7 +212,7 @@ class FreeLoop:
                 for frame in self._gcs.frames()
                 for raw in self._services.received(frame, self.t_us)
             ]
-            # Answers before telemetry: a command is acknowledged at once.
+            # Answers go out before telemetry, so that a command is acknowledged at once.
             answers += self._services.tick(
                 self.t_us, truth, readings, throttle_command(self._simulation)
             )
@@ -221,12 +221,12 @@ class FreeLoop:
 
 
 def throttle_command(simulation: Any) -> float:
-    """The motors' command, 0 to 1."""
+    """The throttle command of the motors, 0 to 1."""
     return float(simulation.kind.throttle(simulation.controls))
 
 
 def create_services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
-    """The ground station's view of a simulation, and who flies what it commands."""
+    """The services for a ground station, and the pilot that flies its commands."""
     start, kind = simulation.scenario.start, simulation.kind
     parameters, missions = Parameters(kind.parameters), Missions(_scenario_items(simulation))
     flight = CommandedFlight(
@@ -262,22 +262,22 @@ def _scenario_items(simulation: Simulation) -> tuple[MissionItem, ...]:
 
 
 def _acceptance_m(simulation: Simulation, radius_m: float) -> float:
-    """What circles a waypoint is there once on the circle, whatever radius was asked for."""
+    """Acceptance radius [m]; a vehicle that circles a waypoint has reached it on its circle."""
     cruise = simulation.vehicle.parameters.cruise_mps
-    wait = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
+    track = simulation.controller.circle(0.0, 0.0, 0.0, cruise)
     # A third more than the circle's radius.
-    return 1.3 * wait.radius_m if isinstance(wait, CircleTrack) else radius_m
+    return 1.3 * track.radius_m if isinstance(track, CircleTrack) else radius_m
 
 
 def join_datagrams(frames: list[bytes]) -> list[bytes]:
-    """Frames joined to chunks that fit a datagram."""
-    whole = b"".join(frames)
-    # The common case, one datagram a step.
-    if len(whole) <= DATAGRAM_MAX_BYTES:
-        return [whole]
+    """Join frames into chunks that each fit a datagram."""
+    joined = b"".join(frames)
+    # The common case: one datagram per step.
+    if len(joined) <= DATAGRAM_MAX_BYTES:
+        return [joined]
     chunks = [b""]
     for frame in frames:
-        # A frame is never split: receivers of datagrams take whole frames.
+        # A frame is never split: a receiver expects complete frames in each datagram.
         if len(chunks[-1]) + len(frame) > DATAGRAM_MAX_BYTES:
             chunks.append(b"")
         chunks[-1] += frame

@@ -1,5 +1,5 @@
-"""What a ground station expects of a vehicle: parameters, missions, commands, modes, telemetry.
+"""The MAVLink services of an autopilot: parameters, missions, commands, modes, telemetry.
 
-Each *service* is one MAVLink microservice without I/O. *Flight goals* are what PX4's automatic
-modes ask of the controller; the *pilot* flies to them.
+Each *service* is one MAVLink microservice without I/O. PX4's automatic modes set *flight goals*;
+the *pilot* makes the built-in controller fly to them.
 """

@@ -1,8 +1,8 @@
-"""What a ground station expects of a vehicle, as a core without I/O.
+"""The autopilot's services for a ground station, as a core without I/O.
 
-Frames come in by `received`, time passes by `tick`; both hand back the frames to send. The vehicle
-identifies as PX4 and answers as PX4 does; what it flies is `CommandedFlight`, whose goal the
-simulation's own controller follows.
+`received` takes a frame and `tick` advances time; both return the frames to send. The vehicle
+identifies as PX4 and answers as PX4 does. `CommandedFlight` sets the goal that the built-in
+controller follows.
 """
 
 from collections.abc import Callable, Iterable
@@ -35,13 +35,14 @@ class AutopilotLink:
     Parameters
     ----------
     flight, parameters, missions
-        What the services work on.
+        The state that the services read and change.
     fail_motor : callable
-        Stops (True) or starts a motor by its number from 1, 0 for all; False if there is none.
+        Stops (True) or starts a motor by its number, from 1, or 0 for all; returns False if there
+        is no such motor.
     mav_type : MavType
-        For the heartbeat.
+        Reported in the heartbeat.
     system : int
-        The vehicle's system id; it speaks as component 1.
+        The vehicle's system id; it sends as component 1.
     start_us : int
         The vehicle's clock at the simulation's t_us = 0.
     """
@@ -65,8 +66,8 @@ class AutopilotLink:
         self._system = system
         self._start_us = start_us
         self._seq = 0
-        # Nothing is answered before the first step: there is no state to tell yet.
-        self._now: Snapshot | None = None
+        # Nothing is answered before the first step, as there is no state to report yet.
+        self._snapshot: Snapshot | None = None
         self._gps: GpsReading | None = None
         self._battery: BatteryReading | None = None
         self._consumed_mah = 0.0
@@ -74,15 +75,15 @@ class AutopilotLink:
     def tick(
         self, t_us: int, truth: Truth, readings: Iterable[Reading], throttle: float
     ) -> list[bytes]:
-        """The telemetry due at `t_us`, and what the flight has to say; throttle is 0 to 1."""
+        """The telemetry due at `t_us` and the flight's own messages; throttle is 0 to 1."""
         for reading in readings:
-            # The first receiver is the one that an autopilot reports.
+            # An autopilot reports its first receiver.
             if isinstance(reading, GpsReading) and reading.id == 0:
                 self._gps = reading
             elif isinstance(reading, BatteryReading):
-                self._draw(reading)
+                self._integrate_current(reading)
         messages = self._flight.advance(truth)
-        self._now = Snapshot(
+        self._snapshot = Snapshot(
             stamp_us=t_us + self._start_us,
             truth=truth,
             gps=self._gps,
@@ -99,27 +100,26 @@ class AutopilotLink:
             mission_seq=self._flight.seq,
         )
         messages += self._missions.tick(t_us)
-        return [self._pack(m) for m in messages + self._streams.tick(self._now)]
+        return [self._pack(m) for m in messages + self._streams.tick(self._snapshot)]
 
     def received(self, frame: Frame, t_us: int) -> list[bytes]:
-        """The answers to one frame; none before the first `tick`, nor to what is not for us."""
-        # A link may carry several vehicles.
-        if self._now is None or not self._is_for_us(frame):
+        """The answers to one frame; none before the first `tick` or to other vehicles' frames."""
+        if self._snapshot is None or not self._is_for_us(frame):
             return []
-        return [self._pack(m) for m in self._answer(frame, t_us, self._now)]
+        return [self._pack(m) for m in self._answer(frame, t_us, self._snapshot)]
 
-    def _answer(self, frame: Frame, t_us: int, now: Snapshot) -> list[Message]:
+    def _answer(self, frame: Frame, t_us: int, snapshot: Snapshot) -> list[Message]:
         name = frame.layout.name
         if name in ("COMMAND_LONG", "COMMAND_INT"):
-            return self._commands.received(frame, now)
+            return self._commands.received(frame, snapshot)
         if name in PARAMETER_MESSAGES:
             return self._parameters.received(frame)
         if name in MISSION_MESSAGES:
             return self._missions.received(frame, t_us)
         if name == "MISSION_SET_CURRENT":
-            # SET_CURRENT has no acknowledgement of its own: the message is the answer.
+            # SET_CURRENT has no acknowledgement: MISSION_CURRENT is the answer.
             self._flight.set_current(int(frame.number("seq")))
-            return [self._streams.make_stream_message("MISSION_CURRENT", now)]
+            return [self._streams.make_stream_message("MISSION_CURRENT", snapshot)]
         if name == "SET_MODE":
             self._commands.set_mode(frame)
         elif name == "REQUEST_DATA_STREAM":
@@ -129,7 +129,7 @@ class AutopilotLink:
                 bool(frame.number("start_stop")),
             )
         elif name == "TIMESYNC":
-            return answer_timesync(frame, now.stamp_us)
+            return answer_timesync(frame, snapshot.stamp_us)
         elif name == "FILE_TRANSFER_PROTOCOL":
             return [refuse_ftp(frame)]
         return []
@@ -141,7 +141,7 @@ class AutopilotLink:
         # 0 is MAVLink's "to all".
         return system in (0, self._system) and component in (0, AUTOPILOT_COMPONENT)
 
-    def _draw(self, reading: BatteryReading) -> None:
+    def _integrate_current(self, reading: BatteryReading) -> None:
         if self._battery is not None:
             # Microseconds to hours.
             hours = (reading.t_us - self._battery.t_us) / 3.6e9
@@ -159,14 +159,14 @@ class AutopilotLink:
 
 
 def answer_timesync(frame: Frame, stamp_us: int) -> list[Message]:
-    """The vehicle's clock in nanoseconds against a request (tc1 = 0); answers get none."""
+    """Answer a TIMESYNC request (tc1 = 0) with the vehicle's clock [ns]; ignore answers."""
     if frame.number("tc1") != 0:
         return []
     return [make_message("TIMESYNC", tc1=stamp_us * 1000, ts1=frame.number("ts1"))]
 
 
 def refuse_ftp(frame: Frame) -> Message:
-    """A NAK to any file transfer request, so that a client goes on at once without files.
+    """Reject a file transfer request with a NAK, so that the client continues without files.
 
     Payload: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4),
     data; the first data byte of a NAK is the error [1]_.
@@ -175,10 +175,10 @@ def refuse_ftp(frame: Frame) -> Message:
     ----------
     .. [1] MAVLink developer guide, "File Transfer Protocol".
     """
-    asked = [int(frame.number("payload", i)) for i in range(6)]
-    # An answer's number is one above the request's.
-    seq = (asked[0] | asked[1] << 8) + 1 & 0xFFFF
-    payload = [seq & 0xFF, seq >> 8, asked[2], FTP_NAK, 1, asked[3], 0, 0, 0, 0, 0, 0, FTP_FAIL]
+    sent = [int(frame.number("payload", i)) for i in range(6)]
+    # The answer's sequence number is one above the request's.
+    seq = (sent[0] | sent[1] << 8) + 1 & 0xFFFF
+    payload = [seq & 0xFF, seq >> 8, sent[2], FTP_NAK, 1, sent[3], 0, 0, 0, 0, 0, 0, FTP_FAIL]
     return make_message(
         "FILE_TRANSFER_PROTOCOL",
         target_network=0,

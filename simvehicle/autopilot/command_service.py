@@ -1,7 +1,7 @@
 """The command service: every command gets exactly one COMMAND_ACK.
 
-COMMAND_LONG and COMMAND_INT come to the same handlers; what this vehicle cannot do is answered
-UNSUPPORTED at once, so that no ground station waits for it.
+COMMAND_LONG and COMMAND_INT share their handlers. A command that this vehicle does not implement is
+answered UNSUPPORTED at once, so that the ground station does not wait for a timeout.
 """
 
 import math
@@ -18,16 +18,16 @@ from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot, protocol_version
 from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
 
-FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm whatever the state
+FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm in any state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
 FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
 AVAILABLE_MODES = message_layout("AVAILABLE_MODES").id
-POSITION_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the present place
+POSITION_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the current position
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRequest:
-    """One command, whichever message it came in; a place is in degrees, height in m."""
+    """A COMMAND_LONG or COMMAND_INT; latitude and longitude in degrees, height in m."""
 
     command: int
     params: tuple[float, float, float, float]
@@ -57,34 +57,38 @@ class Commands:
         self._handlers: dict[int, Callable[[CommandRequest, Snapshot], CommandAnswer]] = {
             Command.ARM_DISARM: self._arm,
             Command.TAKEOFF: self._take_off,
-            Command.LAND: lambda request, now: self._mode(FlightMode.LAND),
-            Command.RETURN_TO_LAUNCH: lambda request, now: self._mode(FlightMode.RETURN),
+            Command.LAND: lambda request, snapshot: self._mode(FlightMode.LAND),
+            Command.RETURN_TO_LAUNCH: lambda request, snapshot: self._mode(FlightMode.RETURN),
             Command.MISSION_START: self._start_mission,
             Command.SET_MODE: self._set_mode,
             Command.REPOSITION: self._reposition,
             Command.PAUSE_CONTINUE: self._pause,
             Command.CHANGE_SPEED: self._speed,
             Command.SET_MISSION_CURRENT: self._set_current,
-            Command.GET_HOME_POSITION: lambda request, now: self._send("HOME_POSITION", now),
+            Command.GET_HOME_POSITION: lambda request, snapshot: self._send(
+                "HOME_POSITION", snapshot
+            ),
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
-            Command.REQUEST_PROTOCOL_VERSION: lambda request, now: (
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: (
                 CommandResult.ACCEPTED,
                 [protocol_version()],
             ),
-            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, now: self._send(
-                "AUTOPILOT_VERSION", now
+            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: self._send(
+                "AUTOPILOT_VERSION", snapshot
             ),
             Command.INJECT_FAILURE: self._inject,
         }
 
-    def received(self, frame: WireFrame, now: Snapshot) -> list[Message]:
-        """Carry out a COMMAND_LONG or COMMAND_INT: its acknowledgement, then what it asked for."""
+    def received(self, frame: WireFrame, snapshot: Snapshot) -> list[Message]:
+        """Execute a COMMAND_LONG or COMMAND_INT; returns its COMMAND_ACK, then its messages."""
         request = read_command_request(frame)
         handler = self._handlers.get(request.command)
-        # What no handler knows is answered too: a ground station repeats what is not.
-        result, messages = handler(request, now) if handler else (CommandResult.UNSUPPORTED, [])
+        # Unknown commands are answered too, as a ground station repeats unanswered ones.
+        result, messages = (
+            handler(request, snapshot) if handler else (CommandResult.UNSUPPORTED, [])
+        )
         ack = make_message(
             "COMMAND_ACK",
             command=request.command,
@@ -92,15 +96,14 @@ class Commands:
             target_system=frame.system,
             target_component=frame.component,
         )
-        # The acknowledgement first: what was asked for follows it.
         return [ack, *messages]
 
     def set_mode(self, frame: WireFrame) -> None:
-        """The old SET_MODE message, which has no acknowledgement."""
+        """Execute the deprecated SET_MODE message, which has no acknowledgement."""
         if int(frame.number("base_mode")) & BaseMode.CUSTOM:
             self._custom_mode(int(frame.number("custom_mode")))
 
-    def _arm(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _arm(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         if request.params[0] == 1:
             self._flight.arm()
             return CommandResult.ACCEPTED, []
@@ -108,13 +111,13 @@ class Commands:
             return CommandResult.ACCEPTED, []
         return CommandResult.DENIED, []
 
-    def _take_off(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _take_off(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         self._flight.take_off(self._amsl(request))
         return CommandResult.ACCEPTED, []
 
-    def _start_mission(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _start_mission(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         first = request.params[0]
-        # NaN: no item was named, the mission begins where it stands.
+        # NaN: without an item number the mission continues at the current item.
         if math.isfinite(first) and not self._flight.set_current(integer_parameter(first)):
             return CommandResult.DENIED, []
         if not self._flight.set_mode(FlightMode.MISSION):
@@ -122,9 +125,9 @@ class Commands:
         self._flight.arm()
         return CommandResult.ACCEPTED, []
 
-    def _set_mode(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _set_mode(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         base, main, sub, _ = (max(integer_parameter(v), 0) for v in request.params)
-        # The other flags are not modes of PX4.
+        # PX4's modes are custom modes.
         if not base & BaseMode.CUSTOM:
             return CommandResult.UNSUPPORTED, []
         # PX4's custom_mode: sub-mode in the top byte, main mode in the one below.
@@ -138,67 +141,67 @@ class Commands:
     def _mode(self, mode: FlightMode) -> CommandAnswer:
         return (CommandResult.ACCEPTED if self._flight.set_mode(mode) else CommandResult.DENIED), []
 
-    def _reposition(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _reposition(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         speed = request.params[0]
-        # Without a speed in the command it stays as it is.
+        # A command without a speed keeps the current one.
         if math.isfinite(speed) and speed > 0:
             self._flight.set_speed(speed)
         yaw = request.params[3]
         accepted = self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
         return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _pause(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _pause(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         return self._mode(FlightMode.MISSION if request.params[0] == 1 else FlightMode.HOLD)
 
-    def _speed(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _speed(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         accepted = self._flight.set_speed(request.params[1])
         return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _set_current(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _set_current(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         accepted = self._flight.set_current(integer_parameter(request.params[0]))
         return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
 
-    def _get_interval(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _get_interval(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number = integer_parameter(request.params[0])
         interval = self._streams.interval_us(number)
-        # Also of a message that there is not: its interval is 0.
+        # An unknown message is answered too, with interval 0.
         return CommandResult.ACCEPTED, [
             make_message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
         ]
 
-    def _set_interval(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _set_interval(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, interval = request.params[:2]
         if not math.isfinite(interval):
             return CommandResult.DENIED, []
         known = self._streams.set_interval(integer_parameter(number), interval)
         return (CommandResult.ACCEPTED if known else CommandResult.UNSUPPORTED), []
 
-    def _request_message(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
+    def _request_message(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, index = integer_parameter(request.params[0]), integer_parameter(request.params[1])
         if number == PROTOCOL_VERSION.id:
-            # Modes are a list by index and no stream.
-            found = [protocol_version()]
+            messages = [protocol_version()]
+        # The modes are listed by index and not streamed.
         elif number == AVAILABLE_MODES:
-            found = available_modes(max(index, 0))
+            messages = available_modes(max(index, 0))
         else:
-            found = self._streams.make_requested(number, now)
-        return (CommandResult.ACCEPTED if found else CommandResult.UNSUPPORTED), found
+            messages = self._streams.make_requested(number, snapshot)
+        return (CommandResult.ACCEPTED if messages else CommandResult.UNSUPPORTED), messages
 
-    def _send(self, name: str, now: Snapshot) -> CommandAnswer:
-        return CommandResult.ACCEPTED, [self._streams.make_stream_message(name, now)]
+    def _send(self, name: str, snapshot: Snapshot) -> CommandAnswer:
+        return CommandResult.ACCEPTED, [self._streams.make_stream_message(name, snapshot)]
 
-    def _inject(self, request: CommandRequest, now: Snapshot) -> CommandAnswer:
-        """Motors can be stopped and started; other failures are for a proxy on the way.
+    def _inject(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
+        """Stop or start motors; a proxy on the link injects all other failures.
 
-        As PX4 it denies all of it while SYS_FAILURE_EN is 0.
+        As in PX4, failures are denied while SYS_FAILURE_EN is 0.
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
             return CommandResult.DENIED, []
         unit, kind, instance = (integer_parameter(value) for value in request.params[:3])
         if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
             return CommandResult.UNSUPPORTED, []
-        found = self._fail_motor(instance, kind == FAILURE_OFF)
-        return (CommandResult.ACCEPTED if found else CommandResult.DENIED), []
+        exists = self._fail_motor(instance, kind == FAILURE_OFF)
+        return (CommandResult.ACCEPTED if exists else CommandResult.DENIED), []
 
     def _amsl(self, request: CommandRequest) -> float:
         relative = request.frame in (
@@ -209,8 +212,8 @@ class Commands:
 
 
 def integer_parameter(value: float) -> int:
-    """A parameter as an integer; what is none becomes -1, which no handler knows."""
-    # COMMAND_LONG has floats only, NaN meaning that it is not given.
+    """A command parameter as an integer; NaN and infinity become -1, which no handler accepts."""
+    # COMMAND_LONG has float parameters only, where NaN means not set.
     return int(value) if math.isfinite(value) else -1
 
 
@@ -219,10 +222,10 @@ def read_command_request(frame: WireFrame) -> CommandRequest:
     p1, p2, p3, p4 = (float(frame.number(f"param{i}")) for i in range(1, 5))
     if frame.layout.name == "COMMAND_LONG":
         lat_deg, lon_deg, z_m = (float(frame.number(f"param{i}")) for i in range(5, 8))
-        # COMMAND_LONG names no frame: its heights are above mean sea level.
+        # COMMAND_LONG has no frame field: its heights are above mean sea level.
         kind = int(CoordinateFrame.GLOBAL)
     else:
-        # COMMAND_INT has whole degrees by 1e7, finer than the floats of COMMAND_LONG.
+        # COMMAND_INT has degrees scaled by 1e7, finer than the floats of COMMAND_LONG.
         x, y = int(frame.number("x")), int(frame.number("y"))
         lat_deg = math.nan if x == POSITION_UNKNOWN else x * 1e-7
         lon_deg = math.nan if y == POSITION_UNKNOWN else y * 1e-7

@@ -1,4 +1,4 @@
-"""Values of the MAVLink enumerations the services speak [1]_, and PX4's flight modes [2]_.
+"""Values of the MAVLink enumerations that the services use [1]_, and PX4's flight modes [2]_.
 
 References
 ----------
@@ -155,7 +155,7 @@ PARAM_REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 
 
 class FlightMode(IntEnum):
-    """The flight modes flown, as PX4's custom mode: sub mode << 24 | main mode (AUTO = 4) << 16."""
+    """The supported modes as PX4 custom modes: sub mode << 24 | main mode (AUTO = 4) << 16."""
 
     TAKEOFF = 2 << 24 | 4 << 16
     HOLD = 3 << 24 | 4 << 16

@@ -1,8 +1,8 @@
-"""What is flown: PX4's automatic modes as goals for the controller.
+"""PX4's automatic flight modes as goals for the built-in controller.
 
 `CommandedFlight` holds mode, arming and mission progress; `advance` looks at the truth once a step
 and sets `goal`, which the vehicle's own controller follows. Aborting, climbing and landing follow
-PX4's modes TAKEOFF, HOLD, MISSION, RETURN and LAND in their outlines [1]_.
+PX4's modes TAKEOFF, HOLD, MISSION, RETURN and LAND in outline [1]_.
 
 References
 ----------
@@ -30,16 +30,16 @@ LocateNed = Callable[[float, float, float], Vector]  # latitude, longitude in de
 
 
 class GoalKind(Enum):
-    """What the controller does about a goal."""
+    """What the controller does to reach a goal."""
 
     IDLE = "idle"  # actuators off
-    FLY = "fly"  # to `r_ned_m` and stay there
-    LAND = "land"  # over `r_ned_m`, then down until the ground holds it
+    FLY = "fly"  # go to `r_ned_m` and stay there
+    LAND = "land"  # go above `r_ned_m`, then descend to the ground
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Where to; `speed_mps` None is the vehicle's own choice, `yaw_rad` NaN as well."""
+    """The place to fly to; `speed_mps` None and `yaw_rad` NaN leave the choice to the vehicle."""
 
     kind: GoalKind
     r_ned_m: Vector
@@ -48,18 +48,19 @@ class Goal:
 
 
 class CommandedFlight:
-    """The modes of one vehicle.
+    """Mode, arming and mission progress of one vehicle under a ground station.
 
     Parameters
     ----------
     locate : callable
         Turns latitude, longitude (degrees) and height (m above sea level) into local NED (3,).
     airborne : bool
-        The vehicle starts flying: armed, in HOLD.
+        The vehicle starts in the air: armed, in HOLD.
     own_mission : bool
-        It flies a mission of its own, by its controller, until it is commanded: armed, in MISSION.
+        The built-in controller flies the scenario's mission until the first command: armed, in
+        MISSION.
     acceptance_m : float
-        Horizontal distance within which a place counts as reached.
+        Horizontal distance within which a position counts as reached.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class CommandedFlight:
         self._own_mission = own_mission
         self._parameters = parameters
         self._missions = missions
-        # Missions are known by how often they changed: two may look alike.
+        # A mission is identified by its revision, as two missions may have equal items.
         self._mission_seen = missions.revision
         self._locate = locate
         self._acceptance_m = acceptance_m
@@ -95,16 +96,16 @@ class CommandedFlight:
 
     @property
     def goal_active(self) -> bool:
-        """Whether the goal counts: not while the vehicle flies a mission of its own."""
+        """Whether the controller follows `goal`; False while it flies the scenario's mission."""
         return self.commanded or not self._own_mission
 
     # -- what a ground station commands ------------------------------------------------------------
 
     def arm(self) -> None:
-        """Switch the motors on; the mode decides what follows. Armed already, nothing changes."""
+        """Arm the motors and apply the mode; no effect if already armed."""
         if self.armed:
             return
-        # After a landing the vehicle would land again at once; without items there is no mission.
+        # LAND would land again at once, and MISSION needs items: fall back to HOLD.
         unflyable = self.mode == FlightMode.MISSION and not self._missions.items
         if unflyable or self.mode in (FlightMode.LAND, FlightMode.RETURN):
             self.mode = FlightMode.HOLD
@@ -112,8 +113,7 @@ class CommandedFlight:
         self._enter(self.mode)
 
     def disarm(self, force: bool) -> bool:
-        """Motors off; refused in the air unless forced."""
-        # In the air only by force, as PX4 does.
+        """Disarm the motors; returns False in the air unless forced, as PX4 does."""
         if self.armed and self.landed != LandedState.ON_GROUND and not force:
             return False
         self.armed = False
@@ -122,11 +122,11 @@ class CommandedFlight:
         return True
 
     def set_mode(self, mode: FlightMode) -> bool:
-        """Change the mode; a mission needs items."""
+        """Change the mode; returns False for MISSION without mission items."""
         if mode == FlightMode.MISSION:
             if not self._missions.items:
                 return False
-            # The scenario's own mission: its controller flies that already.
+            # The built-in controller is already flying the scenario's mission.
             if self.armed and not self.goal_active and not self._missions.revision:
                 return True
         self.commanded = True
@@ -134,14 +134,14 @@ class CommandedFlight:
         return True
 
     def take_off(self, alt_m: float) -> None:
-        """Climb over the present place to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
+        """Climb at the current position to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
         self.commanded = True
         self._enter(FlightMode.TAKEOFF)
         if math.isfinite(alt_m):
             self.goal = replace(self.goal, r_ned_m=self._above_here(alt_m))
 
     def go_to(self, lat_deg: float, lon_deg: float, alt_m: float, yaw_rad: float) -> bool:
-        """Fly to a place and hold there; what is NaN stays as it is. Refused on the ground."""
+        """Fly to a position and hold; NaN keeps a value. Returns False on the ground."""
         if not self.armed or self.landed == LandedState.ON_GROUND:
             return False
         self.commanded = True
@@ -157,8 +157,10 @@ class CommandedFlight:
         return True
 
     def set_speed(self, speed_mps: float) -> bool:
-        """Speed over ground from now on; -1 returns to the vehicle's own."""
-        # Very slow is no speed of a vehicle; negative ones mean its own choice.
+        """Set the speed over ground; a negative value restores the vehicle's cruise speed.
+
+        Returns False for a speed too low to fly.
+        """
         if not math.isfinite(speed_mps) or 0 <= speed_mps < SLOWEST_COMMAND_MPS:
             return False
         self._speed_mps = speed_mps if speed_mps > 0 else None
@@ -166,10 +168,10 @@ class CommandedFlight:
         return True
 
     def set_current(self, seq: int) -> bool:
-        """Go on with another mission item."""
+        """Continue with another mission item; returns False if there is no such item."""
         if not 0 <= seq < len(self._missions.items):
             return False
-        # The scenario's own mission is flown as a path, without items: from here on they count.
+        # The scenario's mission is flown as a path without items: from here on items are flown.
         if self.armed and not self.goal_active and seq != self.seq:
             self.commanded = True
             self._enter(FlightMode.MISSION)
@@ -177,16 +179,16 @@ class CommandedFlight:
         self._reached_us = None
         return True
 
-    # -- what happens of itself --------------------------------------------------------------------
+    # -- what happens without a command ------------------------------------------------------------
 
     def advance(self, truth: Truth) -> list[Message]:
-        """Look at where the vehicle is, set the goal, and tell what was reached."""
-        # The first step tells where "here" is for the goal of the first mode.
+        """Update the goal and the mission progress from the truth; returns what to report."""
+        # The goal of the first mode needs the first position.
         first = self._truth is None
         self._truth = truth
         if first:
             self._enter(self.mode)
-        # A new mission was uploaded: its items are other ones, whatever their numbers.
+        # A new mission was uploaded: start at its first item.
         if self._missions.revision != self._mission_seen:
             self._mission_seen = self._missions.revision
             self.seq = 0
@@ -201,7 +203,7 @@ class CommandedFlight:
 
     def _fly(self, truth: Truth) -> list[Message]:
         if self.mode == FlightMode.TAKEOFF:
-            # Height alone: wind may push it aside meanwhile.
+            # Height alone: wind may displace the vehicle horizontally.
             if abs(self.goal.r_ned_m[2] - truth.r_ned_m[2]) < HEIGHT_TOLERANCE_M:
                 self.mode = FlightMode.HOLD
                 return [statustext("Takeoff complete")]
@@ -210,7 +212,6 @@ class CommandedFlight:
         elif self.mode == FlightMode.RETURN:
             if self._is_there(self.goal.r_ned_m):
                 self._enter(FlightMode.LAND)
-        # At the place above home: from there it goes down.
         elif self.mode == FlightMode.LAND:
             return self._touch_down(truth)
         return []
@@ -219,12 +220,12 @@ class CommandedFlight:
         item = self._missions.items[self.seq]
         if item.command == Command.RETURN_TO_LAUNCH:
             self._enter(FlightMode.RETURN)
-            # The item counts as reached when its command begins.
+            # The item counts as reached when its command starts.
             return [make_message("MISSION_ITEM_REACHED", seq=self.seq)]
         if item.command == Command.CHANGE_SPEED:
             self.set_speed(item.params[1])
         elif item.command != Command.DELAY:
-            # By identity: two equal items in a row are two goals.
+            # Compare identity: two equal items in a row are two goals.
             if self._aimed_at is not item:
                 self._aimed_at = item
                 kind = GoalKind.LAND if item.command == Command.LAND else GoalKind.FLY
@@ -232,22 +233,22 @@ class CommandedFlight:
                 self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
             if self.goal.kind is GoalKind.LAND:
                 return self._touch_down(truth)
-            # Once reached it counts as reached, also where wind carries the vehicle off again.
+            # An item stays reached even if wind carries the vehicle away again.
             if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
                 return []
-        # Items without a place, such as a delay, are reached at once.
+        # Items without a position, such as a delay, are reached at once.
         if self._reached_us is None:
             self._reached_us = truth.t_us
         return self._finish_item(item, truth.t_us)
 
     def _finish_item(self, item: MissionItem, t_us: int) -> list[Message]:
-        """Wait where the item says so, then go on with the next."""
-        # Until somebody commands otherwise.
+        """Wait for the item's hold time, then continue with the next item."""
+        # Unlimited: until the next command.
         if item.command == Command.LOITER_UNLIMITED:
             return []
         waits = item.command in (Command.WAYPOINT, Command.LOITER_TIME, Command.DELAY)
         wait_s = item.params[0] if waits and math.isfinite(item.params[0]) else 0.0
-        # The time at the place counts, not the way there.
+        # The hold time starts at the position, not on the way there.
         if self._reached_us is None or t_us - self._reached_us < wait_s * 1e6:
             return []
         reached = make_message("MISSION_ITEM_REACHED", seq=self.seq)
@@ -259,8 +260,8 @@ class CommandedFlight:
         return [reached, statustext("Mission finished, loitering")]
 
     def _touch_down(self, truth: Truth) -> list[Message]:
-        """Disarm after a while on the ground."""
-        # A bounce: the time counts anew.
+        """Disarm after COM_DISARM_LAND seconds on the ground."""
+        # A bounce restarts the time.
         if not truth.on_ground:
             self._ground_us = None
             return []
@@ -276,7 +277,7 @@ class CommandedFlight:
         return messages
 
     def _enter(self, mode: FlightMode) -> None:
-        """Set a mode and its goal from where the vehicle is."""
+        """Set a mode, and its goal from the current position."""
         self.mode = mode
         self._aimed_at = None
         self._reached_us = self._ground_us = None
@@ -287,13 +288,13 @@ class CommandedFlight:
             place = self._above_here(self.home.alt_m + height)
         elif mode == FlightMode.RETURN:
             here = self._here()
-            # Never lower than it is now: what is between here and home is not known.
+            # Never below the current height: there may be obstacles on the way home.
             height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(here[2]))
             place = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
         else:
             place = self._here()
         kind = GoalKind.LAND if mode == FlightMode.LAND else GoalKind.FLY
-        # On the ground HOLD holds nothing: the motors stay off.
+        # In HOLD on the ground the motors stay off.
         if mode == FlightMode.HOLD and self.landed == LandedState.ON_GROUND:
             kind = GoalKind.IDLE
         self.goal = Goal(kind, place, self._speed_mps)
@@ -303,12 +304,12 @@ class CommandedFlight:
             return LandedState.ON_GROUND
         if self.mode == FlightMode.TAKEOFF:
             return LandedState.TAKEOFF
-        # A landing item of a mission lands as well.
+        # The LAND item of a mission counts as landing, too.
         landing = self.mode == FlightMode.LAND or self.goal.kind is GoalKind.LAND
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
     def _place(self, item: MissionItem) -> Vector:
-        """Where an item lies; 0, 0 means here, as in a take-off item without a place."""
+        """Position of an item in NED; 0, 0 means here, as in a take-off item without a position."""
         alt_m = item.z_m + (self.home.alt_m if item.relative else 0.0)
         if item.x_degE7 == 0 and item.y_degE7 == 0:
             return self._above_here(alt_m)
@@ -325,5 +326,5 @@ class CommandedFlight:
     def _is_there(self, place: Vector) -> bool:
         north, east, down = (place - self._here()).tolist()
         near = math.hypot(north, east) < self._acceptance_m
-        # A vehicle that circles is near within its circle, in height too.
+        # A circling vehicle has a large acceptance radius, which applies to its height, too.
         return near and abs(down) < max(HEIGHT_TOLERANCE_M, self._acceptance_m)

@@ -1,7 +1,7 @@
-"""The mission service: upload, download, clear [1]_; which item is flown is `flight`'s business.
+"""The mission service: upload, download, clear [1]_; `flight_goals` tracks the current item.
 
-Only missions proper can be stored: geofences and rally points are not flown, so an upload of one
-is refused as unsupported and a download finds none.
+Only missions are stored. Geofences and rally points are not supported: an upload is refused as
+unsupported and a download is empty.
 
 References
 ----------
@@ -17,9 +17,9 @@ from simvehicle.autopilot.enums import Command, CoordinateFrame, MissionResult, 
 from simvehicle.guidance.waypoints import Waypoint
 from simvehicle.hil.outgoing_message import Message, make_message
 
-MAX_ITEMS = 1000
-RETRY_US = 500_000  # a request for an item is sent again after this
-RETRIES = 6
+MAX_ITEMS = 1000  # chosen: bounds the memory that a peer can claim
+RETRY_US = 500_000  # a request for an item is repeated after this
+RETRIES = 6  # chosen: the upload is given up after 3 s of silence
 
 GLOBAL_FRAMES = (CoordinateFrame.GLOBAL, CoordinateFrame.GLOBAL_INT)
 RELATIVE_FRAMES = (CoordinateFrame.GLOBAL_RELATIVE, CoordinateFrame.GLOBAL_RELATIVE_INT)
@@ -36,7 +36,7 @@ SUPPORTED_COMMANDS = (
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One mission item; `x_degE7`, `y_degE7` are latitude and longitude, `z_m` by `frame`."""
+    """One mission item; `x_degE7`, `y_degE7` are latitude and longitude, `frame` defines `z_m`."""
 
     command: int
     frame: int
@@ -48,13 +48,13 @@ class MissionItem:
 
     @property
     def relative(self) -> bool:
-        """Whether `z_m` is above home and not above mean sea level."""
+        """Whether `z_m` is relative to home instead of mean sea level."""
         return self.frame in RELATIVE_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
 class MissionUpload:
-    """An upload under way: what has come of `count` items, from whom, and when it was asked for."""
+    """An upload in progress: its sender, the items received so far and the last request's time."""
 
     system: int
     component: int
@@ -66,9 +66,9 @@ class MissionUpload:
 
 @dataclass
 class Missions:
-    """The stored mission, and the upload under way if there is one.
+    """The stored mission, and the upload in progress if there is one.
 
-    `revision` counts the missions taken, so that who flies one notices a new one.
+    `revision` counts the missions accepted, so that the flight notices a new one.
     """
 
     items: tuple[MissionItem, ...] = ()
@@ -83,7 +83,7 @@ class Missions:
             return self._count(frame, kind, t_us)
         if name in ("MISSION_ITEM_INT", "MISSION_ITEM"):
             return self._item(frame, kind, t_us)
-        # Fences and rally points are none here: an empty list, no error.
+        # For fences and rally points: an empty list, not an error.
         if name == "MISSION_REQUEST_LIST":
             count = len(self.items) if kind == MissionType.MISSION else 0
             return [_reply_message(frame, "MISSION_COUNT", count=count, mission_type=kind)]
@@ -91,18 +91,18 @@ class Missions:
             return self._request(frame, kind)
         if name == "MISSION_CLEAR_ALL":
             if kind in (MissionType.MISSION, MissionType.ALL):
-                # A new mission even if it is empty: who flies one must notice.
+                # Clearing is a new revision too, so that the flight notices it.
                 self._accept(())
             return [_ack(frame, MissionResult.ACCEPTED, kind)]
         return []
 
     def tick(self, t_us: int) -> list[Message]:
-        """Ask again for an item that does not come, and give up in the end."""
+        """Repeat the request for a missing item; cancel the upload after `RETRIES`."""
         upload = self.upload
-        # Every message of an upload is ours to ask for, so loss is ours to notice.
+        # The vehicle requests every item, so it also detects the loss of one.
         if upload is None or t_us - upload.requested_us < RETRY_US:
             return []
-        # Given up: the sender is told, so that it does not wait for ever.
+        # Report the cancellation, so that the sender does not wait forever.
         if upload.retries == RETRIES:
             self.upload = None
             return [
@@ -119,7 +119,7 @@ class Missions:
     def _count(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         count = int(frame.number("count"))
         if kind != MissionType.MISSION:
-            # To clear what is not stored is no mistake.
+            # Clearing an empty list is not an error.
             result = MissionResult.UNSUPPORTED if count else MissionResult.ACCEPTED
             return [_ack(frame, result, kind)]
         if count > MAX_ITEMS:
@@ -133,16 +133,16 @@ class Missions:
     def _item(self, frame: WireFrame, kind: int, t_us: int) -> list[Message]:
         upload = self.upload
         if upload is None or kind != MissionType.MISSION:
-            # An item that nobody asked for.
+            # An item without a request.
             return [_ack(frame, MissionResult.ERROR, kind)]
         seq = int(frame.number("seq"))
-        if seq < len(upload.items):  # one already taken: the answer to a repeated request
+        if seq < len(upload.items):  # already stored: the answer to a repeated request
             return []
-        # A later one: the one we wait for was lost or came out of order.
+        # A later item: the requested one was lost or reordered.
         if seq > len(upload.items):
             return [_request_item(upload)]
         item = read_item(frame)
-        # Refused as a whole: half a mission must not be flown.
+        # One invalid item rejects the mission: a partial mission must not be flown.
         wrong = check_item(item)
         if wrong is not None:
             self.upload = None
@@ -159,13 +159,13 @@ class Missions:
         if kind != MissionType.MISSION or seq >= len(self.items):
             return [_ack(frame, MissionResult.INVALID_SEQUENCE, kind)]
         item = self.items[seq]
-        # Answered in the kind that was asked for; old ground stations know floats only.
-        whole = frame.layout.name == "MISSION_REQUEST_INT"
-        scale = 1 if whole else 1e-7
+        # Answer in the requested encoding; old ground stations support floats only.
+        integer = frame.layout.name == "MISSION_REQUEST_INT"
+        scale = 1 if integer else 1e-7
         return [
             _reply_message(
                 frame,
-                "MISSION_ITEM_INT" if whole else "MISSION_ITEM",
+                "MISSION_ITEM_INT" if integer else "MISSION_ITEM",
                 seq=seq,
                 frame=item.frame,
                 command=item.command,
@@ -226,14 +226,14 @@ def read_item(frame: WireFrame) -> MissionItem:
 
 
 def check_item(item: MissionItem) -> MissionResult | None:
-    """What is wrong with an item, None where it can be flown."""
+    """The reason for rejecting an item, or None if it can be flown."""
     if item.command not in SUPPORTED_COMMANDS:
         return MissionResult.UNSUPPORTED
     if item.command not in POSITION_COMMANDS:
         return None
     if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
         return MissionResult.UNSUPPORTED_FRAME
-    # 90 and 180 degrees, by 1e7.
+    # 90 and 180 degrees, scaled by 1e7.
     if abs(item.x_degE7) > 900_000_000:
         return MissionResult.INVALID_PARAM5_X
     if abs(item.y_degE7) > 1_800_000_000:
@@ -255,5 +255,5 @@ def _ack(frame: WireFrame, result: MissionResult, kind: int) -> Message:
 
 
 def _reply_message(to: WireFrame, name: str, /, **values: object) -> Message:
-    """A message to the sender of a frame."""
+    """A message addressed to the sender of a frame."""
     return make_message(name, target_system=to.system, target_component=to.component, **values)

@@ -1,4 +1,4 @@
-"""The flight modes as a ground station lists them, by AVAILABLE_MODES [1]_.
+"""The flight modes in the list that AVAILABLE_MODES reports to a ground station [1]_.
 
 References
 ----------
@@ -8,7 +8,7 @@ References
 from simvehicle.autopilot.enums import FlightMode, StandardMode
 from simvehicle.hil.outgoing_message import Message, make_message
 
-# Name and standard mode of each, in the order in which they are listed
+# Name and standard mode of each, in the order of the list
 LISTED_MODES = {
     FlightMode.TAKEOFF: (b"Takeoff", StandardMode.TAKEOFF),
     FlightMode.HOLD: (b"Hold", StandardMode.NON_STANDARD),
@@ -19,8 +19,8 @@ LISTED_MODES = {
 
 
 def available_modes(index: int) -> list[Message]:
-    """The mode with this index, from 1, or all of them for 0; none beyond the last."""
-    every = [
+    """The AVAILABLE_MODES message of an index from 1, or of all for 0; none beyond the last."""
+    messages = [
         make_message(
             "AVAILABLE_MODES",
             number_modes=len(LISTED_MODES),
@@ -31,5 +31,4 @@ def available_modes(index: int) -> list[Message]:
         )
         for number, (mode, (name, standard)) in enumerate(LISTED_MODES.items(), 1)
     ]
-    # Counted from 1.
-    return every if index == 0 else every[index - 1 : index]
+    return messages if index == 0 else messages[index - 1 : index]

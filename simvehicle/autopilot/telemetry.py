@@ -1,4 +1,4 @@
-"""What the vehicle tells of itself: one function per message, from the snapshot of one instant."""
+"""The vehicle's telemetry: one function per message, each from a snapshot of one instant."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
-# major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the PX4 release whose ways are followed
+# major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the emulated PX4 release
 FIRMWARE_VERSION = 1 << 24 | 18 << 16 | 0 << 8 | 255
 PRESENT_SENSORS = (
     SysStatusSensor.GYRO | SysStatusSensor.ACCEL | SysStatusSensor.MAG |
@@ -41,7 +41,7 @@ class HomePosition:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything telemetry is made of; `stamp_us` is the vehicle's clock."""
+    """The state that telemetry reports; `stamp_us` is the vehicle's clock."""
 
     stamp_us: int
     truth: Truth
@@ -68,131 +68,131 @@ class Snapshot:
         return euler_angles(self.truth.q_nb.tolist())
 
 
-def heartbeat(now: Snapshot) -> Message:
-    """PX4's modes as PX4 packs them."""
+def heartbeat(snapshot: Snapshot) -> Message:
+    """Mode and arming state, encoded as PX4 does."""
     base = BaseMode.CUSTOM | BaseMode.AUTO | BaseMode.GUIDED | BaseMode.STABILIZED
     return make_message(
         "HEARTBEAT",
-        type=now.mav_type,
+        type=snapshot.mav_type,
         autopilot=AUTOPILOT_PX4,
-        base_mode=base | (BaseMode.ARMED if now.armed else 0),
-        custom_mode=now.mode,
-        system_status=SystemState.ACTIVE if now.armed else SystemState.STANDBY,
+        base_mode=base | (BaseMode.ARMED if snapshot.armed else 0),
+        custom_mode=snapshot.mode,
+        system_status=SystemState.ACTIVE if snapshot.armed else SystemState.STANDBY,
         mavlink_version=3,
     )
 
 
-def sys_status(now: Snapshot) -> Message:
-    """All sensors healthy: whoever breaks one is the proxy, and it says so itself."""
-    battery = now.battery
+def sys_status(snapshot: Snapshot) -> Message:
+    """Battery, and all sensors healthy: the proxy injects faults and reports them itself."""
+    battery = snapshot.battery
     return make_message(
         "SYS_STATUS",
         onboard_control_sensors_present=PRESENT_SENSORS,
         onboard_control_sensors_enabled=PRESENT_SENSORS,
         onboard_control_sensors_health=PRESENT_SENSORS,
-        voltage_battery=round((battery.voltage_v if battery else now.truth.battery_v) * 1e3),
-        current_battery=round((battery.current_a if battery else now.truth.battery_a) * 100),
+        voltage_battery=round((battery.voltage_v if battery else snapshot.truth.battery_v) * 1e3),
+        current_battery=round((battery.current_a if battery else snapshot.truth.battery_a) * 100),
         battery_remaining=round(
-            (battery.remaining if battery else now.truth.battery_remaining) * 100
+            (battery.remaining if battery else snapshot.truth.battery_remaining) * 100
         ),
     )
 
 
-def attitude(now: Snapshot) -> Message:
+def attitude(snapshot: Snapshot) -> Message:
     """Euler angles and body rates."""
-    roll, pitch, yaw = now.euler_rad
-    p, q, r = now.truth.omega_b_rps.tolist()
+    roll, pitch, yaw = snapshot.euler_rad
+    p, q, r = snapshot.truth.omega_b_rps.tolist()
     return make_message(
         "ATTITUDE",
-        time_boot_ms=now.boot_ms,
+        time_boot_ms=snapshot.boot_ms,
         roll=roll, pitch=pitch, yaw=yaw, rollspeed=p, pitchspeed=q, yawspeed=r,
     )  # fmt: skip
 
 
-def attitude_quaternion(now: Snapshot) -> Message:
-    """The same as a quaternion."""
-    w, x, y, z = now.truth.q_nb.tolist()
-    p, q, r = now.truth.omega_b_rps.tolist()
+def attitude_quaternion(snapshot: Snapshot) -> Message:
+    """Attitude as a quaternion, and body rates."""
+    w, x, y, z = snapshot.truth.q_nb.tolist()
+    p, q, r = snapshot.truth.omega_b_rps.tolist()
     return make_message(
         "ATTITUDE_QUATERNION",
-        time_boot_ms=now.boot_ms,
+        time_boot_ms=snapshot.boot_ms,
         q1=w, q2=x, q3=y, q4=z, rollspeed=p, pitchspeed=q, yawspeed=r,
     )  # fmt: skip
 
 
-def global_position_int(now: Snapshot) -> Message:
+def global_position_int(snapshot: Snapshot) -> Message:
     """Position and velocity over ground."""
-    truth = now.truth
+    truth = snapshot.truth
     north, east, down = truth.v_ned_mps.tolist()
     return make_message(
         "GLOBAL_POSITION_INT",
-        time_boot_ms=now.boot_ms,
+        time_boot_ms=snapshot.boot_ms,
         lat=round(math.degrees(truth.lat_rad) * 1e7),
         lon=round(math.degrees(truth.lon_rad) * 1e7),
         alt=round(truth.alt_msl_m * 1e3),
-        relative_alt=round((truth.alt_msl_m - now.home.alt_m) * 1e3),
+        relative_alt=round((truth.alt_msl_m - snapshot.home.alt_m) * 1e3),
         vx=hil_messages.round_within(north * 100, -0x8000, 0x7FFF),
         vy=hil_messages.round_within(east * 100, -0x8000, 0x7FFF),
         vz=hil_messages.round_within(down * 100, -0x8000, 0x7FFF),
-        hdg=_heading_cdeg(now),
+        hdg=_heading_cdeg(snapshot),
     )
 
 
-def local_position_ned(now: Snapshot) -> Message:
-    """Position and velocity against home."""
-    x, y, z = now.truth.r_ned_m.tolist()
-    vx, vy, vz = now.truth.v_ned_mps.tolist()
+def local_position_ned(snapshot: Snapshot) -> Message:
+    """Position and velocity relative to home."""
+    x, y, z = snapshot.truth.r_ned_m.tolist()
+    vx, vy, vz = snapshot.truth.v_ned_mps.tolist()
     return make_message(
         "LOCAL_POSITION_NED",
-        time_boot_ms=now.boot_ms,
+        time_boot_ms=snapshot.boot_ms,
         x=x, y=y, z=z, vx=vx, vy=vy, vz=vz,
     )  # fmt: skip
 
 
-def gps_raw_int(now: Snapshot) -> Message:
+def gps_raw_int(snapshot: Snapshot) -> Message:
     """The receiver's last solution; no fix before the first."""
-    if now.gps is None:
+    if snapshot.gps is None:
         return make_message(
             "GPS_RAW_INT",
-            time_usec=now.stamp_us,
+            time_usec=snapshot.stamp_us,
             fix_type=NO_GPS_FIX,
             eph=0xFFFF, epv=0xFFFF, vel=0xFFFF, cog=0xFFFF, satellites_visible=0,
         )  # fmt: skip
-    values = hil_messages.hil_gps(now.gps, now.stamp_us)[1]
+    values = hil_messages.hil_gps(snapshot.gps, snapshot.stamp_us)[1]
     shared = ("time_usec", "fix_type", "lat", "lon", "alt", "vel", "cog", "satellites_visible")
     return make_message(
         "GPS_RAW_INT",
         **{name: values[name] for name in shared},
-        eph=0xFFFF,  # dilution of precision, which the receiver does not tell
+        eph=0xFFFF,  # dilution of precision: unknown
         epv=0xFFFF,
-        h_acc=hil_messages.round_within(now.gps.eph_m * 1e3, 0, 0xFFFFFFFF),
-        v_acc=hil_messages.round_within(now.gps.epv_m * 1e3, 0, 0xFFFFFFFF),
+        h_acc=hil_messages.round_within(snapshot.gps.eph_m * 1e3, 0, 0xFFFFFFFF),
+        v_acc=hil_messages.round_within(snapshot.gps.epv_m * 1e3, 0, 0xFFFFFFFF),
     )
 
 
-def vfr_hud(now: Snapshot) -> Message:
-    """What a head-up display shows; airspeed is indicated."""
-    truth = now.truth
+def vfr_hud(snapshot: Snapshot) -> Message:
+    """Head-up display values; the airspeed is indicated airspeed."""
+    truth = snapshot.truth
     north, east, down = truth.v_ned_mps.tolist()
     airspeed = math.hypot(*truth.v_air_b_mps.tolist())
     return make_message(
         "VFR_HUD",
         airspeed=airspeed * math.sqrt(truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3),
         groundspeed=math.hypot(north, east),
-        heading=_heading_cdeg(now) // 100,
-        throttle=round(now.throttle * 100),
+        heading=_heading_cdeg(snapshot) // 100,
+        throttle=round(snapshot.throttle * 100),
         alt=truth.alt_msl_m,
         climb=-down,
     )
 
 
-def altitude(now: Snapshot) -> Message:
-    """The same height against its several references."""
-    truth = now.truth
-    above_home = truth.alt_msl_m - now.home.alt_m
+def altitude(snapshot: Snapshot) -> Message:
+    """The height above each of its references."""
+    truth = snapshot.truth
+    above_home = truth.alt_msl_m - snapshot.home.alt_m
     return make_message(
         "ALTITUDE",
-        time_usec=now.stamp_us,
+        time_usec=snapshot.stamp_us,
         altitude_monotonic=truth.alt_msl_m,
         altitude_amsl=truth.alt_msl_m,
         altitude_local=above_home,
@@ -202,45 +202,45 @@ def altitude(now: Snapshot) -> Message:
     )
 
 
-def home_position(now: Snapshot) -> Message:
-    """Where the vehicle started, level and facing north."""
-    home = now.home
+def home_position(snapshot: Snapshot) -> Message:
+    """The home position, with level attitude facing north."""
+    home = snapshot.home
     return make_message(
         "HOME_POSITION",
         latitude=round(home.lat_deg * 1e7),
         longitude=round(home.lon_deg * 1e7),
         altitude=round(home.alt_m * 1e3),
         q=(1.0, 0.0, 0.0, 0.0),
-        time_usec=now.stamp_us,
+        time_usec=snapshot.stamp_us,
     )
 
 
-def extended_sys_state(now: Snapshot) -> Message:
+def extended_sys_state(snapshot: Snapshot) -> Message:
     """On the ground or in the air."""
-    return make_message("EXTENDED_SYS_STATE", landed_state=now.landed)
+    return make_message("EXTENDED_SYS_STATE", landed_state=snapshot.landed)
 
 
-def battery_status(now: Snapshot) -> Message:
-    """The pack as one cell."""
-    truth = now.truth
-    reading = now.battery or BatteryReading(
+def battery_status(snapshot: Snapshot) -> Message:
+    """The battery pack as one cell."""
+    truth = snapshot.truth
+    reading = snapshot.battery or BatteryReading(
         truth.t_us, truth.battery_v, truth.battery_a, truth.battery_remaining
     )
-    return hil_messages.battery_status(reading, now.consumed_mah)
+    return hil_messages.battery_status(reading, snapshot.consumed_mah)
 
 
-def system_time(now: Snapshot) -> Message:
-    """Time since start; the simulated vehicle knows no calendar."""
-    return make_message("SYSTEM_TIME", time_boot_ms=now.boot_ms)
+def system_time(snapshot: Snapshot) -> Message:
+    """Time since boot; the simulated vehicle has no calendar time."""
+    return make_message("SYSTEM_TIME", time_boot_ms=snapshot.boot_ms)
 
 
-def mission_current(now: Snapshot) -> Message:
-    """Which item is flown."""
-    return make_message("MISSION_CURRENT", seq=now.mission_seq, total=now.mission_count)
+def mission_current(snapshot: Snapshot) -> Message:
+    """The current mission item."""
+    return make_message("MISSION_CURRENT", seq=snapshot.mission_seq, total=snapshot.mission_count)
 
 
-def autopilot_version(now: Snapshot) -> Message:
-    """Capabilities the services really have."""
+def autopilot_version(snapshot: Snapshot) -> Message:
+    """The capabilities that the services implement."""
     return make_message(
         "AUTOPILOT_VERSION",
         capabilities=Capability.MISSION_INT
@@ -252,20 +252,20 @@ def autopilot_version(now: Snapshot) -> Message:
     )
 
 
-def current_mode(now: Snapshot) -> Message:
-    """The mode flown, by its standard and by PX4's number."""
+def current_mode(snapshot: Snapshot) -> Message:
+    """The current mode, as standard mode and as PX4 custom mode."""
     return make_message(
         "CURRENT_MODE",
-        standard_mode=LISTED_MODES[now.mode][1],
-        custom_mode=now.mode,
-        intended_custom_mode=now.mode,
+        standard_mode=LISTED_MODES[snapshot.mode][1],
+        custom_mode=snapshot.mode,
+        intended_custom_mode=snapshot.mode,
     )
 
 
 def protocol_version() -> Message:
-    """MAVLink 1 and 2 are understood, 2 is spoken."""
+    """Both MAVLink 1 and 2 are accepted, 2 is sent."""
     return PROTOCOL_VERSION, {"version": 200, "min_version": 100, "max_version": 200}
 
 
-def _heading_cdeg(now: Snapshot) -> int:
-    return round(math.degrees(now.euler_rad[2]) * 100) % 36000
+def _heading_cdeg(snapshot: Snapshot) -> int:
+    return round(math.degrees(snapshot.euler_rad[2]) * 100) % 36000

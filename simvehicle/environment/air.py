@@ -21,15 +21,15 @@ SEA_LEVEL_PA = 101325.0
 SEA_LEVEL_K = 288.15
 _LAPSE_KPM = 0.0065
 _GAS_CONSTANT = 287.05287  # J/(kg K)
-_EARTH_RADIUS_M = 6356766.0  # radius that turns geometric into geopotential height
+_EARTH_RADIUS_M = 6356766.0  # Earth radius of the geopotential height
 _TROPOPAUSE_M = 11000.0
-_SLOWEST_MPS = 1.0  # the spectra are of frozen turbulence, so a hovering vehicle needs a floor
+_SLOWEST_MPS = 1.0  # floor of the airspeed in the gust filters; chosen for hover
 
 
 @inlined
 def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
     """Pressure [Pa], temperature [K] and density [kg/m^3] at a height above mean sea level."""
-    # The standard atmosphere is one of geopotential height: gravity shrinks on the way up.
+    # The standard atmosphere is defined over geopotential height.
     h = _EARTH_RADIUS_M * alt_msl_m / (_EARTH_RADIUS_M + alt_msl_m)
     exponent = STANDARD_GRAVITY_MPS2 / (_GAS_CONSTANT * _LAPSE_KPM)
     if h < _TROPOPAUSE_M:
@@ -37,7 +37,7 @@ def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
         pressure = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
     else:
         temperature = SEA_LEVEL_K - _LAPSE_KPM * _TROPOPAUSE_M
-        # Above the tropopause the temperature stays, and pressure falls exponentially.
+        # Above the tropopause the temperature is constant and pressure falls exponentially.
         edge = SEA_LEVEL_PA * (temperature / SEA_LEVEL_K) ** exponent
         pressure = edge * math.exp(
             -STANDARD_GRAVITY_MPS2 * (h - _TROPOPAUSE_M) / (_GAS_CONSTANT * temperature)
@@ -54,17 +54,15 @@ def pressure_altitude(pressure_pa: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Gusts:
-    """Dryden turbulence along the body's axes: standard deviations and length scales."""
+    """Dryden turbulence along the body axes: standard deviations and length scales."""
 
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
 
 
-LATERAL_FILTER, VERTICAL_FILTER = (
-    1,
-    3,
-)  # where the second-order filters begin among the states of all
-SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY_WIND = 0, 3, 6, 7, 8  # where they begin in `weather`
+# Start of the second-order filters in `filters`
+LATERAL_FILTER, VERTICAL_FILTER = 1, 3
+SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY_WIND = 0, 3, 6, 7, 8  # start of each item in `weather`
 
 GUST_LEVELS = {
     "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),
@@ -77,17 +75,17 @@ GUST_LEVELS = {
 
 @inlined
 def _step_lateral_filter(x: Array, a: float, sigma: float, dt: float, noise: Array) -> float:
-    """One exact step of the lateral Dryden filter with the states x (2,), in place; the gust.
+    """Step the lateral Dryden filter with the states x (2,) exactly, in place; returns the gust.
 
     H(s) = sigma sqrt(3 a) (s + a / sqrt(3)) / (s + a)^2 for white noise of unit density, a = V / L;
-    `noise` (2,) are standard normal numbers.
+    `noise` (2,) holds standard normal draws.
     """
     e = math.exp(-a * dt)
     ad = a * dt
     q11 = (1.0 - e * e) / (2.0 * a)
     q12 = (1.0 - e * e * (1.0 + 2.0 * ad)) / (4.0 * a * a)
     q22 = (1.0 - e * e * (1.0 + 2.0 * ad + 2.0 * ad * ad)) / (4.0 * a * a * a)
-    # The noise of both states is correlated: this is the Cholesky factor of its covariance.
+    # The Cholesky factor of the covariance, as the noise of both states is correlated.
     l11 = math.sqrt(q11)
     l21 = q12 / l11
     l22 = math.sqrt(max(q22 - l21 * l21, 0.0))
@@ -108,29 +106,29 @@ def step_wind(
     dt: float,
     out: Array,
 ) -> None:
-    """Wind of the next `dt` seconds; moves the gust filters on.
+    """Compute the wind of the next `dt` seconds and step the gust filters.
 
     Parameters
     ----------
     filters : array, shape (5,)
-        States, replaced by those after the step; a standard-normal draw makes a good start of the
-        first, zeros of the rest.
+        States, updated in place; initialise the first with a standard normal draw, the rest with
+        zeros.
     noise : array, shape (5,)
         Standard-normal draws of this step.
     weather : array, shape (11,)
-        Standard deviations (3) [m/s] and lengths (3) [m] of the gusts, reference height [m] and
-        exponent of the shear's power law, and the wind (3) at that height, NED [m/s].
+        Standard deviations (3) [m/s] and length scales (3) [m] of the gusts, reference height [m]
+        and exponent of the wind shear's power law, and the wind (3) at that height, NED [m/s].
     x : array, shape (>= 10,)
-        The vehicle's state; the gusts act along the body's axes.
+        The vehicle's state; the gusts act along the body axes.
     v_air : array, shape (3,)
         Velocity through the frozen turbulence [m/s].
     height : float
         Above ground [m].
     out : array, shape (3,)
-        Becomes the wind, NED [m/s].
+        Set to the wind, NED [m/s].
     """
     airspeed = math.sqrt(v_air[0] * v_air[0] + v_air[1] * v_air[1] + v_air[2] * v_air[2])
-    # The faster one flies through frozen turbulence, the faster it changes.
+    # Frozen turbulence (Taylor): gusts vary in time with the speed through them.
     speed = max(airspeed, _SLOWEST_MPS)
     e = math.exp(-speed / weather[LENGTH] * dt)
     filters[0] = e * filters[0] + math.sqrt(1.0 - e * e) * noise[0]
@@ -149,8 +147,8 @@ def step_wind(
     u = weather[SIGMA] * filters[0]
     north, east, down = to_ned(x[E0], x[E1], x[E2], x[E3], u, v, w)
     reference = weather[REFERENCE]
-    # Below a hundredth of the reference the power law would end at no wind at all.
-    grown = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]
-    out[0] = weather[STEADY_WIND] * grown + north
-    out[1] = weather[STEADY_WIND + 1] * grown + east
-    out[2] = weather[STEADY_WIND + 2] * grown + down
+    # The floor avoids zero wind at the ground.
+    shear = (max(height, 0.01 * reference) / reference) ** weather[EXPONENT]
+    out[0] = weather[STEADY_WIND] * shear + north
+    out[1] = weather[STEADY_WIND + 1] * shear + east
+    out[2] = weather[STEADY_WIND + 2] * shear + down

@@ -1,6 +1,6 @@
-"""From the frame of home to the Earth: geodetic position, local vertical, gravity and air.
+"""From the home NED frame to the Earth: geodetic position, local vertical, gravity and air.
 
-The simulation integrates in the Cartesian NED frame of home. Latitude, longitude, height and the
+The simulation integrates in the Cartesian NED frame at home. Latitude, longitude, height and the
 local vertical follow exactly from it, so position, velocity and attitude agree at any distance.
 The Earth does not rotate in this model (a gyro at rest reads zero; the true rate is 0.004 deg/s).
 """
@@ -21,16 +21,15 @@ from simvehicle.environment.air import standard_air
 from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NORTH, U, V, W
 
 Array = NDArray[np.float64]
-# Where they begin in what `locate_state` fills in, and its length; latitude, longitude and height
-# first.
+# Start of each item in the output of `locate_state`, after the geodetic position; its length
 AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, LOCAL_GRAVITY, LOCATION_SIZE = 3, 6, 9, 13, 16, 19
-_AXES, _GEOID = 3, 12  # in `Home.packed`, behind the position
+_AXES, _GEOID = 3, 12  # in `HomeFrame.packed`, after the position
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
 @dataclass(frozen=True, slots=True)
 class HomeFrame:
-    """Origin of the NED frame: Earth-fixed position (3,) [m] and axes (3, 3)."""
+    """The home NED frame: its origin (3,) [m] and axes (3, 3), both Earth-fixed."""
 
     r_ecef_m: Array
     rot_en: Array
@@ -38,17 +37,17 @@ class HomeFrame:
 
     @property
     def packed(self) -> Array:
-        """Position, axes row by row and geoid (13,), as `locate_state` reads them."""
+        """Position, axes by rows and geoid (13,), as `locate_state` reads them."""
         return np.array([*self.r_ecef_m, *self.rot_en.ravel(), self.geoid_m])
 
     @classmethod
     def at(cls, lat_deg: float, lon_deg: float, alt_msl_m: float, geoid_m: float) -> "HomeFrame":
-        """Home at a point; `geoid_m` is the geoid's height above the ellipsoid."""
+        """The frame at a point; `geoid_m` is the geoid's height above the ellipsoid."""
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         return cls(ecef_from_geodetic(lat, lon, alt_msl_m + geoid_m), rot_en(lat, lon), geoid_m)
 
     def ned(self, lat_deg: float, lon_deg: float, alt_msl_m: float) -> Array:
-        """Position (3,) in the frame of home [m]."""
+        """Position (3,) in the home frame [m]."""
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         r = ecef_from_geodetic(lat, lon, alt_msl_m + self.geoid_m)
         return np.asarray(self.rot_en.T @ (r - self.r_ecef_m))
@@ -56,20 +55,20 @@ class HomeFrame:
 
 @compiled
 def locate_state(x: Array, wind: Array, home: Array, out: Array) -> None:
-    """Everything about a place that the truth needs.
+    """Compute position, velocity, attitude, air and gravity at the vehicle for the truth.
 
     Parameters
     ----------
     x : array, shape (>= 13,)
-        State in the frame of home.
+        State in the home frame.
     wind : array, shape (3,)
         NED [m/s].
     home : array, shape (13,)
-        `Home.packed`.
+        `HomeFrame.packed`.
     out : array, shape (19,)
-        Becomes latitude, longitude [rad], height above the ellipsoid [m], pressure [Pa],
+        Set to latitude, longitude [rad], height above the ellipsoid [m], pressure [Pa],
         temperature [K] and density [kg/m^3]; velocity in local NED (3), attitude to local NED (4),
-        velocity relative to the air in body axes (3), gravity in the frame of home (3).
+        velocity relative to the air in body axes (3), gravity in the home frame (3).
     """
     n, e, d, u, v, w = x[NORTH], x[EAST], x[DOWN], x[U], x[V], x[W]
     e0, e1, e2, e3 = x[E0], x[E1], x[E2], x[E3]
@@ -82,15 +81,15 @@ def locate_state(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[0], out[1], out[2] = lat, lon, height
     out[AIR], out[AIR + 1], out[AIR + 2] = standard_air(height - home[_GEOID])
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
-    # Rows of north, east and down here, against those of home: the vertical tilts on the way.
+    # Local north, east and down as rows; the vertical tilts with the distance from home.
     local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))
-    c = np.empty((3, 3))  # from the frame of home to local NED
+    c = np.empty((3, 3))  # from the home frame to local NED
     for i in range(3):
         for j in range(3):
             c[i, j] = local[i][0] * axes[0, j] + local[i][1] * axes[1, j] + local[i][2] * axes[2, j]
     vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
-    # The turn between the verticals is small, so its quaternion's scalar part is the large one.
+    # The rotation between the verticals is small, so the scalar part of its quaternion is large.
     t0 = 0.5 * math.sqrt(1.0 + c[0, 0] + c[1, 1] + c[2, 2])
     t1 = (c[2, 1] - c[1, 2]) / (4.0 * t0)
     t2 = (c[0, 2] - c[2, 0]) / (4.0 * t0)
@@ -102,7 +101,7 @@ def locate_state(x: Array, wind: Array, home: Array, out: Array) -> None:
     out[AIR_VELOCITY] = u - wx
     out[AIR_VELOCITY + 1] = v - wy
     out[AIR_VELOCITY + 2] = w - wz
-    # Along the local down, given in the axes of home in which the vehicle is integrated.
+    # Along the local down axis, in the home frame.
     pull = _gravity(lat, height)
     for i in range(3):
         out[VELOCITY + i] = c[i, 0] * vn + c[i, 1] * ve + c[i, 2] * vd

@@ -1,4 +1,4 @@
-"""The magnetic field at the scenario's start, or a line that says why there is none."""
+"""The Earth's magnetic field at the scenario's start."""
 
 from datetime import datetime
 
@@ -9,7 +9,7 @@ from mavproxy_fault.numerics.magnetic_field import magnetic_field_gauss
 def field_ned_gauss(
     lat_deg: float, lon_deg: float, height_m: float, time: datetime
 ) -> tuple[float, float, float]:
-    """Field vector at a place and time, north, east, down [gauss].
+    """Magnetic field (north, east, down) at a position and time [gauss].
 
     Raises
     ------
@@ -20,6 +20,6 @@ def field_ned_gauss(
         return magnetic_field_gauss(lat_deg, lon_deg, height_m, time)
     except ValueError:
         raise ConfigError(
-            f"start.time = {time:%Y-%m-%d} has no world magnetic model; 2010 to 2029 is allowed, "
-            "or sensors.mag.field_ned_gauss says the field"
+            f"start.time = {time:%Y-%m-%d} has no world magnetic model; use 2010 to 2029, "
+            "or set sensors.mag.field_ned_gauss"
         ) from None

@@ -1,7 +1,7 @@
-"""Height of the ground: one number, or a grid in Esri's ASCII raster format (.asc).
+"""Height of the ground: constant, or a grid in Esri's ASCII raster format (.asc).
 
 The grid's coordinates are longitude and latitude in degrees, its values metres above mean sea
-level; between the cells' centres the height is bilinear. Format: Esri, "ASCII raster file format".
+level, interpolated bilinearly between cell centres. Format: Esri, "ASCII raster file format".
 """
 
 import math
@@ -26,11 +26,11 @@ class TerrainGrid:
     cell_deg: float
 
     def ground(self, lat_rad: float, lon_rad: float) -> float:
-        """Height above mean sea level [m]; beyond its edge the grid goes on level."""
+        """Height above mean sea level [m]; beyond the grid, the height of its edge."""
         rows, columns = self.height_m.shape
         row = (math.degrees(lat_rad) - self.south_deg) / self.cell_deg
         column = (math.degrees(lon_rad) - self.west_deg) / self.cell_deg
-        # A flight that leaves the grid finds the ground of its edge.
+        # Clamp to the grid.
         row = min(max(row, 0.0), rows - 1.0)
         column = min(max(column, 0.0), columns - 1.0)
         i, j = min(int(row), rows - 2), min(int(column), columns - 2)
@@ -43,7 +43,7 @@ class TerrainGrid:
 
 @dataclass(frozen=True, slots=True)
 class LevelGround:
-    """Ground of one height above mean sea level [m]."""
+    """Level ground at one height above mean sea level [m]."""
 
     alt_m: float
 
@@ -58,7 +58,7 @@ def read_terrain_grid(path: str | Path) -> TerrainGrid:
     Raises
     ------
     ConfigError
-        If the file is no such raster, or has cells without data.
+        If the file is not an ASCII raster, or has cells without data.
     """
     try:
         lines = Path(path).read_text(encoding="ascii").splitlines()
@@ -68,23 +68,23 @@ def read_terrain_grid(path: str | Path) -> TerrainGrid:
             header[key.lower()] = float(value)
         values = np.array([float(v) for line in lines for v in line.split()])
     except (OSError, ValueError, IndexError) as error:
-        raise ConfigError(f"{path}: is no ASCII raster ({error}); an .asc file is needed") from None
+        raise ConfigError(f"{path}: not an ASCII raster ({error}); use an .asc file") from None
     missing = [key for key in _KEYS if key not in header]
     if missing:
-        raise ConfigError(f"{path}: lacks {', '.join(missing)}; a header with all five is needed")
+        raise ConfigError(f"{path}: the header lacks {', '.join(missing)}; add them")
     shape = int(header["nrows"]), int(header["ncols"])
     if values.size != shape[0] * shape[1] or min(shape) < 2:
         raise ConfigError(
             f"{path}: has {values.size} values for {shape[0]} rows of {shape[1]}; "
-            "at least two by two, and as many as the header says"
+            "provide as many as the header says, at least 2 x 2"
         )
     if np.any(values == header.get("nodata_value", -9999.0)) or not np.all(np.isfinite(values)):
-        raise ConfigError(f"{path}: has cells without data; every cell needs a height")
+        raise ConfigError(f"{path}: has cells without data; fill in a height for each")
     cell = header["cellsize"]
     return TerrainGrid(
-        # The format begins in the north; rows here go to the north.
+        # The file starts in the north; rows here run northward.
         np.flipud(values.reshape(shape)).copy(),
-        # The corner of the cell is given; its height is that of the centre.
+        # The header has the corner of a cell; heights are at the centres.
         header["yllcorner"] + 0.5 * cell,
         header["xllcorner"] + 0.5 * cell,
         cell,

@@ -1,5 +1,5 @@
 """Satellites, pseudoranges and a receiver.
 
-The *constellation* says which satellites there are; *signals* are true ranges and rates with their
-errors; *tracking* says which of them the receiver has; the *receiver* solves for position.
+The *constellation* holds the satellites and their ephemerides; *signals* are true ranges and rates
+with errors; *tracking* determines which of them the receiver has; the *receiver* computes a fix.
 """

@@ -1,9 +1,9 @@
-"""Which satellites there are, and which of their ephemerides hold when.
+"""The satellites of a scenario, and which of their ephemerides are valid when.
 
-The shipped file knows the satellites one site saw. For a home elsewhere their orbits are turned
+The shipped file has the satellites in view of one site. For a home elsewhere the orbits are rotated
 about the Earth's axis, and mirrored at the equator for the other hemisphere (ascending node and
-argument of perigee half a turn on), so that much the same sky stands over the home. The satellites
-are then not where the real ones were, but everything that is broadcast fits them.
+argument of perigee plus half a turn), which gives much the same sky view. The satellites are then
+not where the real ones were, but their broadcast ephemerides describe them exactly.
 """
 
 import math
@@ -29,8 +29,8 @@ from simvehicle.gnss.navigation_file import (
 )
 
 SHIPPED_TIME = datetime(2021, 3, 19, 12, 0, 0)
-SHIPPED_LON_RAD = math.radians(139.522)  # of the site, 35.339 degrees north
-ROTATION_STEP_RAD = SEMICIRCLE / 1024  # the node stays a whole number of the message's counts
+SHIPPED_LON_RAD = math.radians(139.522)  # of the site, which is 35.339 degrees north
+ROTATION_STEP_RAD = SEMICIRCLE / 1024  # the node stays an integer in the message
 SYSTEM_LETTERS = {"GPS": "G", "Galileo": "E"}
 
 
@@ -47,19 +47,19 @@ class Constellation:
     def choose_ephemerides(
         self, tow_s: float, present: Iterable[int | None]
     ) -> tuple[int | None, ...]:
-        """Index of the ephemeris of each satellite at `tow_s`: the present one while it holds.
+        """Index of each satellite's ephemeris at `tow_s`: the present one while it is valid.
 
-        A satellite without one that holds has None. `tow_s` counts in `week`.
+        A satellite without a valid ephemeris has None. `tow_s` counts from the start of `week`.
         """
         return tuple(
-            now
-            if now is not None and self._age_s(sets[now], tow_s) <= sets[now].fit_half_s
+            k
+            if k is not None and self._age_s(sets[k], tow_s) <= sets[k].fit_half_s
             else self._nearest(sets, tow_s)
-            for sets, now in zip(self.ephemerides, present, strict=True)
+            for sets, k in zip(self.ephemerides, present, strict=True)
         )
 
     def valid_until_s(self, tow_s: float, chosen: Iterable[int | None]) -> float:
-        """Until when a choice made at `tow_s` is the right one: one ends, or another comes up."""
+        """When a choice made at `tow_s` expires: an ephemeris ends, or another becomes valid."""
         ends = [math.inf]
         for sets, k in zip(self.ephemerides, chosen, strict=True):
             if k is not None:
@@ -71,7 +71,7 @@ class Constellation:
 
     def _nearest(self, sets: tuple[Ephemeris, ...], tow_s: float) -> int | None:
         ages = [self._age_s(e, tow_s) for e in sets]
-        # Of two equally old the later one, as receivers take what was read last.
+        # Of two equally old ones the later, as receivers use the last one read.
         best = min(range(len(sets)), key=lambda k: (ages[k], -k))
         return best if ages[best] <= sets[best].fit_half_s else None
 
@@ -85,12 +85,12 @@ class Constellation:
 def build_constellation(
     config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
 ) -> Constellation:
-    """The constellation of a scenario; `folder` is what a relative file name counts from.
+    """Build the constellation of a scenario; relative file names start from `folder`.
 
     Raises
     ------
     ConfigError
-        If the navigation file is wrong, or none of its satellites is valid at the start.
+        If the navigation file is invalid, or has no valid ephemeris at the start.
     """
     path = SHIPPED if config.navigation is None else (folder or Path()) / config.navigation
     navigation = read_navigation(path)
@@ -116,38 +116,38 @@ def build_constellation(
     ):
         raise ConfigError(
             f"{path}: no satellite of {' and '.join(config.systems)} is valid at "
-            f"GPS week {week}, {start_s:.0f} s; a `time` within 2 h (GPS) or 4 h (Galileo) of its "
-            "ephemerides"
+            f"GPS week {week}, {start_s:.0f} s; set `time` within 2 h (GPS) or 4 h (Galileo) of "
+            "its ephemerides"
         )
     return constellation
 
 
 def _time_of_most_satellites(ephemerides: dict[str, tuple[Ephemeris, ...]]) -> tuple[int, float]:
-    """The time of ephemeris at which most satellites have a valid one; the first of several."""
+    """The first time of ephemeris (week, s) at which the most satellites have a valid one."""
     times = sorted({e.week * WEEK_S + e.toe_s for sets in ephemerides.values() for e in sets})
     if not times:
         return 0, 0.0
 
-    def valid(moment: float) -> int:
+    def count_valid(time_s: float) -> int:
         return sum(
-            any(abs(moment - e.week * WEEK_S - e.toe_s) <= e.fit_half_s for e in sets)
+            any(abs(time_s - e.week * WEEK_S - e.toe_s) <= e.fit_half_s for e in sets)
             for sets in ephemerides.values()
         )
 
-    best = max(times, key=valid)
+    best = max(times, key=count_valid)
     return int(best // WEEK_S), best % WEEK_S
 
 
 def _rotate_over(navigation: NavigationData, lat_rad: float, lon_rad: float) -> NavigationData:
-    """The shipped satellites turned over another home."""
+    """Rotate the shipped satellites over another home."""
     shift_rad = round((lon_rad - SHIPPED_LON_RAD) / ROTATION_STEP_RAD) * ROTATION_STEP_RAD
     mirror = SEMICIRCLE if lat_rad < 0.0 else 0.0
-    # Near the site itself nothing is turned, so that the satellites stand where the real ones did.
+    # Near the site nothing is rotated, so that the satellites are where the real ones were.
     if abs(shift_rad) < math.radians(5.0) and not mirror:
         return navigation
     ephemerides = {
         name: tuple(
-            # Through the message and back: what is broadcast is exactly what is flown.
+            # Encode and decode: the simulated orbit is exactly the broadcast one.
             decode_ephemeris(
                 encode_ephemeris(
                     replace(
@@ -156,8 +156,7 @@ def _rotate_over(navigation: NavigationData, lat_rad: float, lon_rad: float) -> 
                         omega_rad=e.omega_rad + mirror,
                     )
                 ),
-                # The message of GPS carries the week modulo 1024: this is the rollover it counts
-                # from.
+                # The GPS message has the week modulo 1024: this is the last rollover.
                 e.week // 1024 * 1024,
             )
             for e in sets

@@ -1,7 +1,7 @@
-"""The `gnss` section of a scenario: which satellites, which errors, which receiver.
+"""The `gnss` section of a scenario: satellites, errors and receiver.
 
-Every error can be switched off; with all of them off pseudoranges are geometry and the satellites'
-broadcast clocks, nothing else.
+Every error can be switched off; without errors, pseudoranges contain geometry and the satellites'
+broadcast clocks only.
 """
 
 import math
@@ -14,7 +14,7 @@ FASTEST_HZ = 100.0  # epochs per second
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """No number of a section is negative, except where its name ends in `_offset_m`."""
+    """Base of the sections: refuses negative numbers, except keys ending in `_offset_m`."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -26,11 +26,11 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class ClockConfig(_Section, frozen=True, kw_only=True):
     """The receiver's clock: two states driven by white noise.
 
-    `offset_s` and `drift` are the standard deviations of what is drawn at power-on. `h0_s` and
-    `h2_hz` are the Allan coefficients h_0 and h_-2 of its frequency; the defaults are a
-    temperature-compensated crystal's (Brown and Hwang, Introduction to Random Signals and Applied
-    Kalman Filtering, 4th ed., table 9.2). Galileo's signals come out `galileo_offset_m` longer than
-    GPS's (system time and hardware).
+    `offset_s` and `drift` are the standard deviations of the initial values. `h0_s` and `h2_hz` are
+    the Allan coefficients h_0 and h_-2 of its frequency; the defaults are those of a
+    temperature-compensated crystal (Brown and Hwang, Introduction to Random Signals and Applied
+    Kalman Filtering, 4th ed., table 9.2). Galileo pseudoranges are `galileo_offset_m` longer than
+    GPS's (inter-system bias).
     """
 
     offset_s: float = 1e-6
@@ -41,13 +41,13 @@ class ClockConfig(_Section, frozen=True, kw_only=True):
 
 
 class ReceiverConfig(_Section, frozen=True, kw_only=True):
-    """How the receiver finds and loses satellites.
+    """How the receiver acquires and loses satellites.
 
-    A `hot` start knows all ephemerides and tracks everything at power-on. After a `cold` one a
-    satellite is found after a time with mean `search_s` (exponential), and used for positions when
-    its ephemeris has been read, `message_s[0]` to `message_s[1]` later (uniform; GPS repeats its
-    subframes 1 to 3 every 30 s). Below `lock_dbhz` a satellite is lost, and comes back
-    `reacquire_s` after its signal does.
+    After a `hot` start the receiver has all ephemerides and tracks every signal at power-on. After
+    a `cold` start it acquires a satellite after a time with mean `search_s` (exponential) and uses
+    it for the fix once its ephemeris is read, `message_s[0]` to `message_s[1]` later (uniform; GPS
+    repeats its subframes 1 to 3 every 30 s). A signal below `lock_dbhz` is lost, and reacquired
+    `reacquire_s` after it returns.
     """
 
     start: Literal["hot", "cold"] = "hot"
@@ -61,7 +61,7 @@ class ReceiverConfig(_Section, frozen=True, kw_only=True):
         first, last = self.message_s
         if not 0.0 <= first <= last < math.inf:
             raise ValueError(
-                f"message_s = {list(self.message_s)} is no span of time; two numbers of seconds, "
+                f"message_s = {list(self.message_s)} is not a range; give two numbers of seconds, "
                 "0 or more, the first not above the second"
             )
 
@@ -72,20 +72,20 @@ class GnssConfig(_Section, frozen=True, kw_only=True):
     Parameters
     ----------
     navigation : str, optional
-        A RINEX 3 navigation file; without it the shipped constellation, turned over the home.
+        A RINEX 3 navigation file; by default the shipped constellation, rotated over the home.
     time : datetime, optional
-        GPS time at the simulation's start, without a zone; by default the shipped file's
-        2021-03-19T12:00:00, or where most of another file's satellites are valid.
+        GPS time at the simulation's start, without a zone; by default 2021-03-19T12:00:00 with the
+        shipped file, or when most satellites of another file are valid.
     mask_deg : float
         Satellites below this elevation are not tracked.
     cn0_zenith_dbhz, cn0_horizon_dbhz, cn0_sigma_db : float
-        C/N0 goes linearly with the sine of the elevation and wanders (Gauss-Markov, 20 s).
+        C/N0 is linear in the sine of the elevation, plus a Gauss-Markov process (20 s).
     thermal : float
-        Scale of the code and frequency noise that follows from C/N0 (0: none, 1: as modelled).
+        Scale of the code and Doppler noise that follows from C/N0 (0: none, 1: as modelled).
     multipath, multipath_s : float
         Scale and correlation time of multipath, 0.13 m + 0.53 m exp(-elevation/10 deg).
     orbit_m, orbit_s : float
-        Standard deviation and correlation time of what broadcast orbits and clocks are wrong by.
+        Standard deviation and correlation time of the broadcast orbit and clock error.
     """
 
     rate_hz: float = 5.0
@@ -112,9 +112,9 @@ class GnssConfig(_Section, frozen=True, kw_only=True):
         super().__post_init__()
         if not 0.0 < self.rate_hz <= FASTEST_HZ:
             raise ValueError(
-                f"rate_hz = {self.rate_hz} is out of range; above 0, at most {FASTEST_HZ:g}"
+                f"rate_hz = {self.rate_hz} is out of range; use 0 < rate_hz <= {FASTEST_HZ:g}"
             )
         if self.mask_deg > 90.0:
             raise ValueError(f"mask_deg = {self.mask_deg} is above the zenith; 0 to 90 is allowed")
         if not self.systems:
-            raise ValueError("systems is empty; GPS, Galileo or both are needed")
+            raise ValueError("systems is empty; list GPS, Galileo or both")

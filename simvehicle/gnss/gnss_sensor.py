@@ -1,4 +1,4 @@
-"""The GNSS sensor: signals with their errors, a receiver that tracks them, and what it reports."""
+"""The GNSS sensor: signals with errors, the receiver that tracks them, and its readings."""
 
 import math
 import re
@@ -42,20 +42,20 @@ from simvehicle.vehicles.body import Truth
 Vector = NDArray[np.float64]
 
 S_PER_US = 1e-6
-BROADCAST_US = 30_000_000  # every ephemeris goes out again this often
-LOST_ROW = 2  # the row of `Faults.signals`, which are in the order of `SATELLITE`
+BROADCAST_US = 30_000_000  # interval at which an ephemeris is repeated, as in the GPS message
+LOST_ROW = 2  # the row of `SignalFaults.signals`, which are in the order of `SATELLITE`
 PLANT_NAME = re.compile(rf"({'|'.join((*SATELLITE, *SPOOF))})\[([GE]\d\d|all|G|E)\]")
 
 
 def gnss_sensor(
     config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
 ) -> "GnssSensor":
-    """The sensor of a scenario; `folder` is what a relative navigation file counts from.
+    """The GNSS sensor of a scenario; a relative navigation file name starts from `folder`.
 
     Raises
     ------
     ConfigError
-        If the navigation file is wrong, or has no valid satellite at the start.
+        If the navigation file is invalid, or has no valid satellite at the start.
     """
     return GnssSensor(config, build_constellation(config, home_lat_rad, home_lon_rad, folder))
 
@@ -84,7 +84,7 @@ class GnssSensor:
 
     @cached_property
     def _levels(self) -> Vector:
-        """Sizes of the errors as `simulate_signals` wants them."""
+        """Sizes of the errors, in the order of `simulate_signals`."""
         c = self.config
         rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
         sizes = (c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m)
@@ -122,7 +122,7 @@ class GnssSensor:
                 clock.drift * float(rng.standard_normal()),
             ),
             wander=drawn,
-            # Drawn for a hot start, too: either start leaves the stream's later numbers the same.
+            # Drawn for a hot start, too, so that the later draws do not depend on the start.
             search_s=receiver.search_s * rng.standard_exponential(n),
             message_s=rng.uniform(*receiver.message_s, n),
             broadcast=self._broadcast(self.constellation.start_s, [None] * n),
@@ -135,17 +135,17 @@ class GnssSensor:
     def sample(
         self, truth: Truth, state: GnssState, rng: np.random.Generator
     ) -> tuple[list[Reading], GnssState]:
-        """The readings of one epoch: pseudoranges, the solution, and ephemerides that are due.
+        """The readings of one epoch: pseudoranges, the fix, and ephemerides that are due.
 
-        The receiver takes its epoch when its own clock shows `truth.t_us` after the start, so the
-        place it measures at is that of the truth, moved by the clock's offset.
+        The receiver samples when its own clock shows `truth.t_us` after the start, so it measures
+        at the true position displaced by the clock offset.
         """
         t_us = truth.t_us
         step_s = 0.0 if state.t_us is None else (t_us - state.t_us) * S_PER_US
         state = self._advanced(state, t_us, rng)
         count = len(self.constellation.satellites)
-        # For every satellite, tracked or not, and with the receiver off: a fault changes no draw,
-        # so the flight without it has the same noise.
+        # Drawn for every satellite, even with the receiver off: the fault-free reference flight
+        # then has the same noise.
         noise = rng.standard_normal((2, count))
         if state.faults.off:
             off = powered_off_tracking(count, cold=True)
@@ -173,19 +173,19 @@ class GnssSensor:
         )
 
     def with_plant(self, state: GnssState, name: str, value: float | None) -> GnssState:
-        """The state with one of the plant's parameters set, before the receiver; None is healthy.
+        """The state with one plant fault set on the signals; None removes the fault.
 
         `pseudorange_m[G12]` adds to the range, `cn0_drop_db[G12]` weakens the signal,
-        `satellite_lost[G12]` takes it away if not 0, `range_rate_mps[G12]` adds to the Doppler's
-        rate alone; `spoof_north_m[G12]` (and east, down) makes
-        it the signal of another place, code and Doppler alike, `spoof_clock_m[G12]` one of another
-        time. `[all]` stands for every satellite, `[G]` and `[E]` for those of a system.
-        `receiver_off` switches the receiver off if not 0, and its end starts it again, cold.
+        `satellite_lost[G12]` removes it if not 0, `range_rate_mps[G12]` adds to the Doppler only.
+        `spoof_north_m[G12]` (and east, down) makes it the signal received at another position, code
+        and Doppler alike, `spoof_clock_m[G12]` at another time. `[all]` selects every satellite,
+        `[G]` and `[E]` those of a system. `receiver_off` switches the receiver off if not 0;
+        removing it causes a cold start.
 
         Raises
         ------
         ConfigError
-            If there is no such parameter or satellite.
+            If there is no such fault or satellite.
         """
         number = 0.0 if value is None else value
         faults = state.faults
@@ -195,36 +195,34 @@ class GnssSensor:
         names = self.constellation.satellites
         if match is None or (match[2] not in GROUPS and match[2] not in names):
             raise ConfigError(
-                f"plant: {name!r} is unknown; receiver_off, or {', '.join((*SATELLITE, *SPOOF))} "
-                f"with one of [{'], ['.join((*GROUPS, *names))}]"
+                f"plant: {name!r} is unknown; use receiver_off, or "
+                f"{', '.join((*SATELLITE, *SPOOF))} with one of [{'], ['.join((*GROUPS, *names))}]"
             )
-        at = np.array([match[2] in ("all", satellite[0], satellite) for satellite in names])
+        mask = np.array([match[2] in ("all", satellite[0], satellite) for satellite in names])
         rows, field = (SATELLITE, "signals") if match[1] in SATELLITE else (SPOOF, "spoof")
         changed = getattr(faults, field).copy()
-        changed[rows.index(match[1]), at] = number
+        changed[rows.index(match[1]), mask] = number
         return replace(state, faults=replace(faults, **{field: changed}))
 
     def _signals(
         self, truth: Truth, tow_s: float, state: GnssState, noise: Vector, step_s: float
     ) -> Vector:
-        """What the antenna receives when the receiver's clock shows `tow_s`; rows of
-        `simulate_signals`.
+        """The signals at the antenna when the receiver's clock shows `tow_s`, as rows (4, n).
 
-        A spoofed signal is that of the place and time which the spoofer pretends.
+        A spoofed signal is replaced by that of the spoofed position and time.
         """
         here = np.array([truth.lat_rad, truth.lon_rad, truth.height_m, *truth.v_ned_mps.tolist()])
         out = self._received(here, tow_s, state, noise)
         if state.faults.spoof.any():
             for spoof in spoofed_places(state.faults.spoof, state.last_spoof, step_s):
-                # With the same clock and noise: the receiver is where it is, only the geometry is
-                # another.
-                made_up = self._received(spoof.spoofed_position(here), tow_s, state, noise)
-                out[CODE, spoof.satellites] = made_up[CODE, spoof.satellites] + spoof.delay_m
-                out[RATE, spoof.satellites] = made_up[RATE, spoof.satellites] + spoof.delay_mps
+                # The same clock and noise, as the receiver is the same: only the geometry changes.
+                spoofed = self._received(spoof.spoofed_position(here), tow_s, state, noise)
+                out[CODE, spoof.satellites] = spoofed[CODE, spoof.satellites] + spoof.delay_m
+                out[RATE, spoof.satellites] = spoofed[RATE, spoof.satellites] + spoof.delay_mps
         return out
 
     def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
-        """The signals at a place: latitude, longitude, height and velocity NED (6,)."""
+        """The signals at a position: latitude, longitude, height and velocity NED (6,)."""
         return simulate_signals(
             state.broadcast.orbits.table,
             tow_s,
@@ -237,24 +235,24 @@ class GnssSensor:
         )
 
     def _broadcast(self, tow_s: float, present: Sequence[int | None]) -> Broadcast:
-        """The ephemerides in use; a satellite without one stands where its first would have it."""
+        """The ephemerides in use; a satellite without a valid one is placed by its first."""
         constellation = self.constellation
         chosen = constellation.choose_ephemerides(tow_s, present)
         sets = zip(constellation.ephemerides, chosen, strict=True)
         return Broadcast(
             chosen,
             np.array([k is not None for k in chosen]),
-            tabulate_orbits([every[k or 0] for every, k in sets], constellation.week),
+            tabulate_orbits([options[k or 0] for options, k in sets], constellation.week),
             constellation.valid_until_s(tow_s, chosen),
         )
 
     def _advanced(self, state: GnssState, t_us: int, rng: np.random.Generator) -> GnssState:
-        """Clock, processes and the choice of ephemerides at `t_us`."""
+        """The state with clock, error processes and choice of ephemerides at `t_us`."""
         config = self.config
         n = len(self.constellation.satellites)
         draws = rng.standard_normal(3 * n + 2)
         tow_s = self.constellation.start_s + t_us * S_PER_US
-        # The choice goes through all ephemerides, so it is made only when it may change.
+        # Choosing searches all ephemerides, so it is done only when the result may change.
         if tow_s > state.broadcast.until_s:
             old = state.broadcast
             new = self._broadcast(tow_s, old.chosen)
@@ -274,7 +272,7 @@ class GnssSensor:
     def _tracking(
         self, elevation_rad: Vector, cn0_dbhz: Vector, state: GnssState, t_us: int
     ) -> Tracking:
-        """The receiver's search among signals above the mask and the threshold."""
+        """The receiver's tracking of the signals above the elevation mask and C/N0 threshold."""
         receiver = self.config.receiver
         signal = (
             (elevation_rad >= math.radians(self.config.mask_deg))
@@ -287,7 +285,7 @@ class GnssSensor:
         )
 
     def _due(self, usable: NDArray[np.intp], sent_us: Stamps, t_us: int) -> list[int]:
-        """Satellites whose ephemeris is news, or else the one that has waited longest, if due."""
+        """Satellites whose ephemeris is new, or else the one sent longest ago, if due."""
         new = [int(k) for k in usable if sent_us[k] == LONG_AGO_US]
         if new or not len(usable):
             return new
@@ -309,7 +307,7 @@ class GnssSensor:
         rate: Vector,
         cn0: Vector,
     ) -> PseudorangeReading:
-        # Inside, seconds count on beyond the week's end; those of a receiver begin anew.
+        # Internally seconds continue beyond the week's end; a receiver's roll over.
         weeks, tow_s = divmod(tow_s, WEEK_S)
         return PseudorangeReading(
             t_us,
@@ -322,7 +320,7 @@ class GnssSensor:
         )
 
     def _position(self, truth: Truth, fix: ReceiverFix) -> GpsReading:
-        """The solution as a receiver reports it; mean sea level is taken as known."""
+        """The fix as a receiver reports it; the geoid undulation is assumed known."""
         known = bool(fix.r_ecef_m.any())
         undulation_m = truth.height_m - truth.alt_msl_m
         north, east, down = fix.sigma_ned_m

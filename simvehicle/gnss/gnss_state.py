@@ -1,4 +1,4 @@
-"""What moves in the GNSS sensor from one epoch to the next."""
+"""The state that the GNSS sensor carries from one epoch to the next."""
 
 import msgspec
 import numpy as np
@@ -13,12 +13,11 @@ Vector = NDArray[np.float64]
 
 
 class SignalFaults(msgspec.Struct, frozen=True):
-    """What a scenario does to the signals before the receiver.
+    """Plant faults of the signals and of the receiver.
 
-    The rows of `signals` (4, n) are metres added to the range, decibels taken from the signal,
-    whether it is lost (not 0), and m/s added to its rate; those of `spoof` (4, n) metres north,
-    east and down that its signal is made up for, and of delay. `off` is not 0 where the receiver
-    is.
+    The rows of `signals` (4, n) are metres added to the range, decibels taken off C/N0, signal loss
+    (not 0), and m/s added to the range rate. The rows of `spoof` (4, n) are the spoofed position's
+    offset north, east and down and the spoofed delay [m]. `off` is not 0 while the receiver is off.
     """
 
     signals: Vector
@@ -27,9 +26,9 @@ class SignalFaults(msgspec.Struct, frozen=True):
 
 
 class Broadcast(msgspec.Struct, frozen=True):
-    """Which ephemerides are in use: their indices, which satellites have one, and their orbits.
+    """The ephemerides in use: their indices, which satellites have one, and their orbits.
 
-    It is the right choice up to and including `until_s` (seconds of the constellation's week).
+    The choice is valid up to and including `until_s` (seconds of the constellation's week).
     """
 
     chosen: tuple[int | None, ...]
@@ -39,12 +38,11 @@ class Broadcast(msgspec.Struct, frozen=True):
 
 
 class GnssState(msgspec.Struct, frozen=True):
-    """State of `GnssSensor`; arrays (n,) run along its constellation's satellites.
+    """State of `GnssSensor`; arrays (n,) have one entry per satellite of its constellation.
 
-    The rows of `wander` (3, n) are the unit-variance processes of multipath, orbit and C/N0.
-    `search_s`, `message_s` are what a cold
-    start takes for each satellite. `sent_us` is when the ephemerides last went out, `last_spoof`
-    (4, n) the `spoof` of the last epoch.
+    The rows of `wander` (3, n) are the unit-variance Gauss-Markov processes of multipath, orbit and
+    C/N0. `search_s`, `message_s` are the acquisition and ephemeris times of a cold start. `sent_us`
+    is when each ephemeris was last sent, `last_spoof` (4, n) the `spoof` of the last epoch.
     """
 
     t_us: int | None

@@ -1,7 +1,7 @@
-"""RINEX 3 navigation files: GPS LNAV and Galileo I/NAV ephemerides and Klobuchar's coefficients.
+"""RINEX 3 navigation files: GPS LNAV and Galileo I/NAV ephemerides and Klobuchar coefficients.
 
-Records of other systems are passed over, and so is Galileo's F/NAV, whose clock is for E1/E5a. The
-layout of the columns is that of RINEX 3.05, tables A5 (header), A6 (GPS) and A8 (Galileo).
+Records of other systems are skipped, and so is Galileo's F/NAV, whose clock is for E1/E5a. The
+columns are those of RINEX 3.05, tables A5 (header), A6 (GPS) and A8 (Galileo).
 """
 
 import math
@@ -39,9 +39,9 @@ URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24, 48, 96, 192, 384, 768, 1536, 307
 
 @dataclass(frozen=True, slots=True)
 class NavigationData:
-    """What a navigation file says; each satellite's ephemerides are in order of `toe`.
+    """Content of a navigation file; each satellite's ephemerides are in order of `toe`.
 
-    `alpha`, `beta` are Klobuchar's coefficients in s, s/semicircle, ... (four each), all zero if
+    `alpha`, `beta` are the Klobuchar coefficients in s, s/semicircle, ... (four each), all zero if
     the file has none.
     """
 
@@ -50,48 +50,48 @@ class NavigationData:
     beta: tuple[float, ...]
 
 
-def gps_time(moment: datetime) -> tuple[int, float]:
-    """GPS week and seconds of week of a moment in GPS time."""
-    seconds = (moment - GPS_EPOCH) / timedelta(seconds=1)
+def gps_time(time: datetime) -> tuple[int, float]:
+    """GPS week and seconds of week of a time in the GPS scale."""
+    seconds = (time - GPS_EPOCH) / timedelta(seconds=1)
     week = int(seconds // WEEK_S)
     return week, seconds - week * WEEK_S
 
 
 def read_navigation(path: Path) -> NavigationData:
-    """The navigation file at `path`.
+    """Read the navigation file at `path`.
 
-    Ephemerides come with the resolution of their RTCM messages, so that what is broadcast and what
-    the simulator uses are the same numbers.
+    Ephemerides are rounded to the resolution of their RTCM messages, so that the simulator uses
+    exactly the broadcast values.
 
     Raises
     ------
     ConfigError
-        If it is not a RINEX 3 navigation file, a record is broken, or it has no ephemeris of a
+        If it is not a RINEX 3 navigation file, a record is invalid, or it has no ephemeris of a
         healthy GPS or Galileo satellite.
     """
     try:
         lines = path.read_text(encoding="ascii").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); a RINEX 3 navigation file") from error
+        raise ConfigError(f"{path}: cannot be read ({error}); give a RINEX 3 file") from error
     return parse_navigation(lines, str(path))
 
 
 def parse_navigation(lines: list[str], where: str) -> NavigationData:
-    """The navigation file with these lines; `where` names it in errors (see `read_navigation`)."""
+    """Parse the lines of a navigation file; `where` names it in errors (see `read_navigation`)."""
     end, alpha, beta = _header(lines, where)
-    found: dict[str, dict[float, Ephemeris]] = {}
+    by_time: dict[str, dict[float, Ephemeris]] = {}
     for number, record in _records(lines, end, where):
         ephemeris = _ephemeris(record, number, where)
         if ephemeris is not None and ephemeris.health == 0:
-            when = ephemeris.week * WEEK_S + ephemeris.toe_s
-            # Of two with the same time of ephemeris the later one in the file stays.
-            found.setdefault(ephemeris.satellite, {})[when] = ephemeris
-    if not found:
+            time_s = ephemeris.week * WEEK_S + ephemeris.toe_s
+            # Of two with the same time of ephemeris, the later one in the file is kept.
+            by_time.setdefault(ephemeris.satellite, {})[time_s] = ephemeris
+    if not by_time:
         raise ConfigError(
-            f"{where}: holds no ephemeris of a healthy GPS or Galileo (I/NAV) satellite; "
-            "at least one, better those of all in view"
+            f"{where}: has no ephemeris of a healthy GPS or Galileo (I/NAV) satellite; "
+            "at least one is needed, better one for each satellite in view"
         )
-    ephemerides = {name: tuple(e for _, e in sorted(found[name].items())) for name in sorted(found)}
+    ephemerides = {n: tuple(e for _, e in sorted(by_time[n].items())) for n in sorted(by_time)}
     return NavigationData(ephemerides, alpha, beta)
 
 
@@ -99,9 +99,11 @@ def _header(lines: list[str], where: str) -> tuple[int, tuple[float, ...], tuple
     """Index of the first line after the header, alpha and beta."""
     first = lines[0] if lines else ""
     if first[60:80].strip() != "RINEX VERSION / TYPE" or first[20:21] != "N":
-        raise ConfigError(f"{where}:1: is not a RINEX navigation file; RINEX 3, type N")
+        raise ConfigError(f"{where}:1: is not a RINEX navigation file; RINEX 3, type N, is needed")
     if first[:9].strip()[:2] != "3.":
-        raise ConfigError(f"{where}:1: RINEX version {first[:9].strip()} is not read; 3.00 to 3.05")
+        raise ConfigError(
+            f"{where}:1: RINEX {first[:9].strip()} is not supported; use 3.00 to 3.05"
+        )
     coefficients: dict[str, tuple[float, ...]] = {label: (0.0,) * 4 for label in ("GPSA", "GPSB")}
     for i, line in enumerate(lines):
         label = line[60:80].strip()
@@ -111,7 +113,7 @@ def _header(lines: list[str], where: str) -> tuple[int, tuple[float, ...], tuple
             coefficients[line[:4]] = tuple(
                 _number(line[5 + 12 * k : 17 + 12 * k], i + 1, where) for k in range(4)
             )
-    raise ConfigError(f"{where}:{len(lines)}: the header does not end; END OF HEADER")
+    raise ConfigError(f"{where}:{len(lines)}: the header has no end; END OF HEADER is needed")
 
 
 def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, list[str]]]:
@@ -125,7 +127,7 @@ def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, li
         if not system.isalpha():
             raise ConfigError(
                 f"{where}:{at + 1}: {lines[at][:23]!r} does not start a record; "
-                "a satellite like G12 and its time"
+                "a satellite such as G12 and a time are needed"
             )
         count = RECORD_LINES.get(system, 8)
         record = lines[at : at + count]
@@ -133,7 +135,7 @@ def _records(lines: list[str], start: int, where: str) -> Iterator[tuple[int, li
         if cut < count:
             raise ConfigError(
                 f"{where}:{at + 1 + cut}: the record of {record[0][:3]} ends after {cut} lines; "
-                f"{count} lines"
+                f"{count} lines are needed"
             )
         if system in "GE":
             yield at + 1, record
@@ -177,7 +179,7 @@ def _ephemeris(record: list[str], line: int, where: str) -> Ephemeris | None:
     except ValueError as error:
         raise ConfigError(
             f"{where}:{line}: the record of {name} cannot be broadcast ({error}); "
-            "values in the range of the navigation message"
+            "all values must fit the navigation message"
         ) from error
 
 
@@ -187,28 +189,30 @@ def _clock_time(text: str, line: int, where: str) -> float:
         return gps_time(datetime(*(int(part) for part in text.split())))[1]  # type: ignore[arg-type]
     except (ValueError, TypeError) as error:
         raise ConfigError(
-            f"{where}:{line}: {text.strip()!r} is no time; year month day hour minute second"
+            f"{where}:{line}: {text.strip()!r} is not a time; use year month day hour minute second"
         ) from error
 
 
 def _number(text: str, line: int, where: str) -> float:
-    """A number in FORTRAN's notation; blank is zero."""
+    """A number in FORTRAN notation; blank is zero."""
     try:
         value = float(text.replace("D", "E").replace("d", "e")) if text.strip() else 0.0
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{where}:{line}: {text.strip()!r} is no number; like -.123456789012D-03")
+        raise ConfigError(
+            f"{where}:{line}: {text.strip()!r} is not a number like -.123456789012D-03"
+        )
     return value
 
 
 def ura_index(accuracy_m: float) -> int:
-    """GPS's index of a user range accuracy in metres; 15 where none is predicted."""
+    """The GPS index of a user range accuracy in metres; 15 if none is predicted."""
     return next((i for i, limit in enumerate(URA_M) if accuracy_m <= limit), 15)
 
 
 def sisa_index(accuracy_m: float) -> int:
-    """Galileo's index of a signal-in-space accuracy (OS SIS ICD table 91); 255 where none is."""
+    """The Galileo index of a signal-in-space accuracy (OS SIS ICD table 91); 255 if none."""
     for start, first, step in ((0.0, 0, 0.01), (0.5, 50, 0.02), (1.0, 75, 0.04), (2.0, 100, 0.16)):
         index = first + round((accuracy_m - start) / step)
         if accuracy_m >= start and index < {0: 50, 50: 75, 75: 100, 100: 126}[first]:
@@ -217,7 +221,7 @@ def sisa_index(accuracy_m: float) -> int:
 
 
 def _galileo_health(bits: int) -> int:
-    """RINEX's health word (bits 6 to 8 are E5b's, 0 to 2 E1B's) as 1046 has it."""
+    """The RINEX health word (bits 6 to 8: E5b, 0 to 2: E1B) in the encoding of RTCM 1046."""
 
     def status_and_validity(word: int) -> int:
         return (word >> 1 & 3) << 1 | word & 1

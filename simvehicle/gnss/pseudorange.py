@@ -1,8 +1,8 @@
 """Pseudoranges and range rates without noise: geometry, clocks and the atmosphere.
 
-P = rho + c (dt_r - dt_s) + I + T. The range rho is c times the time of flight: the satellite stands
-where it was at transmission, seen from the Earth-fixed frame at reception, which turned meanwhile
-(Sagnac effect) [1]_.
+P = rho + c (dt_r - dt_s) + I + T. The range rho is c times the signal's time of flight: from the
+satellite's position at transmission, expressed in the Earth-fixed frame at reception, which has
+rotated meanwhile (Sagnac effect) [1]_.
 
 References
 ----------
@@ -26,23 +26,23 @@ from simvehicle.gnss.signal_delays import ionosphere_m, troposphere_m
 
 Vector = NDArray[np.float64]
 
-FLIGHT_TIME_S = 0.075  # typical; where the iteration starts
+FLIGHT_TIME_S = 0.075  # typical; initial value of the iteration
 NO_COEFFICIENTS = np.zeros(0)
 # Rows of `signal_geometry_rows`, in the order of `SignalGeometry`; the direction has three.
 (RANGE, RANGE_RATE, SAT_CLOCK, SAT_CLOCK_RATE, SAT_ELEVATION, SAT_AZIMUTH, DELAY, LINE_OF_SIGHT) = (
     range(8)
 )
 GEOMETRY_ROWS = LINE_OF_SIGHT + 3
-LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmosphere's models end about here
+LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmospheric models are not valid below
 
 
 @dataclass(frozen=True, slots=True)
 class SignalGeometry:
-    """n satellites as one receiver sees them; all arrays are (n,) but `line_of_sight` (n, 3).
+    """Geometry of n signals at one receiver; arrays are (n,) except `line_of_sight` (n, 3).
 
-    `range_m`, `rate_mps` are geometry alone; `line_of_sight` are unit vectors from the receiver to
-    the satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are those of the satellites;
-    `delay_m` is that of the atmosphere.
+    `range_m`, `rate_mps` are geometric; `line_of_sight` are unit vectors from the receiver to the
+    satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are the satellites' clock errors;
+    `delay_m` is the atmospheric delay.
     """
 
     range_m: Vector
@@ -57,24 +57,24 @@ class SignalGeometry:
 
 @dataclass(frozen=True, slots=True)
 class Atmosphere:
-    """What delays the signals: Klobuchar's coefficients (8,), or None, and the troposphere."""
+    """Atmospheric delays: Klobuchar coefficients (8,) or None, and whether the troposphere acts."""
 
     klobuchar: Vector | None
     troposphere: bool
 
     @property
     def coefficients(self) -> Vector:
-        """Klobuchar's, or an empty array without an ionosphere."""
+        """The Klobuchar coefficients, or an empty array without an ionosphere."""
         return NO_COEFFICIENTS if self.klobuchar is None else self.klobuchar
 
 
 def signal_geometry(
     orbits: Orbits, tow_s: float, r_ecef_m: Vector, v_ecef_mps: Vector, atmosphere: Atmosphere
 ) -> SignalGeometry:
-    """The satellites seen at GPS time `tow_s` from `r_ecef_m` (3,), moving with `v_ecef_mps` (3,).
+    """The signals received at GPS time `tow_s` at `r_ecef_m` (3,) with velocity `v_ecef_mps` (3,).
 
-    Satellites below the horizon are computed all the same; the atmosphere's delay of those below
-    3 degrees is that at 3 degrees.
+    Satellites below the horizon are included; below 3 degrees of elevation the atmospheric delay
+    is that at 3 degrees.
     """
     out = signal_geometry_rows(
         orbits.table,
@@ -99,11 +99,10 @@ def signal_geometry_rows(
     coefficients: Vector,
     troposphere: bool,
 ) -> Vector:
-    """`SignalGeometry` as rows (10, n); no coefficients, no ionosphere; the place is
-    `r_ecef_m[:3]`.
+    """`SignalGeometry` as rows (10, n); empty `coefficients` mean no ionosphere.
 
-    The time of flight comes from two evaluations of the orbit, each refined along the velocity;
-    what is left is below a micrometre.
+    The position is `r_ecef_m[:3]`. The time of flight comes from two evaluations of the orbit, each
+    refined along the velocity; the remaining error is below a micrometre.
     """
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
     lat, lon, height = geodetic_of(rx, ry, rz)
@@ -111,34 +110,31 @@ def signal_geometry_rows(
     out = np.empty((GEOMETRY_ROWS, len(table)))
     for k in range(len(table)):
         flight = FLIGHT_TIME_S
-        # The orbit moves 3 km/s: where it was when the signal left asks for the time of flight
-        # first.
+        # The position at transmission depends on the time of flight: iterate.
         for _ in range(2):
             start = flight
             px, py, pz, vx, vy, vz, clock, clock_rate = satellite_state(table[k], tow_s - start)
             for _ in range(3):
                 s, c = sin(GNSS_EARTH_RATE_RPS * flight), cos(GNSS_EARTH_RATE_RPS * flight)
-                # Along the velocity from where the orbit was evaluated: cheaper than the orbit
-                # again.
+                # Extrapolate along the velocity, which is cheaper than evaluating the orbit again.
                 earlier = start - flight
                 mx, my, mz = px + vx * earlier, py + vy * earlier, pz + vz * earlier
-                # Into the axes of reception, which the Earth has turned on meanwhile.
+                # Rotate into the Earth-fixed axes at reception.
                 x, y = c * mx + s * my, c * my - s * mx
                 dx, dy, dz = x - rx, y - ry, mz - rz
                 distance = sqrt(dx * dx + dy * dy + dz * dz)
                 flight = distance / SPEED_OF_LIGHT_MPS
         ex, ey, ez = dx / distance, dy / distance, dz / distance
-        # the frame turns on, and transmission moves by the range's own change
         wx, wy = c * vx + s * vy, c * vy - s * vx
-        # Positive where the range grows.
-        closing = ex * (wx - v_ecef_mps[0]) + ey * (wy - v_ecef_mps[1]) + ez * (vz - v_ecef_mps[2])
+        # Positive when the range grows; transmission time changes with the range, too.
+        opening = ex * (wx - v_ecef_mps[0]) + ey * (wy - v_ecef_mps[1]) + ez * (vz - v_ecef_mps[2])
         drag = ex * (wx - GNSS_EARTH_RATE_RPS * y) + ey * (wy + GNSS_EARTH_RATE_RPS * x) + ez * vz
         outward = c_lon * ex + s_lon * ey
         north = c_lat * ez - s_lat * outward
         east = c_lon * ey - s_lon * ex
         elevation = asin(min(max(c_lat * outward + s_lat * ez, -1.0), 1.0))
         azimuth = atan2(east, north)
-        # Below, both models grow without bound.
+        # Below this elevation both models diverge.
         above = max(elevation, LOWEST_ELEVATION_RAD)
         delay = 0.0
         if len(coefficients):
@@ -146,7 +142,7 @@ def signal_geometry_rows(
         if troposphere:
             delay += troposphere_m(lat, height, above)
         out[RANGE, k] = distance
-        out[RANGE_RATE, k] = closing / (1.0 + drag / SPEED_OF_LIGHT_MPS)
+        out[RANGE_RATE, k] = opening / (1.0 + drag / SPEED_OF_LIGHT_MPS)
         out[SAT_CLOCK, k] = clock + clock_rate * (start - flight)
         out[SAT_CLOCK_RATE, k] = clock_rate
         out[SAT_ELEVATION, k], out[SAT_AZIMUTH, k], out[DELAY, k] = elevation, azimuth, delay

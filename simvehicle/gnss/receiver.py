@@ -1,8 +1,8 @@
-"""The receiver's own navigation solution: weighted least squares on pseudoranges and Doppler.
+"""The receiver's navigation solution: weighted least squares on pseudoranges and Doppler.
 
-It knows what is broadcast (orbits, clocks, Klobuchar's coefficients) and the troposphere's model,
+It uses the broadcast data (orbits, clocks, Klobuchar coefficients) and the troposphere model, and
 solves for position and one clock offset per satellite system, then for velocity and clock drift. It
-tests nothing: a faulty satellite moves the solution, as in a receiver without integrity monitoring.
+has no integrity monitoring: a faulty satellite shifts the solution.
 """
 
 import math
@@ -18,20 +18,20 @@ from simvehicle.gnss.satellite_orbits import Orbits, satellite_states
 Vector = NDArray[np.float64]
 
 EARTH_RADIUS_M = 6.37e6
-EPH_MAX_M = 100.0  # worse is no fix
-EPH_MAX_2D_M = 1000.0  # a two-dimensional fix stands and falls with the height it holds
-LAST_HEIGHT_SIGMA_M, SEA_HEIGHT_SIGMA_M = 50.0, 500.0
-NO_KNOWN_HEIGHT = (math.nan, 1.0)  # no height is held
+EPH_MAX_M = 100.0  # horizontal sigma above which there is no 3D fix; chosen
+EPH_MAX_2D_M = 1000.0  # the same for a 2D fix, whose error follows that of the assumed height
+LAST_HEIGHT_SIGMA_M, SEA_HEIGHT_SIGMA_M = 50.0, 500.0  # chosen: height change in a 2D fix; terrain
+NO_KNOWN_HEIGHT = (math.nan, 1.0)  # height is estimated
 REASONS = {kernel.SINGULAR: "satellites in one plane", kernel.DIVERGED: "no convergence"}
 
 
 class ReceiverFix(msgspec.Struct, frozen=True):
-    """A solution; `clock_m` (m,) are the offsets by system, the first GPS's if there is one.
+    """A navigation solution; `clock_m` (m,) has one offset per system, GPS first.
 
-    `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 2 two-dimensional (one satellite too few, so
-    the height is held at the last one, or at the ellipsoid's), 3 three-dimensional. Without a fix
-    the place is the last one (all zero if there was none), nothing moves, and `reason` says why.
-    `sigma_ned_m` (3,) is what the receiver believes.
+    `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 2 two-dimensional (one satellite too few:
+    the height is fixed to the last one, or to the ellipsoid), 3 three-dimensional. Without a fix
+    the position is the last one (all zero if there was none), the velocity is zero, and `reason`
+    says why. `sigma_ned_m` (3,) is the receiver's own estimate.
     """
 
     fix_type: int
@@ -61,22 +61,22 @@ def solve_receiver_fix(
     Parameters
     ----------
     orbits : Orbits
-        Of the n satellites observed.
+        Of the n observed satellites.
     tow_s : float
-        Time of reception by the receiver's clock, in seconds of the week of `orbits`.
+        Time of reception on the receiver's clock, in seconds of the week of `orbits`.
     pseudorange_m, doppler_mps : (n,) arrays
         Observations; the range rate is positive when the range grows.
     atmosphere, last
-        What to correct for; where to start from, if anywhere.
+        The delays to correct, and the last fix to start from.
     """
     letters = [name[0] for name in orbits.satellites]
     systems = sorted(set(letters), reverse=True)  # GPS before Galileo
     count = len(letters)
-    # Three coordinates and a clock for each system are solved for.
+    # The unknowns are three coordinates and a clock per system.
     lacking = 3 + max(len(systems), 1) - count
     if lacking > 1:
         return _no_fix(count, f"{count} satellites of {len(systems)} systems", last)
-    # Clocks of other systems than last time: the last solution is no start.
+    # The last solution is a start only if its clocks are those of the same systems.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
     start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
     system = np.array([systems.index(letter) for letter in letters])
@@ -110,21 +110,21 @@ def solve_receiver_fix(
 
 
 def _known_height(last: ReceiverFix | None) -> tuple[float, float]:
-    """Height to hold [m] and how wrong it may be: the last one, or the ellipsoid's."""
+    """Assumed height [m] and its sigma: the last one, or the ellipsoid."""
     if last is not None and last.r_ecef_m.any():
         return last.height_m, LAST_HEIGHT_SIGMA_M
     return 0.0, SEA_HEIGHT_SIGMA_M
 
 
 def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
-    """A place on the Earth's surface amid the satellites, to start from."""
-    # The mean of what is seen points to the zenith, roughly: the iteration finds the rest.
+    """Initial position (3,) on the Earth's surface, below the mean of the satellites."""
+    # The mean of the satellites in view is roughly in the zenith.
     middle = satellite_states(orbits, np.full(len(orbits.table), tow_s))[0].mean(axis=0)
     return np.asarray(EARTH_RADIUS_M * middle / np.linalg.norm(middle))
 
 
 def _no_fix(count: int, reason: str, last: ReceiverFix | None) -> ReceiverFix:
-    """No fix; the place stays the last one."""
+    """A result without a fix; it keeps the last position."""
     still, unknown = np.zeros(3), np.full(3, np.inf)
     if last is None:
         place, lat, lon, height = still, 0.0, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""The arithmetic of the receiver's least squares, compiled."""
+"""The receiver's least squares, as compiled functions."""
 
 from math import cos, sin, sqrt
 from typing import NamedTuple
@@ -23,14 +23,14 @@ from simvehicle.gnss.pseudorange import (
 Vector = NDArray[np.float64]
 
 ITERATIONS_MAX = 12
-CONVERGED_M = 1e-4
-SMALL_STEP_M = 10.0  # the geometry hardly changes over such a step
-ZENITH_SIGMA_M = 0.5  # what a pseudorange from the zenith is taken to be wrong by
-SINE_MIN = 0.05
-PIVOT_MIN = 1e-12
+CONVERGED_M = 1e-4  # chosen: far below any measurement error
+SMALL_STEP_M = 10.0  # the linearisation is valid over such a step
+ZENITH_SIGMA_M = 0.5  # assumed pseudorange error at the zenith
+SINE_MIN = 0.05  # of 3 degrees, the lowest elevation of the atmospheric models
+PIVOT_MIN = 1e-12  # of the largest element; below it the matrix counts as singular
 
-# rows of the answer
-FIRST_CLOCK = 3  # in what is solved for: behind the position
+# Layout of the solution
+FIRST_CLOCK = 3  # index among the unknowns, after the position
 STATUS, POSITION, CLOCK, VELOCITY, DRIFT, SIGMA, GEODETIC, VELOCITY_NED = 0, 1, 4, 6, 9, 10, 13, 16
 SOLUTION_SIZE = 19
 SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
@@ -38,9 +38,9 @@ SOLVED, SINGULAR, DIVERGED = 0.0, 1.0, 2.0
 
 @compiled
 def invert_matrix(matrix: Vector) -> Vector:
-    """The inverse of a small positive definite matrix (m, m), Gauss and Jordan; empty if singular.
+    """Invert a small positive definite matrix (m, m) by Gauss-Jordan; empty if singular.
 
-    Loops and not slices, here and below: they compile in a fraction of the time.
+    Loops instead of slices, here and below, compile in a fraction of the time.
     """
     m = len(matrix)
     work, out = np.empty((m, m)), np.zeros((m, m))
@@ -52,7 +52,7 @@ def invert_matrix(matrix: Vector) -> Vector:
             floor = max(floor, PIVOT_MIN * abs(matrix[j, i]))
     for k in range(m):
         pivot = work[k, k]
-        # Written so that NaN counts as singular, too.
+        # Negated, so that NaN counts as singular, too.
         if not pivot > floor:
             return np.empty((0, 0))
         for i in range(m):
@@ -71,7 +71,7 @@ def invert_matrix(matrix: Vector) -> Vector:
 def least_squares(
     design: Vector, residual: Vector, weights: Vector, m: int
 ) -> tuple[Vector, Vector]:
-    """The weighted solution (m,) for the first m columns of `design` and its covariance (m, m).
+    """Weighted solution (m,) for the first m columns of `design`, and its covariance (m, m).
 
     Both are empty without full rank.
     """
@@ -92,10 +92,10 @@ def least_squares(
 
 
 class ReceiverObservations(NamedTuple):
-    """What a receiver has of n satellites in one epoch.
+    """A receiver's observations of n satellites in one epoch.
 
-    `table` (n, 20) are the orbits, `system` (n,) the index of each one's clock, `code_m` (n,) the
-    pseudoranges and `rate_mps` (n,) the range rates.
+    `table` (n, 20) holds the orbits, `system` (n,) the index of each satellite's clock, `code_m`
+    (n,) the pseudoranges and `rate_mps` (n,) the range rates.
     """
 
     table: Vector
@@ -114,12 +114,12 @@ def solve_navigation(
     near: bool,
     known_height: tuple[float, float],
 ) -> Vector:
-    """Position, velocity and clocks of one epoch.
+    """Solve for position, velocity and clocks of one epoch.
 
-    `start` (3 + m,) holds position and clock offsets [m] to begin with; `near` says that it is
-    within some kilometres, so that elevations are right. `known_height` is a height taken as known
-    [m] and its standard deviation, for one satellite too few, or NaN. The answer (19,) has the rows
-    named above; the rest is as in `receiver.solve`.
+    `start` (3 + m,) is the initial position and clock offsets [m]; `near` says that it is within
+    some kilometres, so that elevations are valid. `known_height` is an assumed height [m] and its
+    standard deviation, for one satellite too few, or NaN. Returns a solution (19,) in the layout
+    above; the other arguments are as in `receiver.solve_receiver_fix`.
     """
     table = observed.table
     n, m = len(table), len(start)
@@ -135,7 +135,7 @@ def solve_navigation(
         seen = signal_geometry_rows(table, own_s, x, still, coefficients, troposphere)
         _linearise(observed, seen, x, design, residual)
         for i in range(n if near else 0):
-            # Errors grow towards the horizon about as one over the sine.
+            # Errors grow towards the horizon roughly with the inverse sine of the elevation.
             weights[i] = (max(sin(seen[SAT_ELEVATION, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
             _fill_height_row(known_height, x, design, residual)
@@ -150,13 +150,13 @@ def solve_navigation(
             size = max(size, abs(step[a]))
         if near and size < SMALL_STEP_M:
             break
-        # The first rounds are without weights: elevations of a wrong place mean nothing.
+        # The first iterations are unweighted, as elevations need a position.
         near = near or size < CONVERGED_M
     else:
         out[STATUS] = DIVERGED
         return out
     for a in range(m):
-        out[POSITION + a] = x[a]  # and the clocks after it
+        out[POSITION + a] = x[a]  # and the clocks
     _add_velocity(out, seen, observed.rate_mps, design, weights)
     _add_local(out, covariance)
     return out
@@ -166,10 +166,10 @@ def solve_navigation(
 def _linearise(
     observed: ReceiverObservations, seen: Vector, x: Vector, design: Vector, residual: Vector
 ) -> None:
-    """Fill the rows of the n ranges: what each changes by, and what it is off by."""
+    """Fill in the n pseudorange rows of the design matrix and the residuals."""
     for i in range(len(observed.code_m)):
         own = FIRST_CLOCK + observed.system[i]
-        # Moving towards a satellite shortens its range.
+        # Moving towards the satellite shortens the range.
         for a in range(3):
             design[i, a] = -seen[LINE_OF_SIGHT + a, i]
         design[i, own] = 1.0
@@ -181,7 +181,7 @@ def _linearise(
 def _fill_height_row(
     known_height: tuple[float, float], x: Vector, design: Vector, residual: Vector
 ) -> None:
-    """Make the last row that of a height which is measured."""
+    """Fill in the last row with the assumed height as a measurement."""
     lat, lon, height = geodetic_of(x[0], x[1], x[2])
     design[-1, 0] = cos(lat) * cos(lon)
     design[-1, 1] = cos(lat) * sin(lon)
@@ -193,9 +193,9 @@ def _fill_height_row(
 def _add_velocity(
     out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
 ) -> None:
-    """Velocity and drift from range rates; `design` becomes that of one clock.
+    """Solve for velocity and drift from range rates; changes `design` to a single clock.
 
-    Where the height is known, so is the vertical velocity, at zero.
+    With an assumed height the vertical velocity is assumed zero.
     """
     residual = np.zeros(len(design))
     for i in range(len(rate_mps)):
@@ -203,15 +203,15 @@ def _add_velocity(
             rate_mps[i] - seen[RANGE_RATE, i] + SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK_RATE, i]
         )
         design[i, FIRST_CLOCK] = 1.0
-    # A literal 4 would have `least_squares` compiled once more, for that literal.
+    # A literal 4 would make numba compile `least_squares` again for that literal type.
     motion, _ = least_squares(design, residual, weights, 1 + DRIFT - VELOCITY)
     for a in range(len(motion)):
-        out[VELOCITY + a] = motion[a]  # and the drift after it
+        out[VELOCITY + a] = motion[a]  # and the drift
 
 
 @compiled
 def _add_local(out: Vector, covariance: Vector) -> None:
-    """Geodetic coordinates, the velocity in NED and the standard deviations in NED."""
+    """Fill in the geodetic position, and velocity and standard deviations in NED."""
     lat, lon, height = geodetic_of(out[POSITION], out[POSITION + 1], out[POSITION + 2])
     out[GEODETIC], out[GEODETIC + 1], out[GEODETIC + 2] = lat, lon, height
     axes = ned_axes(lat, lon)
@@ -220,6 +220,6 @@ def _add_local(out: Vector, covariance: Vector) -> None:
         for i in range(3):
             out[VELOCITY_NED + a] += axes[a, i] * out[VELOCITY + i]
             for j in range(3):
-                # The diagonal of the rotated covariance is all that is shown.
+                # Only the diagonal of the rotated covariance is needed.
                 variance += axes[a, i] * covariance[i, j] * axes[a, j]
         out[SIGMA + a] = sqrt(max(variance, 0.0))

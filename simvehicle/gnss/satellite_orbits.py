@@ -1,7 +1,7 @@
 """Positions, velocities and clocks of GPS and Galileo satellites from broadcast ephemerides.
 
-The user algorithm of IS-GPS-200N, table 20-IV, and of the Galileo OS SIS ICD 2.1, table 66, which
-differ in one constant; velocities are its derivatives.
+The user algorithms of IS-GPS-200N, table 20-IV, and the Galileo OS SIS ICD 2.1, table 66, which
+differ in one constant; velocities are their time derivatives.
 """
 
 from collections.abc import Sequence
@@ -26,20 +26,15 @@ State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
 WEEK_S = 604_800.0
-ROW_SIZE = 20  # numbers of a satellite in a table, in the order of `_orbit_row`
-VELOCITY, CLOCK, CLOCK_RATE, STATE_SIZE = (
-    3,
-    6,
-    7,
-    8,
-)  # where they begin in a state, after the position
-KEPLER_STEPS = 4  # Newton from E = M leaves under 1e-14 rad at the eccentricity 0.16 of E14, E18
+ROW_SIZE = 20  # columns of an orbit table, in the order of `_orbit_row`
+VELOCITY, CLOCK, CLOCK_RATE, STATE_SIZE = 3, 6, 7, 8  # start in a state, after the position
+KEPLER_STEPS = 4  # Newton: error below 1e-14 rad at the eccentricity 0.16 of E14 and E18
 
 
 class Orbits(msgspec.Struct, frozen=True):
     """The ephemerides of n satellites as one table.
 
-    `table` (n, 20) holds what `satellite_state` reads, times in seconds of the GPS week `week`.
+    `table` (n, 20) is the input of `satellite_state`, with times in seconds of GPS week `week`.
     """
 
     satellites: tuple[str, ...]
@@ -48,20 +43,20 @@ class Orbits(msgspec.Struct, frozen=True):
 
 
 def tabulate_orbits(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
-    """Ephemerides as a table, with their times counted in GPS week `week`."""
+    """Convert ephemerides to a table, with times in seconds of GPS week `week`."""
     table = np.array([_orbit_row(e, week) for e in ephemerides], dtype=float).reshape(-1, ROW_SIZE)
     return Orbits(tuple(e.satellite for e in ephemerides), week, table)
 
 
 def select_orbits(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
-    """The satellites at some places (m,)."""
+    """The satellites at the indices `pick` (m,)."""
     names = tuple(orbits.satellites[k] for k in pick)
     return Orbits(names, orbits.week, orbits.table[pick])
 
 
 def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:
-    """Elements in the order of `satellite_state`, with what they give once and for all."""
-    # All times in one week, so that a flight across its end needs no case.
+    """Orbital elements in the order of `satellite_state`, with derived constants."""
+    # All times count from one week, so that a week rollover needs no special case.
     shift_s = (e.week - week) * WEEK_S
     toc_s = e.toc_s - round((e.toc_s - e.toe_s) / WEEK_S) * WEEK_S  # of the nearest week
     mu = MU_M3PS2[e.satellite[0]]
@@ -81,11 +76,11 @@ def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:
         e.cic_rad,
         e.i0_rad,
         e.idot_rps,
-        # The node counts from the week's begin: the Earth's turn until toe is taken off once.
+        # The node refers to the start of the week: subtract the Earth's rotation until toe.
         e.omega0_rad - GNSS_EARTH_RATE_RPS * e.toe_s,
         e.omega_dot_rps - GNSS_EARTH_RATE_RPS,
         toc_s + shift_s,
-        # The broadcast clock is that of two frequencies; L1 alone is off by the group delay.
+        # The broadcast clock is for two frequencies; L1 alone differs by the group delay.
         e.af0_s - e.group_delay_s,
         e.af1,
         e.af2_per_s,
@@ -96,8 +91,8 @@ def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:
 def satellite_state(row: Vector, tow_s: float) -> State8:
     """Position (3) and velocity (3), Earth-fixed at `tow_s`, clock and clock rate of one satellite.
 
-    The clock is the satellite's minus GPS time as L1 or E1 shows it [s]: polynomial, relativity and
-    group delay. `row` (20,) is that of `Orbits.table`.
+    The clock is the satellite's minus GPS time on L1 or E1 [s]: polynomial, relativity and group
+    delay. `row` (20,) is a row of `Orbits.table`.
     """
     (
         toe, m0, motion, e, a, omega, cus, cuc, crs, crc, cis, cic, i0, idot, node0, node_rate,
@@ -105,7 +100,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     ) = to_fixed_tuple(row, ROW_SIZE)  # fmt: skip
     t = tow_s - toe
     mean = m0 + motion * t
-    # Kepler's equation, with the first step of the series as a start.
+    # Kepler's equation, starting from the first term of the series.
     anomaly = mean + e * sin(mean)
     for _ in range(KEPLER_STEPS):
         anomaly -= (anomaly - e * sin(anomaly) - mean) / (1.0 - e * cos(anomaly))
@@ -117,7 +112,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     argument = atan2(root * se, ce - e) + omega
     argument_rate = anomaly_rate * root / scale
     s2, c2 = sin(2.0 * argument), cos(2.0 * argument)
-    # The orbit is no ellipse: second harmonics in argument, radius and inclination.
+    # Second harmonic corrections of argument, radius and inclination.
     u = argument + cus * s2 + cuc * c2
     r = a * scale + crs * s2 + crc * c2
     i = i0 + idot * t + cis * s2 + cic * c2
@@ -139,7 +134,7 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     vz = y_rate * si + flat * i_rate
 
     age = tow_s - toc
-    # Fast at perigee, the satellite's clock runs slow there: 20 ns at e = 0.01.
+    # Relativistic clock correction of an eccentric orbit: 20 ns at e = 0.01.
     relativity = -2.0 * motion * a * a * e / SPEED_OF_LIGHT_MPS**2
     clock = af0 + age * (af1 + age * af2) + relativity * se
     clock_rate = af1 + 2.0 * age * af2 + relativity * ce * anomaly_rate
@@ -157,19 +152,19 @@ def _states(table: Vector, tow_s: Vector) -> Vector:
 
 
 def satellite_states(orbits: Orbits, tow_s: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-    """Where the satellites are, and how wrong their clocks.
+    """Positions, velocities and clock errors of the satellites.
 
     Parameters
     ----------
     orbits : Orbits
-        Of n satellites.
+        Orbits of n satellites.
     tow_s : (n,) array
         GPS time, in seconds of the week `orbits.week`, for each of them.
 
     Returns
     -------
     r_ecef_m, v_ecef_mps : (n, 3) arrays
-        Earth-fixed at that time (of the antenna's phase centre).
+        Of the antenna phase centre, Earth-fixed at that time.
     clock_s, clock_rate : (n,) arrays
         See `satellite_state`.
     """

@@ -1,4 +1,4 @@
-"""Delays of L1 and E1 by the ionosphere and the troposphere.
+"""Ionospheric and tropospheric delays of L1 and E1.
 
 References
 ----------
@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 DAY_S = 86_400.0
 NIGHT_S = 5e-9  # Klobuchar's constant term
-HUMIDITY = 0.5
+HUMIDITY = 0.5  # relative; chosen
 SHELL_LATITUDE_MAX = 0.416  # semicircles
 
 
@@ -33,27 +33,27 @@ def ionosphere_m(
     azimuth_rad: float,
     coefficients: Vector,
 ) -> float:
-    """Klobuchar's delay [m] of L1 [1]_; `coefficients` (8,) are alpha, then beta.
+    """Klobuchar delay [m] of L1 [1]_; `coefficients` (8,) are alpha, then beta.
 
-    The formulas count angles in semicircles.
+    The formulas use semicircles.
     """
     elevation = elevation_rad / pi
     angle = 0.0137 / (elevation + 0.11) - 0.022
     lat = lat_rad / pi + angle * cos(azimuth_rad)
-    # The model's shell ends at 75 degrees.
+    # The model limits the latitude to 75 degrees.
     lat = min(max(lat, -SHELL_LATITUDE_MAX), SHELL_LATITUDE_MAX)
     lon = lon_rad / pi + angle * sin(azimuth_rad) / cos(lat * pi)
     magnetic = lat + 0.064 * cos((lon - 1.617) * pi)
-    # Fourteen hours after midnight the ionosphere is thickest, whatever the place.
+    # The delay peaks at 14 h local time, which is 50400 s.
     local_s = (0.5 * DAY_S * lon + tow_s) % DAY_S
     amplitude = period = 0.0
-    # Horner's scheme, from the highest power on.
+    # Horner's scheme.
     for k in range(3, -1, -1):
         amplitude = amplitude * magnetic + coefficients[k]
         period = period * magnetic + coefficients[4 + k]
     phase = 2.0 * pi * (local_s - 50_400.0) / max(period, 72_000.0)
     day = 0.0
-    # The cosine by its series, as the document has it; at night only the constant is there.
+    # The cosine as a series, as in the document; at night only the constant remains.
     if abs(phase) < 1.57:
         day = max(amplitude, 0.0) * (1.0 - phase**2 / 2.0 + phase**4 / 24.0)
     slant = 1.0 + 16.0 * (0.53 - elevation) ** 3
@@ -63,7 +63,7 @@ def ionosphere_m(
 @inlined
 def zenith_delay_m(lat_rad: float, height_m: float) -> float:
     """Hydrostatic and wet delay of the zenith [2]_ in the standard atmosphere of 50 % humidity."""
-    # The troposphere of the ISA ends at 11 km; Saastamoinen has nothing above.
+    # The troposphere of the ISA, and with it Saastamoinen's model, ends at 11 km.
     height = min(max(height_m, -1000.0), 11_000.0)
     celsius = 15.0 - 6.5e-3 * height
     kelvin = celsius + 273.15

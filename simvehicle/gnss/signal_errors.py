@@ -1,8 +1,8 @@
-"""What a pseudorange is wrong by: receiver clock, multipath, orbits, C/N0.
+"""Pseudorange error models: receiver clock, multipath, orbits, C/N0.
 
 References
 ----------
-.. [1] Clock of two states: Brown and Hwang, Introduction to Random Signals and Applied Kalman
+.. [1] Two-state clock: Brown and Hwang, Introduction to Random Signals and Applied Kalman
    Filtering, 4th ed., section 9.3.
 .. [2] Multipath by elevation: RTCA DO-229D, J.2.4 (airborne).
 """
@@ -17,9 +17,9 @@ from simvehicle.gnss.gnss_config import ClockConfig
 
 Vector = NDArray[np.float64]
 
-CN0_CORRELATION_S = 20.0  # correlation time
-SHORTEST_CORRELATION_S = 1e-9  # a process without a correlation time is white
-CLOCK_JUMP_S = 1e-3  # the clock is set back by a millisecond when it is half of one out
+CN0_CORRELATION_S = 20.0  # correlation time of the C/N0 variation; chosen: that of multipath
+SHORTEST_CORRELATION_S = 1e-9  # a process with correlation time 0 becomes white noise
+CLOCK_JUMP_S = 1e-3  # the receiver steps its clock by 1 ms when it is half of that off
 
 
 class ReceiverClock(msgspec.Struct, frozen=True):
@@ -32,11 +32,11 @@ class ReceiverClock(msgspec.Struct, frozen=True):
 def step_clock(
     clock: ReceiverClock, config: ClockConfig, step_s: float, draws: Vector
 ) -> ReceiverClock:
-    """The clock `step_s` later [1]_; `draws` (2,) are standard normal."""
+    """Propagate the clock by `step_s` [1]_; `draws` (2,) are standard normal."""
     q_offset, q_drift = config.h0_s / 2.0, 2.0 * math.pi**2 * config.h2_hz
     # Cholesky factor of [[q_o T + q_d T^3/3, q_d T^2/2], [., q_d T]], from the second row
     drift_kick = math.sqrt(q_drift * step_s) * draws[0]
-    # What the second row has of its own, after its share of the first draw.
+    # Variance of the second row that is independent of the first draw.
     free = q_offset * step_s + q_drift * step_s**3 / 12.0
     offset_kick = drift_kick * step_s / 2.0 + math.sqrt(free) * draws[1]
     offset_s = clock.offset_s + clock.drift * step_s + offset_kick
@@ -49,14 +49,14 @@ def step_clock(
 def step_gauss_markov(
     value: Vector, time_s: float | Vector, step_s: float, draws: Vector
 ) -> Vector:
-    """Gauss-Markov processes (n,) of unit variance and correlation time `time_s`, `step_s` later;
-    `draws` (n,) are standard normal."""
-    # Clipped, since a correlation time of 0 means white noise, not a division by it.
+    """Propagate Gauss-Markov processes (n,) of unit variance and correlation time `time_s` by
+    `step_s`; `draws` (n,) are standard normal."""
+    # Clipped, as a correlation time of 0 means white noise.
     phi = np.exp(-step_s / np.maximum(time_s, SHORTEST_CORRELATION_S))
     return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
 
 def multipath_sigma_m(elevation_rad: Vector) -> Vector:
-    """Standard deviation (n,) of multipath [2]_; scalars and arrays (n,) alike."""
+    """Standard deviation of multipath [m] [2]_; a scalar or (n,) as the elevation."""
     sigma: Vector = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
     return sigma

@@ -1,4 +1,4 @@
-"""What an antenna receives in one epoch, with all errors: one compiled pass over the satellites."""
+"""The signals at an antenna in one epoch, with all errors: one compiled loop over satellites."""
 
 from collections.abc import Callable
 from math import sin
@@ -29,17 +29,17 @@ _code_sigma = cast(_Scalar, inlined(code_sigma_m))
 _rate_sigma = cast(_Scalar, inlined(rate_sigma_mps))
 _multipath_sigma = cast(_Scalar, inlined(multipath_sigma_m))
 
-# entries of `levels`
+# Entries of `levels`
 CN0_HORIZON, CN0_RISE, CN0_SIGMA, THERMAL, MULTIPATH, ORBIT, GALILEO = range(7)
-ELEVATION, CN0, CODE, RATE = range(4)  # rows of the answer
+ELEVATION, CN0, CODE, RATE = range(4)  # rows of the result
 RANGE_ADDED, CN0_DROP, _, RATE_ADDED = range(4)  # rows of the faults, in the order of `SATELLITE`
 
 
 class SignalChannel(NamedTuple):
-    """What lies between satellites and receiver, the same for a whole flight.
+    """The propagation model between satellites and receiver, constant over a flight.
 
-    `coefficients` and `troposphere` as for `signal_geometry_rows`, `levels` (7,) the sizes of the
-    errors by the names above, `galileo` (n,) 1 for Galileo's satellites.
+    `coefficients` and `troposphere` as for `signal_geometry_rows`, `levels` (7,) the error sizes by
+    the names above, `galileo` (n,) is 1 for Galileo satellites.
     """
 
     coefficients: Vector
@@ -66,15 +66,15 @@ def simulate_signals(
     table : (n, 20) array
         Orbits.
     tow_s : float
-        What the receiver's clock shows, in seconds of the orbits' week.
+        Time on the receiver's clock, in seconds of the orbits' week.
     where : (6,) array
         The antenna's latitude, longitude [rad], height [m] and velocity NED [m/s] at `tow_s`.
     clock : 2 floats
-        The receiver's offset [s] and drift.
+        The receiver's clock offset [s] and drift.
     wander : (3, n) array
         Unit-variance processes of multipath, orbit and C/N0.
     faults : (4, n) array
-        `Faults.signals`, whose rows are in the order of `SATELLITE`.
+        `SignalFaults.signals`, whose rows are in the order of `SATELLITE`.
     noise : (2, n) array
         Standard-normal draws of range and rate.
     """
@@ -85,7 +85,7 @@ def simulate_signals(
     place[0], place[1], place[2] = ecef_of(lat, lon, height)
     for i in range(3):
         motion[i] = axes[0, i] * north + axes[1, i] * east + axes[2, i] * down
-        # The receiver samples when its own clock says so: by then it is a little further.
+        # The receiver samples on its own clock, so it moves by the offset until then.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
     seen = signal_geometry_rows(
@@ -94,17 +94,16 @@ def simulate_signals(
     out = np.empty((4, len(table)))
     for k in range(len(table)):
         elevation = seen[SAT_ELEVATION, k]
-        # Antennas lose towards the horizon, roughly with the sine of the elevation.
+        # Antenna gain falls towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[CN0_DROP, k]
         code = (
             seen[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[SAT_CLOCK, k]) + seen[DELAY, k]
         )
-        # One offset of Galileo's time against GPS's for all its satellites: the receiver solves for
-        # it.
+        # The inter-system bias is common to all Galileo satellites: the receiver estimates it.
         code += levels[GALILEO] * channel.galileo[k] + faults[RANGE_ADDED, k]
         code += levels[ORBIT] * wander[1, k]
-        # Multipath wanders by itself but shrinks with elevation, so it is scaled only here.
+        # The process has unit variance: scale it to the elevation.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
         rate = seen[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - seen[SAT_CLOCK_RATE, k])

@@ -1,7 +1,7 @@
-"""Signals made up for another place and time, as a spoofer sends them to the antenna.
+"""Spoofed signals: those of another position and time, as a spoofer sends them to the antenna.
 
-Code and Doppler are those which a receiver at the pretended place would get, so that they agree
-with each other, with the ephemerides and with every position that the receiver computes.
+Code and Doppler are those of a receiver at the spoofed position, so they are consistent with each
+other, with the ephemerides and with the position that the receiver computes.
 """
 
 from collections.abc import Iterator
@@ -15,13 +15,12 @@ from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS
 
 Vector = NDArray[np.float64]
 
-NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `Faults.spoof`
+NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `SignalFaults.spoof`
 
 
 class SpoofedPlace(NamedTuple):
-    """One pretended place and time: `offset_m` (4,) is north, east, down and delay [m],
-    `offset_mps` (4,) how fast they change [m/s], `satellites` (n,) whose signals are made up for
-    it."""
+    """One spoofed position and time: `offset_m` (4,) is north, east, down and delay [m],
+    `offset_mps` (4,) their rate [m/s], `satellites` (n,) the mask of spoofed satellites."""
 
     offset_m: Vector
     offset_mps: Vector
@@ -29,16 +28,16 @@ class SpoofedPlace(NamedTuple):
 
     @property
     def delay_m(self) -> float:
-        """What every range is longer by."""
+        """The delay added to every range [m]."""
         return float(self.offset_m[DELAY])
 
     @property
     def delay_mps(self) -> float:
-        """How fast the delay grows."""
+        """The rate of the delay [m/s]."""
         return float(self.offset_mps[DELAY])
 
     def spoofed_position(self, here: Vector) -> Vector:
-        """The pretended latitude, longitude [rad], height [m] and velocity NED (6,)."""
+        """The spoofed latitude, longitude [rad], height [m] and velocity NED (6,)."""
         meridian_m, prime_m = curvature_radii(here[0])
         north_m, east_m, down_m = self.offset_m[:DELAY].tolist()
         there = here.copy()
@@ -50,19 +49,19 @@ class SpoofedPlace(NamedTuple):
 
 
 def spoofed_places(spoof: Vector, before: Vector, step_s: float) -> Iterator[SpoofedPlace]:
-    """Each place that is pretended to some satellites.
+    """Yield each distinct spoofed position with its satellites.
 
     Parameters
     ----------
     spoof, before : (4, n) arrays
-        `Faults.spoof` now and at the last epoch.
+        `SignalFaults.spoof` of this epoch and the last.
     step_s : float
         Time since then; 0 at the first epoch.
     """
-    # Satellites that pretend the same place share one computation of it.
+    # Satellites spoofed to the same position share one computation.
     for change in np.unique(spoof[:, spoof.any(axis=0)], axis=1).T:
         satellites = (spoof == change[:, None]).all(axis=0)
         moved = (change - before[:, satellites][:, 0]) / step_s if step_s > 0.0 else 0.0 * change
-        # A leap is no motion: it shows in the code alone, not in the Doppler.
+        # A position jump is not motion: it shows in the code only, not in the Doppler.
         rate = np.where(np.abs(moved) <= FASTEST_SPOOF_MPS, moved, 0.0)
         yield SpoofedPlace(change, rate, satellites)

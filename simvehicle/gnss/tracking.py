@@ -1,4 +1,4 @@
-"""When the receiver has a satellite's signal, and when it has read its ephemeris."""
+"""Signal tracking: when the receiver has a satellite's signal and has read its ephemeris."""
 
 import msgspec
 import numpy as np
@@ -10,17 +10,17 @@ Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
 
-NEVER_US = np.iinfo(np.int64).max // 4  # leaves room to add to
+NEVER_US = np.iinfo(np.int64).max // 4  # a quarter of the range, so that sums do not overflow
 LONG_AGO_US = -NEVER_US
 US_PER_S = 1e6
 
 
 class Tracking(msgspec.Struct, frozen=True):
-    """The receiver's search; the arrays are (n,) stamps.
+    """The receiver's tracking state; the time arrays are (n,) in us.
 
-    `tracked_from_us` is when it finds (found) the signal, `message_us` when it has read (will have
-    read) the ephemeris, which it then keeps. `running` says that it has power, `cold` that it
-    starts (started) without knowing anything; `signal` (n,) is what was there at the last epoch.
+    `tracked_from_us` is when the receiver acquires the signal and `message_us` when it has read the
+    ephemeris, which it then keeps; both may lie in the future. `running` says that it has power,
+    `cold` that it starts without stored data; `signal` (n,) marks the signals at the last epoch.
     """
 
     running: bool
@@ -30,16 +30,16 @@ class Tracking(msgspec.Struct, frozen=True):
     message_us: Stamps
 
     def tracked(self, t_us: int) -> Mask:
-        """Satellites whose signal it follows."""
+        """Mask of the satellites whose signal is tracked."""
         return self.tracked_from_us <= t_us
 
     def usable(self, t_us: int) -> Mask:
-        """Satellites it can use for a position."""
+        """Mask of the satellites that can be used for a fix."""
         return (self.tracked_from_us <= t_us) & (self.message_us <= t_us)
 
 
 def powered_off_tracking(count: int, cold: bool) -> Tracking:
-    """A receiver without power, which will start cold or hot."""
+    """The state of a receiver without power, which will start cold or hot."""
     never = np.full(count, NEVER_US)
     return Tracking(False, cold, np.zeros(count, dtype=bool), never, never)
 
@@ -52,22 +52,22 @@ def update_tracking(
     search_s: Vector,
     message_s: Vector,
 ) -> Tracking:
-    """The search one epoch on.
+    """Update the tracking state for one epoch.
 
     Parameters
     ----------
     old : Tracking
-        One epoch before; without power, this epoch is power-on.
+        The state of the last epoch; without power, this epoch is power-on.
     signal : (n,) array
-        Which signals are there, strong enough and above the mask.
+        Mask of the signals that are strong enough and above the elevation mask.
     t_us : int
-        This epoch.
+        Time of this epoch.
     receiver : ReceiverConfig
-        Times of the search.
+        Configuration of the receiver.
     search_s, message_s : (n,) arrays
-        What a cold start takes to find a signal, and to read an ephemeris from then on.
+        Time to acquire each signal after a cold start, and to read its ephemeris from then on.
     """
-    # Nothing came or went: the stamps stand as they are.
+    # No signal appeared or was lost: the times stay.
     if old.running and np.array_equal(signal, old.signal):
         return old
     wait_s = np.full(len(signal), receiver.reacquire_s)
@@ -79,6 +79,6 @@ def update_tracking(
     from_us = np.where(old.tracked_from_us == NEVER_US, found_us, old.tracked_from_us)
     from_us = np.where(signal, from_us, NEVER_US)
     read_us = from_us + np.where(signal, message_s * US_PER_S, 0.0).astype(np.int64)
-    # What has been read is kept; a reading that was cut off begins anew.
+    # An ephemeris already read is kept; an interrupted reading starts again.
     message_us = np.where(message_us <= t_us, message_us, read_us)
     return Tracking(True, old.cold, signal, from_us, message_us)

@@ -1,5 +1,5 @@
-"""Where to fly and how: missions, paths and the plain controllers that fly them alone.
+"""Guidance: missions, paths and the built-in controllers that fly them.
 
-A *mission* is a path of straights and arcs by shape; a *route* tells where to fly next. A
-*controller* turns that into actuator commands, a *pilot* flies a ground station's goals.
+A *mission* is a path of straights and arcs by shape; a *track* gives the guidance setpoint at a
+position; a *controller* turns the setpoint into actuator commands.
 """

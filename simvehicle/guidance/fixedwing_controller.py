@@ -1,9 +1,9 @@
-"""A plain autopilot for the fixed wing: path following, height and speed, attitude.
+"""The built-in controller of the fixed wing: path following, height and speed, attitude.
 
-It works on the true state, as it is there to fly missions without an autopilot, not to be tested.
+It uses the true state: its purpose is to fly missions without an autopilot, not to be tested.
 Lateral guidance is the vector field of Beard and McLain, Small Unmanned Aircraft, 2012, chapter
-10, with the curvature of the path fed forward; the attitude gains follow from the airframe's
-coefficients at the airspeed of the moment (chapter 6 of the same book).
+10, with the path curvature fed forward; the attitude gains follow from the airframe's coefficients
+at the current airspeed (chapter 6 of the same book).
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
-from simvehicle.guidance.route import CircleTrack, GuidanceSetpoint, GuidanceTrack, PathTrack
+from simvehicle.guidance.route import CircleTrack, GuidanceTrack, PathTrack, Setpoint
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.trim import TrimPoint
@@ -22,13 +22,13 @@ from simvehicle.vehicles.fixedwing.trim import TrimPoint
 _PITCH_LIMIT = math.radians(20.0)
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate
 _CLIMB_LIMIT = 0.12  # climb rate over airspeed
-_WINGS_LEVEL_M, _FULL_BANK_M = 3.0, 18.0  # heights of wings level and of full bank
+_WINGS_LEVEL_M, _FULL_BANK_M = 3.0, 18.0  # heights of level wings and of full bank
 _SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0
 
 
 @dataclass(slots=True)
 class _Integrals:
-    """The integrals of the loops."""
+    """Integrator states of the control loops."""
 
     pitch: float = 0.0
     speed: float = 0.0
@@ -37,8 +37,8 @@ class _Integrals:
 
 
 class WingMotion(NamedTuple):
-    """Roll, pitch [rad], body rates [rad/s], sideways and whole airspeed [m/s], dynamic pressure
-    times area [N]."""
+    """Roll, pitch [rad], body rates [rad/s], lateral and total airspeed [m/s], dynamic pressure
+    times wing area [N]."""
 
     roll: float
     pitch: float
@@ -53,12 +53,12 @@ class WingMotion(NamedTuple):
 class FixedWingController:
     """Flies a track; `track` and `landing` may be changed at any time.
 
-    On the ground it takes off straight ahead; to land it sinks along its track, levels the wings
-    near the ground, flares and rolls out.
+    From the ground it takes off straight ahead; to land it descends along its track, levels the
+    wings near the ground, flares and rolls out.
     """
 
     rate_hz: float = 50.0
-    drifts: bool = True  # it holds its airspeed, so wind carries it through turns
+    drifts: bool = True  # it flies at constant airspeed, so wind displaces its turns
     lateral_mps2: float = STANDARD_GRAVITY_MPS2 * math.tan(math.radians(35.0))
     course_gain = 1.2  # 1/s, course error to turn rate
     track_gain = 0.35  # 1/s, cross-track error to closing speed
@@ -75,20 +75,20 @@ class FixedWingController:
         self._integrals = _Integrals()
 
     def trim(self, speed_mps: float) -> TrimPoint:
-        """Trim at this speed, kept for later; a speed that cannot be flown becomes the cruise's."""
+        """Trim at this speed, cached; a speed that cannot be flown is replaced by cruise speed."""
         if speed_mps not in self._trims:
             try:
-                found = self.vehicle.trim(speed_mps, self._density, STANDARD_GRAVITY_MPS2)
+                point = self.vehicle.trim(speed_mps, self._density, STANDARD_GRAVITY_MPS2)
             except ValueError:
                 cruise = self.vehicle.parameters.cruise_mps
-                found = self.vehicle.trim(cruise, self._density, STANDARD_GRAVITY_MPS2)
-            self._trims[speed_mps] = found
+                point = self.vehicle.trim(cruise, self._density, STANDARD_GRAVITY_MPS2)
+            self._trims[speed_mps] = point
         return self._trims[speed_mps]
 
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float
     ) -> CircleTrack:
-        """A track that waits at a point."""
+        """A track that loiters around a point."""
         radius = 1.3 * speed_mps**2 / self.lateral_mps2
         return CircleTrack(north_m, east_m, height_m, radius, speed_mps)
 
@@ -102,124 +102,129 @@ class FixedWingController:
         if isinstance(self.track, PathTrack) and self.track.finished:
             end = self.track.setpoint_from(north, east, 0.0)
             wait = self.circle(north, east, end.height_m, end.speed_mps)
-            # The centre lies to the right of the course, so that the vehicle is on the circle
-            # already.
+            # Centre to the right of the course: the vehicle is already on the circle.
             course, radius = math.atan2(ve, vn), wait.radius_m
             wait.north_m -= radius * math.sin(course)
             wait.east_m += radius * math.cos(course)
             self.track = wait
         ground_speed = max(math.hypot(vn, ve), 1.0)
-        aim = self.track.setpoint_from(north, east, ground_speed * self.roll_lag_s)
+        setpoint = self.track.setpoint_from(north, east, ground_speed * self.roll_lag_s)
         if self.landing and truth.on_ground:
             return Controls(np.zeros(4))
-        # Close to the ground a bank would put a wing tip into it.
-        room = max(
+        # Near the ground the bank is limited for the wing tips.
+        bank_scale = max(
             0.0, min(1.0, (truth.height_agl_m - _WINGS_LEVEL_M) / (_FULL_BANK_M - _WINGS_LEVEL_M))
         )
-        limit = self.bank_limit * room
-        bank = max(-limit, min(limit, self._bank(aim, math.atan2(ve, vn), ground_speed)))
-        return self._attitude(truth, aim, bank, -vd)
+        limit = self.bank_limit * bank_scale
+        bank = max(-limit, min(limit, self._bank(setpoint, math.atan2(ve, vn), ground_speed)))
+        return self._attitude(truth, setpoint, bank, -vd)
 
-    def _bank(self, aim: GuidanceSetpoint, course: float, ground_speed: float) -> float:
+    def _bank(self, setpoint: Setpoint, course: float, ground_speed: float) -> float:
         """Bank angle that brings the vehicle onto the track [rad]."""
-        approach = self.track_gain * aim.cross_track_m / ground_speed
-        wanted = aim.course_rad - math.asin(max(-0.95, min(0.95, approach)))
-        error = math.remainder(wanted - course, 2.0 * math.pi)
-        # Only motion along the track has to follow its bend.
-        along = ground_speed * max(0.0, math.cos(aim.course_rad - course))
-        lateral = aim.curvature_pm * along * along + self.course_gain * ground_speed * error
+        approach = self.track_gain * setpoint.cross_track_m / ground_speed
+        course_setpoint = setpoint.course_rad - math.asin(max(-0.95, min(0.95, approach)))
+        error = math.remainder(course_setpoint - course, 2.0 * math.pi)
+        # Only motion along the track needs the path's curvature.
+        along = ground_speed * max(0.0, math.cos(setpoint.course_rad - course))
+        lateral = setpoint.curvature_pm * along * along + self.course_gain * ground_speed * error
         return math.atan(lateral / STANDARD_GRAVITY_MPS2)
 
-    def _attitude(self, truth: Truth, aim: GuidanceSetpoint, bank: float, climb: float) -> Controls:
+    def _attitude(self, truth: Truth, setpoint: Setpoint, bank: float, climb: float) -> Controls:
         """Surfaces and throttle for a bank angle, a height and a speed."""
-        point = self.trim(aim.speed_mps)
-        now = self._now(truth, point)
-        wanted = self._climb_rate(truth, aim, now)
-        pitch = self._pitch(truth, point, now, wanted, climb)
+        point = self.trim(setpoint.speed_mps)
+        motion = self._motion(truth, point)
+        climb_rate = self._climb_rate(truth, setpoint, motion)
+        pitch = self._pitch(truth, point, motion, climb_rate, climb)
         throw_e, throw_a, throw_r = self.vehicle.throw_rad
         values = [
-            self._elevator(point, now, pitch) / throw_e,
-            self._aileron(point, now, bank) / throw_a,
-            self._rudder(now) / throw_r,
+            self._elevator(point, motion, pitch) / throw_e,
+            self._aileron(point, motion, bank) / throw_a,
+            self._rudder(motion) / throw_r,
         ]
         clipped = [max(-1.0, min(1.0, value)) for value in values]
-        throttle = self._throttle(point, now, wanted)
+        throttle = self._throttle(point, motion, climb_rate)
         if self.landing and truth.height_agl_m < _FLARE_M:
             throttle *= 0.5
         return Controls(np.array([*clipped, max(0.0, min(1.0, throttle))]))
 
-    def _now(self, truth: Truth, point: TrimPoint) -> WingMotion:
+    def _motion(self, truth: Truth, point: TrimPoint) -> WingMotion:
         roll, pitch, _ = euler_angles(truth.q_nb.tolist())
         p, q, r = truth.omega_b_rps.tolist()
         u, v, w = truth.v_air_b_mps.tolist()
-        # Gains are divided by the airspeed, which is zero on the runway.
+        # A lower bound: gains are divided by the airspeed, which is zero on the runway.
         airspeed = max(math.sqrt(u * u + v * v + w * w), 0.5 * point.airspeed_mps)
         area = self.vehicle.parameters.wing.area_m2
         qs = 0.5 * truth.density_kgpm3 * airspeed * airspeed * area
         return WingMotion(roll, pitch, p, q, r, v, airspeed, qs)
 
-    def _climb_rate(self, truth: Truth, aim: GuidanceSetpoint, now: WingMotion) -> float:
+    def _climb_rate(self, truth: Truth, setpoint: Setpoint, motion: WingMotion) -> float:
         """Climb rate that closes the height error, or the sink rate of a landing [m/s]."""
         if self.landing:
             return -_SINK_MPS if truth.height_agl_m > _FLARE_M else -_FLARE_MPS
-        error = aim.height_m - (truth.alt_msl_m - self.home_alt_m)
-        limit = _CLIMB_LIMIT * now.airspeed
+        error = setpoint.height_m - (truth.alt_msl_m - self.home_alt_m)
+        limit = _CLIMB_LIMIT * motion.airspeed
         return max(-limit, min(limit, _HEIGHT_GAIN * error))
 
     def _pitch(
-        self, truth: Truth, point: TrimPoint, now: WingMotion, wanted: float, climb: float
+        self, truth: Truth, point: TrimPoint, motion: WingMotion, climb_rate: float, climb: float
     ) -> float:
-        """Pitch for a climb rate; the angle of attack that carries the turn is fed forward."""
+        """Pitch for a climb rate; the angle of attack that the turn needs is fed forward."""
         aero, integrals = self.vehicle.aero, self._integrals
-        # At the limit of the climb rate, or on the ground, the integral would only wind up.
-        if abs(wanted) < _CLIMB_LIMIT * now.airspeed and not truth.on_ground:
-            integrals.climb += 0.15 * (wanted - climb) / now.airspeed / self.rate_hz
+        # Anti-windup: freeze the integral at the climb rate limit and on the ground.
+        if abs(climb_rate) < _CLIMB_LIMIT * motion.airspeed and not truth.on_ground:
+            integrals.climb += 0.15 * (climb_rate - climb) / motion.airspeed / self.rate_hz
         integrals.climb = max(-0.15, min(0.15, integrals.climb))
-        load = 1.0 / max(0.5, math.cos(now.roll))
-        lift = load * self.vehicle.parameters.mass_kg * STANDARD_GRAVITY_MPS2 / now.qs
+        load = 1.0 / max(0.5, math.cos(motion.roll))
+        lift = load * self.vehicle.parameters.mass_kg * STANDARD_GRAVITY_MPS2 / motion.qs
         alpha = (lift - aero.cl0 - aero.clde * point.elevator_rad) / aero.cla
-        pitch = min(0.3, alpha) + wanted / now.airspeed + integrals.climb
+        pitch = min(0.3, alpha) + climb_rate / motion.airspeed + integrals.climb
         return max(-_PITCH_LIMIT, min(_PITCH_LIMIT, pitch))
 
-    def _elevator(self, point: TrimPoint, now: WingMotion, pitch: float) -> float:
-        """Deflection [rad] that doubles the airframe's own pitch stiffness and adds damping."""
+    def _elevator(self, point: TrimPoint, motion: WingMotion, pitch: float) -> float:
+        """Deflection [rad] that doubles the airframe's pitch stiffness and adds damping."""
         aero, integrals, inverse = self.vehicle.aero, self._integrals, self.vehicle.body.inverse_jy
         chord = self.vehicle.parameters.wing.chord_m
-        own = -now.qs * chord * aero.cma * inverse
-        power = now.qs * chord * aero.cmde * inverse
-        damping = -0.5 * now.qs * chord * chord * aero.cmq / now.airspeed * inverse
+        own = -motion.qs * chord * aero.cma * inverse
+        power = motion.qs * chord * aero.cmde * inverse
+        damping = -0.5 * motion.qs * chord * chord * aero.cmq / motion.airspeed * inverse
         added = max(own, 20.0)
         lack = max(0.0, 1.4 * math.sqrt(max(0.0, own + added)) - damping)
-        integrals.pitch += 0.5 * added * (pitch - now.pitch) / self.rate_hz
+        integrals.pitch += 0.5 * added * (pitch - motion.pitch) / self.rate_hz
         integrals.pitch = max(-10.0, min(10.0, integrals.pitch))
-        turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.tan(now.roll) * math.sin(now.roll)
-        moment = added * (pitch - now.pitch) + integrals.pitch - lack * (now.q - turning)
+        bank_effect = math.tan(motion.roll) * math.sin(motion.roll)
+        turning = STANDARD_GRAVITY_MPS2 / motion.airspeed * bank_effect
+        moment = added * (pitch - motion.pitch) + integrals.pitch - lack * (motion.q - turning)
         return moment / power + point.elevator_rad
 
-    def _aileron(self, point: TrimPoint, now: WingMotion, bank: float) -> float:
+    def _aileron(self, point: TrimPoint, motion: WingMotion, bank: float) -> float:
         """Deflection [rad] for a bank angle."""
         aero, body, integrals = self.vehicle.aero, self.vehicle.body, self._integrals
         span = self.vehicle.parameters.wing.span_m
-        gain = 0.5 * now.qs * span * span / now.airspeed
+        gain = 0.5 * motion.qs * span * span / motion.airspeed
         damping = -gain * (body.g3 * aero.crp + body.g4 * aero.cnp)
-        power = now.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
+        power = motion.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
         stiff = max(25.0, 3.5 * damping)
         lack = max(0.0, 1.4 * math.sqrt(stiff) - damping)
-        integral = integrals.bank + 0.3 * (bank - now.roll) / self.rate_hz
+        integral = integrals.bank + 0.3 * (bank - motion.roll) / self.rate_hz
         integrals.bank = max(-0.3, min(0.3, integral))
-        return (stiff * (bank + integrals.bank - now.roll) - lack * now.p) / power
+        return (stiff * (bank + integrals.bank - motion.roll) - lack * motion.p) / power
 
-    def _rudder(self, now: WingMotion) -> float:
+    def _rudder(self, motion: WingMotion) -> float:
         """Deflection [rad] that damps yaw about the rate of a coordinated turn."""
         aero, body = self.vehicle.aero, self.vehicle.body
         span = self.vehicle.parameters.wing.span_m
-        power = now.qs * span * (body.g4 * aero.crdr + body.g8 * aero.cndr)
-        turning = STANDARD_GRAVITY_MPS2 / now.airspeed * math.sin(now.roll)
-        return -(now.r - turning) / power if abs(power) > 1e-6 else 0.0
+        power = motion.qs * span * (body.g4 * aero.crdr + body.g8 * aero.cndr)
+        turning = STANDARD_GRAVITY_MPS2 / motion.airspeed * math.sin(motion.roll)
+        return -(motion.r - turning) / power if abs(power) > 1e-6 else 0.0
 
-    def _throttle(self, point: TrimPoint, now: WingMotion, wanted: float) -> float:
+    def _throttle(self, point: TrimPoint, motion: WingMotion, climb_rate: float) -> float:
         """Throttle for the airspeed and the climb rate."""
-        short = point.airspeed_mps - now.airspeed
+        short = point.airspeed_mps - motion.airspeed
         integral = self._integrals.speed + 0.02 * short / self.rate_hz
         self._integrals.speed = max(-0.5, min(0.5, integral))
-        return point.throttle + 0.1 * short + self._integrals.speed + 1.5 * wanted / now.airspeed
+        return (
+            point.throttle
+            + 0.1 * short
+            + self._integrals.speed
+            + 1.5 * climb_rate / motion.airspeed
+        )

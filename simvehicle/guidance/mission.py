@@ -1,10 +1,10 @@
 """Missions by shape: paths of straights and arcs over the ground.
 
-Every shape begins and ends with the same heading, the closed ones (triangle, diamond, trapezoid,
-circle, eight) in the same place, so legs follow one another without a jump. Corners are rounded
-with the radius that the vehicle can fly. What `size_m` measures: the side of a triangle or
-diamond, the long base of a trapezoid, the diameter of a circle, the length of an eight or a line,
-and the straights of an S.
+Every shape starts and ends with the same heading, and the closed ones (triangle, diamond,
+trapezoid, circle, eight) at the same position, so legs join without a jump. Corners are rounded
+with a radius that the vehicle can fly. `size_m` is the side of a triangle or diamond, the long base
+of a trapezoid, the diameter of a circle, the length of an eight or a line, and the straights of an
+S.
 """
 
 import math
@@ -41,7 +41,7 @@ class MissionPath:
 
 
 def straight_arc(length_m: float) -> Arc:
-    """A straight."""
+    """A straight segment."""
     return length_m, 0.0
 
 
@@ -68,7 +68,7 @@ def _polygon_arcs(
 
 
 def lap_arcs(shape: str, size_m: float, radius_m: float) -> list[Arc]:
-    """One lap of a shape; arcs of negative length tell that the corners do not fit."""
+    """One lap of a shape; an arc has negative length where the corners do not fit."""
     a = size_m
     match shape:
         case "line":
@@ -98,7 +98,7 @@ def lap_arcs(shape: str, size_m: float, radius_m: float) -> list[Arc]:
 
 def smallest_size(shape: str, radius_m: float) -> float:
     """Smallest `size_m` of a shape whose corners have this radius [m]."""
-    # A rounded corner cuts the radius times the tangent of half its turn off both its sides.
+    # A rounded corner shortens both sides by the radius times the tangent of half its turn.
     corner = math.tan(math.radians(60.0))
     blunt = math.tan(math.radians(30.0))
     return radius_m * {
@@ -113,7 +113,7 @@ def smallest_size(shape: str, radius_m: float) -> float:
 
 
 def turn_radius(speed_mps: float, wind_mps: float, acceleration_mps2: float) -> float:
-    """Radius of a turn flown downwind at a lateral acceleration [m]."""
+    """Radius [m] of a downwind turn at a lateral acceleration."""
     return (speed_mps + wind_mps) ** 2 / acceleration_mps2
 
 
@@ -124,7 +124,7 @@ def plan_path(
     wind_mps: float,
     acceleration_mps2: float,
 ) -> MissionPath:
-    """Lay the legs of a mission one after the other.
+    """Plan the path of a mission, one leg after the other.
 
     Parameters
     ----------
@@ -132,14 +132,14 @@ def plan_path(
     start : 3 floats
         North, east [m] and course [rad] of the first point.
     cruise_mps : float
-        Speed of the legs that name none.
+        Speed of the legs without `speed_mps`.
     wind_mps, acceleration_mps2 : float
-        Wind speed and lateral acceleration to round the corners with.
+        Wind speed and lateral acceleration that determine the corner radius.
 
     Raises
     ------
     ConfigError
-        If a shape is too small to be flown.
+        If a shape is too small to fly.
     """
     arcs: list[tuple[float, float, float, float, int]] = []
     spacing = 5.0
@@ -150,7 +150,7 @@ def plan_path(
         if leg.size_m < least:
             raise ConfigError(
                 f"mission[{number}].size_m = {leg.size_m:g} is too small for a {leg.shape} at "
-                f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; at least {math.ceil(least)}"
+                f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; use at least {math.ceil(least)}"
             )
         spacing = min(spacing, 0.1 * speed + 0.2)
         for length, curvature in lap_arcs(leg.shape, leg.size_m, radius) * leg.laps:
@@ -164,7 +164,7 @@ def _sample_arcs(
     start: tuple[float, float, float],
     spacing_m: float,
 ) -> MissionPath:
-    """Points of the arcs; positions are exact, as arcs are integrated in closed form."""
+    """Sample the arcs at fixed spacing; positions are exact (closed-form integration)."""
     ends = np.cumsum([0.0] + [arc[0] for arc in arcs])
     s = np.arange(0.0, ends[-1] + spacing_m, spacing_m)
     index = np.clip(np.searchsorted(ends, s, side="right") - 1, 0, len(arcs) - 1)
@@ -175,13 +175,13 @@ def _sample_arcs(
         origins.append((north, east, course))
         dn, de = _arc_displacement(np.array(length), np.array(bend), np.array(course))
         north, east, course = north + float(dn), east + float(de), course + bend * length
-    begin = np.array(origins)[index]
+    first = np.array(origins)[index]
     run = s - ends[index]
-    dn, de = _arc_displacement(run, curvature[index], begin[:, 2])
+    dn, de = _arc_displacement(run, curvature[index], first[:, 2])
     return MissionPath(
-        begin[:, 0] + dn,
-        begin[:, 1] + de,
-        begin[:, 2] + curvature[index] * run,
+        first[:, 0] + dn,
+        first[:, 1] + de,
+        first[:, 2] + curvature[index] * run,
         curvature[index],
         height[index],
         speed[index],
@@ -191,8 +191,8 @@ def _sample_arcs(
 
 
 def _arc_displacement(run: Array, bend: Array, course: Array) -> tuple[Array, Array]:
-    """North and east moved by `run` metres of constant curvature."""
+    """North and east displacement over `run` metres of constant curvature."""
     half = 0.5 * bend * run
-    # numpy's sinc(x) is sin(pi x) / (pi x), so straights need no case of their own.
+    # numpy's sinc(x) is sin(pi x) / (pi x), so straights need no special case.
     chord = run * np.sinc(half / np.pi)
     return np.asarray(chord * np.cos(course + half)), np.asarray(chord * np.sin(course + half))

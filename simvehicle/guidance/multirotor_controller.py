@@ -1,8 +1,8 @@
-"""A plain autopilot for the multirotor: path following, height, attitude and motor mixing.
+"""The built-in controller of the multirotor: path following, height, attitude, motor mixing.
 
-It works on the true state, as it is there to fly missions without an autopilot, not to be tested.
-Velocity errors become a wanted acceleration, that a wanted attitude and thrust (Mellinger and
-Kumar, ICRA 2011), and those motor commands by the inverse of the rotors' geometry.
+It uses the true state: its purpose is to fly missions without an autopilot, not to be tested.
+Velocity errors give an acceleration setpoint, that an attitude and thrust setpoint (Mellinger and
+Kumar, ICRA 2011), and those the motor commands by the pseudoinverse of the rotor geometry.
 """
 
 import math
@@ -14,7 +14,7 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
-from simvehicle.guidance.route import GuidanceSetpoint, GuidanceTrack, HoldTrack, PathTrack
+from simvehicle.guidance.route import GuidanceTrack, HoldTrack, PathTrack, Setpoint
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
@@ -26,14 +26,13 @@ _INTEGRAL_GAIN = 0.8  # 1/s^2
 _HEIGHT_GAIN = 1.2  # 1/s
 _CLIMB_MPS, _SINK_MPS = 3.0, 2.0
 _LANDING_MPS = 0.7
-_HORIZONTAL_ACCEL_MPS2 = (
-    0.7 * STANDARD_GRAVITY_MPS2
-)  # largest horizontal acceleration, 35 degrees of tilt
+# Horizontal acceleration limit, 35 degrees of tilt
+_HORIZONTAL_ACCEL_MPS2 = 0.7 * STANDARD_GRAVITY_MPS2
 _YAW_RATE_RPS = 1.0
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
-_CLIMB_FIRST_M = 2.0  # of height to gather speed in
-_LANDING_RADIUS_M = 1.0  # from the place to land on
+_CLIMB_FIRST_M = 2.0  # height range over which horizontal speed increases after take-off
+_LANDING_RADIUS_M = 1.0  # horizontal distance within which it descends to land
 _TURN_LEAD_S = 0.15
 
 
@@ -59,21 +58,18 @@ def _motor_commands(
     limits: Triple,
     out: Array,
 ) -> None:
-    """Fill in commands (n,) for a wanted acceleration (NED, without gravity) and heading.
+    """Fill in commands (n,) for an acceleration setpoint (NED, without gravity) and a heading.
 
-    `body` is mass and jx, jy, jz; `allocation` (n, 4) gives rotor thrusts for thrust and moments;
+    `body` is mass and jx, jy, jz; `allocation` (n, 4) maps thrust and moments to rotor thrusts;
     `limits` is the thrust coefficient at this density, idle and full speed [rad/s].
     """
-    push = (
-        -accel[0],
-        -accel[1],
-        STANDARD_GRAVITY_MPS2 - accel[2],
-    )  # down axis of the wanted attitude
+    # Down axis of the attitude setpoint
+    push = (-accel[0], -accel[1], STANDARD_GRAVITY_MPS2 - accel[2])
     size = math.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
     z = _unit(push)
     x = _unit(_cross((-math.sin(yaw), math.cos(yaw), 0.0), z))
     y = _cross(z, x)
-    # Half the antisymmetric part of now^T wanted: the attitude error, turned into body axes.
+    # The attitude error, in body axes: half the antisymmetric part of R^T R_setpoint.
     now_z = to_ned(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
     a = _cross(to_ned(q[0], q[1], q[2], q[3], 1.0, 0.0, 0.0), x)
     b = _cross(to_ned(q[0], q[1], q[2], q[3], 0.0, 1.0, 0.0), y)
@@ -84,7 +80,7 @@ def _motor_commands(
     for i in range(allocation.shape[0]):
         thrust = allocation[i, 0] * body[0] * size * along
         for axis in range(3):
-            gain = 1.0 if axis < 2 else 0.3  # the heading is the least urgent
+            gain = 1.0 if axis < 2 else 0.3  # yaw has the lowest priority
             rate = gain * _ATTITUDE_GAIN * error_b[axis]
             moment = body[1 + axis] * gain * _RATE_GAIN * (rate - rates[axis])
             thrust += allocation[i, 1 + axis] * moment
@@ -96,7 +92,7 @@ class MultirotorController:
     """Flies a track; `track`, `landing` and `yaw_rad` may be changed at any time."""
 
     rate_hz: float = 125.0
-    drifts: bool = False  # it holds its speed over ground
+    drifts: bool = False  # it flies at constant speed over ground
     lateral_mps2: float = 3.0
 
     def __init__(self, vehicle: Multirotor, home_alt_m: float) -> None:
@@ -123,7 +119,7 @@ class MultirotorController:
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float
     ) -> GuidanceTrack:
-        """A track that waits at a point."""
+        """A track that flies to a point and hovers there."""
         return HoldTrack(north_m, east_m, height_m, speed_mps)
 
     def update(self, truth: Truth) -> Controls:
@@ -139,12 +135,13 @@ class MultirotorController:
             end = self.track.setpoint_from(north, east, 0.0)
             self.track = self.circle(north, east, end.height_m, end.speed_mps)
         vn, ve, vd = truth.v_ned_mps.tolist()
-        aim = self.track.setpoint_from(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
-        # Near the ground it climbs before it goes anywhere, unless that is as high as it shall go.
-        room = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLIMB_FIRST_M))
-        room = max(room, 1.0 if aim.height_m - height < 0.5 or self.landing else 0.0)
-        accel = self._acceleration(aim, height, (vn, ve, vd), room)
-        yaw = self._yaw(aim, truth)
+        setpoint = self.track.setpoint_from(north, east, math.hypot(vn, ve) * _TURN_LEAD_S)
+        # Near the ground it climbs first, unless it is already at the height of the setpoint.
+        ahead_scale = max(0.0, min(1.0, (truth.height_agl_m - 1.0) / _CLIMB_FIRST_M))
+        if setpoint.height_m - height < 0.5 or self.landing:
+            ahead_scale = 1.0
+        accel = self._acceleration(setpoint, height, (vn, ve, vd), ahead_scale)
+        yaw = self._yaw(setpoint, truth)
         motor = self.vehicle.parameters.motor
         thrust = motor.thrust_n_per_rps2 * truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
         values = np.empty(self.vehicle.controls_count)
@@ -162,32 +159,30 @@ class MultirotorController:
 
     def _acceleration(
         self,
-        aim: GuidanceSetpoint,
+        setpoint: Setpoint,
         height: float,
         velocity: tuple[float, float, float],
-        room: float,
+        ahead_scale: float,
     ) -> Triple:
-        """Wanted acceleration without gravity, NED [m/s^2]; `room` scales the speed ahead."""
-        c, s = math.cos(aim.course_rad), math.sin(aim.course_rad)
+        """Acceleration setpoint without gravity, NED [m/s^2]; `ahead_scale` is 0 to 1."""
+        c, s = math.cos(setpoint.course_rad), math.sin(setpoint.course_rad)
         closing = max(
-            -aim.speed_mps - 1.0, min(aim.speed_mps + 1.0, _TRACK_GAIN * aim.cross_track_m)
+            -setpoint.speed_mps - 1.0,
+            min(setpoint.speed_mps + 1.0, _TRACK_GAIN * setpoint.cross_track_m),
         )
-        climb = _HEIGHT_GAIN * (aim.height_m - height)
-        if self.landing and math.hypot(aim.cross_track_m, aim.distance_m) < _LANDING_RADIUS_M:
+        climb = _HEIGHT_GAIN * (setpoint.height_m - height)
+        offset = math.hypot(setpoint.cross_track_m, setpoint.distance_m)
+        if self.landing and offset < _LANDING_RADIUS_M:
             climb = -_LANDING_MPS if height < 5.0 else -_SINK_MPS
         climb = max(-_SINK_MPS, min(_CLIMB_MPS, climb))
-        ahead = aim.speed_mps * room
-        wanted = (
-            ahead * c + closing * s,
-            ahead * s - closing * c,
-            -climb,
-        )
-        bend = aim.curvature_pm * aim.speed_mps**2
+        ahead = setpoint.speed_mps * ahead_scale
+        velocity_setpoint = (ahead * c + closing * s, ahead * s - closing * c, -climb)
+        bend = setpoint.curvature_pm * setpoint.speed_mps**2
         forward = (-bend * s, bend * c, 0.0)
         dt = 1.0 / self.rate_hz
         out = []
         for axis in range(3):
-            error = wanted[axis] - velocity[axis]
+            error = velocity_setpoint[axis] - velocity[axis]
             if abs(error) < 2.0:  # larger ones are manoeuvres, not disturbances
                 integral = self._integral[axis] + _INTEGRAL_GAIN * error * dt
                 self._integral[axis] = max(-5.0, min(5.0, integral))
@@ -196,14 +191,14 @@ class MultirotorController:
         scale = min(1.0, _HORIZONTAL_ACCEL_MPS2 / max(size, 1e-9))
         return out[0] * scale, out[1] * scale, max(-6.0, min(6.0, out[2]))
 
-    def _yaw(self, aim: GuidanceSetpoint, truth: Truth) -> float:
-        """Heading to hold: the one asked for, else along the track, turned at a limited rate."""
+    def _yaw(self, setpoint: Setpoint, truth: Truth) -> float:
+        """Heading setpoint: `yaw_rad`, or else along the track, with a limited rate."""
         if self._heading is None:
             self._heading = euler_angles(truth.q_nb.tolist())[2]
-        wanted = self.yaw_rad
-        if not math.isfinite(wanted):
-            wanted = aim.course_rad if aim.distance_m > 2.0 else self._heading
-        heading_error = math.remainder(wanted - self._heading, 2.0 * math.pi)
+        yaw_setpoint = self.yaw_rad
+        if not math.isfinite(yaw_setpoint):
+            yaw_setpoint = setpoint.course_rad if setpoint.distance_m > 2.0 else self._heading
+        heading_error = math.remainder(yaw_setpoint - self._heading, 2.0 * math.pi)
         limit = _YAW_RATE_RPS / self.rate_hz
         self._heading += max(-limit, min(limit, heading_error))
         return self._heading

@@ -1,4 +1,4 @@
-"""Constant controls instead of a mission, with or without weaving from side to side."""
+"""The open-loop controller of a fixed wing: constant controls, optionally weaving."""
 
 import math
 from typing import TYPE_CHECKING
@@ -22,9 +22,9 @@ def _weave_controls(motion: WeaveFeedback, aim: Four, open_loop: Four, t_s: floa
 
 
 class OpenLoopController(FixedWingController):
-    """Holds the controls as they are told; given a track, it flies that."""
+    """Keeps the controls constant, or weaves; with a track it becomes a path controller."""
 
-    rate_hz = math.inf  # anew at every step
+    rate_hz = math.inf  # updates at every step
 
     def __init__(
         self, vehicle: FixedWing, density: float, home_alt_m: float, plan: "OpenLoopControls"
@@ -46,12 +46,12 @@ class OpenLoopController(FixedWingController):
         if self.track is not None:
             self.rate_hz = FixedWingController.rate_hz
             return super().update(truth)
-        now = self._controls
+        controls = self._controls
         if self._aim is not None:
             roll, pitch, _ = euler_angles(truth.q_nb.tolist())
             p, q, _ = truth.omega_b_rps.tolist()
             airspeed = math.hypot(*truth.v_air_b_mps.tolist())
             motion = WeaveFeedback(float(roll), float(pitch), p, q, airspeed)
-            now = _weave_controls(motion, self._aim, self._controls, truth.t_us * 1e-6)
+            controls = _weave_controls(motion, self._aim, self._controls, truth.t_us * 1e-6)
         throws = (*self.vehicle.throw_rad, 1.0)
-        return Controls(np.array([value / throw for value, throw in zip(now, throws, strict=True)]))
+        return Controls(np.array(controls) / throws)

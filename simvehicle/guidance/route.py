@@ -1,7 +1,6 @@
-"""Where to fly next: a path or a point, seen from where the vehicle is.
+"""Tracks: paths and points to fly, as guidance setpoints at the vehicle's position.
 
-A track answers with the course, cross-track error and curvature to steer by; both vehicles'
-controllers use the same answer.
+A track gives course, cross-track error and curvature; the controllers of all vehicles use them.
 """
 
 import math
@@ -10,17 +9,17 @@ from typing import Protocol
 
 from simvehicle.guidance.mission import MissionPath
 
-_SEARCH_POINTS = 400  # points searched ahead for the nearest one
-_BRAKING_MPS2 = 1.5
+_SEARCH_POINTS = 400  # chosen: points ahead among which the nearest is searched; 2 km at 5 m
+_BRAKING_MPS2 = 1.5  # chosen: half the multirotor's lateral acceleration
 
 
 @dataclass(frozen=True, slots=True)
-class GuidanceSetpoint:
-    """What a track asks for.
+class Setpoint:
+    """Setpoint of a track for the controller.
 
-    Course over ground [rad], cross-track error [m] (positive right of the track), curvature
-    a little ahead [1/m], height above home [m], speed [m/s] and the distance to go to the place
-    where the track ends, infinite for tracks that do not end.
+    Course over ground [rad], cross-track error [m] (positive right of the track), curvature a
+    little ahead [1/m], height above home [m], speed [m/s] and the remaining distance [m], infinite
+    for a track without an end.
     """
 
     course_rad: float
@@ -32,10 +31,10 @@ class GuidanceSetpoint:
 
 
 class GuidanceTrack(Protocol):
-    """Something to follow; `setpoint_from` may remember how far the vehicle has come."""
+    """A track to follow; `setpoint_from` may store the progress of the vehicle."""
 
-    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
-        """Aim from a position; `ahead_m` is how far the curvature is read in advance."""
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
+        """The setpoint at a position; `ahead_m` is the look-ahead of the curvature."""
 
 
 class PathTrack:
@@ -53,7 +52,7 @@ class PathTrack:
 
     @property
     def leg(self) -> int:
-        """Number of the mission's leg now flown."""
+        """Number of the current mission leg."""
         return int(self.path.leg[self.index])
 
     @property
@@ -61,8 +60,8 @@ class PathTrack:
         """Whether the last point is reached."""
         return self.index >= len(self._north) - 1
 
-    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
-        """Aim at the path beside the vehicle; progress only goes forward."""
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
+        """The setpoint at the path point beside the vehicle; progress never goes back."""
         i, last = self.index, len(self._north) - 1
         for _ in range(_SEARCH_POINTS):
             along = (north_m - self._north[i]) * math.cos(self._course[i]) + (
@@ -76,10 +75,10 @@ class PathTrack:
         dn, de = north_m - self._north[i], east_m - self._east[i]
         along = dn * math.cos(course) + de * math.sin(course)
         bend = self._curvature[i]
-        # The path curves away from its tangent by half the curvature times the run squared.
+        # The path deviates from its tangent by half the curvature times the distance squared.
         error = -dn * math.sin(course) + de * math.cos(course) - 0.5 * bend * along * along
         j = min(last, i + round(ahead_m / self.path.spacing_m))
-        return GuidanceSetpoint(
+        return Setpoint(
             course + bend * along,
             error,
             self._curvature[j],
@@ -89,7 +88,7 @@ class PathTrack:
 
 
 class CircleTrack:
-    """Circles a point to the right for ever."""
+    """Circles a point clockwise, without end."""
 
     def __init__(
         self, north_m: float, east_m: float, height_m: float, radius_m: float, speed_mps: float
@@ -97,29 +96,29 @@ class CircleTrack:
         self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
         self.radius_m, self.speed_mps = radius_m, speed_mps
 
-    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
-        """Aim along the circle's tangent beside the vehicle."""
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
+        """The setpoint along the circle's tangent beside the vehicle."""
         dn, de = north_m - self.north_m, east_m - self.east_m
         bearing = math.atan2(de, dn)
-        # Flying clockwise the centre lies to the right, so outside is left of the track.
+        # The centre of a clockwise circle is to the right, so outside is left of the track.
         error = self.radius_m - math.hypot(dn, de)
-        return GuidanceSetpoint(
+        return Setpoint(
             bearing + 0.5 * math.pi, error, 1.0 / self.radius_m, self.height_m, self.speed_mps
         )
 
 
 class HoldTrack:
-    """Goes straight to a point and stays there."""
+    """Flies straight to a point and stays there."""
 
     def __init__(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> None:
         self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
         self.speed_mps = speed_mps
-        self.radius_m = speed_mps**2 / (2.0 * _BRAKING_MPS2)  # where it begins to slow down
+        self.radius_m = speed_mps**2 / (2.0 * _BRAKING_MPS2)  # braking distance
 
-    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> GuidanceSetpoint:
-        """Aim at the point, slower and slower."""
+    def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
+        """The setpoint towards the point, with decreasing speed."""
         dn, de = self.north_m - north_m, self.east_m - east_m
         distance = math.hypot(dn, de)
-        # Within 3 m the braking law gets too steep to follow: the speed goes with the distance.
+        # Within 3 m the braking law is too steep to follow: use a speed linear in the distance.
         speed = min(self.speed_mps, math.sqrt(2.0 * _BRAKING_MPS2 * distance), distance)
-        return GuidanceSetpoint(math.atan2(de, dn), 0.0, 0.0, self.height_m, speed, distance)
+        return Setpoint(math.atan2(de, dn), 0.0, 0.0, self.height_m, speed, distance)

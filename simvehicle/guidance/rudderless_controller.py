@@ -1,9 +1,9 @@
-"""The plain autopilot for fixed wings without a rudder, which may lack yaw stiffness as well.
+"""The built-in controller of fixed wings without a rudder, which may lack yaw stiffness, too.
 
-On such an airframe ailerons that hold the bank tightly against sideslip yaw the nose away until it
-spins: only bank, rates and sideslip together can be held. So the aileron is a linear-quadratic
-regulator of the lateral states about the steady turn that has the wanted bank (Bryson and Ho,
-Applied Optimal Control, 1975, section 5.2), and guidance asks for gentle turns.
+On such an airframe a tight bank control by ailerons alone diverges in yaw until the aircraft spins,
+so bank, rates and sideslip are controlled together: the aileron is a linear-quadratic regulator of
+the lateral states about the steady turn at the bank setpoint (Bryson and Ho, Applied Optimal
+Control, 1975, section 5.2). Guidance is limited to gentle turns.
 """
 
 import math
@@ -18,14 +18,14 @@ from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.trim import LATERAL, TrimPoint, linearise_trim
 
 _AILERON = 1  # column of the input matrix
-_ROLL = 1  # place of the roll angle among the lateral states v, roll, p, r
-# Deviations that cost the same: sideslip [m/s], roll [rad], p, r [rad/s] against aileron [rad].
+_ROLL = 1  # index of the roll angle in the lateral states v, roll, p, r
+# Bryson's rule: deviations of equal cost in sideslip [m/s], roll [rad], p, r [rad/s] and aileron.
 _EQUAL_COST = (5.0, 0.2, 3.0, 1.0)
 _EQUAL_COST_AILERON = 0.1
 
 
 class _Regulator(NamedTuple):
-    """Gains (4,), and the steady turn (4,) and its aileron per radian of bank."""
+    """Gains (4,); lateral states (4,) and aileron of the steady turn, per radian of bank."""
 
     gains: NDArray[np.float64]
     turn: NDArray[np.float64]
@@ -33,7 +33,7 @@ class _Regulator(NamedTuple):
 
 
 class RudderlessController(FixedWingController):
-    """As `FixedWingController`, with slow turns and an aileron that minds sideslip and yaw."""
+    """A `FixedWingController` with gentle turns and an aileron that controls sideslip and yaw."""
 
     lateral_mps2 = STANDARD_GRAVITY_MPS2 * math.tan(math.radians(12.0))
     course_gain = 0.35
@@ -45,15 +45,15 @@ class RudderlessController(FixedWingController):
         super().__init__(vehicle, density, home_alt_m)
         self._regulators: dict[float, _Regulator] = {}
 
-    def _aileron(self, point: TrimPoint, now: WingMotion, bank: float) -> float:
-        """Deflection [rad] that brings the lateral states to those of the turn."""
+    def _aileron(self, point: TrimPoint, motion: WingMotion, bank: float) -> float:
+        """Deflection [rad] that regulates the lateral states to those of the steady turn."""
         speed = point.airspeed_mps
         if speed not in self._regulators:
             self._regulators[speed] = self._regulator(point)
         gains, turn, aileron = self._regulators[speed]
-        lateral = np.array([now.v, now.roll, now.p, now.r])
-        weaker = (speed / now.airspeed) ** 2  # than at the trim
-        return weaker * float(aileron * bank - gains @ (lateral - turn * bank))
+        lateral = np.array([motion.v, motion.roll, motion.p, motion.r])
+        scale = (speed / motion.airspeed) ** 2  # of the dynamic pressure, relative to the trim
+        return scale * float(aileron * bank - gains @ (lateral - turn * bank))
 
     def _regulator(self, point: TrimPoint) -> _Regulator:
         from scipy.linalg import solve_continuous_are
@@ -66,12 +66,12 @@ class RudderlessController(FixedWingController):
         weights = np.diag(1.0 / np.square(_EQUAL_COST))
         cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_COST_AILERON**2]])
         gains = (b.T @ cost)[0] * _EQUAL_COST_AILERON**2
-        # Nothing changes in a steady turn: v, p, r and the aileron follow from the roll angle.
+        # In a steady turn v, p, r and the aileron follow from the roll angle.
         fixed = np.column_stack([np.delete(a, _ROLL, axis=1), b])
         *rest, aileron = np.linalg.solve(fixed, -a[:, _ROLL])
         return _Regulator(gains, np.insert(np.array(rest), _ROLL, 1.0), float(aileron))
 
 
 def has_rudder(vehicle: FixedWing) -> bool:
-    """Whether the airframe's rudder does anything."""
+    """Whether the rudder of the airframe has an effect."""
     return vehicle.aero.crdr != 0.0 or vehicle.aero.cndr != 0.0

@@ -1,4 +1,4 @@
-"""A quadrotor that sways on the spot where a mission would fly it."""
+"""The swaying controller of a quadrotor, used instead of a mission."""
 
 import math
 
@@ -12,7 +12,7 @@ from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import (
     Four,
-    QuadParameters,
+    QuadMixing,
     SwayFeedback,
     Three,
     quad_parameters,
@@ -22,18 +22,23 @@ from simvehicle.vehicles.multirotor.sway_kernel import (
 
 @compiled
 def _sway_commands(
-    now: SwayFeedback, aim: Three, quad: QuadParameters, gravity: float, dilution: float, t_s: float
+    feedback: SwayFeedback,
+    aim: Three,
+    quad: QuadMixing,
+    gravity: float,
+    density_ratio: float,
+    t_s: float,
 ) -> Four:
-    return sway_commands(now, aim, quad, gravity, dilution, t_s)
+    return sway_commands(feedback, aim, quad, gravity, density_ratio, t_s)
 
 
 class SwayController(MultirotorController):
-    """Rolls from side to side at its first height; given a track, it flies that.
+    """Rolls from side to side at its initial height; with a track it becomes a path controller.
 
-    `aim` is the greatest roll [rad], its period [s] and the pitch [rad].
+    `aim` is the roll amplitude [rad], its period [s] and the pitch [rad].
     """
 
-    rate_hz = math.inf  # anew at every step
+    rate_hz = math.inf  # updates at every step
 
     def __init__(self, vehicle: Multirotor, home_alt_m: float, aim: Three) -> None:
         super().__init__(vehicle, home_alt_m)
@@ -52,13 +57,15 @@ class SwayController(MultirotorController):
         roll, pitch, _ = euler_angles(truth.q_nb.tolist())
         p, q, r = truth.omega_b_rps.tolist()
         climb_mps = -float(truth.v_ned_mps[2])
-        now = SwayFeedback(
+        feedback = SwayFeedback(
             float(roll), float(pitch), (p, q, r), height_m - self._height_m, climb_mps
         )
-        dilution = truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
+        density_ratio = truth.density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3
         t_s = truth.t_us * 1e-6
         return Controls(
             np.array(
-                _sway_commands(now, self._aim, self._quad, STANDARD_GRAVITY_MPS2, dilution, t_s)
+                _sway_commands(
+                    feedback, self._aim, self._quad, STANDARD_GRAVITY_MPS2, density_ratio, t_s
+                )
             )
         )

@@ -1,7 +1,7 @@
-"""The built-in controller's commands as the HIL_ACTUATOR_CONTROLS an autopilot would send.
+"""The built-in controller's commands as HIL_ACTUATOR_CONTROLS, as an autopilot would send them.
 
-Where something between controller and vehicle may change them they go out as frames, in PX4's
-channels (see `simvehicle.vehicles.actuators`), and come back as controls.
+This lets a proxy change them on the way: they go out as frames in PX4's channels (see
+`simvehicle.vehicles.actuators`) and come back as controls.
 """
 
 import struct
@@ -24,7 +24,7 @@ from simvehicle.vehicles.body import Controls, Vector
 
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 SYSTEM, COMPONENT = 1, 1  # the autopilot's
-# Of a surface or throttle: the channels that drive it, with their signs; motors go by their numbers
+# Surface or throttle -> its channels and their signs; a motor's channel is its number
 ACTUATOR_CHANNELS: dict[str, tuple[tuple[int, float], ...]] = {
     "elevator": ((ELEVATOR, -1.0),),
     "aileron": ((RIGHT_AILERON, 1.0), (LEFT_AILERON, -1.0)),
@@ -35,7 +35,7 @@ _PAYLOAD = struct.Struct("<QQ16fB")
 
 
 class ActuatorCommands:
-    """One vehicle's commands out and back; `last_received` is what came back last."""
+    """Sends one vehicle's commands; `last_received` is the last command that came back."""
 
     def __init__(self, actuators: Sequence[str], mix: Mix) -> None:
         self.last_received: Controls | None = None
@@ -48,8 +48,8 @@ class ActuatorCommands:
     def frame(self, t_us: int, values: Vector) -> bytes:
         """The message that commands the actuators to `values` (n,) at `t_us`."""
         channels = [0.0] * CHANNEL_COUNT
-        for value, driven in zip(values.tolist(), self._channels, strict=True):
-            for channel, sign in driven:
+        for value, outputs in zip(values.tolist(), self._channels, strict=True):
+            for channel, sign in outputs:
                 channels[channel] = sign * value
         payload = _PAYLOAD.pack(t_us, 0, *channels, ARMED_FLAG)
         raw = frame_payload(
@@ -59,6 +59,6 @@ class ActuatorCommands:
         return raw
 
     def receive(self, frame: Frame) -> None:
-        """A message that reached the actuators, whatever was done to it on the way."""
+        """Take a message at the actuators, including any changes made on the way."""
         if frame.layout.name == HIL_ACTUATOR_CONTROLS.name:
             self.last_received = read_controls(frame, self._mix)[1]

@@ -1,13 +1,12 @@
-"""Readings and truth -> the frames a HIL simulator sends, as PX4 1.18 expects them; no I/O.
+"""Readings and truth -> the frames of a HIL simulator, as PX4 1.18 expects them; no I/O.
 
-Per step: HIL_SENSOR of id 0 (the one that sets PX4's clock), those of further ids, then what else
-was measured (raw GNSS observations as RTCM in TUNNEL), HEARTBEAT once a second, and the truth as
-HIL_STATE_QUATERNION. HIL_SENSOR carries
-the last value of every field; `fields_updated` says which are new. All bits of a group must be set
-for PX4 to use it, and pressure takes three of them.
+Per step: HIL_SENSOR of id 0 (which sets PX4's clock), those of further ids, then the other readings
+(raw GNSS observations as RTCM in TUNNEL), HEARTBEAT once a second, and the truth as
+HIL_STATE_QUATERNION. HIL_SENSOR has the last value of every field; `fields_updated` marks the new
+ones. PX4 uses a group of fields only if all its bits are set; pressure has three.
 
-HIL_SENSOR and HIL_STATE_QUATERNION are packed here and not by `wire.frame.build`, because they
-make up nearly all of the traffic.
+HIL_SENSOR and HIL_STATE_QUATERNION are packed here instead of by `wire.frame.build`, as they are
+nearly all of the traffic.
 """
 
 import struct
@@ -36,42 +35,42 @@ HIL_SENSOR = message_layout("HIL_SENSOR")
 HIL_STATE_QUATERNION = message_layout("HIL_STATE_QUATERNION")
 HEARTBEAT = message_layout("HEARTBEAT")
 
-# HIL_SENSOR_UPDATED_*: the bits of one group belong together
+# HIL_SENSOR_UPDATED_*, by group
 ACCEL, GYRO, MAG, BARO, DIFF_PRESSURE = 0x7, 0x38, 0x1C0, 0x1A00, 0x400
-IMU_IDS, MAG_IDS, BARO_IDS = 3, 2, 2  # PX4 drops the rest of a message beyond these
+IMU_IDS, MAG_IDS, BARO_IDS = 3, 2, 2  # PX4 ignores higher ids
 
-START_US = 1_000_000  # stamp of t_us = 0: PX4 refuses 0
+START_US = 1_000_000  # timestamp of t_us = 0, as PX4 refuses 0
 HEARTBEAT_US = 1_000_000
-AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID: the simulator flies nothing itself
+AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID: the simulator is no autopilot
 TYPE_QUADROTOR = 2  # MAV_TYPE_QUADROTOR
 
 PA_PER_HPA = 100.0
 
 _SENSOR = struct.Struct("<Q13fIB")
-# Places among HIL_SENSOR's floats.
+# Indices of HIL_SENSOR's floats.
 _ACC, _GYRO, _MAG = slice(0, 3), slice(3, 6), slice(6, 9)
 _PRESSURE, _DIFF_PRESSURE, _PRESSURE_ALT, _TEMPERATURE, _FLOATS = range(9, 14)
 
 
 class HilPacker:
-    """The simulator's end of a HIL link: packs frames and counts them.
+    """Packs the frames of the simulator's end of a HIL link.
 
     Parameters
     ----------
     system, component : int
-        Whom the frames come from.
+        Source of the frames.
     start_us : int
-        Stamp on the wire of the simulation's t_us = 0.
+        Timestamp on the wire at the simulation's t_us = 0.
     mav_type : int
         MAV_TYPE of the heartbeat.
 
     Attributes
     ----------
     step_us : int or None
-        Stamp of the last step on the wire, which an autopilot answers.
+        Timestamp of the last step on the wire, which an autopilot answers.
     seq, heartbeat_us, sensor_fields
-        The next frame's number, when the next heartbeat is due, and what HIL_SENSOR of each id
-        holds; steps that are flown elsewhere move them on.
+        The next sequence number, the due time of the next heartbeat, and the fields of HIL_SENSOR
+        by id; steps that are computed elsewhere update them.
     """
 
     def __init__(
@@ -89,30 +88,29 @@ class HilPacker:
         self.seq = 0
         self._rtcm = 0  # RTCM messages sent
         self.heartbeat_us = 0
-        # HIL_SENSOR's floats, by id.
         self.sensor_fields = [[0.0] * _FLOATS for _ in range(IMU_IDS)]
         self._truth = TruthPayload()
         self._consumed_mah = 0.0
         self._battery_us: int | None = None
 
     def frames(self, t_us: int, truth: Truth, readings: Iterable[Reading]) -> list[bytes]:
-        """The frames of one step.
+        """Pack the frames of one step.
 
         Parameters
         ----------
         t_us : int
-            The step's instant on the simulation's clock; HIL_SENSOR is stamped with it.
+            Time of the step on the simulation's clock, and timestamp of HIL_SENSOR.
         truth : Truth
             Sent as HIL_STATE_QUATERNION.
         readings : iterable of Reading
-            What the sensors delivered at this step; their own stamps may lie in the past.
+            The readings delivered at this step; their own timestamps may be earlier.
         """
         stamp = self.step_us = t_us + self.start_us
         updated = [0] * IMU_IDS
         others = []
         for reading in readings:
             if isinstance(reading, (ImuReading, MagReading, PressureReading, AirspeedReading)):
-                self._hold(reading, updated)
+                self._store(reading, updated)
             else:
                 others.append(reading)
         out = [self._sensor(stamp, bits, number) for number, bits in enumerate(updated) if bits]
@@ -123,14 +121,14 @@ class HilPacker:
             else:
                 out.append(self._build(*self._message(reading)))
         if t_us >= self.heartbeat_us:
-            # The next whole second: a late heartbeat does not move those after it.
+            # The next full second, so that a late heartbeat does not shift the later ones.
             self.heartbeat_us = t_us - t_us % HEARTBEAT_US + HEARTBEAT_US
             out.append(self._build(*self._heartbeat()))
         out.append(self.truth(stamp, truth))
         return out
 
     def truth(self, stamp_us: int, truth: Truth) -> bytes:
-        """HIL_STATE_QUATERNION: attitude, position and velocity as they really are."""
+        """HIL_STATE_QUATERNION: the true attitude, position and velocity."""
         payload = self._truth
         payload.stamp[0] = stamp_us
         fill_truth_payload(
@@ -144,12 +142,12 @@ class HilPacker:
         )
         return self._frame(HIL_STATE_QUATERNION, payload.bytes.tobytes())
 
-    def _hold(
+    def _store(
         self,
         reading: ImuReading | MagReading | PressureReading | AirspeedReading,
         updated: list[int],
     ) -> None:
-        """Take a reading into the fields of its HIL_SENSOR and mark them as new."""
+        """Store a reading in the fields of its HIL_SENSOR and mark them as updated."""
         if isinstance(reading, ImuReading):
             fields = self.sensor_fields[reading.id]
             fields[_ACC] = reading.accel_b_mps2
@@ -169,14 +167,14 @@ class HilPacker:
             updated[0] |= DIFF_PRESSURE
 
     def _message(self, reading: Reading) -> Message:
-        """What carries a reading that has a message of its own."""
+        """The message of a reading that is not part of HIL_SENSOR."""
         stamp = reading.t_us + self.start_us
         if isinstance(reading, BatteryReading):
             return hil_messages.battery_status(reading, self._consume(reading))
         return hil_messages.READING_MESSAGES[type(reading)](reading, stamp)
 
     def _tunnel(self, message: bytes) -> list[bytes]:
-        """TUNNEL frames around one RTCM message."""
+        """TUNNEL frames with one RTCM message."""
         frames = tunnel_frames(
             message, self._rtcm, seq=self.seq, system=self.system, component=self.component
         )
@@ -185,7 +183,7 @@ class HilPacker:
         return frames
 
     def _consume(self, reading: BatteryReading) -> float:
-        """Charge drawn until this reading in mAh."""
+        """Charge drawn until this reading [mAh]."""
         if self._battery_us is not None:
             hours = (reading.t_us - self._battery_us) / 3.6e9
             self._consumed_mah += reading.current_a * 1e3 * hours
@@ -221,7 +219,7 @@ class HilPacker:
 
 
 def rtcm_messages(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:
-    """MSM7 messages of one epoch, or the message of one ephemeris."""
+    """The RTCM messages of a reading: MSM7 of one epoch, or one ephemeris."""
     if isinstance(reading, EphemerisReading):
         return [reading.rtcm]
     return encode_epoch(

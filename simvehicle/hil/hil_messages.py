@@ -1,8 +1,7 @@
 """Readings in SI units -> the fields of the HIL messages that are not sent at full rate.
 
-Each function returns the values for `mavproxy_fault.wire.frame.build_frame`. Scalings are those of
-the MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as centimetres of position
-error.
+Each function returns the values for `mavproxy_fault.wire.frame.build_frame`. Units are those of the
+MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as position error in centimetres.
 """
 
 import math
@@ -22,13 +21,13 @@ from simvehicle.sensors.readings import (
 )
 
 COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
-COURSE_SPEED_MPS = 0.5  # below this the course over ground is noise
+COURSE_SPEED_MPS = 0.5  # chosen: below it the course over ground is mostly noise
 PITCH_270 = 25  # MAV_SENSOR_ROTATION_PITCH_270: looking down
 LASER = 0  # MAV_DISTANCE_SENSOR_LASER
 LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
 BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 VISION = 2  # MAV_ESTIMATOR_TYPE_VISION
-UNUSED_CELLS = (0xFFFF,) * 9  # BATTERY_STATUS.voltages beyond the first: the pack as one cell
+UNUSED_CELLS = (0xFFFF,) * 9  # BATTERY_STATUS.voltages after the first: the pack counts as one cell
 TEMPERATURE_UNKNOWN = 0x7FFF
 
 HIL_GPS = message_layout("HIL_GPS")
@@ -40,12 +39,12 @@ BATTERY_STATUS = message_layout("BATTERY_STATUS")
 
 
 def round_within(value: float, low: int, high: int) -> int:
-    """The integer nearest to `value` within the limits of its field."""
+    """The nearest integer to `value` within the limits of its field."""
     return round(min(max(value, low), high))
 
 
 def hil_gps(reading: GpsReading, t_us: int) -> Message:
-    """HIL_GPS: a receiver's solution."""
+    """HIL_GPS: a receiver's fix."""
     north, east, down = reading.v_ned_mps
     speed = math.hypot(north, east)
     moving = speed >= COURSE_SPEED_MPS
@@ -69,7 +68,7 @@ def hil_gps(reading: GpsReading, t_us: int) -> Message:
 
 
 def distance_sensor(reading: RangeReading, t_us: int) -> Message:
-    """DISTANCE_SENSOR: a laser that looks down."""
+    """DISTANCE_SENSOR: a downward laser."""
     return DISTANCE_SENSOR, {
         "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
         "min_distance": round_within(reading.min_m * 100, 0, 0xFFFF),
@@ -83,7 +82,7 @@ def distance_sensor(reading: RangeReading, t_us: int) -> Message:
 
 
 def hil_optical_flow(reading: FlowReading, t_us: int) -> Message:
-    """HIL_OPTICAL_FLOW: what a downward camera integrated since its last message."""
+    """HIL_OPTICAL_FLOW: the flow of a downward camera, integrated since the last message."""
     flow_x, flow_y = reading.flow_xy_rad
     gyro_x, gyro_y, gyro_z = reading.gyro_xyz_rad
     return HIL_OPTICAL_FLOW, {
@@ -101,7 +100,7 @@ def hil_optical_flow(reading: FlowReading, t_us: int) -> Message:
 
 
 def vision_message(reading: VisionReading, t_us: int) -> Message:
-    """ODOMETRY or VISION_POSITION_ESTIMATE, as the sensor is configured."""
+    """ODOMETRY or VISION_POSITION_ESTIMATE, depending on the sensor's configuration."""
     return (
         odometry_message(reading, t_us)
         if reading.odometry
@@ -112,7 +111,7 @@ def vision_message(reading: VisionReading, t_us: int) -> Message:
 def odometry_message(reading: VisionReading, t_us: int) -> Message:
     """ODOMETRY from vision: pose in local NED, velocity in body axes.
 
-    The covariances are upper triangles of 6x6 matrices, row by row; attitude's is unknown (NaN).
+    The covariances are upper triangles of 6x6 matrices, row by row; attitude is unknown (NaN).
     """
     x, y, z = reading.r_ned_m
     vx, vy, vz = rotate_to_body(reading.q_nb, reading.v_ned_mps)
@@ -138,7 +137,7 @@ def odometry_message(reading: VisionReading, t_us: int) -> Message:
 
 
 def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
-    """VISION_POSITION_ESTIMATE: the pose alone, with Euler angles."""
+    """VISION_POSITION_ESTIMATE: the pose only, with Euler angles."""
     x, y, z = reading.r_ned_m
     roll, pitch, yaw = euler_angles(reading.q_nb)
     return VISION_POSITION_ESTIMATE, {
@@ -154,12 +153,12 @@ def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
 
 
 def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
-    """BATTERY_STATUS: the pack as one cell."""
+    """BATTERY_STATUS: the battery pack as one cell."""
     return BATTERY_STATUS, {
         "current_consumed": round(consumed_mah),
         "energy_consumed": -1,  # not measured
         "temperature": TEMPERATURE_UNKNOWN,
-        # One below the field's largest value, which says that there is no such cell.
+        # Limited to one below the field's maximum, which means an absent cell.
         "voltages": (round_within(reading.voltage_v * 1e3, 0, 0xFFFE), *UNUSED_CELLS),
         "current_battery": round_within(reading.current_a * 100, -0x8000, 0x7FFF),
         "battery_remaining": round_within(reading.remaining * 100, 0, 100),
@@ -176,7 +175,7 @@ def _covariance_triangle(first: float, second: float) -> tuple[float, ...]:
     )
 
 
-# Readings that have a message of their own
+# Readings with their own message
 READING_MESSAGES: dict[type, Callable[[Any, int], Message]] = {
     GpsReading: hil_gps,
     RangeReading: distance_sensor,

@@ -1,4 +1,4 @@
-"""A message to send: its layout and the values of its fields."""
+"""Outgoing messages: a layout and the values of its fields."""
 
 from collections.abc import Mapping
 
@@ -6,7 +6,7 @@ from mavproxy_fault.wire.dialect import Field, Layout, message_layout
 
 Message = tuple[Layout, Mapping[str, object]]
 
-# Not among pymavlink's messages; MAVLink's standard.xml, CRC extra 217
+# Not in pymavlink; from MAVLink's standard.xml, CRC extra 217
 PROTOCOL_VERSION = Layout(
     name="PROTOCOL_VERSION",
     id=300,
@@ -28,12 +28,11 @@ PROTOCOL_VERSION = Layout(
 
 
 def make_message(name: str, **values: object) -> Message:
-    """The message `name`; fields not given are zero."""
+    """Make the message `name`; omitted fields are zero."""
     return message_layout(name), values
 
 
 def statustext(text: str, severity: int = 6) -> Message:
     """STATUSTEXT; severity 6 is MAV_SEVERITY_INFO."""
-    return make_message(
-        "STATUSTEXT", severity=severity, text=text.encode()[:50]
-    )  # the field's size
+    # 50 bytes is the field's size.
+    return make_message("STATUSTEXT", severity=severity, text=text.encode()[:50])

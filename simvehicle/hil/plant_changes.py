@@ -1,6 +1,6 @@
-"""Changes of the plant that come over a link: carried out, or refused with a word and no more.
+"""Plant faults that arrive on a link: applied to the simulation, or refused with a message.
 
-They come from a peer, who may be wrong, and five times a second: each refusal is told once.
+A peer repeats them five times a second, so each refusal is reported once.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from mavproxy_fault.wire.plant_messages import plant_change
 
 
 class ChangeablePlant(Protocol):
-    """What can be changed."""
+    """A simulation that accepts plant faults."""
 
     def plant(self, name: str, value: float | None) -> None:
-        """Change a parameter of the plant; None makes it healthy again."""
+        """Set a plant fault; None removes it."""
 
 
 class PlantChanges:
-    """The control path's end at one simulation."""
+    """Applies the plant faults received on a link to one simulation."""
 
     def __init__(self, plant: ChangeablePlant, say: Callable[[str], None]) -> None:
         self._plant = plant
@@ -27,7 +27,7 @@ class PlantChanges:
         self._refused: set[str] = set()
 
     def carry_out(self, frame: Frame) -> None:
-        """Carry out a change; other frames pass unheeded."""
+        """Apply the plant fault in a frame; other frames are ignored."""
         change = plant_change(frame)
         if change is None:
             return

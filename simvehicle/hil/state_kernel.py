@@ -1,4 +1,4 @@
-"""The payload of HIL_STATE_QUATERNION by one compiled call, as it leaves at every step."""
+"""The payload of HIL_STATE_QUATERNION, filled by one compiled call as it is sent at every step."""
 
 import math
 
@@ -13,18 +13,18 @@ Array = NDArray[np.float64]
 MPS2_TO_MILLI_G = 1000.0 / STANDARD_GRAVITY_MPS2
 RAD_TO_DEGE7 = 1e7 * 180.0 / math.pi
 CM = 100.0
-# Where a payload's floats, places and shorts begin, in bytes, and its size.
+# Start of a payload's floats, positions and shorts, and its size, in bytes.
 FLOATS, POSITIONS, SHORTS, PAYLOAD_SIZE = 8, 36, 48, 64
-RATES = 4  # among the floats, behind the quaternion
-INDICATED, TRUE_AIRSPEED, FORCE = 3, 4, 5  # among the shorts, behind the velocity
+RATES = 4  # index in the floats, after the quaternion
+INDICATED, TRUE_AIRSPEED, FORCE = 3, 4, 5  # indices in the shorts, after the velocity
 
 
 class TruthPayload:
-    """The bytes of one payload and its fields: time, then floats, places and shorts [1]_.
+    """The bytes of one payload: time, then floats, positions and shorts [1]_.
 
     References
     ----------
-    .. [1] MAVLink common message set, HIL_STATE_QUATERNION, fields in the order of the wire.
+    .. [1] MAVLink common message set, HIL_STATE_QUATERNION, fields in wire order.
     """
 
     def __init__(self) -> None:
@@ -39,9 +39,9 @@ def _to_short(value: float) -> int:
 
 @inlined
 def _to_unsigned_short(value: float) -> int:
-    """An unsigned short as the signed one of the same bits."""
-    whole = int(min(max(np.rint(value), 0.0), 65535.0))
-    return whole if whole < 32768 else whole - 65536
+    """An unsigned short as the signed short with the same bits."""
+    unsigned = int(min(max(np.rint(value), 0.0), 65535.0))
+    return unsigned if unsigned < 32768 else unsigned - 65536
 
 
 @compiled
@@ -54,11 +54,11 @@ def fill_truth_payload(
     place: tuple[float, float, float, float],
     payload: NDArray[np.uint8],
 ) -> None:
-    """Fill in the fields of a payload (64,) but its time.
+    """Fill in the fields of a payload (64,) except its time.
 
     `place` is latitude and longitude [rad], height above mean sea level [m] and air density
-    [kg/m^3]. Accelerations are the specific force in mG, as other simulators do (-1000 at rest);
-    what lies beyond the wire's range saturates.
+    [kg/m^3]. Accelerations are the specific force in mG, as in other simulators (-1000 at rest);
+    values outside a field's range saturate.
     """
     floats = payload[FLOATS:POSITIONS].view(np.float32)
     places = payload[POSITIONS:SHORTS].view(np.int32)

@@ -40,7 +40,7 @@ class Plain(NamedTuple):
     load: Doubles  # (LOAD,)
     wind: Doubles  # (2, 3) of the last step and of the next one
     around: Doubles  # (9,)
-    here: Doubles  # (PLACE,) what `locate` fills in
+    here: Doubles  # (PLACE,) what `locate_state` fills in
     home: Doubles  # (13,)
     packed: Doubles  # the vehicle's parameters
     law: Doubles  # (11,) the weather's, and its filters and draws

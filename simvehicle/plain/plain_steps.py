@@ -111,7 +111,7 @@ class PlainSteps:
         words[k.NEXT_US], words[k.SUBSTEPS] = moment.next_us, moment.steps
         words[k.ROW], words[k.SEQ] = simulation.weather.row, hil.seq
         numbers[k.DT], numbers[k.AGL_M] = moment.dt, truth.height_agl_m
-        arrays.x[:], arrays.wind[1], arrays.around[:] = moment.x, moment.wind, moment.around
+        arrays.x[:], arrays.wind[1], arrays.around[:] = moment.x, moment.wind, moment.surroundings
         arrays.fields[:] = hil.sensor_fields
         self._refit()
         left = min([DRAW_BLOCK - 1 - simulation.weather.row, *self._take_sensors()])

@@ -171,7 +171,7 @@ def _frame(p: Plain, payload: Octets, number: int, extra: int) -> None:
 
 @compiled
 def _sense(p: Plain) -> None:
-    """Readings that are due, as HIL_SENSOR of each id; as `Simulation` and `Hil` do."""
+    """Readings that are due, as HIL_SENSOR of each id; as `Simulation` and `HilPacker` do."""
     words, sensors, payload = p.words, p.sensors, p.payload
     updated = np.zeros(k.IDS, dtype=np.uint32)
     for at in range(sensors.shape[0]):

@@ -1,1 +1,1 @@
-"""The scenario file: one YAML document with vehicle, mission, weather, sensors and GNSS."""
+"""The scenario file: a YAML document with vehicle, mission, weather, sensors and GNSS."""

@@ -1,4 +1,4 @@
-"""A scenario with single values replaced, by their paths: `environment.wind_ned_mps[0]=5`."""
+"""Replaces single values of a scenario by path, such as `environment.wind_ned_mps[0]=5`."""
 
 import re
 from collections.abc import Mapping
@@ -13,12 +13,12 @@ from simvehicle.scenario.scenario_file import Scenario
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """The scenario with the values of some paths replaced.
+    """The scenario with the values at some paths replaced.
 
     Raises
     ------
     ConfigError
-        If a path leads nowhere, or a value is not allowed there.
+        If a path does not exist, or a value is not allowed there.
     """
     if not changes:
         return scenario
@@ -26,7 +26,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     for path, value in changes.items():
         document = with_value(document, path, value)
     where = ", ".join(f"{path}={value}" for path, value in changes.items())
-    # Not `decode_scenario`: names of files count from the scenario's folder already.
+    # Not `decode_scenario`: file names have been resolved already.
     return decode(Document(document, where, {}), Scenario)
 
 
@@ -36,14 +36,13 @@ def with_value(document: dict[str, Any], path: str, value: Any) -> dict[str, Any
     Raises
     ------
     ConfigError
-        If the path leads nowhere.
+        If the path does not exist.
     """
-    # Keys and indices alike.
     steps = re.findall(r"[^.\[\]]+", path)
     if not steps:
-        raise ConfigError(f"{path!r} names nothing; a path such as environment.wind_ned_mps[0]")
-    found: dict[str, Any] = _replace_at(document, steps, value, path)
-    return found
+        raise ConfigError(f"{path!r} is no path; write it like environment.wind_ned_mps[0]")
+    changed: dict[str, Any] = _replace_at(document, steps, value, path)
+    return changed
 
 
 def _replace_at(node: Any, steps: list[str], value: Any, path: str) -> Any:
@@ -53,17 +52,17 @@ def _replace_at(node: Any, steps: list[str], value: Any, path: str) -> Any:
         items[int(key)] = _replace_at(items[int(key)], rest, value, path) if rest else value
         return items
     if isinstance(node, dict) and key in node:
-        # Copies along the path only: the document itself serves the next change.
+        # Copy along the path only; the document itself stays unchanged.
         return {**node, key: _replace_at(node[key], rest, value, path) if rest else value}
     if isinstance(node, dict):
         raise ConfigError(f"{path}: {key} is unknown; known: {', '.join(node)}")
     if isinstance(node, (list, tuple)):
-        raise ConfigError(f"{path}: there is no number {key}; 0 to {len(node) - 1}")
-    raise ConfigError(f"{path}: there is no {key} below {node!r}")
+        raise ConfigError(f"{path}: index {key} is out of range; use 0 to {len(node) - 1}")
+    raise ConfigError(f"{path}: {node!r} has no {key}; remove it from the path")
 
 
 def parse_change(text: str) -> tuple[str, Any]:
-    """Path and value of `PATH=VALUE`; the value is one of YAML's scalars.
+    """Path and value of `PATH=VALUE`; the value is a YAML scalar.
 
     Raises
     ------
@@ -72,5 +71,5 @@ def parse_change(text: str) -> tuple[str, Any]:
     """
     path, equals, value = text.partition("=")
     if not equals:
-        raise ConfigError(f"--set {text}: has no =; PATH=VALUE")
+        raise ConfigError(f"--set {text}: has no =; write PATH=VALUE")
     return path.strip(), parse_scalar(value.strip())

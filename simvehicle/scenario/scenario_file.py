@@ -1,7 +1,7 @@
 """The scenario file: one flight with its vehicle, weather and sensors.
 
-The sections `schedule`, `monitor` and `criteria` belong to other parts and pass through as they
-are. Lengths in m, speeds in m/s, angles in degrees; the keys carry their units.
+The sections `schedule`, `monitor` and `criteria` are decoded elsewhere. Lengths are in m, speeds in
+m/s, angles in degrees; each key ends in its unit.
 """
 
 from datetime import UTC, datetime
@@ -35,7 +35,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class StartState(_Section, frozen=True):
-    """Motion at the start of a flight in the air, along and about the body's axes."""
+    """Motion at the start of a flight in the air, along and about the body axes."""
 
     u_mps: float
     v_mps: float = 0.0
@@ -48,11 +48,11 @@ class StartState(_Section, frozen=True):
 
 
 class StartConfig(_Section, frozen=True):
-    """Home and the beginning of the flight.
+    """Home and the start of the flight.
 
-    `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's above the
-    ellipsoid there; `height_m` above ground is where the vehicle starts, 0 means standing. In the
-    air it starts in trimmed flight, or with `state`.
+    `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's height above
+    the ellipsoid. The vehicle starts `height_m` above ground: 0 means standing on the ground,
+    otherwise it starts in trimmed flight, or with `state`.
     """
 
     lat_deg: float = 47.397742
@@ -62,7 +62,7 @@ class StartConfig(_Section, frozen=True):
     height_m: float = 0.0
     heading_deg: float = 0.0
     state: StartState | None = None
-    # Fixed, since the magnetic field and the sky depend on it.
+    # Fixed, as the magnetic field depends on it.
     time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
 
     def __post_init__(self) -> None:
@@ -72,9 +72,9 @@ class StartConfig(_Section, frozen=True):
             raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
         if self.height_m < 0.0:
             raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
-        # On the ground the vehicle stands: it has no motion to begin with.
+        # On the ground the vehicle starts at rest.
         if self.state is not None and self.height_m == 0.0:
-            raise ValueError("state needs a start in the air; height_m above 0")
+            raise ValueError("state needs a start in the air; set height_m above 0")
         if self.time.tzinfo is None:
             raise ValueError("time has no time zone; write it like 2024-03-07T12:00:00Z")
 
@@ -87,25 +87,25 @@ class VehicleChoice(_Section, frozen=True):
 
 
 class Leg(_Section, frozen=True):
-    """One shape of the mission; it begins where the last one ended, in the same direction."""
+    """One shape of the mission; it starts where the previous one ended, with the same heading."""
 
     shape: Shape
     size_m: float = 600.0
     height_m: float = 100.0
-    speed_mps: float | None = None  # None is the vehicle's cruise
+    speed_mps: float | None = None  # None: the vehicle's cruise speed
     laps: int = 1
 
     def __post_init__(self) -> None:
         for name in ("size_m", "height_m", "laps"):
             if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+                raise ValueError(f"{name} = {getattr(self, name)} is not positive; use > 0")
         if self.speed_mps is not None and self.speed_mps <= 0.0:
-            raise ValueError(f"speed_mps = {self.speed_mps} is not positive; above 0")
+            raise ValueError(f"speed_mps = {self.speed_mps} is not positive; use > 0")
 
 
 class WeaveChoice(_Section, frozen=True):
-    """Rolling from side to side by `roll_deg` while holding pitch and, for a fixed wing,
-    airspeed; a quadrotor holds its height."""
+    """Rolling from side to side by `roll_deg` at constant pitch and, for a fixed wing, constant
+    airspeed; a quadrotor keeps its height."""
 
     roll_deg: float
     period_s: float
@@ -118,8 +118,8 @@ class WeaveChoice(_Section, frozen=True):
 
 
 class OpenLoopControls(_Section, frozen=True):
-    """Constant controls of a fixed wing in the place of a mission; `weave` adds feedback, and is
-    all that a quadrotor has."""
+    """Constant controls of a fixed wing instead of a mission; `weave` adds feedback. A quadrotor
+    takes `weave` only."""
 
     elevator_deg: float = 0.0
     aileron_deg: float = 0.0
@@ -129,7 +129,7 @@ class OpenLoopControls(_Section, frozen=True):
 
 
 class GustChoice(_Section, frozen=True):
-    """Dryden gusts by their own numbers, along the body's axes."""
+    """Parameters of Dryden gusts along the body axes."""
 
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
@@ -142,10 +142,10 @@ class GustChoice(_Section, frozen=True):
 
 
 class ShearChoice(_Section, frozen=True):
-    """Power law of the wind over height; `wind_ned_mps` is that at `reference_m`."""
+    """Wind shear as a power law over height; `wind_ned_mps` is the wind at `reference_m`."""
 
-    reference_m: float = 10.0  # where weather stations measure wind
-    exponent: float = 1.0 / 7.0
+    reference_m: float = 10.0  # height of weather station wind
+    exponent: float = 1.0 / 7.0  # the one-seventh power law of neutral air over open land
 
     def __post_init__(self) -> None:
         if self.reference_m <= 0.0:
@@ -155,8 +155,8 @@ class ShearChoice(_Section, frozen=True):
 class Environment(_Section, frozen=True):
     """Weather and ground.
 
-    `terrain` is an ASCII raster of heights in m over degrees; without it the ground is level at
-    `start.alt_m`, with it the raster says how high home is.
+    `terrain` is an ASCII raster of heights [m] over degrees, which then also gives the height of
+    home; without it the ground is level at `start.alt_m`.
     """
 
     wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -166,11 +166,10 @@ class Environment(_Section, frozen=True):
 
 
 class SensorSuite(_Section, frozen=True):
-    """The sensors on board; a list stands for several of a kind, with ids 0, 1, ..."""
+    """The sensors on board; a list has several of one kind, with ids 0, 1, ..."""
 
-    imu: ImuSensor | list[ImuSensor] = (
-        ImuSensor()
-    )  # always on board: its rate is that of the simulation's steps
+    # Always on board: its rate sets the simulation's step
+    imu: ImuSensor | list[ImuSensor] = ImuSensor()
     mag: Magnetometer | list[Magnetometer] | None = None
     baro: Barometer | list[Barometer] | None = None
     airspeed: Airspeed | None = None
@@ -182,7 +181,7 @@ class SensorSuite(_Section, frozen=True):
 
 
 class Scenario(_Section, frozen=True):
-    """A whole scenario file."""
+    """A complete scenario file."""
 
     name: str = "scenario"
     seed: int = 1
@@ -209,31 +208,31 @@ class Scenario(_Section, frozen=True):
     def _check_controls(self, controls: OpenLoopControls) -> None:
         kind, weave = self.vehicle.kind, controls.weave
         if self.mission or kind not in ("fixedwing", "multirotor"):
-            raise ValueError("controls fly a vehicle without a mission; leave one out")
-        # Deflections are a fixed wing's; a quadrotor without feedback falls over.
+            raise ValueError("controls need a fixedwing or multirotor without mission; remove one")
+        # A quadrotor has no surfaces and is unstable without feedback.
         if kind == "multirotor" and (weave is None or controls != OpenLoopControls(weave=weave)):
-            raise ValueError("controls of a multirotor are weave alone; leave the others out")
+            raise ValueError("controls of a multirotor have weave only; remove the others")
         if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
-            raise ValueError("controls.weave.airspeed_mps is for a fixed wing, which needs it")
+            raise ValueError("set controls.weave.airspeed_mps for a fixed wing and no other")
 
 
 def open_scenario(path: str | Path | None) -> Document:
-    """The document of a scenario file, presets of sensors filled in; None gives the built-in demo.
+    """The document of a scenario file with sensor presets filled in; None gives the demo.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no YAML, or names sensors that there are not.
+        If the file cannot be read, is not YAML, or names an unknown sensor preset.
     """
-    # In the package: the demo runs without any file.
+    # The demo is part of the package, so it runs without a file.
     if path is None:
         path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
     document = read_document(path)
     if not isinstance(document.data, dict):
-        raise ConfigError(f"{document.where}:1: is no scenario; a mapping with keys is expected")
+        raise ConfigError(f"{document.where}:1: is no scenario; write a mapping with keys")
     refuse_other_kinds(document.data, Scenario.__struct_fields__, document.where, "a scenario")
     sensors = document.data.get("sensors")
-    # A name of a file instead of a section.
+    # A file name instead of a section.
     if isinstance(sensors, str):
         sensors = _sensor_file(Path(path).parent / sensors)
     elif isinstance(sensors, dict):
@@ -249,25 +248,25 @@ def read_scenario(path: str | Path | None) -> Scenario:
     Raises
     ------
     ConfigError
-        If something in the file is wrong; the text names file, line and what is allowed.
+        If the file has an error; the text names file, line and what is allowed.
     """
     return decode_scenario(open_scenario(path))
 
 
 def decode_scenario(document: Document) -> Scenario:
-    """The scenario of a document that `open_scenario` gave.
+    """Decode the scenario of a document from `open_scenario`.
 
     Raises
     ------
     ConfigError
-        With every key and value that is wrong.
+        Lists every invalid key and value.
     """
-    # Relative to the scenario, wherever the command was started.
+    # File names are relative to the scenario, not to the working directory.
     return _resolve_files(decode(document, Scenario), Path(document.where).parent)
 
 
 def _resolve_files(scenario: Scenario, folder: Path) -> Scenario:
-    """Names of files in a scenario count from the scenario's own folder."""
+    """Resolve file names in a scenario relative to the scenario's folder."""
     vehicle, gnss, weather = scenario.vehicle, scenario.gnss, scenario.environment
     if vehicle.parameters.endswith((".yaml", ".yml")):
         parameters = str(folder / vehicle.parameters)
@@ -280,10 +279,10 @@ def _resolve_files(scenario: Scenario, folder: Path) -> Scenario:
 
 
 def _sensor_file(path: Path) -> dict[str, Any]:
-    """The `sensors` of a scenario from a file of their own, checked there."""
+    """Read and check the `sensors` of a scenario from a separate file."""
     document = read_document(path)
     if not isinstance(document.data, dict):
-        raise ConfigError(f"{path}:1: holds no sensors; a mapping like imu: {{...}} is expected")
+        raise ConfigError(f"{path}:1: has no sensors; write a mapping like imu: {{...}}")
     sensors = _with_presets(document, ())
     # Checked here, so that errors name this file and its lines.
     decode(document._replace(data=sensors), SensorSuite)
@@ -291,11 +290,11 @@ def _sensor_file(path: Path) -> dict[str, Any]:
 
 
 def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
-    """The sensors at a path of a document, each `preset: name` replaced by the preset's values.
+    """The sensors at a path of a document, with each `preset: name` replaced by its values.
 
-    What is given beside a preset has precedence. Several sensors of a kind get their ids.
+    Keys next to a preset take precedence. Several sensors of one kind get their ids.
     """
-    # Read at each call: a scenario is read once, and the file is small.
+    # Not cached: a scenario is read once, and the file is small.
     presets = read_document(Path(str(resources.files("simvehicle.sensors"))) / "presets.yaml").data
     check = DocumentCheck(document.where, document.lines)
     sensors = document.data[at[0]] if at else document.data
@@ -308,7 +307,7 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
                 for index, entry in enumerate(value)
             ]
             out[kind] = [
-                # Numbered as listed, unless the entry numbers itself.
+                # The id is the index in the list, unless the entry has one.
                 {"id": index, **entry} if isinstance(entry, dict) else entry
                 for index, entry in enumerate(filled)
             ]
@@ -321,7 +320,7 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
 def _apply_preset(
     entry: Any, known: dict[str, Any], check: DocumentCheck, path: DocumentPath
 ) -> Any:
-    """A sensor with the values of its preset under its own."""
+    """A sensor's entry with the values of its preset for the missing keys."""
     if not isinstance(entry, dict) or "preset" not in entry:
         return entry
     name = entry["preset"]
@@ -329,5 +328,5 @@ def _apply_preset(
         names = ", ".join(known) or "none"
         check.wrong((*path, "preset"), f"= {name} is unknown; known: {names}")
         return entry
-    # The entry's own keys come last, so that they win.
+    # The entry's own keys come last, so that they take precedence.
     return {**known[name], **{key: value for key, value in entry.items() if key != "preset"}}

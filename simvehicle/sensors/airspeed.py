@@ -1,4 +1,4 @@
-"""Pitot tube: differential pressure along the body's x axis."""
+"""Pitot tube: the differential pressure of the airspeed."""
 
 from typing import ClassVar
 
@@ -11,7 +11,7 @@ from simvehicle.vehicles.body import Truth
 
 
 class Airspeed(SensorParameters, frozen=True, kw_only=True):
-    """Measures rho/2 Va^2 [Pa], with Va the whole airspeed as in Beard and McLain, section 7.4."""
+    """Measures rho/2 Va^2 [Pa], with Va the total airspeed as in Beard and McLain, section 7.4."""
 
     channels: ClassVar = {"noise": 1}
 
@@ -27,7 +27,6 @@ class Airspeed(SensorParameters, frozen=True, kw_only=True):
     ) -> tuple[AirspeedReading, NoiseState]:
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
-        # The whole airspeed, not its part along the tube: as the book has it.
         u, v, w = truth.v_air_b_mps.tolist()
         pressure = 0.5 * truth.density_kgpm3 * (u * u + v * v + w * w)
         pressure = (1.0 + self.noise.scale) * pressure + error[0]

@@ -16,7 +16,7 @@ CELSIUS_ZERO_K = 273.15
 class Barometer(SensorParameters, frozen=True, kw_only=True):
     """Measures static pressure [Pa]; the altitude is that of the standard atmosphere.
 
-    With the air's temperature it drifts by `drift_pa_per_k`, from 15 degrees Celsius on.
+    It drifts with air temperature by `drift_pa_per_k`, relative to 15 degrees Celsius.
     """
 
     channels: ClassVar = {"noise": 1}
@@ -36,7 +36,7 @@ class Barometer(SensorParameters, frozen=True, kw_only=True):
         error, state = self.noise.next(state, rng, self.rate_hz)
         drift = self.drift_pa_per_k * (truth.temperature_k - SEA_LEVEL_K)
         pressure = (1.0 + self.noise.scale) * truth.pressure_pa + error[0] + drift
-        # A huge bias may push it below zero, where the altitude has no logarithm.
+        # A large bias may make the pressure negative, where the altitude is undefined.
         altitude = pressure_altitude(max(pressure, 1.0))
         celsius = truth.temperature_k - CELSIUS_ZERO_K
         return PressureReading(truth.t_us, pressure, altitude, celsius, self.id), state

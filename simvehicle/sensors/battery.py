@@ -1,4 +1,4 @@
-"""Voltage and current of the pack, and the charge left as a perfect gauge shows it."""
+"""Battery monitor: voltage and current of the pack, and its exact remaining charge."""
 
 from typing import ClassVar, NamedTuple
 
@@ -43,7 +43,7 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
             truth.t_us,
             (1.0 + self.voltage.scale) * truth.battery_v + v[0],
             (1.0 + self.current.scale) * truth.battery_a + a[0],
-            # No error: the gauge counts what the model draws, not what this sensor says.
+            # Exact: the gauge uses the model's charge, not this sensor's current.
             truth.battery_remaining,
         )
         return reading, BatteryState(voltage, current)

@@ -1,7 +1,7 @@
 """The error model that all sensors share: white noise, bias, drift, random walk and scale.
 
 A measured value is (1 + scale) * true + bias + drift + walk + white. The drift is a first-order
-Gauss-Markov process. Errors are made in blocks, as drawing them one by one costs too much time.
+Gauss-Markov process. Errors are generated in blocks, as drawing them one by one is too slow.
 """
 
 import math
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled
 
 Array = NDArray[np.float64]
-# Two seconds of an IMU at 250 Hz: long enough that the cost of a call to numpy is spread, short
-# enough that a state stays small.
+# Two seconds of an IMU at 250 Hz: long enough to amortise the calls to numpy, short enough to keep
+# a state small.
 _BLOCK = 512
 
 
@@ -33,10 +33,10 @@ def _gauss_markov(start: Array, phi: float, draws: Array) -> Array:
 
 
 class NoiseState(NamedTuple):
-    """Errors to come, m at a time, and where bias, drift and walk stand after them (m,).
+    """The errors of the coming samples, and bias, drift and walk (m,) after them.
 
-    Taking from `rows` moves it on, as drawing does a generator; a tuple made anew for each sample
-    would cost more than the sample. `block` (n, m) is what `rows` began with.
+    Taking a row from `rows` advances it, as drawing advances a generator; creating a tuple for each
+    sample would cost more than the sample. `block` (n, m) holds all rows that `rows` started with.
     """
 
     rows: Iterator[list[float]]
@@ -47,7 +47,7 @@ class NoiseState(NamedTuple):
 
 
 class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Errors of one channel or of several alike ones, in the unit of the sensor.
+    """The errors of one channel, or of several channels alike, in the sensor's unit.
 
     Parameters
     ----------
@@ -56,15 +56,15 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     density : float
         White noise per root hertz (an angle or velocity random walk); adds to `sigma`.
     bias : float or list
-        Constant error, for all channels or one by one.
+        Constant error, for all channels or for each.
     bias_sigma : float
-        Standard deviation of a constant error drawn anew for each flight and channel.
+        Standard deviation of a constant error drawn for each flight and channel.
     drift_sigma, drift_time_s : float
         Stationary standard deviation and time constant of the Gauss-Markov drift.
     walk : float
         Random walk of the error per root second.
     scale : float
-        Relative error of the scale.
+        Scale factor error, relative.
     """
 
     sigma: float = 0.0
@@ -83,25 +83,25 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                     f"{name} = {getattr(self, name)} is negative; 0 or more is allowed"
                 )
         if self.drift_time_s <= 0.0:
-            raise ValueError(f"drift_time_s = {self.drift_time_s} is not positive; seconds > 0")
+            raise ValueError(f"drift_time_s = {self.drift_time_s} is not positive; use seconds > 0")
 
     def new_state(self, rng: np.random.Generator, channels: int, rate_hz: float) -> NoiseState:
         """Draw the constant errors and the first block."""
         bias = np.broadcast_to(np.asarray(self.bias, dtype=float), (channels,)).copy()
         if self.bias_sigma > 0.0:
-            # Draws only where they are asked for, and in this order: a flight's bytes hang on both.
+            # Drawn only if configured and in this order: the flight's bytes depend on both.
             bias = bias + self.bias_sigma * rng.standard_normal(channels)
         drift = np.zeros(channels)
         if self.drift_sigma > 0.0:
-            # Already in its stationary distribution, as if the sensor had long been warm.
+            # Drawn from the stationary distribution, as for a sensor long switched on.
             drift = self.drift_sigma * rng.standard_normal(channels)
         return self._refill(bias, drift, np.zeros(channels), rng, rate_hz)
 
     def next(
         self, state: NoiseState, rng: np.random.Generator, rate_hz: float
     ) -> tuple[list[float], NoiseState]:
-        """Additive errors, one for each of the m channels, of the next sample."""
-        # A loop that ends at once is the cheapest way to ask an iterator whether it has more.
+        """Additive errors of the next sample, one for each of the m channels."""
+        # A loop that returns at once is the cheapest test for another row.
         for row in state.rows:
             return row, state
         state = self._refill(state.bias, state.drift, state.walk, rng, rate_hz)
@@ -112,13 +112,13 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     ) -> NoiseState:
         shape = (_BLOCK, len(bias))
         block = np.broadcast_to(bias, shape).copy()
-        # White noise of density N sampled at f has the variance N^2 f; it adds to that of a sample.
+        # White noise of density N sampled at f has variance N^2 f, which adds to sigma^2.
         white = math.hypot(self.sigma, self.density * math.sqrt(rate_hz))
         if white > 0.0:
             block += white * rng.standard_normal(shape)
         if self.drift_sigma > 0.0:
             phi = math.exp(-1.0 / (self.drift_time_s * rate_hz))
-            # With this variance of each step the drift keeps its stationary one.
+            # This standard deviation per step keeps the process stationary.
             kick = self.drift_sigma * math.sqrt(1.0 - phi * phi)
             path = _gauss_markov(drift, phi, kick * rng.standard_normal(shape))
             block += path
@@ -127,5 +127,5 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             path = walk + np.cumsum(self.walk / math.sqrt(rate_hz) * rng.standard_normal(shape), 0)
             block += path
             walk = path[-1]
-        # Lists of floats, since each sample is used one number at a time.
+        # Lists of floats, as each sample is used one number at a time.
         return NoiseState(iter(block.tolist()), block, bias, drift, walk)

@@ -1,8 +1,8 @@
-"""Optical flow of a camera that looks down along the body's z axis, over level ground.
+"""Optical flow of a downward camera (body z axis) over level ground.
 
-Sign convention of MAVLink's OPTICAL_FLOW_RAD and HIL_OPTICAL_FLOW: the flow is the image's turn
-about the body's x and y axes as a gyro would show it, so turning the camera without moving gives
-flow equal to the gyro's share.
+Sign convention of MAVLink's OPTICAL_FLOW_RAD and HIL_OPTICAL_FLOW: the flow is the image rotation
+about the body x and y axes as a gyro would measure it, so a pure rotation of the camera gives a
+flow equal to the gyro's.
 """
 
 from typing import ClassVar, NamedTuple
@@ -25,7 +25,7 @@ class FlowState(NamedTuple):
 
 
 class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
-    """Measures angular image motion [rad/s], integrated over one sample's time."""
+    """Measures angular image motion, integrated over one sample period [rad]."""
 
     channels: ClassVar = {"flow": 2, "gyro": 3}
 
@@ -47,21 +47,21 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
     def sample(
         self, truth: Truth, state: FlowState, rng: np.random.Generator
     ) -> tuple[FlowReading, FlowState]:
-        """One reading; quality is 0 where the ground is out of range."""
+        """One reading; quality is 0 if the ground is out of range."""
         (flow_x, flow_y), flow_state = self.flow.next(state.flow, rng, self.rate_hz)
-        # The flow board has a gyro of its own, whose errors are not those of the IMU.
+        # The flow board has its own gyro, with errors independent of the IMU's.
         (gyro_x, gyro_y, gyro_z), gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
         p, q, r = truth.omega_b_rps.tolist()
         gain = 1.0 + self.gyro.scale
         gyro = (gain * p + gyro_x) * dt, (gain * q + gyro_y) * dt, (gain * r + gyro_z) * dt
-        # MAVLink: a negative distance is unknown, quality 0 is bad and 255 the best.
+        # MAVLink: a negative distance means unknown; quality is 0 (bad) to 255 (best).
         flow, shown, quality = (0.0, 0.0), -1.0, 0
         if self.min_m <= distance <= self.max_m:
             vx, vy, _ = rotate_to_body(truth.q_nb.tolist(), truth.v_ned_mps.tolist())
             gain = 1.0 + self.flow.scale
-            # Flying forward (vx) moves the image as pitching up (q) would, flying right (vy) as
+            # Moving forward (vx) shifts the image like pitching up (q), moving right (vy) like
             # rolling left.
             x, y = gain * (p - vy / distance), gain * (q + vx / distance)
             flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255

@@ -1,4 +1,4 @@
-"""A satellite receiver's solution without raw observations: Gauss-Markov position error.
+"""A simple GPS receiver without raw observations: a fix with Gauss-Markov position error.
 
 Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
 """
@@ -28,19 +28,18 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Gauss-Markov position error: nu[n+1] = exp(-k T) nu[n] + eta, eta of `kick_m` per sample."""
 
     kick_m: float
-    k_per_s: float = 1.0 / 1100.0  # of the book: the error wanders over some 18 minutes
+    k_per_s: float = 1.0 / 1100.0  # of the book: a correlation time of 18 minutes
 
     def noise(self, rate_hz: float) -> NoiseModel:
-        """The same process in the terms of the shared error model."""
-        # Beard and McLain give the kick per sample; the stationary sigma of the same process
-        # follows.
+        """The same process as parameters of the shared error model."""
+        # Beard and McLain give the noise per sample; convert it to the stationary sigma.
         phi = math.exp(-self.k_per_s / rate_hz)
         sigma = self.kick_m / math.sqrt(1.0 - phi * phi)
         return NoiseModel(drift_sigma=sigma, drift_time_s=1.0 / self.k_per_s)
 
 
 class Gps(SensorParameters, frozen=True, kw_only=True):
-    """Position, velocity and quality as HIL_GPS carries them."""
+    """Measures position and velocity, and reports the quality fields of HIL_GPS."""
 
     channels: ClassVar = {"velocity": 3}
 
@@ -69,7 +68,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
         plane, horizontal = self.horizontal.noise(rate).next(state.horizontal, rng, rate)
         height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
-        # Metres of error become radians on the ellipsoid, at the height flown.
+        # Convert metres of error to radians on the ellipsoid, at the vehicle's height.
         meridian, prime = curvature_radii(truth.lat_rad)
         north, east = plane
         vn, ve, vd = truth.v_ned_mps.tolist()

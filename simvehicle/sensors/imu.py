@@ -1,4 +1,4 @@
-"""Gyros and accelerometers: three axes each, sampled together."""
+"""The IMU: gyros and accelerometers of three axes each, sampled together."""
 
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
@@ -19,14 +19,14 @@ class ImuState(NamedTuple):
 
 
 class ImuSensor(SensorParameters, frozen=True, kw_only=True):
-    """Measures body rates [rad/s] and specific force [m/s^2], cut off at the ranges."""
+    """Measures body rates [rad/s] and specific force [m/s^2], saturated at the ranges."""
 
     channels: ClassVar = {"gyro": 3, "accel": 3}
 
     rate_hz: float = 250.0
     gyro: NoiseModel = NoiseModel()
     accel: NoiseModel = NoiseModel()
-    gyro_range_rps: float = 35.0  # 2000 deg/s, and 16 g: what MEMS units of autopilots are set to
+    gyro_range_rps: float = 35.0  # 2000 deg/s and 16 g, the usual MEMS IMU settings of autopilots
     accel_range_mps2: float = 160.0
 
     def new_state(self, rng: np.random.Generator) -> ImuState:
@@ -54,7 +54,7 @@ class ImuSensor(SensorParameters, frozen=True, kw_only=True):
             ),
             self.id,
         )
-        # Mostly the states are the same objects, and a new tuple per sample would cost more.
+        # The states are mostly the same objects: avoid a new tuple per sample.
         if gyro_state is not state.gyro or accel_state is not state.accel:
             state = ImuState(gyro_state, accel_state)
         return reading, state
@@ -63,13 +63,13 @@ class ImuSensor(SensorParameters, frozen=True, kw_only=True):
 def apply_triad_errors(
     true: Sequence[float], scale: float, error: Sequence[float], limit: float
 ) -> Triple:
-    """A triad's values with scale and error, cut off at its range; plain steps compile it."""
-    # Single floats: numpy on three numbers takes ten times as long.
+    """A triad with scale and error, saturated at its range; plain steps compile this function."""
+    # Scalars: numpy on three numbers takes ten times as long.
     x, y, z = true
     a, b, c = error
     gain = 1.0 + scale
     x, y, z = gain * x + a, gain * y + b, gain * z + c
-    # Hardly ever out of range, so that one test stands for three.
+    # Values are almost always in range: one test covers three axes.
     if -limit <= min(x, y, z) and max(x, y, z) <= limit:
         return x, y, z
     x, y, z = max(-limit, x), max(-limit, y), max(-limit, z)

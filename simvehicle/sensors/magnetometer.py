@@ -1,4 +1,4 @@
-"""Three-axis magnetometer in a known field."""
+"""Three-axis magnetometer."""
 
 from typing import ClassVar
 
@@ -14,8 +14,8 @@ from simvehicle.vehicles.body import Truth
 class Magnetometer(SensorParameters, frozen=True, kw_only=True):
     """Measures the Earth's field in body axes [gauss].
 
-    `field_ned_gauss` is the field at home; over a flight of some kilometres it changes by less
-    than the noise. Without it the simulation fills in the world magnetic model's value.
+    `field_ned_gauss` is the field at home; over some kilometres it changes by less than the noise.
+    By default the simulation fills in the value of the world magnetic model.
     """
 
     channels: ClassVar = {"noise": 3}
@@ -32,7 +32,7 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
         self, truth: Truth, state: NoiseState, rng: np.random.Generator
     ) -> tuple[MagReading, NoiseState]:
         """One reading."""
-        # The simulation has filled it in, when it looked up the home.
+        # Filled in by the simulation.
         assert self.field_ned_gauss is not None
         error, state = self.noise.next(state, rng, self.rate_hz)
         x, y, z = rotate_to_body(truth.q_nb.tolist(), self.field_ned_gauss)

@@ -1,4 +1,4 @@
-"""Range finder that looks down along the body's z axis."""
+"""Downward range finder, along the body z axis."""
 
 from typing import ClassVar
 
@@ -11,21 +11,21 @@ from simvehicle.vehicles.body import Truth
 
 
 def slant_range(truth: Truth) -> float:
-    """Distance [m] to level ground along the body's z axis; infinite when it points to the sky."""
+    """Distance [m] to level ground along the body z axis; infinite if it points to the sky."""
     _, x, y, _ = truth.q_nb.tolist()
-    down = 1.0 - 2.0 * (x * x + y * y)  # cosine between the body's z axis and the vertical
-    # At more than 89.4 degrees of tilt the beam is as good as level.
+    down = 1.0 - 2.0 * (x * x + y * y)  # cosine between the body z axis and the vertical
+    # Beyond 89.4 degrees of tilt the beam counts as horizontal.
     return max(truth.height_agl_m, 0.0) / down if down > 0.01 else float("inf")
 
 
 def check_range_limits(min_m: float, max_m: float) -> None:
-    """Refuse limits that leave nothing between them."""
+    """Refuse an empty measuring range."""
     if not 0.0 <= min_m < max_m:
-        raise ValueError(f"min_m = {min_m} and max_m = {max_m} are no span; 0 <= min_m < max_m")
+        raise ValueError(f"min_m = {min_m}, max_m = {max_m} is no range; use 0 <= min_m < max_m")
 
 
 class Rangefinder(SensorParameters, frozen=True, kw_only=True):
-    """Measures the slant range [m]; outside its limits it reports the farther one."""
+    """Measures the slant range [m], clamped to its limits."""
 
     channels: ClassVar = {"noise": 1}
 
@@ -48,6 +48,6 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
         """One reading."""
         error, state = self.noise.next(state, rng, self.rate_hz)
         distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
-        # As drivers do, which clamp before they send; EKFs look at the limits in the message.
+        # Clamped, as drivers do; estimators compare with the limits in the message.
         distance = min(self.max_m, max(self.min_m, distance))
         return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id), state

@@ -1,7 +1,7 @@
-"""What the sensors say: one frozen type per kind, in SI units and stamped.
+"""The readings of the sensors: one frozen type per kind, in SI units and with a timestamp.
 
-Structs of plain floats, as they are made hundreds of times a second: a dataclass takes ten times
-as long to make, and an array of three numbers longer than to measure them.
+Structs of plain floats, as they are created hundreds of times a second: creating a dataclass takes
+ten times as long, and an array of three numbers longer than the measurement.
 """
 
 import msgspec
@@ -12,7 +12,7 @@ Vector = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
-# Readings hold no references that could form a cycle: the garbage collector need not look.
+# gc=False: readings have no references that could form a cycle.
 class ImuReading(msgspec.Struct, frozen=True, gc=False):
     """Rates (3,) in rad/s and specific force (3,) in m/s^2, body axes forward-right-down."""
 
@@ -35,7 +35,7 @@ class PressureReading(msgspec.Struct, frozen=True, gc=False):
 
     t_us: int
     pressure_pa: float
-    pressure_alt_m: float  # in the standard atmosphere, whatever the weather
+    pressure_alt_m: float  # in the standard atmosphere
     temperature_c: float
     id: int = 0
 
@@ -48,7 +48,7 @@ class AirspeedReading(msgspec.Struct, frozen=True, gc=False):
 
 
 class GpsReading(msgspec.Struct, frozen=True, gc=False):
-    """A receiver's solution; `alt_m` above mean sea level, `eph_m` and `epv_m` one sigma."""
+    """A receiver's fix; `alt_m` is above mean sea level, `eph_m` and `epv_m` are one sigma."""
 
     t_us: int
     lat_deg: float
@@ -65,8 +65,8 @@ class GpsReading(msgspec.Struct, frozen=True, gc=False):
 class PseudorangeReading(msgspec.Struct, frozen=True, gc=False):
     """Raw observations of one epoch on one signal per satellite, GPS L1 C/A or Galileo E1.
 
-    `satellites` are names like `G12`; arrays have shape (n,). `tow_s` and `week` are GPS time as
-    the receiver's clock shows it. `doppler_mps` is the range rate (positive when the range grows).
+    `satellites` are names like `G12`; arrays have shape (n,). `tow_s` and `week` are GPS time on
+    the receiver's clock. `doppler_mps` is the range rate (positive when the range grows).
     """
 
     t_us: int
@@ -97,7 +97,7 @@ class RangeReading(msgspec.Struct, frozen=True, gc=False):
 
 
 class FlowReading(msgspec.Struct, frozen=True, gc=False):
-    """Optical flow integrated over `integration_s`, with the gyro's share, in rad."""
+    """Optical flow and gyro rates integrated over `integration_s` [rad]."""
 
     t_us: int
     integration_s: float
@@ -110,7 +110,7 @@ class FlowReading(msgspec.Struct, frozen=True, gc=False):
 class VisionReading(msgspec.Struct, frozen=True, gc=False):
     """Pose and velocity from vision in local NED; `q_nb` is (w, x, y, z).
 
-    `odometry` says whether it travels with its velocity, as ODOMETRY, or as a pose alone.
+    `odometry` selects ODOMETRY, with the velocity, or VISION_POSITION_ESTIMATE, the pose only.
     """
 
     t_us: int
@@ -123,7 +123,7 @@ class VisionReading(msgspec.Struct, frozen=True, gc=False):
 
 
 class BatteryReading(msgspec.Struct, frozen=True, gc=False):
-    """Pack voltage, current and what is left (0 to 1)."""
+    """Pack voltage, current and remaining charge (0 to 1)."""
 
     t_us: int
     voltage_v: float

@@ -1,4 +1,4 @@
-"""What every sensor is, and how often it speaks."""
+"""The interface and the common parameters of all sensors."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol
@@ -11,7 +11,7 @@ from simvehicle.vehicles.body import Truth
 
 
 class Sensor(Protocol):
-    """Frozen parameters; the moving state is handed in and back."""
+    """A sensor's frozen parameters; its state is passed in and returned."""
 
     @property
     def rate_hz(self) -> float:
@@ -19,7 +19,7 @@ class Sensor(Protocol):
 
     @property
     def latency_s(self) -> float:
-        """From measurement to delivery."""
+        """Delay from measurement to delivery."""
 
     def new_state(self, rng: np.random.Generator) -> Any:
         """State at power-on."""
@@ -27,13 +27,13 @@ class Sensor(Protocol):
     def sample(
         self, truth: Truth, state: Any, rng: np.random.Generator
     ) -> tuple[Reading | list[Reading], Any]:
-        """One reading of the truth."""
+        """Sample the truth: one reading, or several, and the new state."""
 
 
 class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters that all sensors have; `latency_s` is from measurement to delivery.
+    """Parameters common to all sensors; `latency_s` is the delay from measurement to delivery.
 
-    `channels` says how many channels each of a sensor's noises has.
+    `channels` is the number of channels of each of the sensor's noise models.
     """
 
     channels: ClassVar[Mapping[str, int]] = {}
@@ -47,7 +47,7 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             raise ValueError(f"rate_hz = {self.rate_hz} is out of range; above 0, at most 2000")
         if self.latency_s < 0.0:
             raise ValueError(f"latency_s = {self.latency_s} is negative; 0 or more is allowed")
-        # On the wire an id is one byte.
+        # An id is one byte on the wire.
         if not 0 <= self.id <= 255:
             raise ValueError(f"id = {self.id} is out of range; 0 to 255 is allowed")
         for name, count in self.channels.items():

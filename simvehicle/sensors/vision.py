@@ -1,4 +1,4 @@
-"""Pose and velocity as visual odometry or motion capture gives them."""
+"""Pose and velocity from visual odometry or motion capture."""
 
 from typing import ClassVar, Literal, NamedTuple
 
@@ -23,8 +23,8 @@ class VisionState(NamedTuple):
 class Vision(SensorParameters, frozen=True, kw_only=True):
     """Measures position [m] and velocity [m/s] in local NED and attitude (errors in rad).
 
-    A random walk of the position is what visual odometry without loop closure does. `message` says
-    how a reading travels; VISION_POSITION_ESTIMATE carries the pose alone.
+    A random walk of the position models visual odometry without loop closure. `message` selects the
+    MAVLink message of a reading; VISION_POSITION_ESTIMATE has the pose only.
     """
 
     channels: ClassVar = {"position": 3, "velocity": 3, "attitude": 3}
@@ -51,14 +51,14 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
         rate = self.rate_hz
         place, position = self.position.next(state.position, rng, rate)
         speed, velocity = self.velocity.next(state.velocity, rng, rate)
-        # The attitude has no scale: its error is a small rotation in body axes.
+        # The attitude error is a small rotation in body axes, without scale.
         tilt, attitude = self.attitude.next(state.attitude, rng, rate)
         reading = VisionReading(
             truth.t_us,
             _apply_errors(truth.r_ned_m, self.position.scale, place),
             _apply_errors(truth.v_ned_mps, self.velocity.scale, speed),
             rotate_quaternion(truth.q_nb.tolist(), tilt),
-            # A claimed sigma is never 0: no estimator can use a measurement without variance.
+            # The reported sigma is never 0, as estimators need a variance.
             max(self.position.sigma, 0.01),
             max(self.velocity.sigma, 0.01),
             self.message == "ODOMETRY",

@@ -1,5 +1,5 @@
-"""The flight that a scenario describes: truth, step by step, and what the sensors say of it.
+"""The simulation of a scenario: truth step by step, and the readings of the sensors.
 
 A *kind* is a vehicle model with its controller and its parameters; other packages add theirs by
-entry point. The *simulation* steps truth in its air, and the sensors *on board*; it does no I/O.
+entry point. The *simulation* steps vehicle, weather and *onboard sensors*; it does no I/O.
 """

@@ -1,4 +1,4 @@
-"""The sensors on board: each with its own state, its own stream and its own clock."""
+"""The sensors on board, each with its own state, random stream and sampling times."""
 
 import math
 from typing import Any
@@ -16,11 +16,11 @@ from simvehicle.vehicles.body import Truth
 
 
 class OnboardSensor:
-    """A sensor on board: its moving state, its stream and when it is due."""
+    """A sensor on board: its state, its random stream and when its next sample is due."""
 
     def __init__(self, name: str, sensor: Sensor, seed: int) -> None:
         self.name, self.sensor = name, sensor
-        # By name: a further sensor leaves the numbers of the others as they were.
+        # Seeded by name, so that adding a sensor does not change the draws of the others.
         self.rng = np.random.default_rng([seed, crc32(name.encode())])
         self.state: Any = sensor.new_state(self.rng)
         # The first sample is due one period after the start: at t_us = 0 nothing is delivered.
@@ -29,29 +29,28 @@ class OnboardSensor:
         self.latency_us = round(sensor.latency_s * 1e6)
 
     def sample(self, truth: Truth) -> list[Reading]:
-        """Readings now."""
+        """Sample the truth; returns the readings."""
         self.count += 1
-        # From the count, not from the last one: periods that are no whole microseconds do not
-        # drift.
+        # From the count: a period that is no integer number of microseconds must not drift.
         self.due_us = self.count * 1e6 / self.sensor.rate_hz
-        found, self.state = self.sensor.sample(truth, self.state, self.rng)
-        return found if isinstance(found, list) else [found]
+        readings, self.state = self.sensor.sample(truth, self.state, self.rng)
+        return readings if isinstance(readings, list) else [readings]
 
 
 def create_onboard_sensors(scenario: Scenario, seed: int) -> list[OnboardSensor]:
-    """The sensors on board, the first inertial unit first."""
+    """Create the sensors on board, the first IMU first."""
     sensors, start = scenario.sensors, scenario.start
-    fitted: list[OnboardSensor] = []
+    onboard: list[OnboardSensor] = []
     for kind in sensors.__struct_fields__:
         value = getattr(sensors, kind)
         if value is None or (kind == "gps" and scenario.gnss is not None):
-            continue  # a receiver with raw observations takes the place of the simple one
+            continue  # the receiver with raw observations replaces the simple one
         for index, sensor in enumerate(value if isinstance(value, list) else [value]):
             if kind == "mag" and sensor.field_ned_gauss is None:
                 field = field_ned_gauss(start.lat_deg, start.lon_deg, start.alt_m, start.time)
                 sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
-            fitted.append(OnboardSensor(f"{kind}{index}", sensor, seed))
+            onboard.append(OnboardSensor(f"{kind}{index}", sensor, seed))
     if scenario.gnss is not None:
         home = math.radians(start.lat_deg), math.radians(start.lon_deg)
-        fitted.append(OnboardSensor("gnss", gnss_sensor(scenario.gnss, *home), seed))
-    return fitted
+        onboard.append(OnboardSensor("gnss", gnss_sensor(scenario.gnss, *home), seed))
+    return onboard

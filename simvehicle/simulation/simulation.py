@@ -1,7 +1,7 @@
-"""One flight: the vehicle in its air, the sensors on board, the controller or someone else's.
+"""The simulation of one flight: vehicle, weather, sensors, and the built-in controller.
 
 Time is simulated; nothing here reads a clock or does I/O. The same scenario and seed give the same
-readings, and each part draws from a stream of its own, so adding a sensor changes no other.
+readings, and each part has its own random stream, so adding a sensor changes no other.
 """
 
 import heapq
@@ -44,12 +44,12 @@ from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import VOLTS, pack_surroundings
 
 Array = NDArray[np.float64]
-LONGEST_STEP_S = 0.005  # a ground contact is stiff
+LONGEST_STEP_S = 0.005  # ground contact is stiff: 40 rad/s needs steps of a few ms
 _WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
 class StepState(NamedTuple):
-    """Where a flight stands, and what is known ahead of its next step; see `Simulation.step`."""
+    """State of a flight and the precomputed inputs of its next step; see `Simulation.step`."""
 
     t_us: int
     x: Array
@@ -58,11 +58,11 @@ class StepState(NamedTuple):
     steps: int
     dt: float
     wind: Array
-    around: Array
+    surroundings: Array
 
 
 class Simulation:
-    """A flight that goes on step by step, at the rate of the first inertial unit.
+    """A flight simulated step by step, at the rate of the first IMU.
 
     Attributes
     ----------
@@ -71,13 +71,13 @@ class Simulation:
     home : Home
         Origin of the local frame, on the ground.
     kind, vehicle, controller
-        Its kind, what flies, and what flies it when `step` gets no controls. The controller's
+        The vehicle with its kind, and the controller for steps without controls. The controller's
         `track` may be replaced in flight.
     truth : Truth
-        The last one.
-    weather, fitted, late, place
-        The wind, the sensors on board, readings to come by their times, and home as `locate_state`
-        takes it.
+        The truth of the last step.
+    weather, onboard_sensors, delayed_readings, packed_home
+        The wind, the sensors on board, a heap of readings by delivery time, and the home frame as
+        `locate_state` takes it.
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
@@ -95,16 +95,16 @@ class Simulation:
         self._rate_hz = self.onboard_sensors[0].sensor.rate_hz
         self._count = 0
         self._t_us = 0
-        # A heap by the time of delivery, then in the order of sampling.
+        # A heap by delivery time, then in the order of sampling.
         self.delayed_readings: list[tuple[int, int, Reading]] = []
         self._order = itertools.count()
         self._controls = np.zeros(self.vehicle.controls_count)
         self._commands = self._controls
         self.packed_home = self.home.packed
         self._x = self._begin()
-        # No step has been made: specific force and battery of this first truth are zero.
+        # Before the first step, the specific force and battery of the truth are zero.
         self.truth = self._observe(np.zeros(6), self.weather.steady_mps.copy())
-        # After the first truth, as its gains are made for the air density there.
+        # Created after the first truth, as its gains depend on the air density.
         self.controller = self._controller()
         self._next_control_us = 0.0
         self._ahead: tuple[int, int, float, Array, Array] | None = None
@@ -113,82 +113,82 @@ class Simulation:
 
     @property
     def controls(self) -> Array:
-        """The actuator commands now in force, in the vehicle's order."""
+        """The actuator commands of the last step, in the vehicle's order."""
         return self._controls
 
     def commanded(self) -> Array:
-        """What the built-in controller commands for the next step, in the vehicle's order."""
+        """The built-in controller's commands for the next step, in the vehicle's order."""
         if self._t_us >= self._next_control_us:
             self._commands = self.controller.update(self.truth).values
-            # Added up, not counted from now: the mean rate is right where steps do not divide it.
+            # Accumulated, so that the mean rate is right even if steps do not divide the period.
             self._next_control_us += 1e6 / self.controller.rate_hz
         return self._commands
 
     def step(self, controls: Controls | None = None) -> tuple[int, Truth, list[Reading]]:
-        """Go on to the next sample of the inertial unit.
+        """Advance to the next sample of the IMU.
 
         Parameters
         ----------
         controls : Controls, optional
-            Someone else's, for example an autopilot's; without them the controller flies.
+            External controls, for example an autopilot's; without them the controller flies.
 
         Returns
         -------
         t_us : int
-            Since the start of the simulation, above 0.
+            Time since the start of the simulation, above 0.
         truth : Truth
         readings : list of Reading
-            What the sensors delivered by now; the inertial unit's comes first.
+            The readings delivered at this step; the IMU's comes first.
         """
         self._controls = self.commanded() if controls is None else self._checked(controls)
-        self._t_us, steps, dt, wind, around = self._ahead or self._outside()
+        self._t_us, steps, dt, wind, surroundings = self._ahead or self._outside()
         self._ahead = None
-        self._x, load = self.vehicle.advance(self._x, self._controls, around, steps, dt)
+        self._x, load = self.vehicle.advance(self._x, self._controls, surroundings, steps, dt)
         self.truth = self._observe(load, wind)
         return self._t_us, self.truth, self._read()
 
     def prepare(self) -> None:
-        """Reckon what of the next step no controls change, while they are still awaited; the wind
-        is then settled, and a change of it comes a step later."""
+        """Compute the inputs of the next step that do not depend on its controls; a change of the
+        wind then takes effect one step later."""
         self._ahead = self._ahead or self._outside()
 
     def step_state(self) -> StepState:
-        """Where it stands now."""
+        """The state now, with the inputs of the next step."""
         self.prepare()
         assert self._ahead is not None
         return StepState(self._t_us, self._x, self._count, *self._ahead)
 
     def adopt_state(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
-        """Take over a state that was reached elsewhere, under a load (6,) and in a wind (3,).
+        """Adopt a state that was computed elsewhere, with its load (6,) and wind (3,).
 
         Raises
         ------
         ConfigError
-            If the state has left the numbers.
+            If the state is not finite.
         """
         self._t_us, self._x = t_us, x
         self.truth = self._observe(load, wind)
         return self.truth
 
-    def resume_from(self, moment: StepState, controls: Array) -> None:
-        """Go on where steps that were flown elsewhere ended, after `adopt_state`."""
-        self._count, self._ahead, self._controls = moment.number, moment[3:], controls
+    def resume_from(self, state: StepState, controls: Array) -> None:
+        """Continue after steps that were computed elsewhere; call it after `adopt_state`."""
+        self._count, self._ahead, self._controls = state.number, state[3:], controls
 
     def _outside(self) -> tuple[int, int, float, Array, Array]:
-        """When the next step ends, into how many of how many seconds it is cut, the wind meanwhile,
-        and `pack_surroundings`."""
+        """The next step's end [us], its number of substeps and their length [s], wind and
+        surroundings."""
         self._count += 1
-        # From the count: 3 ms and a third, summed up, would drift.
+        # From the count: summing a period of 3.33 ms would drift.
         t_us = round(self._count * 1e6 / self._rate_hz)
         dt = (t_us - self._t_us) * 1e-6
         truth = self.truth
-        # Held over the whole step: gusts are slow against it.
+        # Constant over the step, as gusts are slow in comparison.
         wind = self.weather.wind(self._x, truth, dt)
         ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
-        around = pack_surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
-        # Slow sensors must not make the integration coarse.
+        surroundings = pack_surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
+        # Divide long steps, so that a slow IMU does not make the integration coarse.
         steps = max(1, math.ceil(dt / LONGEST_STEP_S - 1e-9))
-        return t_us, steps, dt / steps, wind, around
+        return t_us, steps, dt / steps, wind, surroundings
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
@@ -201,22 +201,22 @@ class Simulation:
         return values if controls.armed else np.zeros(count)
 
     def plant(self, name: str, value: float | None) -> None:
-        """Switch a plant fault on, or off with None.
+        """Set a plant fault, or remove it with None.
 
-        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`,
-        `wind_d_mps`, and those of the satellite sensor.
+        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`, `wind_d_mps`, and those of
+        the GNSS sensor.
 
         Raises
         ------
         ConfigError
-            If the name is unknown or the value makes no vehicle.
+            If the name is unknown or the value is impossible.
         """
         if name in _WIND_PLANT_NAMES:
             axis = _WIND_PLANT_NAMES.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self.weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
-            # Built anew from all faults that act: the order in which they came does not matter.
+            # Rebuilt from all active faults, so that their order has no effect.
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
                 changed[name] = value
@@ -229,19 +229,19 @@ class Simulation:
             self._satellite_plant(name, value)
 
     def check_plant(self, name: str) -> None:
-        """Refuse a plant fault that this simulation cannot have; nothing is changed.
+        """Refuse a plant fault that this simulation does not support; changes nothing.
 
         Raises
         ------
         ConfigError
-            With what it can have.
+            Lists the supported names.
         """
         if name not in (*_WIND_PLANT_NAMES, *self.vehicle.plant_names):
             self._with_satellite_plant(name, None)
 
     def pitot_offset_pa(self) -> float | None:
-        """What the pitot tube shows without wind, as who calibrates it before a flight finds it;
-        None without one."""
+        """The pitot tube's offset in still air [Pa], as a preflight calibration measures it; None
+        without a pitot tube."""
         for fitted in self.onboard_sensors:
             if isinstance(fitted.sensor, Airspeed):
                 return float(fitted.state.bias[0] + fitted.state.drift[0])
@@ -252,7 +252,7 @@ class Simulation:
         fitted.state = state
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:
-        """The sensor that receives satellites, and its state with one of its parameters set."""
+        """The GNSS sensor, and its state with one plant fault set."""
         for fitted in self.onboard_sensors:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
@@ -261,12 +261,12 @@ class Simulation:
         raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
     def _begin(self) -> Array:
-        """The vehicle's first state: trimmed flight at height, or standing on the ground."""
+        """The vehicle's initial state: trimmed flight in the air, or standing on the ground."""
         start, scenario = self.scenario.start, self.scenario
         heading = math.radians(start.heading_deg)
         vehicle = self.vehicle
         zero = np.zeros(3)
-        # Where nothing is computed yet; the first look at the place puts the real one in.
+        # A placeholder until the position has been located.
         self._gravity = np.array([0.0, 0.0, 9.81])
         if start.height_m == 0.0:
             height = vehicle.standing_height_m
@@ -280,15 +280,15 @@ class Simulation:
             x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
             x[P:RIGID_SIZE] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             if isinstance(vehicle, Multirotor):
-                x[RIGID_SIZE:-2] = vehicle.hover_rps(*self._around(x))
+                x[RIGID_SIZE:-2] = vehicle.hover_rps(*self._air_and_gravity(x))
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
-        density, pull = self._around(level)
+        density, pull = self._air_and_gravity(level)
         speeds = [leg.speed_mps or vehicle.parameters.cruise_mps for leg in scenario.mission]
         states, wind = [], self.weather.steady_mps
         for number, speed in enumerate(speeds or [vehicle.parameters.cruise_mps]):
             try:
-                # All legs are tried now: a mission that cannot be flown must not fail in the air.
+                # Check all legs now: a mission must not fail in the air.
                 states.append(vehicle.cruise(r, heading, wind, speed, density, pull))
             except ValueError as error:
                 raise ConfigError(
@@ -296,8 +296,8 @@ class Simulation:
                 ) from None
         return states[0]
 
-    def _around(self, x: Array) -> tuple[float, float]:
-        """Density of the air [kg/m^3] and gravity [m/s^2] where a state is."""
+    def _air_and_gravity(self, x: Array) -> tuple[float, float]:
+        """Air density [kg/m^3] and gravity [m/s^2] at a state's position."""
         place = np.empty(LOCATION_SIZE)
         locate_state(x, np.zeros(3), self.packed_home, place)
         self._gravity = place[LOCAL_GRAVITY:]
@@ -325,22 +325,22 @@ class Simulation:
             scenario.mission,
             (float(self._x[0]), float(self._x[1]), math.radians(scenario.start.heading_deg)),
             self.vehicle.parameters.cruise_mps,
-            # A turn flown downwind is the widest; the corners are rounded for it.
+            # The corners are rounded for a downwind turn, the widest.
             math.hypot(north_mps, east_mps) if controller.drifts else 0.0,
             controller.lateral_mps2,
         )
         return PathTrack(path)
 
     def _observe(self, load: Array, wind: Array) -> Truth:
-        """The truth of the state now."""
+        """The truth of the current state."""
         x, place = self._x, np.empty(LOCATION_SIZE)
         locate_state(x, wind, self.packed_home, place)
         lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
-        # The height depends on all the rest, so that it shows any divergence.
+        # The height depends on the whole state, so it reveals any divergence.
         if not math.isfinite(height):
             raise ConfigError(
-                f"the simulation left the numbers at {self._t_us * 1e-6:.3f} s; the vehicle's "
-                "parameters, controls or faults let it diverge"
+                f"the simulation diverged at {self._t_us * 1e-6:.3f} s; check the vehicle's "
+                "parameters, controls and plant faults"
             )
         self._gravity = place[LOCAL_GRAVITY:]
         alt = height - self.home.geoid_m
@@ -370,7 +370,7 @@ class Simulation:
         )
 
     def _read(self) -> list[Reading]:
-        """Readings delivered by now, late ones of earlier samples included."""
+        """The readings delivered at this step, including delayed ones."""
         truth, t_us = self.truth, self._t_us
         out: list[Reading] = []
         for fitted in self.onboard_sensors:
@@ -380,12 +380,12 @@ class Simulation:
                 out += fitted.sample(truth)
                 continue
             for reading in fitted.sample(truth):
-                # The number keeps readings of one time in order: a heap cannot compare readings.
+                # The counter orders readings of the same time, as readings cannot be compared.
                 heapq.heappush(
                     self.delayed_readings, (t_us + fitted.latency_us, next(self._order), reading)
                 )
         while self.delayed_readings and self.delayed_readings[0][0] <= t_us:
-            # Stamped at delivery: nobody on the link can see how old the measurement is.
+            # Stamped at delivery: the link does not reveal the age of a measurement.
             out.append(msgspec.structs.replace(heapq.heappop(self.delayed_readings)[2], t_us=t_us))
         return out
 
@@ -393,20 +393,20 @@ class Simulation:
 def simulate_flight(
     scenario: Scenario, seed: int | None = None
 ) -> Iterator[tuple[int, Truth, list[Reading]]]:
-    """Fly a scenario from start to end with the built-in controller.
+    """Simulate a scenario from start to end with the built-in controller.
 
     Yields
     ------
     t_us, truth, readings
-        At each sample of the inertial unit.
+        At each sample of the IMU.
     """
     simulation = Simulation(scenario, seed)
     end_us = round(scenario.duration_s * 1e6)
     while True:
-        found = simulation.step()
-        if found[0] > end_us:
+        step = simulation.step()
+        if step[0] > end_us:
             return
-        yield found
+        yield step
 
 
 def _load_terrain(scenario: Scenario) -> TerrainGrid | LevelGround:
@@ -415,7 +415,7 @@ def _load_terrain(scenario: Scenario) -> TerrainGrid | LevelGround:
 
 
 def _with_home_on_terrain(scenario: Scenario, terrain: TerrainGrid | LevelGround) -> Scenario:
-    """The scenario with home on the terrain."""
+    """The scenario with home at the height of the terrain."""
     start = scenario.start
     alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))
     return msgspec.structs.replace(scenario, start=msgspec.structs.replace(start, alt_m=alt))

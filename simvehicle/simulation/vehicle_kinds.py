@@ -1,7 +1,7 @@
-"""The kinds of vehicle, and all that the rest of the simulator asks of each.
+"""The kinds of vehicle, with everything kind-specific that the simulator needs.
 
-A further kind is one module with a `KindDefinition` in it and one line in `VEHICLE_KINDS`; that of
-another package is an entry point of the group `simvehicle.kinds`.
+To add a kind, write a module with a `KindDefinition` and add a line to `VEHICLE_KINDS`; in another
+package, register it as an entry point of the group `simvehicle.kinds`.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,13 +28,13 @@ KIND_ENTRY_POINTS = "simvehicle.kinds"
 
 
 class Controller(Protocol):
-    """The built-in autopilot of a kind; `track` and `landing` may be changed at any time."""
+    """The built-in controller of a kind; `track` and `landing` may be changed at any time."""
 
     track: GuidanceTrack | None
     landing: bool
     rate_hz: float
-    drifts: bool  # wind carries it through turns
-    lateral_mps2: float  # that turns are planned with
+    drifts: bool  # wind displaces its turns
+    lateral_mps2: float  # lateral acceleration of planned turns
 
     def update(self, truth: Truth) -> Controls:
         """Controls for the next control period."""
@@ -42,27 +42,27 @@ class Controller(Protocol):
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float
     ) -> GuidanceTrack:
-        """A track that waits at a point."""
+        """A track that waits at a point, circling or hovering."""
 
 
 class KindDefinition(NamedTuple):
-    """One kind of vehicle; functions of a vehicle get one that `read` made.
+    """One kind of vehicle; functions of a vehicle take one that `read` returned.
 
     Parameters
     ----------
     read : function of a parameter set's name or path
     controller : function of vehicle, air density [kg/m^3] and home's height above sea level [m]
     mav_type, mix : functions of a vehicle
-        What it calls itself, and how an autopilot's channels drive it.
+        Its MAV_TYPE, and the mapping from an autopilot's channels to its actuators.
     actuators : function of a vehicle
         Names of its controls.
     motors : function of a vehicle
-        How many motors can fail.
+        Number of motors that can fail.
     throttle : function of the controls
-        The motors' command, 0 to 1.
+        The throttle command of the motors, 0 to 1.
     parameters : mapping
-        What a ground station reads beside the parameters common to all; SYS_AUTOSTART is PX4's
-        airframe that flies the same way.
+        Parameters for a ground station in addition to the common ones; SYS_AUTOSTART is the
+        equivalent PX4 airframe.
     """
 
     read: Callable[[str], Vehicle]
@@ -76,7 +76,7 @@ class KindDefinition(NamedTuple):
 
 
 def _wing_controller(vehicle: FixedWing, density: float, home_alt_m: float) -> FixedWingController:
-    # Without a rudder, ailerons that hold the bank tightly yaw the nose away until it spins.
+    # Without a rudder, tight bank control by ailerons alone diverges in yaw.
     kind = FixedWingController if has_rudder(vehicle) else RudderlessController
     return kind(vehicle, density, home_alt_m)
 
@@ -108,19 +108,19 @@ VEHICLE_KINDS = {
 
 
 def find_vehicle_kind(name: str) -> KindDefinition:
-    """A kind by its name.
+    """Find a kind by its name.
 
     Raises
     ------
     ConfigError
         If there is no such kind.
     """
-    # The shipped kinds come first: no installed package can change what a scenario means.
+    # The shipped kinds come first, so that an installed package cannot replace them.
     if name in VEHICLE_KINDS:
         return VEHICLE_KINDS[name]
     others = {point.name: point for point in entry_points(group=KIND_ENTRY_POINTS)}
     if name not in others:
         known = ", ".join([*VEHICLE_KINDS, *others])
         raise ConfigError(f"vehicle.kind = {name} is unknown; known: {known}")
-    found: KindDefinition = others[name].load()
-    return found
+    kind: KindDefinition = others[name].load()
+    return kind

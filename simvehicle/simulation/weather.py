@@ -1,4 +1,4 @@
-"""The wind of a flight: steady, with shear, and gusts from a stream of their own."""
+"""The wind of a flight: steady wind with shear, and gusts from their own random stream."""
 
 from zlib import crc32
 
@@ -10,25 +10,25 @@ from simvehicle.scenario.scenario_file import Environment, GustChoice
 from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
-# Drawn many at once: a call to numpy costs more than the five numbers of a step.
+# Drawn in blocks, as a call to numpy costs more than the five draws of a step.
 DRAW_BLOCK = 512
 _NO_SHEAR = (1.0, 0.0)
 
 
 class Weather:
-    """Goes on step by step with the vehicle.
+    """The wind, stepped together with the vehicle.
 
     Attributes
     ----------
     steady_mps : array, shape (3,)
         Wind at the shear's reference height, NED; plant faults write to it.
     filters, law, draws, row
-        What `step_wind` takes, and the row of `draws` that the last step took.
+        The inputs of `step_wind`, and the row of `draws` used by the last step.
     """
 
     def __init__(self, environment: Environment, seed: int) -> None:
         self._rng = np.random.default_rng([seed, crc32(b"gusts")])
-        # The first filter is of first order and begins stationary; the others begin calm.
+        # The first-order filter starts stationary, the others at zero.
         self.filters = np.concatenate([self._rng.standard_normal(1), np.zeros(4)])
         self.draws = self._rng.standard_normal((DRAW_BLOCK, 5))
         self.row = 0
@@ -36,7 +36,7 @@ class Weather:
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
         steady = environment.wind_ned_mps
         self.law = np.array([*gusts.sigma_mps, *gusts.length_m, *law, *steady])
-        # A view, no copy: what a plant fault writes here is in force at the next step.
+        # A view: a plant fault that writes to it takes effect at the next step.
         self.steady_mps: Array = self.law[STEADY_WIND:]
 
     def wind(self, x: Array, truth: Truth, dt: float) -> Array:

@@ -1,9 +1,8 @@
-"""HIL_ACTUATOR_CONTROLS -> Controls: which channel of PX4 drives which actuator.
+"""HIL_ACTUATOR_CONTROLS -> Controls: which PX4 channel drives which actuator.
 
-PX4 numbers the outputs by the airframe that flies: `none_iris` and the generic hexa for
-multirotors, the plane (1030) for fixed wings [1]_. A positive surface channel turns the trailing
-edge up or to the right; Controls follow Beard and McLain, where elevator down and rudder left are
-positive.
+PX4 numbers the outputs by airframe: `none_iris` and the generic hexa for multirotors, the plane
+(1030) for fixed wings [1]_. A positive surface channel deflects the trailing edge up or to the
+right; Controls follow Beard and McLain, where elevator down and rudder left are positive.
 
 References
 ----------
@@ -21,7 +20,7 @@ from simvehicle.vehicles.body import Controls, Vector
 
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
 CHANNEL_COUNT = 16
-# PX4's channels, counted from 0.
+# PX4's channels, from 0.
 RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
 
 Mix = Callable[[Sequence[float]], Vector]
@@ -29,7 +28,7 @@ _PAYLOAD = struct.Struct("<QQ16fB")
 
 
 def motor_mix(count: int) -> Mix:
-    """The first `count` channels are the motors, in PX4's order."""
+    """A mixer that maps the first `count` channels to the motors, in PX4's order."""
 
     def mix(channels: Sequence[float]) -> Vector:
         return np.array([min(max(value, 0.0), 1.0) for value in channels[:count]])
@@ -38,8 +37,8 @@ def motor_mix(count: int) -> Mix:
 
 
 def plane_mix(channels: Sequence[float]) -> Vector:
-    """Elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
-    # PX4's surfaces have the opposite sign of Beard and McLain's, see the docstring.
+    """Map channels to elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
+    # PX4's surface signs are opposite to Beard and McLain's; see the module docstring.
     return np.array(
         [
             -_limited(channels[ELEVATOR], -1.0),
@@ -52,15 +51,15 @@ def plane_mix(channels: Sequence[float]) -> Vector:
 
 
 def read_controls(frame: Frame, mix: Mix) -> tuple[int, Controls]:
-    """The stamp of the HIL_SENSOR a HIL_ACTUATOR_CONTROLS answers, and what it commands.
+    """The HIL_SENSOR timestamp [us] that a HIL_ACTUATOR_CONTROLS answers, and its controls.
 
-    Channels that are not finite stand for actuators that are off, and count as 0.
+    A channel that is not finite means that the actuator is off, and counts as 0.
     """
     if frame.length == _PAYLOAD.size:
         stamp_us, _, *channels, mode = _PAYLOAD.unpack_from(frame.raw, frame.payload_at)
     else:
         stamp_us, _, *channels, mode = _PAYLOAD.unpack(frame.payload.ljust(_PAYLOAD.size, b"\0"))
-    # One test for all, as hardly any is not finite.
+    # One test for all channels is faster: almost all are finite.
     if not math.isfinite(sum(channels)):
         channels = [value if math.isfinite(value) else 0.0 for value in channels]
     return stamp_us, Controls(mix(channels), armed=bool(mode & ARMED_FLAG))

@@ -18,13 +18,13 @@ class Controls:
 
 
 class Truth(msgspec.Struct, frozen=True, gc=False):
-    """What was really so at one instant; everything a sensor may look at.
+    """The exact state of the vehicle at one instant, from which all sensors are sampled.
 
-    A struct and not a dataclass, as one is made at every step and that costs a tenth of the time.
+    A struct instead of a dataclass, as one is created at every step at a tenth of the cost.
 
-    `t_us` counts from the start of the simulation. Geodetic height is above the WGS 84 ellipsoid,
-    `alt_msl_m` above mean sea level. Wind and velocities over ground are NED, the air's velocity
-    relative to the body is `v_air_b_mps`.
+    `t_us` counts from the start of the simulation. `height_m` is above the WGS 84 ellipsoid,
+    `alt_msl_m` above mean sea level. Wind and velocity over ground are NED; `v_air_b_mps` is the
+    body's velocity relative to the air.
     """
 
     t_us: int

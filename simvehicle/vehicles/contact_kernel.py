@@ -1,7 +1,7 @@
 """Contact with level ground: springs, dampers and friction at points of the body.
 
-A point below the ground is pushed up by a spring with a damper and held back by Coulomb friction,
-which grows linearly with speed below `_CREEP_MPS` so that the equations stay smooth.
+A spring with a damper pushes a point below the ground up, and Coulomb friction opposes its motion.
+Around zero speed the friction is smoothed over `_CREEP_MPS`.
 """
 
 from typing import NamedTuple
@@ -13,13 +13,13 @@ from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.vehicles.rigidbody_kernel import State13
 
-_CREEP_MPS = 0.05
+_CREEP_MPS = 0.05  # chosen: keeps the friction smooth enough for steps of 5 ms
 
 
 class Gear(NamedTuple):
-    """Contact points (n, 3) in body axes [m], and what each of them does.
+    """Contact points (n, 3) in body axes [m], and the constants of each point.
 
-    Stiffness [N/m], damping [N s/m], friction coefficients along and across the body's x axis.
+    Stiffness [N/m], damping [N s/m], friction coefficients along and across the body x axis.
     """
 
     points_m: NDArray[np.float64]
@@ -30,11 +30,11 @@ class Gear(NamedTuple):
 
 
 def make_gear(points_m: NDArray[np.float64], mass_kg: float, along: float, across: float) -> Gear:
-    """Gear that carries a mass at 40 rad/s and 0.7 of critical damping (6 mm of static sag).
+    """Gear with a natural frequency of 40 rad/s and 0.7 of critical damping (6 mm static sag).
 
-    `points_m` (n, 3) are the points of contact in body axes.
+    `points_m` (n, 3) are the contact points in body axes.
     """
-    # Every point carries its share.
+    # Each point carries an equal share of the mass.
     each = mass_kg / len(points_m)
     return Gear(points_m, each * 40.0**2, each * 2.0 * 0.7 * 40.0, along, across)
 
@@ -43,7 +43,7 @@ def make_gear(points_m: NDArray[np.float64], mass_kg: float, along: float, acros
 def contact_loads(
     state: State13, ground_down_m: float, wheels: Gear
 ) -> tuple[float, float, float, float, float, float]:
-    """Force [N] and moment [N m] of the ground on the body, body axes.
+    """Force [N] and moment [N m] of the ground on the body, in body axes.
 
     `ground_down_m` is the ground's down coordinate in the frame of the state's position.
     """
@@ -57,15 +57,15 @@ def contact_loads(
         vz = w + p * y - q * x
         vn, ve, vd = to_ned(e0, e1, e2, e3, vx, vy, vz)
         press = wheels.stiffness * depth + wheels.damping * vd
-        # The ground pushes but never pulls, also where the damper would.
+        # The ground never pulls, even if the damper would.
         press = press if depth > 0.0 and press > 0.0 else 0.0
-        # Split the horizontal velocity along and across the nose's horizontal direction.
+        # Split the horizontal velocity along and across the heading.
         cn, ce, _ = to_ned(e0, e1, e2, e3, 1.0, 0.0, 0.0)
         length = np.sqrt(cn * cn + ce * ce) + 1e-9
         cn, ce = cn / length, ce / length
         ahead = vn * cn + ve * ce
         aside = -vn * ce + ve * cn
-        # Friction has a direction but no size by itself; the creep keeps it from jumping at rest.
+        # The creep speed keeps the friction continuous at rest.
         slip = np.sqrt(ahead * ahead + aside * aside) + _CREEP_MPS
         rub_along = -wheels.along * press * ahead / slip
         rub_across = -wheels.across * press * aside / slip

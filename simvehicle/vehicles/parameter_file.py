@@ -1,4 +1,4 @@
-"""What all vehicles' parameter files share: finding them, moments of inertia, the battery."""
+"""The common part of vehicle parameter files: location, moments of inertia, battery."""
 
 from collections.abc import Mapping
 from importlib import resources
@@ -26,29 +26,29 @@ class InertiaMoments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class HasMass(Protocol):
-    """Parameters of something with a mass."""
+    """Parameters with mass and moments of inertia."""
 
     @property
     def mass_kg(self) -> float:
-        """Of the whole vehicle."""
+        """Mass of the complete vehicle."""
 
     @property
     def inertia_kgm2(self) -> InertiaMoments:
-        """About its centre of mass."""
+        """Moments of inertia about its centre of mass."""
 
 
 def body_inertia(parameters: HasMass, plant: Mapping[str, float]) -> Inertia:
     """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
-    # Scaled together, so that the principal axes stay.
+    # All scaled together, so that the principal axes stay.
     j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
     mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
     return inertia_coefficients(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A lithium-polymer pack, as `battery_kernel` reckons with it.
+    """A lithium-polymer pack, modelled in `battery_kernel`.
 
-    `full_throttle_a` is the current at full throttle of a vehicle without a motor model.
+    `full_throttle_a` is the current at full throttle, for a vehicle without a motor model.
     """
 
     cells: int
@@ -59,7 +59,7 @@ class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     def supply(
         self, full_throttle_a: float, voltage_scale: float, resistance_scale: float
     ) -> BatterySupply:
-        """The pack as the kernels take it, with faults."""
+        """The pack in the kernel's form, with plant faults."""
         return BatterySupply(
             self.cells, self.capacity_ah, self.resistance_ohm, full_throttle_a,
             voltage_scale, resistance_scale,
@@ -67,7 +67,7 @@ class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 
 def parameter_path(name: str | Path) -> Path:
-    """Where a shipped parameter set lies, or the path that was given.
+    """The path of a shipped parameter set by name, or the given YAML path.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def parameter_path(name: str | Path) -> Path:
     """
     shipped = Path(str(resources.files("simvehicle.vehicles") / "parameters"))
     path = Path(name)
-    # A name without an ending is a shipped set.
+    # A name without a suffix is a shipped set.
     if path.suffix not in (".yaml", ".yml"):
         path = shipped / f"{name}.yaml"
         if not path.is_file():
@@ -88,11 +88,11 @@ def parameter_path(name: str | Path) -> Path:
 
 
 def read_parameters(name: str | Path, kind: type[T]) -> T:
-    """Decode a shipped parameter set by name, or a file by its path.
+    """Read a shipped parameter set by name, or a file by its path.
 
     Raises
     ------
     ConfigError
-        If there is no such set or file, or its content is wrong.
+        If there is no such set or file, or its content is invalid.
     """
     return decode(read_document(parameter_path(name)), kind)

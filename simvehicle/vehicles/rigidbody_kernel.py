@@ -18,8 +18,8 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 State13 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
-(NORTH, EAST, DOWN, U, V, W, E0, E1, E2, E3, P, Q, R) = range(13)  # columns of a state array
-RIGID_SIZE = 13  # how many there are
+(NORTH, EAST, DOWN, U, V, W, E0, E1, E2, E3, P, Q, R) = range(13)  # indices of a state array
+RIGID_SIZE = 13  # number of states
 Loads = tuple[float, float, float, float, float, float]
 """Force [N] and moment about the centre of mass [N m], without gravity, body axes."""
 
@@ -45,15 +45,15 @@ def inertia_coefficients(mass_kg: float, jx: float, jy: float, jz: float, jxz: f
     Raises
     ------
     ValueError
-        If no body has these moments (mass or moments not positive, triangle inequality broken).
+        If the mass or a moment is not positive, or the triangle inequality is violated.
     """
     det = jx * jz - jxz * jxz
-    # The product of inertia may make moments impossible that look harmless one by one.
+    # With a product of inertia, only the principal moments show whether the body is possible.
     principal = np.linalg.eigvalsh([[jx, 0.0, -jxz], [0.0, jy, 0.0], [-jxz, 0.0, jz]])
     if mass_kg <= 0.0 or principal[0] <= 0.0 or principal[0] + principal[1] < principal[2]:
         raise ValueError(
             f"mass {mass_kg} kg with jx {jx}, jy {jy}, jz {jz}, jxz {jxz} kg m^2 is no rigid body; "
-            "all must be positive and no principal moment may exceed the sum of the other two"
+            "make all positive and no principal moment larger than the sum of the other two"
         )
     return Inertia(
         mass_kg,
@@ -82,7 +82,7 @@ def rigid_body_derivative(
     Parameters
     ----------
     state : 13 floats
-        As in the module's docstring.
+        As in the module docstring.
     force, moment : 3 floats
         Without gravity, about the centre of mass, body axes [N, N m].
     gravity : 3 floats
@@ -95,7 +95,7 @@ def rigid_body_derivative(
     gn, ge, gd = gravity
     gx, gy, gz = to_body(e0, e1, e2, e3, gn, ge, gd)
     vn, ve, vd = to_ned(e0, e1, e2, e3, u, v, w)
-    # One division for three products: it costs as much as several of those.
+    # One division instead of three.
     im = 1.0 / body.mass_kg
     return (
         vn,
@@ -109,7 +109,7 @@ def rigid_body_derivative(
         0.5 * (p * e0 + r * e2 - q * e3),
         0.5 * (q * e0 - r * e1 + p * e3),
         0.5 * (r * e0 + q * e1 - p * e2),
-        # Equations 3.17, with Jxz coupling roll and yaw.
+        # Equations 3.17; Jxz couples roll and yaw.
         body.g1 * p * q - body.g2 * q * r + body.g3 * mx + body.g4 * mz,
         body.g5 * p * r - body.g6 * (p * p - r * r) + body.inverse_jy * my,
         body.g7 * p * q - body.g1 * q * r + body.g4 * mx + body.g8 * mz,
@@ -118,8 +118,8 @@ def rigid_body_derivative(
 
 @inlined
 def euler_step(state: State13, rate: State13, dt: float) -> State13:
-    """State + dt * rate (the quaternion is left as it comes)."""
-    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    """State + dt * rate, without normalising the quaternion."""
+    # Unrolled, as a loop over a tuple would prevent vectorisation by LLVM.
     north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     dn, de, dd, du, dv, dw, de0, de1, de2, de3, dp, dq, dr = rate
     return (
@@ -141,7 +141,7 @@ def euler_step(state: State13, rate: State13, dt: float) -> State13:
 
 @inlined
 def normalise_quaternion(state: State13) -> State13:
-    """The state with its quaternion back at length one."""
+    """The state with its quaternion normalised to length one."""
     north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     inv = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3)
     return north, east, down, u, v, w, e0 * inv, e1 * inv, e2 * inv, e3 * inv, p, q, r
@@ -151,7 +151,7 @@ def normalise_quaternion(state: State13) -> State13:
 def combine_stages(
     state: State13, k1: State13, k2: State13, k3: State13, k4: State13, dt: float
 ) -> State13:
-    """Weighted end of a classical Runge-Kutta step."""
+    """Combine the stages of a classical Runge-Kutta step."""
     s = euler_step(state, k1, dt / 6.0)
     s = euler_step(s, k2, dt / 3.0)
     s = euler_step(s, k3, dt / 3.0)
@@ -169,19 +169,19 @@ def runge_kutta_step(
 ) -> State13:
     """One classical Runge-Kutta step of a single vehicle.
 
-    The stages are a loop, as four copies of a vehicle's loads take four times as long to compile;
-    a loop over many vehicles needs the copies to become SIMD code, and `combine_stages`.
+    The stages are a loop, as four copies of a vehicle's loads take four times as long to compile. A
+    loop over many vehicles needs four copies to be vectorised; it uses `combine_stages`.
 
     Parameters
     ----------
     loads : inlined function of (state, stage, given)
         Force [N] and moment [N m] without gravity, body axes, at one of the stages 0 to 3.
     given
-        What else `loads` needs.
+        Further inputs of `loads`.
     gravity : 3 floats
         Acceleration, NED [m/s^2].
     """
-    # `total` gathers the weighted rates, `at` is where the next stage is looked at.
+    # `total` accumulates the weighted rates, `at` is the state of the next stage.
     total = at = state
     for stage in range(4):
         fx, fy, fz, mx, my, mz = loads(at, stage, given)

@@ -1,1 +1,1 @@
-"""The fixed wing: its equations, its trim, and a flight of the search that *weaves*."""
+"""The fixed wing: its equations, its trim, and the weaving flight of the worst-case search."""

@@ -1,6 +1,6 @@
-"""A fixed wing to fly in the simulator.
+"""The fixed-wing vehicle of the simulator.
 
-Controls, in order: elevator, aileron, rudder (-1 to 1 of full throw; positive is trailing edge
+Controls, in order: elevator, aileron, rudder (-1 to 1 of full deflection; positive is trailing edge
 down, right roll, and trailing edge left as in Beard and McLain), throttle (0 to 1).
 """
 
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class FixedWing:
-    """Parameters made ready for the kernel; changing the plant gives another one.
+    """The parameters in the kernel's form; plant faults give a new object.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class FixedWing:
         self.plant = dict(plant)
         self.body: Inertia = body_inertia(parameters, plant)
         self.aero: Aero = aero_coefficients(parameters, plant)
-        # Height of the centre of mass above ground when the ground carries it.
+        # Height of the centre of mass when standing on the ground.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
         self.gear: Gear = wheel_gear(parameters)
         throw = parameters.throw_deg
@@ -73,7 +73,7 @@ class FixedWing:
         shift_m = plant.get("load_shift_x_m", 0.0)
         battery = parameters.battery
         supply = battery.supply(
-            # With a motor model the kernel knows the current itself.
+            # A motor model computes the current in the kernel.
             battery.full_throttle_a if parameters.motor is None else 0.0,
             plant.get("battery_voltage_scale", 1.0),
             1.0,
@@ -92,19 +92,19 @@ class FixedWing:
         return FixedWing(self.parameters, plant)
 
     def trim(self, airspeed_mps: float, density: float, gravity: float) -> TrimPoint:
-        """Straight flight at this speed."""
+        """The trim of straight flight at this speed; ValueError if it cannot be flown."""
         return find_trim(airspeed_mps, self.body, self.aero, density, gravity)
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
         """State array (14,) at a position, velocity and attitude, battery full."""
-        # Rates and the charge drawn begin at zero.
+        # Body rates and drawn charge start at zero.
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(4)])
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """State (14,) of trimmed flight at a place (3,) in a wind (3,).
+        """State (14,) of trimmed flight at a position (3,) in a wind (3,).
 
         Raises
         ------
@@ -113,21 +113,21 @@ class FixedWing:
         """
         point = self.trim(speed_mps, density, gravity)
         q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
-        # The air's velocity in body axes, and the wind's share on top.
+        # Velocity through the air in body axes, plus the wind.
         relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
         return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
 
     def advance(
-        self, x: Array, controls: Array, around: Array, steps: int, dt: float
+        self, x: Array, controls: Array, surroundings: Array, steps: int, dt: float
     ) -> tuple[Array, Array]:
-        """Fly `steps` steps of `dt` seconds in `surroundings`.
+        """Fly `steps` steps of `dt` seconds in `pack_surroundings`.
 
         Returns
         -------
         x : array, shape (14,)
         load : array, shape (6,)
-            Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
+            Specific force in body axes [m/s^2]; battery voltage [V], current [A], charge 0 to 1.
         """
         after, load = np.empty(STATE_SIZE), np.empty(LOAD_SIZE)
-        integrate_flight(x, controls, around, steps, dt, self.packed, after, load)
+        integrate_flight(x, controls, surroundings, steps, dt, self.packed, after, load)
         return after, load

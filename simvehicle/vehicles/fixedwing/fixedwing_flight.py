@@ -1,4 +1,4 @@
-"""The fixed wing as the interactive simulator flies it: the kernel with ground and battery.
+"""The fixed wing of the interactive simulator: the kernel with ground contact and battery.
 
 The state array has 14 entries: the 13 of `rigidbody_kernel` and the charge drawn [A s].
 """
@@ -33,24 +33,22 @@ from simvehicle.vehicles.vehicle import (
 )
 
 Array = NDArray[np.float64]
-_CONTACT_CHECK_M = 5.0  # above this height nothing can touch the ground
-_BRAKE_FRICTION = 0.4  # friction along the body while the throttle is closed
-CHARGE_DRAWN, STATE_SIZE = (
-    RIGID_SIZE,
-    RIGID_SIZE + 1,
-)  # where the charge drawn is in a state, and a state's length
-ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # of the controls
+_CONTACT_CHECK_M = 5.0  # chosen: no part of the vehicle reaches the ground above this height
+_BRAKE_FRICTION = 0.4  # friction coefficient along the body while the throttle is closed; chosen
+# Index of the drawn charge, and length of a state
+CHARGE_DRAWN, STATE_SIZE = RIGID_SIZE, RIGID_SIZE + 1
+ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # indices of the controls
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
 _SUPPLY = len(BatterySupply._fields)
 _POWERED = _BODY + _AERO
 _END = _POWERED + _SUPPLY
-# What `pack_parameters` puts behind the named tuples; the contact points come last.
+# What `pack_parameters` appends to the named tuples; the contact points come last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _SHIFT, _THROW, _POINTS = (*range(_END, _END + 6), _END + 8)
 
 
 class _LoadInputs(NamedTuple):
-    """What the loads depend on besides the state; constant over a step."""
+    """Inputs of the loads besides the state; constant over a step."""
 
     surfaces: tuple[float, float, float, float]
     wind: tuple[float, float, float]
@@ -65,10 +63,10 @@ def pack_parameters(
     body: Inertia, aero: Aero, wheels: Gear, supply: BatterySupply, shift_x_m: float,
     throw_rad: tuple[float, float, float],
 ) -> Array:  # fmt: skip
-    """All parameters of `integrate_flight` in one array; the contact points are its end.
+    """Pack all parameters of `integrate_flight` into one array; the contact points come last.
 
-    `shift_x_m` is how far the centre of mass lies ahead of where the coefficients hold, `throw_rad`
-    the largest deflections of elevator, aileron and rudder.
+    `shift_x_m` is the position of the centre of mass ahead of the coefficients' reference point,
+    `throw_rad` the maximum deflections of elevator, aileron and rudder.
     """
     return np.array(
         [*body, *aero, *supply, *wheels[1:], shift_x_m, *throw_rad, *wheels.points_m.ravel()]
@@ -77,17 +75,17 @@ def pack_parameters(
 
 @inlined
 def _loads(state: State13, stage: int, given: _LoadInputs) -> Loads:
-    """Air, propeller and ground; the same at every stage of a step."""
+    """Loads of air, propeller and ground; the stage of the step has no effect."""
     _, _, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     wind = given.wind
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     fx, fy, fz, mx, my, mz = forces_moments(
         (u - wx, v - wy, w - wz), (p, q, r), given.surfaces, given.density, given.aero
     )
-    # The coefficients hold about the old centre of mass; the force acts there still.
+    # The force acts at the reference point of the coefficients.
     my += given.shift * fz
     mz -= given.shift * fy
-    # Down is positive: this is below five metres, higher up there is nothing to touch.
+    # Down is positive: compute ground contact only near the ground.
     if down > given.ground - _CONTACT_CHECK_M:
         gx, gy, gz, gl, gm, gn = contact_loads(state, given.ground, given.wheels)
         fx, fy, fz = fx + gx, fy + gy, fz + gz
@@ -102,7 +100,7 @@ def _clip(value: float, low: float, high: float) -> float:
 
 @inlined
 def _commanded_surfaces(controls: Array, packed: Array) -> tuple[float, float, float, float]:
-    """Deflections [rad] and throttle that are commanded, within their limits."""
+    """Commanded deflections [rad] and throttle, within their limits."""
     return (
         _clip(controls[ELEVATOR], -1.0, 1.0) * packed[_THROW + ELEVATOR],
         _clip(controls[AILERON], -1.0, 1.0) * packed[_THROW + AILERON],
@@ -115,7 +113,7 @@ def _commanded_surfaces(controls: Array, packed: Array) -> tuple[float, float, f
 def integrate_flight(
     x: Array,
     controls: Array,
-    around: Array,
+    surroundings: Array,
     steps: int,
     dt: float,
     packed: Array,
@@ -124,36 +122,35 @@ def integrate_flight(
 ) -> None:
     """Advance the state by `steps` steps of `dt` seconds.
 
-    Arrays are handed in and filled, as numba takes a microsecond to hand one back.
+    Output arrays are passed in and filled, as numba takes a microsecond to return one.
 
     Parameters
     ----------
     x : array, shape (14,)
     controls : array, shape (4,)
-        Elevator, aileron, rudder (-1 to 1 of full throw), throttle (0 to 1); clipped.
-    around : array, shape (8,)
-        From `vehicle.surroundings`.
+        Elevator, aileron, rudder (-1 to 1 of full deflection), throttle (0 to 1); clipped.
+    surroundings : array, shape (8,)
+        From `vehicle.pack_surroundings`.
     packed : array
-        From `pack_parameters`; handing numba the named tuples themselves costs some microseconds
-        each.
+        From `pack_parameters`; passing named tuples to numba would take some microseconds each.
     after : array, shape (14,)
-        Becomes the new state.
+        Set to the new state.
     load : array, shape (6,)
-        Becomes what `vehicle.Vehicle.advance` gives beside the state.
+        Set to the load of `vehicle.Vehicle.advance`.
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     aero = Aero(*to_fixed_tuple(packed[_BODY:_POWERED], _AERO))
     supply = BatterySupply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
-    # A pilot who closes the throttle on the ground brakes.
+    # With the throttle closed the brakes are applied.
     rolling = packed[_ALONG] if controls[THROTTLE] > 0.0 else _BRAKE_FRICTION
     points_m = packed[_POINTS:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], rolling, packed[_ACROSS])
     surfaces = _commanded_surfaces(controls, packed)
-    wind = (around[WIND], around[WIND + 1], around[WIND + 2])
-    g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
-    density = around[DENSITY]
-    given = _LoadInputs(surfaces, wind, density, around[GROUND], aero, wheels, packed[_SHIFT])
-    # A tuple: scalars stay in registers over the steps.
+    wind = (surroundings[WIND], surroundings[WIND + 1], surroundings[WIND + 2])
+    g = (surroundings[GRAVITY], surroundings[GRAVITY + 1], surroundings[GRAVITY + 2])
+    density = surroundings[DENSITY]
+    given = _LoadInputs(surfaces, wind, density, surroundings[GROUND], aero, wheels, packed[_SHIFT])
+    # A tuple of scalars stays in registers over the steps.
     s = to_fixed_tuple(x[:RIGID_SIZE], RIGID_SIZE)
     for _ in range(steps):
         s = runge_kutta_step(s, _loads, given, g, body, dt)
@@ -161,9 +158,9 @@ def integrate_flight(
     _, _, _, u, v, w, e0, e1, e2, e3, _, _, _ = s
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     airspeed = np.sqrt((u - wx) ** 2 + (v - wy) ** 2 + (w - wz) ** 2)
-    # The current of the last step stands for all of them.
+    # The current of the last step is used for all of them.
     _, _, current = propulsion_output(airspeed, surfaces[THROTTLE], density, aero)
-    # The thrust law of the first edition knows no current: it is taken in proportion.
+    # The thrust law of the first edition has no current: assume proportionality to throttle.
     if supply.full_throttle_a > 0.0:
         current = supply.full_throttle_a * surfaces[THROTTLE]
     for i in range(RIGID_SIZE):

@@ -2,8 +2,8 @@
 
 The 12-state nonlinear model of Beard and McLain, Small Unmanned Aircraft, 2012, chapters 3 and 4,
 with a quaternion for the attitude. The interactive simulator calls `step` for one vehicle, the
-worst-case search in a loop over many: all code is branch-free scalar arithmetic on a parameter
-tuple, which LLVM turns into SIMD instructions.
+worst-case search in a loop over many. All code is branch-free scalar arithmetic on a parameter
+tuple, so that LLVM can vectorise that loop.
 """
 
 from typing import NamedTuple
@@ -29,8 +29,8 @@ class Aero(NamedTuple):
     """Coefficients of the airframe and its propulsion; symbols as in Beard and McLain, table E.1.
 
     Angles in rad, lengths in m. `direct_current` is 1 for the motor and propeller model of the
-    book's later supplement and 0 for the thrust law of the first edition; the terms of the other
-    law are then without effect. `blend` is exp(M * alpha0) of the stall blending function.
+    book's later supplement and 0 for the thrust law of the first edition; the terms of the unused
+    model have no effect. `blend` is exp(M * alpha0) of the stall blending function.
     """
 
     s: float
@@ -90,14 +90,13 @@ def propulsion_output(
     airspeed: float, throttle: float, density: float, aero: Aero
 ) -> tuple[float, float, float]:
     """Thrust [N], torque on the airframe [N m] and motor current [A] (0 without a motor model)."""
-    # The first edition: momentum of the air through the disc, section 4.3.
-    # Throttle commands the speed of the exit air.
+    # First edition, section 4.3: momentum theory; the throttle commands the exit airspeed.
     square = aero.k_motor * throttle
     simple = 0.5 * density * aero.disc * (square * square - airspeed * airspeed)
     simple_torque = -aero.torque * throttle * throttle
-    # Supplement to the book, "propeller thrust and torque": the speed at which the motor's torque
-    # equals the propeller's is the positive root of a quadratic. Reciprocals, as those of what is
-    # the same for all lanes are computed once.
+    # Supplement to the book, "propeller thrust and torque": the speed at which motor and propeller
+    # torque balance is the positive root of a quadratic. Multiply by reciprocals, as those of
+    # constants are computed once for all lanes.
     d = aero.diameter
     d3 = density * d * d * d
     conductance = 1.0 / aero.resistance
@@ -106,7 +105,7 @@ def propulsion_output(
     volts = aero.v_max * throttle
     cc = aero.cq2 * d3 * airspeed * airspeed - aero.kq * volts * conductance + aero.kq * aero.i0
     disc = bb * bb - 4.0 * a * cc
-    # No torque balance: the wind would drive the propeller. It then stands still.
+    # Without a torque balance (windmilling) the propeller is taken as stopped.
     disc = disc if disc > 0.0 else 0.0
     omega = (np.sqrt(disc) - bb) * (0.5 / a)
     omega = omega if omega > 0.0 else 0.0
@@ -116,7 +115,7 @@ def propulsion_output(
     thrust = density * d * d * (aero.ct0 * nd * nd + aero.ct1 * nd * va + aero.ct2 * va * va)
     torque = -d3 * (aero.cq0 * nd * nd + aero.cq1 * nd * va + aero.cq2 * va * va)
     current = (volts - aero.kq * omega) * conductance
-    # A choice by arithmetic, since a branch would keep lanes apart.
+    # Select by arithmetic, as a branch would prevent vectorisation.
     use = aero.direct_current
     rest = 1.0 - use
     return use * thrust + rest * simple, use * torque + rest * simple_torque, use * current

@@ -1,4 +1,4 @@
-"""A fixed wing's parameter file: what it holds and how it becomes the kernel's tuples."""
+"""The parameter file of a fixed wing, and its conversion to the kernel's tuples."""
 
 import math
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ class Longitudinal(_Struct, frozen=True):
 
 
 class Drag(_Struct, frozen=True):
-    """Drag coefficients beside the induced drag."""
+    """Drag coefficients except induced drag."""
 
     parasitic: float
     q: float
@@ -48,7 +48,7 @@ class Drag(_Struct, frozen=True):
 
 
 class Stall(_Struct, frozen=True):
-    """Blending of linear lift into that of a flat plate."""
+    """Blending from linear lift to that of a flat plate."""
 
     sharpness: float
     alpha_rad: float
@@ -74,7 +74,7 @@ class ThrustLaw(_Struct, frozen=True):
 
 
 class Polynomial(_Struct, frozen=True):
-    """Propeller coefficient over the advance ratio J."""
+    """Propeller coefficient as a polynomial in the advance ratio J."""
 
     zero: float
     j: float
@@ -94,7 +94,7 @@ class FixedWingMotor(_Struct, frozen=True):
 
 
 class Throw(_Struct, frozen=True):
-    """Largest deflections."""
+    """Maximum deflections."""
 
     elevator: float
     aileron: float
@@ -102,7 +102,7 @@ class Throw(_Struct, frozen=True):
 
 
 class FixedWingParameters(_Struct, frozen=True):
-    """The whole file; one of `thrust_law` and `motor` is there."""
+    """The complete file; it has either `thrust_law` or `motor`."""
 
     name: str
     source: str
@@ -124,10 +124,10 @@ class FixedWingParameters(_Struct, frozen=True):
     motor: FixedWingMotor | None = None
 
     def __post_init__(self) -> None:
-        # Two laws at once would add their thrusts.
+        # Two models at once would add their thrusts.
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
-        body_inertia(self, {})  # refuses what is no body
+        body_inertia(self, {})  # refuses impossible moments of inertia
 
 
 def read_fixedwing(name: str | Path) -> FixedWingParameters:
@@ -136,30 +136,28 @@ def read_fixedwing(name: str | Path) -> FixedWingParameters:
 
 
 def wheel_gear(parameters: FixedWingParameters) -> Gear:
-    """Wheels that roll along the body and hold across it."""
-    # Wheels: little friction ahead, much aside.
+    """Gear with wheels: low friction along the body, high friction across it."""
     return make_gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
 
 
 def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
-    """The kernel's coefficients, with plant faults.
+    """The kernel's aerodynamic and propulsion coefficients, with plant faults.
 
     `motor_efficiency[0]` and `propeller_efficiency[0]` scale the thrust, `elevator_efficiency`,
-    `aileron_efficiency` and `rudder_efficiency` the effect of the surfaces.
+    `aileron_efficiency` and `rudder_efficiency` the surfaces' effect.
     """
     par, wing = parameters, parameters.wing
     de = plant.get("elevator_efficiency", 1.0)
     da = plant.get("aileron_efficiency", 1.0)
     dr = plant.get("rudder_efficiency", 1.0)
     side, roll, yaw = par.side_force, par.roll, par.yaw
-    # Aspect ratio.
-    ratio = wing.span_m**2 / wing.area_m2
+    aspect_ratio = wing.span_m**2 / wing.area_m2
     return Aero(
         wing.area_m2,
         wing.span_m,
         wing.chord_m,
         *(par.lift.zero, par.lift.alpha, par.lift.q, par.lift.elevator * de),
-        1.0 / (math.pi * wing.oswald * ratio),
+        1.0 / (math.pi * wing.oswald * aspect_ratio),
         *(par.drag.parasitic, par.drag.q, par.drag.elevator * de),
         *(par.pitch.zero, par.pitch.alpha, par.pitch.q, par.pitch.elevator * de),
         par.stall.sharpness,
@@ -172,12 +170,12 @@ def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float
 
 
 def _propulsion(par: FixedWingParameters, plant: Mapping[str, float]) -> tuple[float, ...]:
-    """The last 15 entries of `Aero`; the thrust law not in use gets terms without effect."""
+    """The last 15 entries of `Aero`; the unused propulsion model gets terms without effect."""
     blade = plant.get("propeller_efficiency[0]", 1.0)
     power = plant.get("motor_efficiency[0]", 1.0)
     law, motor = par.thrust_law, par.motor
     if law is not None:
-        # Ones stand where the kernel divides.
+        # Ones where the kernel divides.
         rest = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0)
         return (law.disc_m2 * blade, law.k_motor * power, law.k_torque * power, 0.0, *rest)
     assert motor is not None

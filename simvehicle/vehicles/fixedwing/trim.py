@@ -1,7 +1,7 @@
 """Trim of the fixed wing and its linear model about the trim.
 
-The 12 states here are those of Beard and McLain (3-2-1 Euler angles in the place of the
-quaternion): position NED, u, v, w, roll, pitch, yaw, p, q, r.
+The 12 states here are those of Beard and McLain (3-2-1 Euler angles instead of the quaternion):
+position NED, u, v, w, roll, pitch, yaw, p, q, r.
 """
 
 import math
@@ -17,14 +17,14 @@ from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, state_derivativ
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
 Array = NDArray[np.float64]
-ROLL, PITCH, RATES = 6, 7, 9  # where they are, or begin, among the 12
+ROLL, PITCH, RATES = 6, 7, 9  # index, or start, in the 12 states
 _LONGITUDINAL = [U, W, PITCH, RATES + 1]
 LATERAL = [V, ROLL, RATES, RATES + 2]
 
 
 @dataclass(frozen=True, slots=True)
 class TrimPoint:
-    """Straight, unaccelerated flight without wind: angles and deflections in rad."""
+    """A trim point: straight, unaccelerated flight without wind; angles and deflections in rad."""
 
     airspeed_mps: float
     alpha_rad: float
@@ -104,31 +104,31 @@ def find_trim(
     """
     from scipy.optimize import least_squares
 
-    def at(z: Array) -> TrimPoint:
-        # The square of the throttle is sought: thrust laws are even in the throttle, and their
-        # negative root is no answer.
+    def point_at(z: Array) -> TrimPoint:
+        # Solve for the square of the throttle: thrust laws are even in it, and the negative root
+        # is not a solution.
         alpha, elevator, square, *rest = z.tolist()
         throttle = math.sqrt(max(square, 0.0))
         return TrimPoint(airspeed_mps, alpha, alpha + climb_rad, elevator, throttle, *rest)
 
     def residual(z: Array) -> Array:
-        guess = at(z)
+        guess = point_at(z)
         rate = euler_derivative(guess.state12(), guess.controls(), body, aero, density, gravity)
-        # Accelerations and angular accelerations; position and attitude may move on.
+        # Linear and angular accelerations must vanish; position may change.
         return np.concatenate([rate[3:6], rate[9:]])
 
-    # Near the cruise of every airframe we ship: a few degrees nose up, throttle at half.
+    # Near the cruise of all shipped airframes: a few degrees nose up, half throttle.
     start = [0.05, -0.05, 0.25, 0.0, 0.0, 0.0]
     solution = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    found = at(solution.x)
-    # The solver also stops in a local minimum, where the residual is not zero.
+    point = point_at(solution.x)
+    # The solver may stop in a local minimum, where the residual is not zero.
     missed = np.max(np.abs(solution.fun)) > 1e-6
-    if missed or found.throttle > 1.0 or abs(found.alpha_rad) > 0.4:
+    if missed or point.throttle > 1.0 or abs(point.alpha_rad) > 0.4:
         raise ValueError(
-            f"no straight flight at {airspeed_mps} m/s: angle of attack {found.alpha_rad:.2f} rad, "
-            f"throttle {found.throttle:.2f}; the airframe needs another speed"
+            f"no straight flight at {airspeed_mps} m/s: angle of attack {point.alpha_rad:.2f} rad, "
+            f"throttle {point.throttle:.2f}; choose another speed"
         )
-    return found
+    return point
 
 
 def linearise_trim(
@@ -140,7 +140,7 @@ def linearise_trim(
     def f(dx: Array, du: Array) -> Array:
         return euler_derivative(x + dx, u + du, body, aero, density, gravity)
 
-    # About the cube root of the rounding error: best for central differences.
+    # About the cube root of the rounding error, the optimum for central differences.
     h = 1e-6
     zero_x, zero_u = np.zeros(12), np.zeros(4)
     a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]

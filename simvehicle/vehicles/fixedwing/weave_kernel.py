@@ -1,6 +1,6 @@
-"""Rolling from side to side while holding pitch and airspeed, as a scalar compiled function.
+"""A fixed wing that rolls from side to side at constant pitch and airspeed: a scalar kernel.
 
-Proportional feedback of the true attitude on top of open-loop controls, so that long flights stay
+Proportional feedback of the true attitude is added to open-loop controls, so that long flights stay
 within the envelope. The simulator calls it for one vehicle, the worst-case search for many.
 """
 
@@ -10,16 +10,16 @@ from typing import NamedTuple
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import sin_cos
 
-# Elevator and aileron per rad and per rad/s, throttle per m/s: the loops of pitch and roll lie
-# near 6 rad/s for the Aerosonde at 35 m/s.
+# Elevator and aileron per rad and per rad/s, throttle per m/s: bandwidths of pitch and roll of
+# about 6 rad/s for the Aerosonde at 35 m/s.
 PITCH_GAIN, PITCH_RATE_GAIN, ROLL_GAIN, ROLL_RATE_GAIN, SPEED_GAIN = 1.0, 0.1, 0.3, 0.05, 0.05
-DEFLECTION_LIMIT_RAD = 0.4
+DEFLECTION_LIMIT_RAD = 0.4  # of the feedback alone; chosen
 
 Four = tuple[float, float, float, float]
 
 
 class WeaveFeedback(NamedTuple):
-    """What is fed back: roll, pitch [rad], their rates about the body's axes [rad/s], airspeed."""
+    """Feedback: roll, pitch [rad], body rates p, q [rad/s] and airspeed."""
 
     roll: float
     pitch: float
@@ -36,11 +36,11 @@ def weave_controls(motion: WeaveFeedback, aim: Four, open_loop: Four, t_s: float
     ----------
     motion : Motion
     aim : 4 floats
-        Greatest roll [rad], its period [s], pitch [rad], airspeed [m/s].
+        Roll amplitude [rad], its period [s], pitch [rad], airspeed [m/s].
     open_loop : 4 floats
         Controls without feedback.
     t_s : float
-        Since the start.
+        Time since the start.
     """
     roll_rad, period_s, pitch_rad, airspeed_mps = aim
     elevator, aileron, rudder, throttle = open_loop

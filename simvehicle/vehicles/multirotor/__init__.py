@@ -1,1 +1,1 @@
-"""The multirotor: its equations, and a flight of the search that *sways*."""
+"""The multirotor: its equations, and the swaying flight of the worst-case search."""

@@ -1,7 +1,7 @@
-"""A multirotor to fly in the simulator: any number of upright rotors around the centre of mass.
+"""The multirotor of the simulator: 4 to 8 upright rotors around the centre of mass.
 
-Controls: one per motor, 0 to 1 between idle and full speed, in the order of the parameter file;
-all zero stops the motors.
+Controls: one per motor, 0 to 1 between idle and full speed, in the order of the parameter file; 0
+stops the motor.
 """
 
 import math
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 class Rotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Place forward and right of the centre of mass, and direction of turning seen from above."""
+    """Position forward and right of the centre of mass, and rotation seen from above."""
 
     x_m: float
     y_m: float
@@ -41,7 +41,7 @@ class Rotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class MultirotorMotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Motor and propeller, alike for all rotors; rates are of the rotor [rad/s]."""
+    """Motor and propeller, the same for all rotors; rates are those of the rotor [rad/s]."""
 
     thrust_n_per_rps2: float
     torque_per_thrust_m: float
@@ -53,7 +53,7 @@ class MultirotorMotor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole file."""
+    """The complete file."""
 
     name: str
     source: str
@@ -69,14 +69,14 @@ class MultirotorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
 
     def __post_init__(self) -> None:
         if not 4 <= len(self.rotors) <= 8:
-            raise ValueError(f"{len(self.rotors)} rotors are not supported; 4 to 8 are")
+            raise ValueError(f"{len(self.rotors)} rotors are not supported; use 4 to 8")
         if not 0.0 <= self.motor.idle_rps < self.motor.full_rps:
             raise ValueError("motor.idle_rps must lie between 0 and motor.full_rps")
-        body_inertia(self, {})  # refuses what is no body
+        body_inertia(self, {})  # refuses impossible moments of inertia
 
 
 class Multirotor:
-    """Parameters made ready for the compiled flight; changing the plant gives another one."""
+    """The parameters in the form of the compiled flight; plant faults give a new object."""
 
     def __init__(self, parameters: MultirotorParameters, plant: Mapping[str, float] = {}) -> None:
         self.parameters = parameters
@@ -96,9 +96,9 @@ class Multirotor:
             plant.get("load_shift_x_m", 0.0),
             plant.get("load_shift_y_m", 0.0),
         )
-        # Height of the centre of mass above ground when the ground carries it.
+        # Height of the centre of mass when standing on the ground.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)
-        # Skids: alike in both directions.
+        # Skids: equal friction in both directions.
         self.gear: Gear = make_gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
             [
@@ -131,7 +131,7 @@ class Multirotor:
 
     @property
     def plant_names(self) -> tuple[str, ...]:
-        """Names of the plant faults that this vehicle knows."""
+        """Names of the plant faults that this vehicle supports."""
         each = range(self.controls_count)
         return (
             "mass_kg_add",
@@ -145,16 +145,16 @@ class Multirotor:
         )
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
-        """State array (15 + n,) with the motors standing, battery full."""
-        # Standing motors, no current, nothing drawn.
+        """State array (15 + n,) with stopped motors and a full battery."""
+        # Motor speeds, current and drawn charge are zero.
         return np.concatenate([r_ned_m, v_b_mps, q_nb, np.zeros(5 + self.controls_count)])
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """State (15 + n,) of hover at a place (3,), motors at hover speed, whatever the wind."""
-        # Level: a quaternion of the heading alone.
+        """State (15 + n,) of level hover at a position (3,); wind and speed have no effect."""
+        # Level: a rotation by the heading only.
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
@@ -162,24 +162,24 @@ class Multirotor:
         return x
 
     def hover_rps(self, density: float, gravity: float) -> float:
-        """Speed of the motors [rad/s] at which they carry the vehicle."""
-        # Each motor carries its share of the weight.
+        """Motor speed [rad/s] of hover."""
+        # Each motor carries an equal share of the weight.
         each = self.body.mass_kg * gravity / self.controls_count
         thrust = self.parameters.motor.thrust_n_per_rps2 * density / SEA_LEVEL_DENSITY_KGPM3
-        # Thrust goes with the square of the speed.
+        # Thrust is proportional to the square of the speed.
         return math.sqrt(each / thrust)
 
     def advance(
-        self, x: Array, controls: Array, around: Array, steps: int, dt: float
+        self, x: Array, controls: Array, surroundings: Array, steps: int, dt: float
     ) -> tuple[Array, Array]:
-        """Fly `steps` steps of `dt` seconds in `surroundings`.
+        """Fly `steps` steps of `dt` seconds in `pack_surroundings`.
 
         Returns
         -------
         x : array, shape (15 + n,)
         load : array, shape (6,)
-            Specific force in body axes [m/s^2]; battery voltage [V], current [A], rest (0 to 1).
+            Specific force in body axes [m/s^2]; battery voltage [V], current [A], charge 0 to 1.
         """
         after, load = np.empty(len(x)), np.empty(LOAD_SIZE)
-        integrate_flight(x, controls, around, steps, dt, self.packed, after, load)
+        integrate_flight(x, controls, surroundings, steps, dt, self.packed, after, load)
         return after, load

@@ -1,10 +1,10 @@
 """Forces, moments and integration of a multirotor, compiled.
 
-Rotor thrust grows with the square of the motor's speed and with air density; the drag of a rotor's
-disc is linear in the speed across its axis (Martin and Salaun, ICRA 2010; the model of the RotorS
-simulator, Furrer et al. 2016). Motors follow their commands with first-order lags. The state array
-holds the 13 of `rigidbody_kernel`, the motor speeds [rad/s], the current [A] and the charge drawn
-[A s].
+Rotor thrust is proportional to the square of the motor's speed and to air density; the drag of a
+rotor's disc is linear in the speed across its axis (Martin and Salaun, ICRA 2010; the model of the
+RotorS simulator, Furrer et al. 2016). Motors follow their commands with first-order lags. The state
+array has the 13 entries of `rigidbody_kernel`, the motor speeds [rad/s], the current [A] and the
+charge drawn [A s].
 """
 
 import math
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 
 class Airframe(NamedTuple):
-    """Coefficients of rotors and body, SI units, and the centre of mass off the rotors' centre."""
+    """Coefficients of rotors and body in SI units, and the offset of the centre of mass."""
 
     thrust: float
     torque_per_thrust: float
@@ -58,11 +58,10 @@ class Airframe(NamedTuple):
 
 
 class _LoadInputs(NamedTuple):
-    """What the loads depend on besides the state.
+    """Inputs of the loads besides the state.
 
-    `speeds` (3, n) are those of the motors at a step's beginning, middle and end [rad/s]; `rotors`
-    (n, 5) holds x, y [m], the sign of the reaction torque, the propeller's efficiency and what is
-    left of the motor's power.
+    `speeds` (3, n) are the motor speeds at start, middle and end of a step [rad/s]; `rotors` (n, 5)
+    holds x, y [m], the sign of the reaction torque, and the efficiencies of propeller and motor.
     """
 
     speeds: Array
@@ -79,19 +78,17 @@ _FRAME = len(Airframe._fields)
 _SUPPLY = len(BatterySupply._fields)
 _POWERED = _BODY + _FRAME
 _END = _POWERED + _SUPPLY
-# What `pack_parameters` puts behind the named tuples; the rotors and then the contact points come
-# last.
+# What `pack_parameters` appends to the named tuples; rotors and contact points come last.
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _ROTORS = range(_END, _END + 5)
 _CURRENT, _CHARGE_DRAWN = -2, -1  # in the state
-_FULL_CELL_V = 4.2  # the full speed of a parameter file is that of a full pack
-_RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor behind x
+_FULL_CELL_V = 4.2  # the full speed in a parameter file is that at full charge
+_RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor after x
 
 
 def pack_parameters(
     body: Inertia, frame: Airframe, wheels: Gear, supply: BatterySupply, rotors: Array
 ) -> Array:
-    """All parameters of `integrate_flight` in one array; rotors (n, 5) and contact points are its
-    end."""
+    """Pack all parameters of `integrate_flight` into one array; rotors (n, 5) and points last."""
     ends = (rotors.ravel(), wheels.points_m.ravel())
     return np.concatenate([[*body, *frame, *supply, *wheels[1:]], *ends])
 
@@ -107,18 +104,18 @@ def rotor_loads(
 ) -> Loads:
     """Force [N] and moment [N m] of one rotor at `omega` rad/s.
 
-    `air` is the body's velocity through the air forward and right; `at` the rotor's place [m], the
-    sign of its reaction torque and its propeller's efficiency.
+    `air` is the body's velocity through the air, forward and right; `at` is the rotor's position
+    [m], the sign of its reaction torque and its propeller's efficiency.
     """
     right = at[1] - frame.shift_y
     x = at[0] - frame.shift_x
     thrust = frame.thrust * omega * omega * density / SEA_LEVEL_DENSITY_KGPM3
     lift = thrust * at[3]
-    # The disc sees the air of its own place, moved by the yaw rate as well.
+    # The yaw rate adds to the airspeed at the rotor's position.
     hx = -frame.rotor_drag * omega * (air[0] - yaw_rate * right)
     hy = -frame.rotor_drag * omega * (air[1] + yaw_rate * x)
-    # Down is positive, so that lift is negative. Yaw: the drag of the discs at their arms, and the
-    # reaction to the propellers' torque.
+    # Down is positive, so lift is negative. Yaw: disc drag times its arm, and the propeller's
+    # reaction torque.
     turn = x * hy - right * hx + at[2] * frame.torque_per_thrust * thrust
     return hx, hy, -lift, -right * lift, x * lift, turn
 
@@ -130,7 +127,7 @@ def body_drag(
     density: float,
     frame: Airframe,
 ) -> Loads:
-    """Force [N] and moment [N m] of the air on the body itself."""
+    """Aerodynamic force [N] and moment [N m] on the body without the rotors."""
     x, y, z = air
     drag = 0.5 * density * frame.drag_area * np.sqrt(x * x + y * y + z * z)
     p, q, r = rates
@@ -142,9 +139,9 @@ def body_drag(
 
 @inlined
 def _loads(state: State13, stage: int, given: _LoadInputs) -> Loads:
-    """Rotors, drag and ground."""
+    """Loads of rotors, body drag and ground."""
     rotors, frame, density, wind = given.rotors, given.frame, given.density, given.wind
-    # Stages 1 and 2 of Runge-Kutta lie both in the middle of the step.
+    # Runge-Kutta stages 1 and 2 are both at the middle of the step.
     when = (stage + 1) // 2
     _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
@@ -164,9 +161,9 @@ def _loads(state: State13, stage: int, given: _LoadInputs) -> Loads:
 
 @inlined
 def commanded_speed(control: float, sag: float, power: float, frame: Airframe) -> float:
-    """Speed [rad/s] that a motor runs to; power goes with the square of the speed into thrust."""
+    """Steady speed [rad/s] of a motor; `power` scales the thrust, so its root the speed."""
     u = min(1.0, max(0.0, control))
-    # At 0 a motor stands still; just above it idles, as speed controllers do when armed.
+    # At 0 a motor is stopped; just above 0 it idles, as armed speed controllers do.
     speed = frame.idle + (frame.full * sag - frame.idle) * u if u > 0.0 else 0.0
     return speed * math.sqrt(max(0.0, power))
 
@@ -175,21 +172,21 @@ def commanded_speed(control: float, sag: float, power: float, frame: Airframe) -
 def _spin_motors(
     speeds: Array, controls: Array, sag: float, rotors: Array, frame: Airframe, dt: float
 ) -> None:
-    """Fill in the motors' speeds at the middle and the end of a step, exactly."""
+    """Compute the motor speeds at the middle and the end of a step, exactly."""
     for i in range(controls.shape[0]):
-        wanted = commanded_speed(controls[i], sag, rotors[i, _POWER], frame)
-        # Brakes are weaker than drives: spinning down takes longer.
-        lag = frame.spin_up_s if wanted > speeds[0, i] else frame.spin_down_s
+        steady_speed = commanded_speed(controls[i], sag, rotors[i, _POWER], frame)
+        # Braking is weaker than driving: spinning down takes longer.
+        lag = frame.spin_up_s if steady_speed > speeds[0, i] else frame.spin_down_s
         remaining = math.exp(-0.5 * dt / lag)  # of the difference after half a step
-        speeds[1, i] = wanted + (speeds[0, i] - wanted) * remaining
-        speeds[2, i] = wanted + (speeds[0, i] - wanted) * remaining * remaining
+        speeds[1, i] = steady_speed + (speeds[0, i] - steady_speed) * remaining
+        speeds[2, i] = steady_speed + (speeds[0, i] - steady_speed) * remaining * remaining
 
 
 @compiled
 def integrate_flight(
     x: Array,
     controls: Array,
-    around: Array,
+    surroundings: Array,
     steps: int,
     dt: float,
     packed: Array,
@@ -198,47 +195,49 @@ def integrate_flight(
 ) -> None:
     """Advance the state by `steps` Runge-Kutta steps of `dt` seconds.
 
-    Parameters are those of the fixed wing's `integrate_flight`, but for these, with n motors:
+    Parameters are those of the fixed wing's `integrate_flight`, except these, with n motors:
 
     Parameters
     ----------
     x, after : arrays, shape (15 + n,)
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
-    around : array, shape (9,)
-        The last of them becomes the battery's sag, which lowers the full speed.
+    surroundings : array, shape (9,)
+        The last entry is set to the battery's voltage sag, which lowers the full speed.
     load : array, shape (6,)
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))
     frame = Airframe(*to_fixed_tuple(packed[_BODY:_POWERED], _FRAME))
     supply = BatterySupply(*to_fixed_tuple(packed[_POWERED:_END], _SUPPLY))
-    # Of the last step: the voltage sags under it before the motors are computed.
+    # The voltage under the current of the last step limits the motors.
     load[VOLTS], load[CHARGE] = battery_output(supply, x[_CHARGE_DRAWN], x[_CURRENT])
-    around[BATTERY_SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
+    surroundings[BATTERY_SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
     n = controls.shape[0]
-    # Behind the fixed part of `packed` come five numbers a rotor, then the contact points.
+    # After the fixed part of `packed` come five numbers per rotor, then the contact points.
     points = _ROTORS + _ROTOR * n
     rotors, points_m = packed[_ROTORS:points].reshape(n, _ROTOR), packed[points:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], packed[_ALONG], packed[_ACROSS])
     speeds = np.empty((3, n))
     for i in range(n):
         speeds[0, i] = x[RIGID_SIZE + i]
-    w = (around[WIND], around[WIND + 1], around[WIND + 2])
-    g = (around[GRAVITY], around[GRAVITY + 1], around[GRAVITY + 2])
-    given = _LoadInputs(speeds, rotors, w, around[DENSITY], around[GROUND], frame, wheels)
+    w = (surroundings[WIND], surroundings[WIND + 1], surroundings[WIND + 2])
+    g = (surroundings[GRAVITY], surroundings[GRAVITY + 1], surroundings[GRAVITY + 2])
+    given = _LoadInputs(
+        speeds, rotors, w, surroundings[DENSITY], surroundings[GROUND], frame, wheels
+    )
     s = to_fixed_tuple(x[:RIGID_SIZE], RIGID_SIZE)
     for _ in range(steps):
-        _spin_motors(speeds, controls, around[BATTERY_SAG], rotors, frame, dt)
+        _spin_motors(speeds, controls, surroundings[BATTERY_SAG], rotors, frame, dt)
         s = runge_kutta_step(s, _loads, given, g, body, dt)
         for i in range(n):
             speeds[0, i] = speeds[2, i]
-    # After the last step the stage 0 speeds are those of now.
+    # After the last step the stage 0 speeds are the current ones.
     f = _loads(s, 0, given)
     for i in range(RIGID_SIZE):
         after[i] = s[i]
     for i in range(3):
         load[FORCE + i] = f[i] / body.mass_kg
-    power = 0.0  # goes with the mean cube of the speeds over full speed
+    power = 0.0  # mean cube of the speeds relative to full speed
     for i in range(n):
         after[RIGID_SIZE + i] = speeds[0, i]
         power += (speeds[0, i] / frame.full) ** 3 / n

@@ -40,10 +40,10 @@ class Stone:
         return self.start(r, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     def advance(
-        self, x: np.ndarray, controls: Any, around: np.ndarray, steps: int, dt: float
+        self, x: np.ndarray, controls: Any, surroundings: np.ndarray, steps: int, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
         after = x.copy()
-        after[3:6] += around[GRAVITY:DENSITY] * steps * dt
+        after[3:6] += surroundings[GRAVITY:DENSITY] * steps * dt
         after[:3] += 0.5 * (x[3:6] + after[3:6]) * steps * dt
         return after, np.zeros(6)
 
