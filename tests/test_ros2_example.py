@@ -96,9 +96,9 @@ def test_a_verdict_becomes_a_message(
 @pytest.mark.usefixtures("bridge")
 def test_ros_sees_a_node_with_its_topics(ros: tuple[zenoh.Session, str]) -> None:
     session, _ = ros
-    told: Queue[zenoh.Sample] = Queue()
-    session.liveliness().declare_subscriber("@ros2_lv/**", told.put, history=True)
-    tokens = [str(told.get(timeout=PATIENCE_S).key_expr) for _ in range(4)]
+    tokens_seen: Queue[zenoh.Sample] = Queue()
+    session.liveliness().declare_subscriber("@ros2_lv/**", tokens_seen.put, history=True)
+    tokens = [str(tokens_seen.get(timeout=PATIENCE_S).key_expr) for _ in range(4)]
     kinds = sorted(token.split("/")[5] for token in tokens)
     assert kinds == ["MP", "MP", "MS", "NN"]
     assert any("/%mavproxy_fault%arm/" in token and token.endswith(",") for token in tokens)

@@ -253,7 +253,7 @@ def create_services(simulation: Simulation) -> tuple[AutopilotLink, Pilot]:
 
 
 def _scenario_items(simulation: Simulation) -> tuple[MissionItem, ...]:
-    """The scenario's mission as a ground station downloads it; empty without one."""
+    """The scenario's mission as mission items for download; empty without a mission."""
     track = simulation.controller.track if simulation.scenario.mission else None
     if not isinstance(track, PathTrack):
         return ()

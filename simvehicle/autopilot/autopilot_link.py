@@ -95,7 +95,7 @@ class AutopilotLink:
             landed=self._flight.landed,
             mav_type=self._mav_type,
             throttle=throttle,
-            # 0 means "not supported": a path is flown without counting items.
+            # 0 means not supported: the scenario's path is flown without item numbers.
             mission_count=len(self._missions.items) if self._flight.goal_active else 0,
             mission_seq=self._flight.seq,
         )

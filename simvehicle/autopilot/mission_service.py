@@ -184,7 +184,7 @@ class Missions:
 
 
 def waypoint_items(waypoints: Sequence[Waypoint]) -> tuple[MissionItem, ...]:
-    """Waypoints as a ground station downloads them, with a change of speed where it changes."""
+    """Convert waypoints to mission items, with a CHANGE_SPEED item where the speed changes."""
     items: list[MissionItem] = []
     speed_mps = math.nan
     for point in waypoints:

@@ -12,7 +12,7 @@ from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import (
     Four,
-    QuadMixing,
+    QuadParameters,
     SwayFeedback,
     Three,
     quad_parameters,
@@ -24,7 +24,7 @@ from simvehicle.vehicles.multirotor.sway_kernel import (
 def _sway_commands(
     feedback: SwayFeedback,
     aim: Three,
-    quad: QuadMixing,
+    quad: QuadParameters,
     gravity: float,
     density_ratio: float,
     t_s: float,

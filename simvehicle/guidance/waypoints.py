@@ -1,4 +1,4 @@
-"""A mission path as waypoints: the corners that an autopilot or a ground station exchanges."""
+"""A mission path as waypoints, for an autopilot or a ground station."""
 
 import math
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.guidance.mission import MissionPath
 from simvehicle.scenario.scenario_file import StartConfig
 
-# Longest leg [m], and largest distance [m] between a leg and the path that it replaces. A
-# multirotor stops at corners, so more of them would slow it down; a plane flies past them.
+# Longest leg [m], and largest distance [m] between a leg and the path that it approximates; chosen:
+# a multirotor stops at waypoints, so more of them slow it down; a plane flies past them.
 LONGEST_LEG_M = {"multirotor": 20.0, "fixedwing": 100.0}
 CHORD_TOLERANCE_M = {"multirotor": 1.0, "fixedwing": 5.0}
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """One corner of a mission, and how fast to fly to it."""
+    """A waypoint of a mission, with the speed of the leg to it."""
 
     lat_deg: float
     lon_deg: float
@@ -27,15 +27,15 @@ class Waypoint:
 
 
 def path_waypoints(path: MissionPath, start: StartConfig, kind: str) -> tuple[Waypoint, ...]:
-    """The corners of a path for a vehicle of this kind ("multirotor", "fixedwing")."""
-    corners = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
+    """The waypoints of a path for a kind of vehicle ("multirotor" or "fixedwing")."""
+    indices = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
     return tuple(
         make_waypoint(
             start,
             (float(path.north_m[at]), float(path.east_m[at]), float(path.height_m[at])),
             float(path.speed_mps[at]),
         )
-        for at in corners
+        for at in indices
     )
 
 
@@ -54,7 +54,7 @@ def simplify_path(path: MissionPath, longest_m: float, chord_m: float) -> list[i
 
 
 def _chord_deviation(places: NDArray[np.complex128]) -> float:
-    """The largest distance of points (n,) of the plane from the chord of the first and last."""
+    """Largest distance [m] of points (n,), as complex numbers, from the chord of their ends."""
     chord = places[-1] - places[0]
     if abs(chord) == 0.0:
         return float(np.abs(places - places[0]).max())

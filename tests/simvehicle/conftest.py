@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
-# Front right, rear left, front left, rear right: what turns right, pitches up and yaws right.
+# Front right, rear left, front left, rear right: signs of roll right, pitch up and yaw right.
 ROLL = np.array([-1.0, 1.0, 1.0, -1.0])
 PITCH = np.array([1.0, -1.0, 1.0, -1.0])
 YAW = np.array([1.0, 1.0, -1.0, -1.0])
@@ -17,7 +17,7 @@ M_PER_DEGE7 = 0.0111
 
 
 class Hover:
-    """Holds height, place and heading by the truth the simulator sends; gains by hand.
+    """Holds height, position and heading by the truth from the simulator; gains tuned by hand.
 
     Until `arm_us` it answers unarmed, as PX4 does while it starts; `heard` is what it was sent.
     """
@@ -52,7 +52,7 @@ class Hover:
         return np.clip(mixed, 0.02, 1.0).tolist()
 
     def fly(self, port: int, until_us: int) -> None:
-        """Answer each HIL_SENSOR by what the truth of the step before asks for."""
+        """Answer each HIL_SENSOR with controls for the truth of the step before."""
         mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
         reader = dialect.MAVLink(None)
         command = [0.0] * 4

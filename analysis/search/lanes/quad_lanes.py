@@ -13,7 +13,7 @@ from mavproxy_fault.numerics.rotations.rotation_lanes import euler_of_quaternion
 from simvehicle.vehicles.multirotor.multirotor_flight import Airframe, body_drag, rotor_loads
 from simvehicle.vehicles.multirotor.sway_kernel import (
     Four,
-    QuadMixing,
+    QuadParameters,
     SwayFeedback,
     sway_commands,
 )
@@ -39,11 +39,11 @@ class QuadModel(NamedTuple):
 
     frame: Airframe
     rotors: tuple[Four, Four, Four, Four]
-    control: QuadMixing
+    control: QuadParameters
 
 
 @compiled
-def steer_quad(buf: Buffer, t_s: float, world: World, control: QuadMixing) -> None:
+def steer_quad(buf: Buffer, t_s: float, world: World, control: QuadParameters) -> None:
     """CONTROL from the mission and feedback of the truth, at the height of the start."""
     wide()
     gravity, density = world

@@ -24,7 +24,7 @@ Four = tuple[float, float, float, float]
 Three = tuple[float, float, float]
 
 
-class QuadMixing(NamedTuple):
+class QuadParameters(NamedTuple):
     """Parameters of the motor mixing, SI units: each motor's thrust (row) per lift and per moment
     about x, y and z; mass and moments of inertia; motor constants."""
 
@@ -47,7 +47,7 @@ class SwayFeedback(NamedTuple):
     climb_mps: float
 
 
-def quad_parameters(vehicle: Multirotor) -> QuadMixing:
+def quad_parameters(vehicle: Multirotor) -> QuadParameters:
     """The kernel's parameters of a multirotor with four rotors.
 
     Raises
@@ -67,7 +67,7 @@ def quad_parameters(vehicle: Multirotor) -> QuadMixing:
     first, second, third, fourth = (
         (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in shares
     )
-    return QuadMixing(
+    return QuadParameters(
         (first, second, third, fourth),
         vehicle.parameters.mass_kg,
         (inertia.jx, inertia.jy, inertia.jz),
@@ -81,7 +81,7 @@ def quad_parameters(vehicle: Multirotor) -> QuadMixing:
 def sway_commands(
     feedback: SwayFeedback,
     aim: Three,
-    quad: QuadMixing,
+    quad: QuadParameters,
     gravity: float,
     density_ratio: float,
     t_s: float,
@@ -123,7 +123,7 @@ def sway_commands(
 
 
 @inlined
-def _command(share: Four, loads: Four, quad: QuadMixing, density_ratio: float) -> float:
+def _command(share: Four, loads: Four, quad: QuadParameters, density_ratio: float) -> float:
     """One motor's command for lift and moments; never 0, which would stop the motor."""
     thrust = share[0] * loads[0] + share[1] * loads[1] + share[2] * loads[2] + share[3] * loads[3]
     speed: float = np.sqrt(max(thrust, 0.0) / (quad.thrust * density_ratio))

@@ -80,14 +80,14 @@ def test_single_values_of_a_scenario_can_be_set() -> None:
     ("change", "error"),
     [
         ("environment.wnd=4", "environment.wnd: wnd is unknown; known: wind_ned_mps"),
-        ("environment.wind_ned_mps[3]=4", "there is no number 3; 0 to 2"),
-        ("seed.x=4", "seed.x: there is no x below"),
+        ("environment.wind_ned_mps[3]=4", "index 3 is out of range; use 0 to 2"),
+        ("seed.x=4", "has no x"),
         ("duration_s=long", "duration_s=long: duration_s = 'long' does not fit"),
-        ("duration_s", "--set duration_s: has no =; PATH=VALUE"),
-        ("=4", "names nothing"),
+        ("duration_s", "--set duration_s: has no =; write PATH=VALUE"),
+        ("=4", "is no path"),
     ],
 )
-def test_a_value_that_cannot_be_set_is_told(change: str, error: str) -> None:
+def test_an_impossible_change_is_reported(change: str, error: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(error)):
         read_setup(None, changes=dict([parse_change(change)]))
 

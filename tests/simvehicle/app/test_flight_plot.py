@@ -1,4 +1,4 @@
-"""`sim --plot`: a picture of path and states, and clear errors."""
+"""`sim --plot`: a plot of path and states, and clear errors."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ SHORT = Scenario(
 )
 
 
-def test_a_flight_is_kept_at_ten_hertz() -> None:
+def test_a_flight_is_recorded_at_ten_hertz() -> None:
     flight = trace_flight(SHORT)
     assert len(flight.t_s) == 40
     assert flight.r_ned_m[-1, 0] == pytest.approx(100.0, abs=5.0)
@@ -31,12 +31,14 @@ def test_a_picture_is_written(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_name_that_is_no_picture_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"--plot: flight.txt is no picture; .png"):
+def test_a_file_name_without_a_picture_suffix_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"--plot: flight.txt is not a picture file; use one of .png"
+    ):
         plot_scenario(SHORT, None, "flight.txt")
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be written"):
         plot_scenario(SHORT, None, tmp_path / "nowhere" / "flight.png")
 

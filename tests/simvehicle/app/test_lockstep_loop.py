@@ -26,7 +26,7 @@ from simvehicle.vehicles.body import Controls, Truth
 
 
 class Lift:
-    """A vehicle that only goes up and down: 1.5 kg under four motors of 7.5 N each."""
+    """A vehicle that moves vertically only: 1.5 kg with four motors of 7.5 N each."""
 
     def __init__(self) -> None:
         self.t_us = -4000
@@ -35,7 +35,7 @@ class Lift:
         self.changes: list[tuple[str, float | None]] = []
 
     def prepare(self) -> None:
-        """There is nothing to be made ready."""
+        """Nothing to prepare."""
 
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
         self.t_us += 4000
@@ -60,7 +60,7 @@ class Lift:
 
 
 class Autopilot:
-    """The other end of the link: reads HIL frames, answers when told to."""
+    """The remote end of the link: reads HIL frames and answers if enabled."""
 
     def __init__(self, port: int) -> None:
         self.sock = socket.create_connection(("127.0.0.1", port), timeout=20)
@@ -131,7 +131,7 @@ def test_each_step_is_taken_on_the_answer_to_the_step_before() -> None:
         answered: list[int] = []
         for message in autopilot.messages():
             if message.get_type() == "HIL_SENSOR":
-                # The number of the step travels to the vehicle as the motor command.
+                # The motor command has the number of the step.
                 answered.append(message.time_usec)
                 autopilot.answer(message.time_usec, (len(answered) % 100) / 100)
                 if message.time_usec >= 3_000_000:
@@ -140,11 +140,11 @@ def test_each_step_is_taken_on_the_answer_to_the_step_before() -> None:
     assert np.diff(answered).tolist() == [4000] * (len(answered) - 1)
     sent = [round(float(c.values[0]) * 100) for c in vehicle.controls]
     first = next(i for i, value in enumerate(sent) if value)
-    after = sent[first + 30 :]  # the free running at the start leaves a few steps under way
+    after = sent[first + 30 :]  # a few steps are still on the way after the free-running start
     assert {(b - a) % 100 for a, b in pairwise(after)} == {1}
 
 
-def test_before_the_first_answer_steps_leave_freely_and_in_real_time() -> None:
+def test_before_the_first_answer_steps_run_in_real_time_without_waiting() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=None) as (autopilot, _, _, loop):
         seen = 0
@@ -156,7 +156,7 @@ def test_before_the_first_answer_steps_leave_freely_and_in_real_time() -> None:
     assert not any(controls.armed or controls.values.any() for controls in vehicle.controls)
 
 
-def test_a_missing_answer_is_told_and_passed_over() -> None:
+def test_a_missing_answer_is_reported_and_skipped() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=None, timeout_s=0.5) as (autopilot, _, said, _):
         for message in autopilot.messages():
@@ -167,12 +167,12 @@ def test_a_missing_answer_is_told_and_passed_over() -> None:
                     break
     lines = said.getvalue().splitlines()
     missed = lines.index(
-        "no answer to the step at 1.200 s; going on in real time on the last commands"
+        "no answer to the step at 1.200 s; continuing in real time with the last commands"
     )
     assert lines[missed + 1].startswith("in lockstep from ")
 
 
-def test_a_stretch_without_answers_costs_one_time_out() -> None:
+def test_a_period_without_answers_costs_one_timeout() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=800_000, timeout_s=1.0) as (autopilot, codes, said, _):
         for message in autopilot.messages():
@@ -198,7 +198,7 @@ def test_an_autopilot_that_falls_silent_ends_the_flight_with_a_reason() -> None:
     assert "the autopilot has not answered for 0.4 s after" in said.getvalue()
 
 
-def test_a_vanished_autopilot_is_told() -> None:
+def test_a_lost_autopilot_is_reported() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=10_000_000_000) as (autopilot, codes, said, _):
         next(autopilot.messages())
@@ -207,7 +207,7 @@ def test_a_vanished_autopilot_is_told() -> None:
 
 
 @pytest.mark.parametrize(("motor_mode", "code"), [(1, 0), (129, 1)])
-def test_a_link_that_closes_in_flight_is_a_failure_and_what_to_do_is_told(motor_mode, code) -> None:
+def test_a_link_that_closes_in_flight_is_a_failure_with_advice(motor_mode, code) -> None:
     with served(Lift(), until_us=None) as (autopilot, codes, said, _):
         for message in autopilot.messages():
             if message.get_type() == "HIL_SENSOR":
@@ -220,29 +220,32 @@ def test_a_link_that_closes_in_flight_is_a_failure_and_what_to_do_is_told(motor_
                 if message.time_usec > 1_100_000:
                     break
     assert codes == [code]
-    assert ("with its motors on" in said.getvalue()) == bool(code)
-    assert "start simulator, proxy and autopilot anew together" in said.getvalue()
+    assert ("with the motors on" in said.getvalue()) == bool(code)
+    assert "restart simulator, proxy and autopilot together" in said.getvalue()
 
 
-def test_an_autopilot_that_flew_before_is_told_to_be_started_anew() -> None:
+def test_an_autopilot_that_ran_before_must_be_restarted() -> None:
     with served(Lift(), until_us=None) as (autopilot, _, said, _):
         for message in autopilot.messages():
             if message.get_type() == "HIL_SENSOR":
                 autopilot.answer(message.time_usec, 0.5)  # armed
                 if message.time_usec > 1_100_000:
                     break
-    assert said.getvalue().count("its motors are on already; an autopilot that flew before") == 1
+    assert (
+        said.getvalue().count("the motors are already on; restart an autopilot that ran before")
+        == 1
+    )
 
 
-def test_that_no_first_answer_comes_is_told_once(monkeypatch) -> None:
+def test_a_missing_first_answer_is_reported_once(monkeypatch) -> None:
     monkeypatch.setattr("simvehicle.app.lockstep_loop.FIRST_ANSWER_TIMEOUT_S", 0.05)
     with served(Lift(), until_us=200_000) as (autopilot, _, said, _):
         for _ in autopilot.messages():
             pass
-    assert said.getvalue().count("no answer for 0.05 s; an autopilot that flew before") == 1
+    assert said.getvalue().count("no answer for 0.05 s; restart an autopilot that ran before") == 1
 
 
-def test_a_change_of_the_plant_reaches_the_vehicle() -> None:
+def test_a_plant_fault_reaches_the_vehicle() -> None:
     vehicle = Lift()
     with served(vehicle, until_us=None) as (autopilot, _, _, _):
         autopilot.sock.sendall(plant_frame(PlantChange("motor_efficiency[0]", 0.5)))

@@ -45,7 +45,7 @@ SIMULATOR = 51
 
 
 def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
-    """What the simulator's frames were when they reached the autopilot through the proxy."""
+    """Records the simulator's frames as they arrive at the autopilot through the proxy."""
     path = folder / "quad.yaml"
     path.write_text(SCENARIO)
     link = open_link("tcpin:127.0.0.1:0")
@@ -54,7 +54,7 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     loop = LockstepLoop(
         Simulation(read_scenario(path)), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress
     )
-    loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # a busy machine changes no byte
+    loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # no timeout on a busy machine
     sim = threading.Thread(target=lambda: serve_autopilot(loop, progress, None))
     sim.start()
     master = open_link("tcpin:127.0.0.1:0")
@@ -75,7 +75,7 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     items = Parser().push(autopilot.heard)
     frames = [f for f in items if isinstance(f, Frame) and f.component == SIMULATOR]
     truths = [i for i, f in enumerate(frames) if f.layout.name == "HIL_STATE_QUATERNION"]
-    # How much of the next step was under way at the end is chance.
+    # How much of the next step has arrived at the end is random.
     last = next(i for i in truths if frames[i].number("time_usec") >= UNTIL_US)
     return frames[: last + 1]
 
@@ -88,7 +88,7 @@ def zgyro(frames: list[Frame]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory, hover: Any) -> tuple[Any, Any]:
-    """The same flight without and with the fault: the frames, and the autopilot's account."""
+    """The same flight without and with the fault: the frames and the autopilot's record."""
     folder, flights = tmp_path_factory.mktemp("proxied"), []
     for schedule in ("faults: []", SCHEDULE):
         autopilot = hover(ARM_US)
@@ -103,7 +103,7 @@ def test_the_quad_takes_off_through_the_proxy_with_no_step_lost(pair: tuple[Any,
     assert track[-1][2] > 2.0  # metres up
 
 
-def test_a_fault_acts_from_its_time_on_and_the_vehicle_answers_it(pair: tuple[Any, Any]) -> None:
+def test_a_fault_acts_from_its_start_and_the_vehicle_responds(pair: tuple[Any, Any]) -> None:
     (clean, _), (broken, _) = pair
     difference = zgyro(broken)[:, 1] - zgyro(clean)[:, 1]
     first = np.flatnonzero(difference)[0]

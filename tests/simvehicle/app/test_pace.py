@@ -14,7 +14,7 @@ def test_speeds_are_numbers_or_max(text: str, speed: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["fast", "0", "-1", "nan", "inf", ""])
-def test_what_is_no_speed_is_refused(text: str) -> None:
+def test_an_invalid_speed_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--speed"):
         parse_speed(text)
 
@@ -32,8 +32,8 @@ def test_as_fast_as_possible_never_waits() -> None:
     assert pace.wait_s(10_000_000, 0.0) == 0.0
 
 
-def test_after_a_long_halt_it_goes_on_at_its_pace() -> None:
+def test_after_a_long_pause_it_continues_at_its_pace() -> None:
     pace = Pace(1.0)
     pace.wait_s(0, 0.0)
-    assert pace.wait_s(1_000_000, 60.0) == 0.0  # the halt
+    assert pace.wait_s(1_000_000, 60.0) == 0.0  # the pause
     assert pace.wait_s(2_000_000, 60.0) == pytest.approx(1.0)

@@ -1,4 +1,4 @@
-"""Hardware in the loop on a pty: the whole command, and an autopilot that says what PX4 said."""
+"""Hardware in the loop on a pty: the complete command, and an autopilot that replays PX4."""
 
 import itertools
 import os
@@ -59,7 +59,7 @@ class Board:
         return [frame for frame in self.frames if frame.layout.name == name]
 
     def until(self, count: int, name: str, answers: Iterator[bytes]) -> None:
-        """Answer every other HIL_SENSOR, as a board does that runs at a rate of its own."""
+        """Answer every other HIL_SENSOR, as a board that runs at its own rate does."""
         heard = 0
         while len(self.of(name)) < count:
             for frame in self.read():
@@ -90,7 +90,7 @@ def simulator(tmp_path: Path, *options: str) -> Iterator[tuple[Board, "subproces
 
 
 def recorded() -> Iterator[bytes]:
-    """What PX4 said, over and over."""
+    """PX4's recorded messages, repeated."""
     while True:
         for item in Parser().push(RECORDED.read_bytes()):
             assert isinstance(item, Frame)
@@ -117,12 +117,12 @@ def test_a_board_that_answers_at_its_own_rate_flies_the_vehicle_in_real_time(tmp
         assert process.stderr is not None
         said = process.stderr.read()
         assert process.wait() == 0
-    assert "steps over 1 ms late, the latest" in said
+    assert "steps over 1 ms late, worst" in said
     assert "lockstep from" not in said
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_only_a_board_that_never_answers_is_told_of(tmp_path, monkeypatch, answers):
+def test_only_a_board_that_never_answers_is_reported(tmp_path, monkeypatch, answers):
     monkeypatch.setattr(lockstep_loop, "FIRST_ANSWER_TIMEOUT_S", 0.02)
     (tmp_path / "bench.yaml").write_text(SCENARIO)
     simulation, said = Simulation(read_scenario(tmp_path / "bench.yaml")), StringIO()
@@ -134,19 +134,19 @@ def test_only_a_board_that_never_answers_is_told_of(tmp_path, monkeypatch, answe
             )
             board.sendall(first)
             loop.run(until_us=100_000)
-    assert ("no answer for 0.02 s; a board answers in its HIL mode" in said.getvalue()) != answers
+    assert ("no answer for 0.02 s; switch the board to HIL mode" in said.getvalue()) != answers
     assert "lockstep" not in said.getvalue()
 
 
-def test_hardware_has_no_other_pace_than_the_clock(tmp_path):
+def test_hardware_allows_real_time_only(tmp_path):
     with simulator(tmp_path, "--speed", "4") as (_, process):
         assert process.stderr is not None
         said = process.stderr.read()
         assert process.wait() == 2
-    assert "--speed: 4 is not for hardware, whose clock is real; 1 is" in said
+    assert "--speed: 4 is not possible with hardware; use 1" in said
 
 
-def test_controls_that_stop_end_the_flight_but_none_at_all_do_not():
+def test_the_flight_ends_if_controls_stop_but_not_if_none_ever_came():
     free = FreeRunning()
     free.sent(4000, 0.0)
     assert free.wait_s(100.0) == 0.0  # still starting up
@@ -156,9 +156,9 @@ def test_controls_that_stop_end_the_flight_but_none_at_all_do_not():
         free.wait_s(131.0)
 
 
-def test_overruns_are_counted_from_the_millisecond_on():
+def test_overruns_are_counted_above_one_millisecond():
     pace, overruns = Pace(1.0), Overruns()
     pace.wait_s(0, 10.0)
     for t_us, now_s in ((4000, 10.0041), (8000, 10.0092), (12000, 10.0115), (16000, 10.0185)):
         overruns.add(pace.late_s(t_us, now_s))
-    assert overruns.text() == "2 of 4 steps over 1 ms late, the latest 2.5 ms"
+    assert overruns.text() == "2 of 4 steps over 1 ms late, worst 2.5 ms"

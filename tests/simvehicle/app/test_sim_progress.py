@@ -19,7 +19,7 @@ def test_a_file_gets_a_line_every_ten_seconds() -> None:
     ]
 
 
-def test_on_a_terminal_one_line_is_written_over_and_others_stand_below() -> None:
+def test_on_a_terminal_the_progress_line_is_overwritten_and_messages_follow_it() -> None:
     out = Terminal()
     progress = Progress(0.0, out)
     progress.step(1_000_000, 1.0)
@@ -31,7 +31,7 @@ def test_on_a_terminal_one_line_is_written_over_and_others_stand_below() -> None
     assert text.endswith("2.0 s simulated, 1.0 times real time\nstopped\n")
 
 
-def test_the_summary_tells_the_speed_of_the_whole_flight() -> None:
+def test_the_summary_reports_the_average_speed_of_the_flight() -> None:
     out = io.StringIO()
     Progress(10.0, out).end(60_000_000, 14.0)
     assert out.getvalue() == "60.0 s simulated in 4.0 s, 15.0 times real time\n"

@@ -1,4 +1,4 @@
-"""`sim` from its command line, and its loops on links of loopback."""
+"""`sim` from its command line, and its loops on loopback links."""
 
 import argparse
 import io
@@ -49,7 +49,7 @@ Loop = Callable[..., tuple[server.FreeLoop, UdpServer]]
 
 @pytest.fixture
 def free_loop(scenario: Path) -> Iterator[Loop]:
-    """Makes a loop of the scenario and the far end of its link."""
+    """Create a loop for the scenario and the remote end of its link."""
     with ExitStack() as links:
 
         def make(*, hil: bool = False, gcs: bool = False) -> tuple[server.FreeLoop, UdpServer]:
@@ -106,46 +106,46 @@ def test_a_ground_station_sees_a_vehicle_that_starts_in_the_air_hold_its_height(
     assert last["EXTENDED_SYS_STATE"].landed_state == dialect.MAV_LANDED_STATE_IN_AIR
 
 
-def test_datagrams_hold_whole_frames_and_fit_an_ethernet() -> None:
+def test_datagrams_have_complete_frames_and_fit_an_ethernet_frame() -> None:
     frames = [bytes([i]) * 300 for i in range(10)]
     chunks = server.join_datagrams(frames)
     assert b"".join(chunks) == b"".join(frames)
     assert [len(c) for c in chunks] == [1200, 1200, 600]
 
 
-def test_a_ground_station_beside_an_autopilot_is_refused(
+def test_a_ground_station_link_with_an_autopilot_link_is_refused(
     scenario: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["--hil", "tcpin:127.0.0.1:0", "--gcs", "udpout:127.0.0.1:14550"]
     assert main(["sim", str(scenario), *arguments]) == 2
-    assert "--gcs: udpout:127.0.0.1:14550 is not served beside" in capsys.readouterr().err
+    assert "--gcs: udpout:127.0.0.1:14550 cannot be combined with" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "text"),
     [
         (["--speed", "fast"], "--speed: fast is not a speed"),
         (["--hil", "tcpin:127.0.0.1"], "has no HOST:PORT"),
         (["no_such.yaml"], "no_such.yaml: cannot be read"),
     ],
 )
-def test_wrong_input_is_told_with_exit_code_2(
-    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+def test_invalid_input_is_reported_with_exit_code_2(
+    arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["sim", *arguments]) == 2
-    assert told in capsys.readouterr().err
+    assert text in capsys.readouterr().err
 
 
-def test_more_sensors_than_px4_takes_are_refused(
+def test_more_sensors_than_px4_accepts_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "many.yaml"
     path.write_text("sensors: {imu: [{}, {}, {}], mag: [{}, {}, {}]}")
     assert main(["sim", str(path), "--hil", "tcpin:127.0.0.1:0"]) == 2
-    assert "sensors.mag: 3 are too many for a HIL link; at most 2" in capsys.readouterr().err
+    assert "sensors.mag: 3 are too many for a HIL link; use at most 2" in capsys.readouterr().err
 
 
-def test_the_pace_changes_nothing_of_what_is_sent(free_loop: Loop) -> None:
+def test_the_pace_does_not_change_the_bytes_sent(free_loop: Loop) -> None:
     sent = []
     for speed in (math.inf, 200.0):
         loop, far = free_loop(hil=True)
@@ -174,29 +174,29 @@ def test_an_interrupt_ends_the_flight_with_a_summary(
     assert "stopped" in capsys.readouterr().err
 
 
-def test_a_vehicle_that_diverges_is_told(free_loop: Loop) -> None:
+def test_a_diverging_vehicle_is_reported(free_loop: Loop) -> None:
     loop, _ = free_loop()
     loop._simulation._x[3] = math.nan
 
-    with pytest.raises(ConfigError, match="left the numbers at"):
+    with pytest.raises(ConfigError, match="simulation diverged at"):
         loop.step()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_flight_begun_in_the_background_ends_with_its_summary(
+def test_a_flight_started_in_the_background_ends_with_its_summary(
     scenario: Path, number: signal.Signals
 ) -> None:
     with closing(open_link("udpin:127.0.0.1:0")) as far:
         assert isinstance(far, UdpServer)
         command = f"-m mavproxy_fault.cli sim {scenario} --gcs udpout:127.0.0.1:{far.port}"
         process = subprocess.Popen(
-            # As a shell without job control starts what ends in `&`.
+            # As a shell without job control starts a background command (`&`).
             ["sh", "-c", f"trap '' INT; exec {sys.executable} {command}"],
             stderr=subprocess.PIPE,
             text=True,
         )
         select.select(far.filenos(), (), (), 200)
         process.send_signal(number)
-        _, told = process.communicate(timeout=60)
+        _, text = process.communicate(timeout=60)
     assert process.returncode == 0
-    assert "times real time" in told.splitlines()[-1]
+    assert "times real time" in text.splitlines()[-1]

@@ -22,13 +22,13 @@ M_PER_DEG = 111_320.0
 
 
 def locate(lat_deg: float, lon_deg: float, alt_m: float) -> np.ndarray:
-    """Flat Earth around home: good enough to see where a goal lies."""
+    """Flat Earth around home: accurate enough to locate a goal."""
     east = (lon_deg - HOME.lon_deg) * M_PER_DEG * math.cos(math.radians(HOME.lat_deg))
     return np.array([(lat_deg - HOME.lat_deg) * M_PER_DEG, east, HOME.alt_m - alt_m])
 
 
 class Station:
-    """One vehicle, its link, and a ground station that speaks pymavlink."""
+    """One vehicle, its link, and a ground station that uses pymavlink."""
 
     def __init__(self) -> None:
         self.parameters = Parameters()
@@ -45,7 +45,7 @@ class Station:
         return number <= 4
 
     def at(self, r_ned_m: Any, seconds: float = 0.0, **changes: Any) -> list[Any]:
-        """Let time pass with the vehicle at a place; what it said."""
+        """Let time pass with the vehicle at a position; returns its messages."""
         place = np.array(r_ned_m, dtype=float)
         self.t_us += round(seconds * 1e6)
         truth = self.truth(place, **changes)
@@ -77,13 +77,13 @@ class Station:
         return Truth(**(values | changes))
 
     def send(self, name: str, *values: Any) -> list[Any]:
-        """One message by its pymavlink encoder; what the vehicle answers."""
+        """Send one message by its pymavlink encoder; returns the vehicle's answers."""
         message = getattr(self.mav, name + "_encode")(*values)
         frame = Frame(message.pack(self.mav), message_layout(message.get_type()))
         return self.read(self.link.received(frame, self.t_us))
 
     def command(self, number: int, *params: float) -> list[Any]:
-        """A COMMAND_LONG; the acknowledgement and what came with it."""
+        """Send a COMMAND_LONG; returns the acknowledgement and the other messages."""
         filled = [*params, *([math.nan] * (7 - len(params)))]
         return self.send("command_long", 1, 1, number, 0, *filled)
 

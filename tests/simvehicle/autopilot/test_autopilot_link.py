@@ -53,7 +53,7 @@ def send(link: AutopilotLink, name: str, *values: object) -> list[dialect.MAVLin
     return dialect.MAVLink(None).parse_buffer(b"".join(answers)) or []
 
 
-def test_streams_leave_at_their_rates() -> None:
+def test_streams_are_sent_at_their_rates() -> None:
     counts = Counter(m.get_type() for m in run(make_link(), 2.0))
     assert counts == {
         "HEARTBEAT": 2, "SYS_STATUS": 4, "ATTITUDE": 40, "ATTITUDE_QUATERNION": 40,
@@ -63,14 +63,14 @@ def test_streams_leave_at_their_rates() -> None:
     }  # fmt: skip
 
 
-def test_telemetry_says_where_the_vehicle_is() -> None:
+def test_telemetry_reports_the_position_of_the_vehicle() -> None:
     last = {m.get_type(): m for m in run(make_link(), 1.5)}
     place = last["GLOBAL_POSITION_INT"]
     assert (place.lat, place.alt, place.relative_alt) == (470010000, 520000, 20000)
     assert (place.vy, place.vz, place.hdg) == (-500, 100, 27000)
     assert last["ATTITUDE"].yaw == pytest.approx(-math.pi / 2, abs=1e-6)
     assert last["LOCAL_POSITION_NED"].z == -20.0
-    assert last["GPS_RAW_INT"].lat == 470020000  # the receiver's word, not the truth
+    assert last["GPS_RAW_INT"].lat == 470020000  # the receiver's fix, not the truth
     assert (last["GPS_RAW_INT"].h_acc, last["GPS_RAW_INT"].satellites_visible) == (1200, 9)
     assert last["VFR_HUD"].climb == -1.0
     assert last["BATTERY_STATUS"].current_consumed == 3  # 12 A for a second
@@ -109,12 +109,12 @@ def test_a_requested_data_stream_changes_rates_without_an_answer() -> None:
     assert counts["ATTITUDE"] == 4
 
 
-def test_messages_for_others_are_left_alone() -> None:
+def test_messages_to_other_vehicles_are_ignored() -> None:
     link = make_link()
     run(link, 0.1)
     assert send(link, "param_request_list", 1, 100) == []
     assert send(link, "heartbeat", 6, 8, 0, 0, 4) == []
 
 
-def test_nothing_is_answered_before_there_is_a_vehicle() -> None:
+def test_nothing_is_answered_before_the_first_step() -> None:
     assert send(make_link(), "timesync", 0, 1) == []

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import all as dialect
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 
 
-def test_every_command_there_is_gets_exactly_one_acknowledgement(station: Any) -> None:
+def test_every_command_gets_exactly_one_acknowledgement(station: Any) -> None:
     for number in dialect.enums["MAV_CMD"]:
         if number > 0xFFFF:
             continue
@@ -23,7 +23,7 @@ def test_commands_to_another_vehicle_get_none(station: Any) -> None:
     assert not station.flight.armed
 
 
-def test_a_command_to_all_is_carried_out(station: Any) -> None:
+def test_a_broadcast_command_is_executed(station: Any) -> None:
     station.send("command_long", 0, 0, 400, 0, 1, 0, 0, 0, 0, 0, 0)
     assert station.flight.armed
 
@@ -36,13 +36,13 @@ def test_disarming_in_the_air_takes_force(station: Any) -> None:
     assert not station.flight.armed
 
 
-def test_what_qgroundcontrol_asks_for_and_is_not_there_is_refused_at_once(station: Any) -> None:
+def test_unsupported_requests_of_qgroundcontrol_are_refused_at_once(station: Any) -> None:
     for number in (395, 397, 280, 259):
         assert station.command(512, number)[0].result == UNSUPPORTED
     assert station.command(521, 1)[0].result == UNSUPPORTED
 
 
-def test_autopilot_version_promises_only_what_is_there(station: Any) -> None:
+def test_autopilot_version_announces_supported_capabilities_only(station: Any) -> None:
     ack, version = station.command(512, 148)
     assert ack.result == ACCEPTED
     assert version.capabilities == (
@@ -53,10 +53,10 @@ def test_autopilot_version_promises_only_what_is_there(station: Any) -> None:
     )
 
 
-def test_an_interval_is_set_told_and_stopped(station: Any) -> None:
+def test_an_interval_is_set_reported_and_stopped(station: Any) -> None:
     assert station.command(511, 30, 100_000)[0].result == ACCEPTED
-    _, told = station.command(510, 30)
-    assert (told.message_id, told.interval_us) == (30, 100_000)
+    _, answer = station.command(510, 30)
+    assert (answer.message_id, answer.interval_us) == (30, 100_000)
     station.command(511, 30, -1)
     assert station.command(510, 30)[1].interval_us == -1
     seen = {m.get_type() for _ in range(20) for m in station.at([0, 0, 0], 0.05)}
@@ -71,8 +71,8 @@ def test_modes_are_those_of_px4(station: Any) -> None:
     assert station.command(176, 1, 4, 5)[0].result == ACCEPTED
     heartbeat = next(m for m in station.at([0, 0, 0], 1.0) if m.get_type() == "HEARTBEAT")
     assert (heartbeat.custom_mode, heartbeat.autopilot) == (5 << 24 | 4 << 16, 12)
-    assert station.command(176, 1, 1, 0)[0].result == DENIED  # manual: there is no stick
-    assert station.command(176, 1, 4, 4)[0].result == DENIED  # a mission that does not exist
+    assert station.command(176, 1, 1, 0)[0].result == DENIED  # manual mode is not supported
+    assert station.command(176, 1, 4, 4)[0].result == DENIED  # no mission is stored
 
 
 def test_reposition_goes_there_once_flying(station: Any) -> None:
@@ -90,7 +90,7 @@ def test_failures_are_denied_until_enabled(station: Any) -> None:
     assert station.failed == []
 
 
-def test_motors_fail_and_other_failures_are_not_the_vehicles_to_inject(station: Any) -> None:
+def test_motor_failures_are_injected_and_others_refused(station: Any) -> None:
     station.send("param_set", 1, 1, b"SYS_FAILURE_EN", 1e-45, 6)
     assert station.command(420, 101, 1, 2)[0].result == ACCEPTED
     assert station.command(420, 101, 0, 0)[0].result == ACCEPTED

@@ -126,7 +126,7 @@ def test_clearing_the_mission_in_flight_holds(station: Any, upload: Any) -> None
     assert station.flight.mode is FlightMode.HOLD
 
 
-def test_speeds_that_make_no_sense_are_denied(station: Any) -> None:
+def test_impossible_speeds_are_denied(station: Any) -> None:
     assert station.command(178, 1, 8.0)[0].result == 0
     assert station.flight.goal.speed_mps == 8.0
     assert station.command(178, 1, 0.1)[0].result == 2

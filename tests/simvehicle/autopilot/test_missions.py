@@ -18,7 +18,7 @@ def test_what_was_uploaded_is_downloaded(station: Any, upload: Any) -> None:
     assert old.x == pytest.approx(items[1].x * 1e-7, abs=1e-5)
 
 
-def test_a_lost_item_is_asked_for_again_and_in_the_end_given_up(station: Any) -> None:
+def test_a_lost_item_is_requested_again_until_the_upload_is_cancelled(station: Any) -> None:
     station.send("mission_count", 1, 1, 2, 0)
     said = [
         m
@@ -44,7 +44,7 @@ def test_a_place_off_the_earth_is_refused(station: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", [1, 2])
-def test_fences_and_rally_points_are_none_and_refused(station: Any, kind: int) -> None:
+def test_fences_and_rally_points_are_refused(station: Any, kind: int) -> None:
     (count,) = station.send("mission_request_list", 1, 1, kind)
     assert (count.count, count.mission_type) == (0, kind)
     (ack,) = station.send("mission_count", 1, 1, 3, kind)

@@ -31,7 +31,7 @@ class Flown:
         self.flight.advance(self.simulation.truth)
 
     def until(self, holds: Holds, limit_s: float) -> Truth:
-        """Fly until something holds of the truth, for `limit_s` of simulated time at most."""
+        """Simulate until the truth meets a condition, for at most `limit_s` of simulated time."""
         end_us = self.simulation.truth.t_us + limit_s * 1e6
         while not holds(self.simulation.truth):
             assert self.simulation.truth.t_us < end_us, self.simulation.truth
@@ -98,7 +98,7 @@ def test_the_fixed_wing_takes_off_circles_a_place_and_lands(wing: Flown) -> None
     assert wing.simulation.truth.on_ground
 
 
-def test_a_mission_of_the_scenarios_own_is_flown_until_a_command_comes(tmp_path: Path) -> None:
+def test_the_scenarios_mission_is_flown_until_the_first_command(tmp_path: Path) -> None:
     mission = "mission: [{shape: circle, size_m: 400, height_m: 100}]\nstart: {height_m: 100}\n"
     wing = Flown(tmp_path, "{kind: fixedwing, parameters: aerosonde-2025}", mission)
     flight = wing.flight

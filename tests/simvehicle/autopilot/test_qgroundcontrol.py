@@ -1,4 +1,4 @@
-"""What QGroundControl asks a new vehicle for, in its order, and that nothing stays unanswered.
+"""What QGroundControl requests from a new vehicle, in its order; every request is answered.
 
 The order is that of QGroundControl's initial connect state machine (version 5): autopilot version,
 standard modes, component metadata, parameters, mission, geofence, rally points; older versions
@@ -21,25 +21,25 @@ def kinds(messages: list[Any]) -> list[str]:
     return [m.get_type() for m in messages]
 
 
-def asked(station: Any, number: int, *params: float) -> tuple[int, list[Any]]:
-    """The result of a command, and what came with its one acknowledgement."""
+def request(station: Any, number: int, *params: float) -> tuple[int, list[Any]]:
+    """The result of a command, and the messages sent with its acknowledgement."""
     ack, *rest = station.command(number, *params)
     assert (ack.get_type(), ack.command) == ("COMMAND_ACK", number)
     return ack.result, rest
 
 
-def test_the_whole_initial_connect_is_answered_question_by_question(station: Any) -> None:
-    result, (version,) = asked(station, REQUEST_MESSAGE, 148)
+def test_every_request_of_the_initial_connect_is_answered(station: Any) -> None:
+    result, (version,) = request(station, REQUEST_MESSAGE, 148)
     assert (result, version.get_type()) == (ACCEPTED, "AUTOPILOT_VERSION")
     assert version.flight_sw_version >> 24 == 1
 
-    result, modes = asked(station, REQUEST_MESSAGE, 435, 0)
+    result, modes = request(station, REQUEST_MESSAGE, 435, 0)
     assert result == ACCEPTED
     assert [m.mode_index for m in modes] == [1, 2, 3, 4, 5]  # the last one ends the list
     assert {m.number_modes for m in modes} == {5}
 
-    for metadata in (397, 395):  # then it takes what it ships itself
-        assert asked(station, REQUEST_MESSAGE, metadata) == (UNSUPPORTED, [])
+    for metadata in (397, 395):  # then it uses its own copy
+        assert request(station, REQUEST_MESSAGE, metadata) == (UNSUPPORTED, [])
 
     values = station.send("param_request_list", 1, 1)
     assert kinds(values) == ["PARAM_VALUE"] * values[0].param_count
@@ -54,35 +54,35 @@ def test_the_whole_initial_connect_is_answered_question_by_question(station: Any
         assert station.send("mission_ack", 1, 1, 0, mission_type) == []
 
     for camera_or_gimbal in (259, 280):
-        assert asked(station, REQUEST_MESSAGE, camera_or_gimbal) == (UNSUPPORTED, [])
-    result, (home,) = asked(station, REQUEST_MESSAGE, 242)
+        assert request(station, REQUEST_MESSAGE, camera_or_gimbal) == (UNSUPPORTED, [])
+    result, (home,) = request(station, REQUEST_MESSAGE, 242)
     assert (result, home.get_type()) == (ACCEPTED, "HOME_POSITION")
 
 
-def test_every_mode_listed_can_be_entered_and_is_then_told(station: Any) -> None:
-    _, modes = asked(station, REQUEST_MESSAGE, 435, 0)
+def test_every_listed_mode_can_be_entered_and_is_then_reported(station: Any) -> None:
+    _, modes = request(station, REQUEST_MESSAGE, 435, 0)
     station.command(400, 1)
     for mode in modes:
-        if mode.mode_name == "Mission":  # there is none yet
+        if mode.mode_name == "Mission":  # no mission is stored yet
             continue
         main, sub = mode.custom_mode >> 16 & 0xFF, mode.custom_mode >> 24
-        assert asked(station, 176, 1, main, sub)[0] == ACCEPTED
+        assert request(station, 176, 1, main, sub)[0] == ACCEPTED
         station.at([0, 0, -5], 0.01)
-        _, (now,) = asked(station, REQUEST_MESSAGE, 436)
+        _, (now,) = request(station, REQUEST_MESSAGE, 436)
         assert (now.custom_mode, now.standard_mode) == (mode.custom_mode, mode.standard_mode)
 
 
-def test_one_mode_of_the_list_is_told_by_its_index_and_none_beyond_it(station: Any) -> None:
-    _, (second,) = asked(station, REQUEST_MESSAGE, 435, 2)
+def test_a_mode_is_listed_by_its_index_and_none_beyond_the_last(station: Any) -> None:
+    _, (second,) = request(station, REQUEST_MESSAGE, 435, 2)
     assert (second.mode_index, second.mode_name) == (2, "Hold")
-    assert asked(station, REQUEST_MESSAGE, 435, 6) == (UNSUPPORTED, [])
+    assert request(station, REQUEST_MESSAGE, 435, 6) == (UNSUPPORTED, [])
 
 
 def test_the_protocol_version_is_two(station: Any) -> None:
     for number, param in ((519, 1.0), (REQUEST_MESSAGE, 300.0)):
         command = station.mav.command_long_encode(1, 1, number, 0, param, 0, 0, 0, 0, 0, 0)
         frame = Frame(command.pack(station.mav), message_layout("COMMAND_LONG"))
-        ack, version = station.link.received(frame, station.t_us)  # pymavlink does not know it
+        ack, version = station.link.received(frame, station.t_us)  # not in pymavlink
         assert station.read([ack])[0].result == ACCEPTED
         assert int.from_bytes(version[7:10], "little") == 300
         assert struct.unpack("<3H", version[10:-2].ljust(6, b"\0")) == (200, 100, 200)
@@ -90,7 +90,7 @@ def test_the_protocol_version_is_two(station: Any) -> None:
         assert int.from_bytes(version[-2:], "little") == crc
 
 
-def test_file_transfer_is_refused_at_once_so_that_parameters_are_asked_for(station: Any) -> None:
+def test_file_transfer_is_refused_at_once_so_that_parameters_are_requested(station: Any) -> None:
     (nak,) = station.send("file_transfer_protocol", 0, 1, 1, [1, 0, 0, 4] + [0] * 247)
     assert nak.payload[3:6] == [129, 1, 4]
 
@@ -106,7 +106,7 @@ def test_the_status_says_ready_to_arm(station: Any) -> None:
         assert mask & sensors == sensors
 
 
-def test_what_its_display_needs_comes_unasked(station: Any) -> None:
+def test_messages_for_the_display_are_streamed_by_default(station: Any) -> None:
     said = {kind for _ in range(20) for kind in kinds(station.at([0, 0, 0], 0.1))}
     assert said >= {
         "HEARTBEAT", "SYS_STATUS", "ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT", "VFR_HUD",

@@ -13,7 +13,7 @@ from simvehicle.environment.geolocation import HomeFrame, locate_state
 from simvehicle.environment.geomagnetism import field_ned_gauss
 from simvehicle.environment.terrain import read_terrain_grid
 
-LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # a state of which the attitude counts
+LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # only its attitude has an effect
 
 
 @compiled
@@ -31,7 +31,7 @@ ICAO = [
 
 
 @pytest.mark.parametrize(("alt", "pressure", "temperature", "density"), ICAO)
-def test_the_standard_atmosphere_is_icaos(
+def test_the_standard_atmosphere_matches_icao(
     alt: float, pressure: float, temperature: float, density: float
 ) -> None:
     assert air_at(alt) == pytest.approx((pressure, temperature, density), rel=2e-5)
@@ -68,7 +68,7 @@ def test_gusts_are_the_same_process_at_any_step() -> None:
     assert fine[400:].std(axis=0) == pytest.approx(coarse[100:].std(axis=0), rel=0.18)
 
 
-def test_gusts_forget_with_length_over_speed() -> None:
+def test_gusts_decorrelate_over_length_divided_by_speed() -> None:
     out = gusts("light", 25.0, 0.4, 20_000)[100:, 0]
     lag = np.mean(out[20:] * out[:-20]) / out.var()  # 8 s = 200 m / 25 m/s
     assert lag == pytest.approx(np.exp(-1.0), abs=0.13)
@@ -87,7 +87,7 @@ def test_shear_is_a_power_law_above_the_ground() -> None:
     assert 0.0 < wind(-5.0) < 5.0
 
 
-def test_a_place_far_from_home_has_its_own_vertical() -> None:
+def test_a_position_far_from_home_has_a_tilted_vertical() -> None:
     home = HomeFrame.at(47.0, 8.0, 400.0, 48.0)
     x = np.zeros(13)
     x[6] = 1.0
@@ -149,7 +149,7 @@ def test_a_terrain_grid_is_bilinear_between_cell_centres(tmp_path: Path) -> None
         (ASC + "10 20 30\n40 50\n", "has 5 values for 2 rows of 3"),
         (ASC + "NODATA_value -1\n10 20 30\n40 -1 60\n", "has cells without data"),
         ("ncols 3\n1 2 3\n", "lacks nrows"),
-        ("ncols three\n", "is no ASCII raster"),
+        ("ncols three\n", "not an ASCII raster"),
     ],
 )
 def test_a_wrong_terrain_grid_is_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -1,4 +1,4 @@
-"""What the GNSS tests share: a truth somewhere, and a configuration without any error."""
+"""Shared by the GNSS tests: a truth at a position, and a configuration without errors."""
 
 import math
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def _truth_at(
 
 @pytest.fixture
 def truth_at() -> Callable[..., Truth]:
-    """A truth at rest over Zurich unless told otherwise."""
+    """A truth at rest over Zurich by default."""
     return _truth_at
 
 

@@ -43,7 +43,7 @@ def test_the_ionosphere_is_thickest_at_two_in_the_afternoon() -> None:
     assert hours[int(np.argmax(delays))] == pytest.approx(14.0, abs=0.5)
 
 
-def test_amplitude_and_slant_are_the_formula_s_own() -> None:
+def test_amplitude_and_slant_follow_the_formula() -> None:
     # IS-GPS-200N figure 20-4, by hand at the equator, 0 degrees east, 14:00, elevation 90 degrees
     flat = np.array([1e-8, 0.0, 0.0, 0.0, 1e5, 0.0, 0.0, 0.0])
     slant = 1.0 + 16.0 * (0.53 - 0.5) ** 3

@@ -1,4 +1,4 @@
-"""The sky over a home, and which ephemerides hold when."""
+"""The sky over a home, and which ephemerides are valid when."""
 
 import math
 from dataclasses import replace
@@ -56,13 +56,13 @@ def test_every_satellite_of_the_shipped_sky_is_valid_for_an_hour() -> None:
             assert abs(constellation.start_s + at_s - sets[k].toe_s) <= sets[k].fit_half_s
 
 
-def test_at_the_site_itself_nothing_is_turned() -> None:
+def test_at_the_site_of_the_file_nothing_is_rotated() -> None:
     real = read_navigation(SHIPPED).ephemerides
     near = build_constellation(GnssConfig(), math.radians(35.3), math.radians(139.5))
     assert dict(zip(near.satellites, near.ephemerides, strict=True)) == real
 
 
-def test_a_turned_sky_is_the_same_sky_and_its_messages_say_so() -> None:
+def test_a_rotated_sky_is_the_same_sky_and_matches_its_messages() -> None:
     there = build_constellation(GnssConfig(), math.radians(35.339), math.radians(139.522))
     here = build_constellation(GnssConfig(), math.radians(-35.339), math.radians(-50.478))
     north = elevations(there, 35.339, 139.522, 0.0)
@@ -73,7 +73,7 @@ def test_a_turned_sky_is_the_same_sky_and_its_messages_say_so() -> None:
             assert decode_ephemeris(encode_ephemeris(e)) == e
 
 
-def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
+def test_an_ephemeris_is_kept_while_valid_and_then_replaced() -> None:
     constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     at = constellation.satellites.index("G03")  # 12:00 and 14:00, each two hours either way
     present: tuple[int | None, ...] = (None,) * 24
@@ -84,7 +84,7 @@ def test_an_ephemeris_is_kept_while_it_holds_and_then_replaced() -> None:
     assert seen == [0, 0, 0, 1, 1, None]
 
 
-def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> None:
+def test_a_choice_is_valid_until_an_ephemeris_ends_or_another_satellite_gets_one() -> None:
     constellation = build_constellation(GnssConfig(), 0.6, 2.4)
     start_s = constellation.start_s
     chosen = constellation.choose_ephemerides(start_s, [None] * 24)
@@ -100,7 +100,7 @@ def test_a_choice_holds_until_one_of_it_ends_or_another_satellite_comes_up() -> 
     assert constellation.valid_until_s(late_s, gone) == math.inf
 
 
-def test_systems_not_asked_for_are_left_out() -> None:
+def test_systems_not_configured_are_left_out() -> None:
     gps = build_constellation(GnssConfig(systems=("GPS",)), 0.6, 2.4)
     assert {name[0] for name in gps.satellites} == {"G"}
 
@@ -122,20 +122,20 @@ def test_a_start_at_which_nothing_is_valid_is_refused() -> None:
     ("wrong", "message"),
     [
         ({"systems": ()}, "systems is empty"),
-        ({"rate_hz": 0.0}, "rate_hz = 0.0 is out of range; above 0"),
-        ({"rate_hz": 1e9}, "at most 100"),
+        ({"rate_hz": 0.0}, "rate_hz = 0.0 is out of range; use 0 < rate_hz"),
+        ({"rate_hz": 1e9}, "<= 100"),
         ({"mask_deg": 91.0}, "mask_deg = 91.0 is above the zenith"),
         ({"latency_s": -1.0}, "latency_s = -1.0 is negative"),
     ],
 )
-def test_numbers_that_make_no_receiver_are_refused(wrong: dict[str, Any], message: str) -> None:
+def test_invalid_receiver_parameters_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         GnssConfig(**wrong)
 
 
 @pytest.mark.parametrize("span", [(36.0, 18.0), (-1.0, 5.0), (0.0, math.inf)])
-def test_a_time_to_read_messages_that_is_no_span_is_refused(span: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="is no span of time"):
+def test_an_invalid_range_of_message_times_is_refused(span: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="is not a range"):
         ReceiverConfig(message_s=span)
 
 

@@ -64,7 +64,7 @@ def test_another_week_shifts_the_times_and_nothing_else() -> None:
         assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
 
 
-def test_some_rows_are_the_orbits_of_some_satellites() -> None:
+def test_selected_rows_are_the_orbits_of_the_selected_satellites() -> None:
     every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
     some = select_orbits(every, np.array([3, 1]))
     assert some.satellites == (every.satellites[3], every.satellites[1])

@@ -1,4 +1,4 @@
-"""The error processes have the statistics asked for."""
+"""The error processes have the configured statistics."""
 
 import math
 
@@ -14,7 +14,7 @@ from simvehicle.gnss.signal_errors import (
 )
 
 
-def test_a_wandering_process_keeps_unit_variance_and_forgets_exponentially() -> None:
+def test_a_gauss_markov_process_keeps_unit_variance_and_decorrelates_exponentially() -> None:
     rng = np.random.default_rng(7)
     n = 4000
     start = rng.standard_normal(n)
@@ -66,7 +66,7 @@ def test_a_perfect_clock_only_drifts() -> None:
     assert (clock.offset_s, clock.drift) == (pytest.approx(1.3e-6, rel=1e-12), 1e-7)
 
 
-def test_a_clock_half_a_millisecond_out_is_set_back_by_one() -> None:
+def test_a_clock_off_by_half_a_millisecond_is_stepped_by_one() -> None:
     config = ClockConfig(h0_s=0.0, h2_hz=0.0)
     clock = step_clock(ReceiverClock(0.4999e-3, 1e-6), config, 1.0, np.zeros(2))
     assert clock.offset_s == pytest.approx(0.5009e-3 - 1e-3, abs=1e-15)

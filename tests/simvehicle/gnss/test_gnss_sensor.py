@@ -1,4 +1,4 @@
-"""The sensor as a whole: truth in, readings out."""
+"""The complete sensor: truth in, readings out."""
 
 import math
 from collections.abc import Callable
@@ -46,8 +46,8 @@ def fly(
 
 
 def one(readings: list[Any], kind: type) -> Any:
-    (found,) = [r for r in readings if isinstance(r, kind)]
-    return found
+    (reading,) = [r for r in readings if isinstance(r, kind)]
+    return reading
 
 
 def test_without_errors_pseudoranges_are_geometry_and_satellite_clocks(
@@ -86,14 +86,14 @@ def test_without_errors_the_solution_is_the_truth(
         assert fix.fix_type == 3
 
 
-def test_a_clock_that_is_wrong_changes_neither_position_nor_geometry(
+def test_a_clock_error_changes_neither_position_nor_geometry(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
     clock = ClockConfig(offset_s=2e-4, drift=5e-7, h0_s=0.0, h2_hz=0.0, galileo_offset_m=7.0)
     sensor = gnss_sensor(msgspec.structs.replace(perfect, clock=clock), *home)
     for readings, state in fly(sensor, truth_at, 3, v_ned_mps=(30.0, 0.0, 0.0)):
         fix = one(readings, GpsReading)
-        late_m = 30.0 * state.clock.offset_s  # measured when its own clock says so
+        late_m = 30.0 * state.clock.offset_s  # sampled on its own clock
         moved = (fix.lat_deg - math.degrees(home[0])) * 111_200.0
         assert moved == pytest.approx(-late_m, abs=1e-3)
         assert fix.alt_m == pytest.approx(488.0, abs=1e-3)
@@ -143,7 +143,7 @@ def test_the_default_sky_gives_nine_satellites_and_more_at_five_hertz(
         assert ((raw.cn0_dbhz > 30.0) & (raw.cn0_dbhz < 52.0)).all()
 
 
-def test_position_errors_have_the_size_the_receiver_believes(truth_at: TruthAt, home: Home) -> None:
+def test_position_errors_match_the_receivers_sigma(truth_at: TruthAt, home: Home) -> None:
     ratios = []
     for seed in range(40):
         sensor = gnss_sensor(GnssConfig(), *home)
@@ -167,7 +167,7 @@ def test_the_reading_survives_its_rtcm_message(truth_at: TruthAt, home: Home) ->
         assert ranges[name] == pytest.approx(value, abs=3e-4)
 
 
-def test_ephemerides_come_at_once_and_again_every_half_minute(
+def test_ephemerides_are_sent_at_once_and_every_half_minute(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
     counts = [
@@ -209,7 +209,7 @@ def test_a_lost_satellite_is_gone_and_comes_back_after_its_reacquisition(
     }
     epochs = fly(gnss_sensor(perfect, *home), truth_at, 20, plant)
     there = ["E13" in one(r, PseudorangeReading).satellites for r, _ in epochs]
-    assert there == [True] + [False] * 14 + [True] * 5  # back at 1.0 s, found at 3.0 s
+    assert there == [True] + [False] * 14 + [True] * 5  # back at 1.0 s, reacquired at 3.0 s
 
 
 def test_a_weak_signal_is_lost_below_the_threshold(
@@ -232,7 +232,7 @@ def test_all_satellites_lost_is_no_fix_with_a_reason(
     readings, state = fly(gnss_sensor(perfect, *home), truth_at, 3, plant)[2]
     fix = one(readings, GpsReading)
     assert (fix.fix_type, fix.satellites, fix.eph_m) == (0, 0, math.inf)
-    assert fix.lat_deg == pytest.approx(math.degrees(home[0]), abs=1e-6)  # the last known place
+    assert fix.lat_deg == pytest.approx(math.degrees(home[0]), abs=1e-6)  # the last known position
     assert state.fix is not None
     assert state.fix.reason == "0 satellites of 0 systems"
     assert one(readings, PseudorangeReading).satellites == ()
@@ -265,7 +265,7 @@ def test_a_cold_start_goes_through_all_fix_types_with_a_falling_error(
     assert set(types) == {0, 1, 2, 3}
     flat, full = fixes[types.index(2)], fixes[types.index(3)]
     assert flat.eph_m > 3.0 * full.eph_m > 3.0 * fixes[-1].eph_m
-    assert abs(flat.alt_m - truth_at().alt_msl_m) > 100.0  # it holds a height it does not know
+    assert abs(flat.alt_m - truth_at().alt_msl_m) > 100.0  # it assumes a wrong height
     assert full.alt_m == pytest.approx(truth_at().alt_msl_m, abs=1e-3)
 
 
@@ -282,7 +282,7 @@ def test_after_a_total_loss_of_lock_the_fix_comes_back_without_a_new_start(
     assert types == [3] * 5 + [0] * (back - 5) + [3] * (25 - back)
 
 
-def test_a_receiver_switched_off_says_nothing_and_starts_cold(
+def test_a_receiver_switched_off_is_silent_and_starts_cold(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
     plant: dict[int, list[tuple[str, float | None]]] = {
@@ -302,7 +302,7 @@ def test_beyond_the_file_satellites_vanish_and_the_reason_is_given(
     rng = np.random.default_rng(1)
     state = sensor.new_state(rng)
     for hours, least, most in ((0.0, 15, 24), (3.5, 6, 24), (4.9, 0, 0)):
-        for k in range(16):  # long enough to find what rose
+        for k in range(16):  # long enough to acquire risen satellites
             t_us = int(hours * 3.6e9) + k * STEP_US
             readings, state = sensor.sample(truth_at(t_us=t_us), state, rng)
         count = len(one(readings, PseudorangeReading).satellites)
@@ -330,7 +330,7 @@ def test_the_same_seed_gives_the_same_readings(truth_at: TruthAt, home: Home) ->
         assert [repr(x) for x in a] == [repr(x) for x in b]
 
 
-def test_a_sample_leaves_the_state_it_was_given_as_it_was(truth_at: TruthAt, home: Home) -> None:
+def test_sampling_does_not_change_the_state_passed_in(truth_at: TruthAt, home: Home) -> None:
     sensor = gnss_sensor(GnssConfig(), *home)
     rng = np.random.default_rng(2)
     state = sensor.new_state(rng)
@@ -346,7 +346,7 @@ def test_an_unknown_plant_parameter_or_satellite_is_refused(
     sensor = gnss_sensor(perfect, *home)
     state = sensor.new_state(np.random.default_rng(1))
     for name in ("pseudorange_m[G99]", "pseudorange[G17]", "pseudorange_m", "off"):
-        with pytest.raises(ConfigError, match="is unknown; receiver_off, or pseudorange_m"):
+        with pytest.raises(ConfigError, match="is unknown; use receiver_off, or pseudorange_m"):
             sensor.with_plant(state, name, 1.0)
 
 
@@ -359,7 +359,7 @@ def test_negative_parameters_are_refused() -> None:
         msgspec.convert({"clock": {"wrong": 1}}, GnssConfig)
 
 
-def test_a_moved_home_height_and_speed_are_seen(
+def test_home_height_and_speed_reach_the_readings(
     perfect: GnssConfig, truth_at: TruthAt, home: Home
 ) -> None:
     high = msgspec.structs.replace(truth_at(height_m=4000.0), v_ned_mps=np.array([0.0, 0.0, -9.0]))

@@ -28,7 +28,7 @@ def test_the_shipped_file_has_thirteen_gps_and_eleven_galileo_satellites() -> No
     assert navigation.beta == (90110.0, 0.0, -196600.0, -65540.0)
 
 
-def test_a_record_is_read_as_it_stands_in_the_file() -> None:
+def test_a_record_has_the_values_in_the_file() -> None:
     g03 = read_navigation(SHIPPED).ephemerides["G03"][0]
     assert (g03.week, g03.toe_s, g03.toc_s, g03.iode, g03.iodc) == (2149, 475200, 475200, 37, 37)
     assert g03.af0_s == pytest.approx(-0.112356152385e-03, rel=1e-11)
@@ -41,14 +41,14 @@ def test_a_record_is_read_as_it_stands_in_the_file() -> None:
 
 
 def test_the_real_file_it_is_cut_from_reads_too(shared_data: Path) -> None:
-    whole = read_navigation(shared_data / "gnss_static" / "SEPT078M.21P")
+    complete = read_navigation(shared_data / "gnss_static" / "SEPT078M.21P")
     cut = read_navigation(SHIPPED)
-    assert whole.ephemerides.keys() == cut.ephemerides.keys()
+    assert complete.ephemerides.keys() == cut.ephemerides.keys()
     for name, sets in cut.ephemerides.items():
-        assert set(sets) <= set(whole.ephemerides[name])
+        assert set(sets) <= set(complete.ephemerides[name])
 
 
-def test_other_systems_and_blank_lines_are_passed_over() -> None:
+def test_other_systems_and_blank_lines_are_skipped() -> None:
     lines = shipped_lines()
     start = lines.index(next(line for line in lines if line.startswith("E01")))
     qzss = ["J" + lines[start][1:], *lines[start + 1 : start + 8]]
@@ -77,14 +77,14 @@ def test_fnav_and_unhealthy_satellites_are_left_out() -> None:
     [
         ([], "x.nav:1: is not a RINEX navigation file"),
         (changed("     3.04", 0, "N: GNSS", "O: GNSS"), "x.nav:1: is not a RINEX navigation"),
-        (changed("     3.04", 0, "3.04", "2.11"), "x.nav:1: RINEX version 2.11 is not read"),
-        (shipped_lines()[:5], "x.nav:5: the header does not end"),
-        (changed("GPSA", 0, ".7451D-08", ".7451D-xx"), "x.nav:8: '.7451D-xx' is no number"),
-        (changed("G03", 2, "D-06", "Q-06"), "Q-06' is no number"),
-        (changed("G03", 0, "2021 03 19", "2021 13 19"), "is no time"),
+        (changed("     3.04", 0, "3.04", "2.11"), "x.nav:1: RINEX 2.11 is not supported"),
+        (shipped_lines()[:5], "x.nav:5: the header has no end"),
+        (changed("GPSA", 0, ".7451D-08", ".7451D-xx"), "x.nav:8: '.7451D-xx' is not a number"),
+        (changed("G03", 2, "D-06", "Q-06"), "Q-06' is not a number"),
+        (changed("G03", 0, "2021 03 19", "2021 13 19"), "is not a time"),
         (changed("G03", 0, "G03", " 03"), "does not start a record"),
         (changed("G03", 0, "-.112356152385D-03", "-.912356152385D-00"), "cannot be broadcast"),
-        (shipped_lines()[:11], "holds no ephemeris"),
+        (shipped_lines()[:11], "has no ephemeris"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_line(lines: list[str], text: str) -> None:

@@ -59,7 +59,7 @@ def test_directions_are_those_of_the_local_horizon() -> None:
     for k, (elevation, azimuth) in enumerate(
         zip(seen.elevation_rad, seen.azimuth_rad, strict=True)
     ):
-        step = 1e-5  # rad north and east, seen from which the range must shrink accordingly
+        step = 1e-5  # rad north and east; the range must shrink accordingly
         north = ecef_from_geodetic(lat + step, lon, height) - SITE_M
         east = ecef_from_geodetic(lat, lon + step, height) - SITE_M
         assert seen.line_of_sight[k] @ north / np.linalg.norm(north) == pytest.approx(
@@ -70,7 +70,7 @@ def test_directions_are_those_of_the_local_horizon() -> None:
         )
 
 
-def test_satellites_below_the_horizon_are_told_apart() -> None:
+def test_satellites_below_the_horizon_have_negative_elevation() -> None:
     other_side = signal_geometry(orbits(), TOW_S, -SITE_M, REST, VACUUM)
     assert other_side.elevation_rad.max() < 0.0
     assert np.isfinite(other_side.range_m).all()
@@ -88,7 +88,7 @@ def real_epochs(path: Path) -> list[tuple[float, dict[str, float]]]:
     return epochs[::60]
 
 
-def test_a_real_receiver_at_a_known_place_measures_what_the_models_say(shared_data: Path) -> None:
+def test_a_real_receiver_at_a_known_position_agrees_with_the_models(shared_data: Path) -> None:
     navigation = read_navigation(SHIPPED)
     air = Atmosphere(np.array(navigation.alpha + navigation.beta), True)
     squares: list[float] = []
@@ -98,7 +98,7 @@ def test_a_real_receiver_at_a_known_place_measures_what_the_models_say(shared_da
         galileo = np.array([n[0] == "E" for n in names])
         table = tabulate_orbits([navigation.ephemerides[n][0] for n in names], 2149)
         offset_m = 0.0
-        for _ in range(3):  # the receiver's clock comes out of the ranges themselves
+        for _ in range(3):  # the receiver's clock follows from the ranges
             true_s = tow_s - offset_m / SPEED_OF_LIGHT_MPS
             seen = signal_geometry(table, true_s, SITE_M, REST, air)
             residual = measured - seen.range_m + SPEED_OF_LIGHT_MPS * seen.clock_s - seen.delay_m

@@ -1,4 +1,4 @@
-"""The receiver's least squares: exact without errors, honest with them."""
+"""The receiver's least squares: exact without errors, consistent with its sigma otherwise."""
 
 import math
 
@@ -38,7 +38,7 @@ def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("letters", ["G", "E", "GE"])
-def test_without_errors_position_velocity_and_clock_come_out_exactly(letters: str) -> None:
+def test_without_errors_position_velocity_and_clock_are_exact(letters: str) -> None:
     orbits = in_view(letters)
     fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     assert (fix.fix_type, fix.satellites, fix.reason) == (3, len(orbits.satellites), "")
@@ -51,7 +51,7 @@ def test_without_errors_position_velocity_and_clock_come_out_exactly(letters: st
         assert fix.clock_m[1] - fix.clock_m[0] == pytest.approx(GALILEO_M, abs=1e-3)
 
 
-def test_it_follows_from_the_last_fix_in_the_same_way() -> None:
+def test_starting_from_the_last_fix_gives_the_same_solution() -> None:
     orbits = in_view()
     first = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     code, rate = observed(orbits)
@@ -70,7 +70,7 @@ def test_a_faulty_satellite_moves_the_position() -> None:
 
 
 @pytest.mark.parametrize(("letters", "count"), [("G", 2), ("E", 2), ("GE", 3), ("G", 1), ("GE", 0)])
-def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> None:
+def test_too_few_satellites_give_no_fix_with_a_reason(letters: str, count: int) -> None:
     every = in_view(letters)
     names = every.satellites
     pick = [0, 1, -1, -2][:count] if letters == "GE" else list(range(count))
@@ -82,18 +82,18 @@ def test_too_few_satellites_give_no_fix_and_say_so(letters: str, count: int) -> 
     assert np.isinf(fix.sigma_ned_m).all()
 
 
-def test_one_satellite_too_few_gives_a_flat_fix_at_the_last_height() -> None:
+def test_one_satellite_too_few_gives_a_2d_fix_at_the_last_height() -> None:
     every = in_view()
     last = solve_receiver_fix(every, TOW_S, *observed(every), AIR)
     few = select_orbits(every, np.array([0, 2, -1, -5]))
     fix = solve_receiver_fix(few, TOW_S, *observed(few), AIR, last)
     assert (fix.fix_type, fix.satellites) == (2, 4)
-    assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-3)  # the height held is the right one
+    assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-3)  # the assumed height is the true one
     assert fix.sigma_ned_m[2] == pytest.approx(50.0, rel=0.01)
 
 
 @pytest.mark.parametrize("letters", ["G", "E"])
-def test_a_flat_fix_without_a_height_is_as_wrong_as_it_says(letters: str) -> None:
+def test_a_2d_fix_without_a_height_is_within_its_sigma(letters: str) -> None:
     every = in_view(letters)
     few = select_orbits(every, np.arange(3))
     fix = solve_receiver_fix(few, TOW_S, *observed(few), AIR)
@@ -116,7 +116,7 @@ def test_the_same_satellite_five_times_is_no_geometry() -> None:
     assert fix.reason in ("satellites in one plane", "geometry too poor", "no convergence")
 
 
-def test_without_a_fix_the_place_stays_the_last_one() -> None:
+def test_without_a_fix_the_last_position_is_kept() -> None:
     orbits = in_view("G")
     last = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     few = select_orbits(orbits, np.array([0, 1]))
@@ -129,7 +129,7 @@ def test_the_error_divided_by_its_own_sigma_has_unit_variance_for_its_noise_mode
     orbits = in_view()
     code, rate = observed(orbits)
     seen = signal_geometry(orbits, TOW_S, PLACE_M, MOTION, AIR)
-    sigma = 0.5 / np.sin(seen.elevation_rad)  # what the receiver takes pseudoranges to have
+    sigma = 0.5 / np.sin(seen.elevation_rad)  # the sigma that the receiver assumes
     rng = np.random.default_rng(5)
     fix: ReceiverFix | None = None
     ratios = []

@@ -1,4 +1,4 @@
-"""RTKLIB, given what the sensor sends, finds the vehicle where it is."""
+"""RTKLIB computes the true position from the sensor's messages."""
 
 import math
 import shutil
@@ -70,7 +70,7 @@ def test_rtklib_finds_the_truth_in_error_free_readings(
             raw.cn0_dbhz.tolist(),
         )
     (tmp_path / "raw.rtcm3").write_bytes(b"".join(stream))
-    found = solutions(tmp_path)
+    solved = solutions(tmp_path)
     truth = ecef_from_geodetic(*home, 535.0)
-    assert len(found) == 10
-    assert math.sqrt(np.max(np.sum((found - truth) ** 2, axis=1))) < 0.005
+    assert len(solved) == 10
+    assert math.sqrt(np.max(np.sum((solved - truth) ** 2, axis=1))) < 0.005

@@ -1,4 +1,4 @@
-"""Spoofed signals agree with each other: the receiver computes the pretended place from them."""
+"""Spoofed signals are consistent: the receiver computes the spoofed position from them."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def flown(perfect: GnssConfig, home: tuple[float, float], truth_at):
     return sensor, state, truth_at
 
 
-def test_a_drag_moves_position_and_velocity_alike(flown) -> None:
+def test_spoofed_motion_moves_position_and_velocity_consistently(flown) -> None:
     sensor, state, truth_at = flown
     clean, _, _ = epoch(sensor, state, truth_at, 0.2)
     state = sensor.with_plant(state, "spoof_north_m[all]", 1.0)
@@ -60,7 +60,7 @@ def test_one_system_can_be_spoofed_alone(flown) -> None:
     assert change[gps].max() > 10.0
 
 
-def test_a_false_time_delays_every_range_and_leaves_the_position(flown) -> None:
+def test_a_spoofed_time_delays_every_range_and_keeps_the_position(flown) -> None:
     sensor, state, truth_at = flown
     clean_fix, clean, _ = epoch(sensor, state, truth_at, 0.2)
     state = sensor.with_plant(state, "spoof_clock_m[all]", 6.0)
@@ -70,15 +70,15 @@ def test_a_false_time_delays_every_range_and_leaves_the_position(flown) -> None:
     assert north_m(fix, clean_fix) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_jump_has_no_doppler() -> None:
+def test_a_position_jump_has_no_doppler() -> None:
     spoof = np.zeros((4, 3))
     spoof[0, 1:] = 200.0
-    (found,) = spoofed_places(spoof, np.zeros((4, 3)), 0.2)
-    assert found.offset_mps.tolist() == [0.0] * 4
-    assert found.satellites.tolist() == [False, True, True]
+    (spoofed,) = spoofed_places(spoof, np.zeros((4, 3)), 0.2)
+    assert spoofed.offset_mps.tolist() == [0.0] * 4
+    assert spoofed.satellites.tolist() == [False, True, True]
 
 
-def test_a_wrong_doppler_is_wrong_alone(flown) -> None:
+def test_a_doppler_fault_leaves_the_ranges_unchanged(flown) -> None:
     sensor, state, truth_at = flown
     _, clean, _ = epoch(sensor, state, truth_at, 0.2)
     state = sensor.with_plant(state, f"range_rate_mps[{clean.satellites[0]}]", 5.0)

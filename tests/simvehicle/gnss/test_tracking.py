@@ -1,4 +1,4 @@
-"""When signals are found, lost and found again, and ephemerides read."""
+"""Acquisition, loss and reacquisition of signals, and reading of ephemerides."""
 
 import numpy as np
 import pytest
@@ -43,12 +43,12 @@ def test_after_a_cold_start_signals_come_first_and_messages_later() -> None:
     assert [first(seen, k, "u") for k in (0, 1)] == [21, 35]
 
 
-def test_a_signal_lost_is_found_again_after_its_return() -> None:
+def test_a_lost_signal_is_reacquired_after_its_return() -> None:
     seen = run(powered_off_tracking(2, cold=False), {10: (False, True), 15: (True, True)}, 20)
     assert [seen[s] for s in (9, 10, 15, 16, 17)] == ["uu", "-u", "-u", "-u", "uu"]
 
 
-def test_a_message_interrupted_is_read_from_its_beginning_and_then_kept() -> None:
+def test_an_interrupted_message_is_read_from_its_start_and_then_kept() -> None:
     signals = {10: (False, True), 11: (True, True), 40: (False, True), 41: (True, True)}
     seen = run(powered_off_tracking(2, cold=True), signals, 45)
     assert seen[13][0] == "t"

@@ -1,4 +1,4 @@
-"""Constant controls and weaving in the place of a mission, from a start state of one's own."""
+"""Constant controls and weaving instead of a mission, from a configured start state."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def simulation(controls):
     )
 
 
-def test_a_flight_begins_in_the_state_it_is_told():
+def test_a_flight_starts_in_the_configured_state():
     truth = simulation(OpenLoopControls()).truth
     assert np.degrees(euler_from_quat(truth.q_nb)) == pytest.approx([25.0, 3.0, 40.0])
     assert truth.v_air_b_mps == pytest.approx([35.0, 0.0, 0.1])
@@ -47,7 +47,7 @@ def test_open_loop_controls_stay_as_they_are():
     assert flight.controls == pytest.approx([-3.0 / throws[0], 2.0 / throws[1], 0.0, 0.4])
 
 
-def test_weaving_rolls_from_side_to_side_and_holds_the_airspeed():
+def test_weaving_rolls_from_side_to_side_at_constant_airspeed():
     flight = simulation(OpenLoopControls(elevator_deg=-2.8, throttle=0.46, weave=WEAVE))
     rolls, speeds = [], []
     for _ in range(20 * 250):
@@ -59,7 +59,7 @@ def test_weaving_rolls_from_side_to_side_and_holds_the_airspeed():
     assert speeds[-1] == pytest.approx(35.0, abs=3.0)
 
 
-def test_a_track_takes_the_place_of_open_loop_controls():
+def test_a_track_replaces_open_loop_controls():
     flight = simulation(OpenLoopControls(elevator_deg=-2.8, throttle=0.46))
     flight.controller.track = CircleTrack(0.0, 0.0, 500.0, 400.0, 35.0)
     for _ in range(10 * 250):
@@ -68,7 +68,7 @@ def test_a_track_takes_the_place_of_open_loop_controls():
 
 
 def test_controls_and_a_mission_exclude_each_other():
-    with pytest.raises(ValueError, match="a vehicle without a mission"):
+    with pytest.raises(ValueError, match="or multirotor without mission"):
         Scenario(controls=OpenLoopControls(), mission=[Leg(shape="line")])
 
 
@@ -90,7 +90,7 @@ def quadrotor(parameters: str = "iris") -> Simulation:
     )
 
 
-def test_a_quadrotor_sways_and_holds_its_height() -> None:
+def test_a_quadrotor_sways_at_constant_height() -> None:
     flight = quadrotor()
     rolls, pitches, heights = [], [], []
     for _ in range(10 * 250):
@@ -102,11 +102,11 @@ def test_a_quadrotor_sways_and_holds_its_height() -> None:
     assert max(rolls) == pytest.approx(15.0, abs=2.0)
     assert min(rolls) == pytest.approx(-15.0, abs=2.0)
     assert pitches[-1] == pytest.approx(-5.0, abs=2.0)
-    # The battery's voltage falls a little: there is no integral part to make up for it.
+    # The battery's voltage falls a little: no integral term compensates for it.
     assert heights == pytest.approx([40.0] * len(heights), abs=1.0)
 
 
-def test_a_sway_ends_where_a_track_begins() -> None:
+def test_a_track_ends_the_swaying() -> None:
     flight = quadrotor()
     for _ in range(250):
         flight.step()
@@ -117,29 +117,29 @@ def test_a_sway_ends_where_a_track_begins() -> None:
     assert flight.truth.height_agl_m == pytest.approx(45.0, abs=0.5)
 
 
-def test_six_rotors_do_not_sway() -> None:
-    with pytest.raises(ConfigError, match="6 rotors do not sway; 4 do"):
+def test_swaying_is_refused_for_six_rotors() -> None:
+    with pytest.raises(ConfigError, match="6 rotors cannot weave; use a vehicle with 4"):
         quadrotor("hexa")
 
 
 @pytest.mark.parametrize(
     ("kind", "controls", "error"),
     [
-        ("multirotor", OpenLoopControls(), "controls of a multirotor are weave alone"),
+        ("multirotor", OpenLoopControls(), "controls of a multirotor have weave only"),
         (
             "multirotor",
             OpenLoopControls(throttle=0.5, weave=WEAVE),
-            "controls of a multirotor are weave",
+            "controls of a multirotor have weave",
         ),
-        ("multirotor", OpenLoopControls(weave=WEAVE), "airspeed_mps is for a fixed wing"),
+        ("multirotor", OpenLoopControls(weave=WEAVE), "airspeed_mps for a fixed wing"),
         (
             "fixedwing",
             OpenLoopControls(weave=WeaveChoice(roll_deg=5.0, period_s=5.0, pitch_deg=0.0)),
-            "airspeed_mps is for a fixed wing, which needs it",
+            "airspeed_mps for a fixed wing and no other",
         ),
     ],
 )
-def test_controls_are_those_of_the_vehicle(
+def test_controls_of_another_kind_of_vehicle_are_refused(
     kind: str, controls: OpenLoopControls, error: str
 ) -> None:
     with pytest.raises(ValueError, match=error):

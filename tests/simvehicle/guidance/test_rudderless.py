@@ -1,4 +1,4 @@
-"""The Zagi, without a rudder and with hardly any yaw stiffness, flies on gains of its own.
+"""The Zagi, without a rudder and with little yaw stiffness, needs its own controller.
 
 Limits as the documentation states them: 30 m across the track and 5 m in height.
 """
@@ -71,7 +71,7 @@ def test_the_zagi_takes_off_and_climbs_to_its_circle() -> None:
     assert np.linalg.norm(truth.v_air_b_mps) == pytest.approx(17.0, abs=3.0)
 
 
-def test_a_steady_turn_of_its_linear_model_stands_still() -> None:
+def test_a_steady_turn_of_its_linear_model_is_an_equilibrium() -> None:
     vehicle = FixedWing.read("zagi-2012")
     controller = RudderlessController(vehicle, 1.2, 0.0)
     point = controller.trim(17.0)
@@ -81,7 +81,7 @@ def test_a_steady_turn_of_its_linear_model_stands_still() -> None:
     assert np.isfinite([*gains, aileron]).all()
 
 
-def test_only_airframes_without_a_rudder_are_flown_so() -> None:
+def test_only_airframes_without_a_rudder_use_this_controller() -> None:
     assert not has_rudder(FixedWing.read("zagi-2012"))
     assert has_rudder(FixedWing.read("aerosonde-2025"))
     line = Leg(shape="line", size_m=500.0)

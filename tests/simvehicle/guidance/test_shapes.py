@@ -32,7 +32,7 @@ VEHICLES = [
 
 
 def size_of(shape: str, speed: float, wind: float, accel: float, least: float) -> float:
-    """A size that leaves room for straights."""
+    """A size with straights between the corners."""
     radius = (speed + wind) ** 2 / accel
     return max(least, 1.05 * smallest_size(shape, radius))
 
@@ -74,7 +74,7 @@ def test_a_shape_is_flown_within_its_limits(
 
 
 @pytest.mark.parametrize("shape", ["triangle", "diamond", "trapezoid", "eight", "circle"])
-def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
+def test_a_closed_shape_ends_at_its_start_with_the_same_heading(shape: str) -> None:
     path = plan_path([Leg(shape=shape, size_m=400.0)], (3.0, 4.0, 0.5), 10.0, 0.0, 5.0)  # type: ignore[arg-type]
     run = len(path.north_m) * path.spacing_m
     length = sum(arc[0] for arc in lap_arcs(shape, 400.0, 20.0))
@@ -84,7 +84,7 @@ def test_a_closed_shape_ends_where_and_as_it_began(shape: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_smallest_size_leaves_no_piece_negative_and_a_smaller_one_does(shape: str) -> None:
+def test_the_smallest_size_has_no_negative_arc_and_a_smaller_one_does(shape: str) -> None:
     least = smallest_size(shape, 20.0)
     assert min(length for length, _ in lap_arcs(shape, least + 1e-6, 20.0)) > -1e-9
     if shape in ("triangle", "diamond", "trapezoid"):

@@ -16,7 +16,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("vehicle", VALUES)
-def test_commands_come_back_as_they_went(vehicle: tuple[str, str]) -> None:
+def test_commands_return_unchanged(vehicle: tuple[str, str]) -> None:
     kind = VEHICLE_KINDS[vehicle[0]]
     read = kind.read(vehicle[1])
     commands = ActuatorCommands(kind.actuators(read), kind.mix(read))

@@ -61,8 +61,8 @@ def decode(frames: list[bytes]) -> list[dialect.MAVLink_message]:
 
 
 def one(frames: list[bytes], name: str) -> dialect.MAVLink_message:
-    (found,) = [m for m in decode(frames) if m.get_type() == name]
-    return found
+    (match,) = [m for m in decode(frames) if m.get_type() == name]
+    return match
 
 
 def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
@@ -99,7 +99,7 @@ def test_each_reading_marks_its_own_group_only(reading: object, bits: int) -> No
     assert one(frames, "HIL_SENSOR").fields_updated == bits
 
 
-def test_values_that_are_not_new_stay_at_their_last_reading() -> None:
+def test_values_without_a_new_reading_keep_the_last_one() -> None:
     link = HilPacker()
     link.frames(0, make_truth(), [imu(), PressureReading(0, 95600.0, 488.0, 25.0)])
     sensor = one(link.frames(4000, make_truth(), [imu(4000)]), "HIL_SENSOR")
@@ -107,7 +107,7 @@ def test_values_that_are_not_new_stay_at_their_last_reading() -> None:
     assert sensor.abs_pressure == pytest.approx(956.0)
 
 
-def test_several_imus_travel_in_messages_of_their_own_after_that_of_id_0() -> None:
+def test_several_imus_have_separate_messages_after_that_of_id_0() -> None:
     frames = HilPacker().frames(0, make_truth(), [imu(number=2), imu(number=0), imu(number=1)])
     assert [m.id for m in decode(frames) if m.get_type() == "HIL_SENSOR"] == [0, 1, 2]
 
@@ -128,14 +128,14 @@ def test_course_is_unknown_at_rest() -> None:
     assert one(HilPacker().frames(0, make_truth(), [reading]), "HIL_GPS").cog == 65535
 
 
-def test_a_late_reading_keeps_the_stamp_of_its_measurement() -> None:
+def test_a_delayed_reading_keeps_the_timestamp_of_its_measurement() -> None:
     reading = GpsReading(100_000, 1.0, 2.0, 3.0, np.zeros(3), 3, 11, 0.9, 1.5)
     frames = HilPacker().frames(220_000, make_truth(), [imu(220_000), reading])
     assert one(frames, "HIL_GPS").time_usec == 1_100_000
     assert one(frames, "HIL_SENSOR").time_usec == 1_220_000
 
 
-def test_truth_travels_with_attitude_velocity_and_airspeed() -> None:
+def test_truth_is_sent_with_attitude_velocity_and_airspeed() -> None:
     q = np.array([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
     truth = make_truth(
         8000,
@@ -183,7 +183,7 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
     assert (battery.current_battery, battery.battery_remaining) == (1234, 88)
 
 
-def test_vision_may_travel_as_a_pose_alone() -> None:
+def test_vision_may_be_sent_as_a_pose_only() -> None:
     half = math.radians(30.0) / 2
     leaning = np.array([math.cos(half), math.sin(half), 0, 0])
     reading = VisionReading(
@@ -197,7 +197,7 @@ def test_vision_may_travel_as_a_pose_alone() -> None:
     assert not [m for m in decode(frames) if m.get_type() == "ODOMETRY"]
 
 
-def test_raw_observations_travel_as_rtcm_in_tunnel_under_one_run_of_sequence_numbers() -> None:
+def test_raw_observations_are_sent_as_rtcm_in_tunnel_with_shared_sequence_numbers() -> None:
     epoch = PseudorangeReading(
         0, 2200, 345600.0, ("G05", "G12", "E07"), np.array([2.1e7, 2.2e7, 2.5e7]),
         np.array([100.0, -200.0, 50.0]), np.array([45.0, 40.0, 42.0]),
@@ -227,7 +227,7 @@ def test_charge_drawn_adds_up() -> None:
     assert one(second, "BATTERY_STATUS").current_consumed == 10
 
 
-def test_a_heartbeat_leaves_once_a_second() -> None:
+def test_a_heartbeat_is_sent_once_a_second() -> None:
     link = HilPacker()
     beats = [
         t

@@ -21,7 +21,7 @@ def frame(name: str, value: float | None) -> Frame:
     return Frame(plant_frame(PlantChange(name, value)), message_layout("TUNNEL"))
 
 
-def test_a_change_acts_until_it_is_taken_back(simulation: Simulation) -> None:
+def test_a_plant_fault_acts_until_it_is_removed(simulation: Simulation) -> None:
     changes = PlantChanges(simulation, print)
     changes.carry_out(frame("wind_n_mps", 5.0))
     assert simulation.step()[1].wind_ned_mps[0] == 5.0
@@ -29,17 +29,17 @@ def test_a_change_acts_until_it_is_taken_back(simulation: Simulation) -> None:
     assert simulation.step()[1].wind_ned_mps[0] == 0.0
 
 
-def test_what_cannot_be_changed_is_told_once_and_the_flight_goes_on(
+def test_an_impossible_plant_fault_is_reported_once_and_the_flight_continues(
     simulation: Simulation,
 ) -> None:
-    told: list[str] = []
-    changes = PlantChanges(simulation, told.append)
+    reported: list[str] = []
+    changes = PlantChanges(simulation, reported.append)
     for _ in range(3):
         changes.carry_out(frame("warp_drive", 9.0))
-    assert len(told) == 1
-    assert "warp_drive is unknown" in told[0]
+    assert len(reported) == 1
+    assert "warp_drive is unknown" in reported[0]
 
 
-def test_other_frames_are_none_of_its_business(simulation: Simulation) -> None:
+def test_other_frames_are_ignored(simulation: Simulation) -> None:
     layout = message_layout("HEARTBEAT")
     PlantChanges(simulation, print).carry_out(Frame(build_frame(layout, {"type": 6}), layout))

@@ -1,8 +1,8 @@
-"""PX4's side of a recorded lockstep flight, played against the simulator, all 70 s of it.
+"""PX4's side of a recorded lockstep flight, replayed against the simulator, all 70 s of it.
 
 The log holds both directions of the HIL link of a real PX4 1.18 with another simulator: on the
 ground until 17 s, then take-off and hover. What that PX4 got is compared with what our simulator
-sends it: messages, their order, stamps and groups of new fields at every step of the whole log,
+sends it: messages, their order, stamps and groups of new fields at every step of the complete log,
 values until the recorded vehicle leaves the ground. From then on the recorded commands answer the
 motion of another vehicle, which is lighter for its motors than ours: ours goes on standing.
 The first six seconds are played over TCP, all of it without a link, and both are the same bytes.
@@ -34,8 +34,8 @@ from simvehicle.vehicles.actuators import motor_mix, read_controls
 from simvehicle.vehicles.body import Controls
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
-LIFT_OFF_US = 17_000_000  # the recorded vehicle stands until then
-LINK_US = 7_000_000  # stamp up to which it is played over TCP
+LIFT_OFF_US = 17_000_000  # the recorded vehicle is on the ground until then
+LINK_US = 7_000_000  # timestamp up to which it is replayed over TCP
 SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}
 start: {lat_deg: 47.397742, lon_deg: 8.545594, alt_m: 488.0}
@@ -52,7 +52,7 @@ ACTUATORS = message_layout("HIL_ACTUATOR_CONTROLS")
 
 
 def split(data: bytes, gap: int) -> tuple[list[bytes], bytes]:
-    """The whole MAVLink 2 frames in `data`, each after `gap` other bytes, and what is left."""
+    """The complete MAVLink 2 frames in `data`, each after `gap` other bytes, and what is left."""
     frames, at = [], 0
     while at + gap + HEAD <= len(data):
         end = at + gap + HEAD + data[at + gap + 1] + CRC
@@ -68,13 +68,13 @@ def number(frame: bytes) -> int:
 
 
 def stamp(frame: bytes) -> int:
-    """The `time_usec` that HIL messages begin with."""
+    """The `time_usec` at the start of HIL messages."""
     return int(struct.unpack_from("<Q", frame, HEAD)[0])
 
 
 @cache
 def recorded(path: Path) -> tuple[list[bytes], dict[int, bytes]]:
-    """The simulator's frames, and PX4's words: by stamp, its first ones at 0."""
+    """The simulator's frames, and PX4's messages by timestamp, the first ones at 0."""
     frames, _ = split(path.read_bytes(), gap=8)  # a tlog: a stamp before each frame
     answers: dict[int, bytes] = {0: b""}
     for frame in frames:
@@ -85,14 +85,14 @@ def recorded(path: Path) -> tuple[list[bytes], dict[int, bytes]]:
 
 
 def vehicle(folder: Path) -> Simulation:
-    """A quad on the ground at the recorded place."""
+    """A quad on the ground at the recorded position."""
     path = folder / "quad.yaml"
     path.write_text(SCENARIO)
     return Simulation(read_scenario(path), seed=3)
 
 
 def play(answers: dict[int, bytes], folder: Path) -> list[bytes]:
-    """What the simulator sends to a PX4 that answers as recorded, to the log's end, in process."""
+    """The simulator's frames for a PX4 that answers as recorded, to the log's end, in one process."""
     simulation, hil, mix = vehicle(folder), HilPacker(), motor_mix(4)
     controls = Controls(mix([0.0] * 16), armed=False)
     got: list[bytes] = []
@@ -112,7 +112,7 @@ def play_over_tcp(answers: dict[int, bytes], folder: Path) -> list[bytes]:
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
     loop = LockstepLoop(vehicle(folder), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
-    loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # a busy machine changes no byte
+    loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # no timeout on a busy machine
     thread = threading.Thread(target=lambda: serve_autopilot(loop, progress, LINK_US - 1_000_000))
     thread.start()
     got: list[bytes] = []
@@ -140,7 +140,7 @@ def log(shared_data: Path) -> tuple[list[bytes], dict[int, bytes]]:
 def both(
     log: tuple[list[bytes], dict[int, bytes]], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[list[bytes], list[bytes]]:
-    """What PX4 got then, from its second step on, and what it gets from us."""
+    """What PX4 received in the recording, from its second step on, and what it receives from us."""
     simulator, answers = log
     first = next(i for i, f in enumerate(simulator) if number(f) == IDS["HIL_STATE_QUATERNION"])
     return simulator[first + 1 :], play(answers, tmp_path_factory.mktemp("px4"))
@@ -181,7 +181,7 @@ def test_the_messages_come_in_the_same_order(both: tuple[list[bytes], list[bytes
 
 
 def test_heartbeats_come_once_a_second(both: tuple[list[bytes], list[bytes]]) -> None:
-    # The recorded simulator's first one fell into the step that ours does not have.
+    # The recorded simulator's first one belongs to a step that ours does not have.
     assert [sum(number(f) == 0 for f in frames) for frames in both] == [70, 71]
 
 
@@ -198,7 +198,7 @@ def test_the_same_groups_of_fields_are_new_at_each_step(
     assert np.array_equal(now, then)
 
 
-def test_at_rest_the_sensors_say_the_same_in_the_same_units(
+def test_at_rest_the_sensors_agree_in_units_and_values(
     both: tuple[list[bytes], list[bytes]],
 ) -> None:
     then, now = both
@@ -228,7 +228,7 @@ def test_the_position_is_the_same(
         assert (difference <= [degrees, degrees, alt_mm]).all(), name
 
 
-def test_from_lift_off_on_the_commands_are_those_for_another_vehicle(
+def test_from_take_off_the_commands_differ_as_the_vehicle_does(
     log: tuple[list[bytes], dict[int, bytes]], both: tuple[list[bytes], list[bytes]]
 ) -> None:
     answers = [a for at, a in log[1].items() if at > 30_000_000]
@@ -265,7 +265,7 @@ def test_px4_may_use_the_fix(both: tuple[list[bytes], list[bytes]]) -> None:
         assert (gps["epv"] <= 500).all()
 
 
-def test_no_sample_of_the_inertial_unit_repeats(both: tuple[list[bytes], list[bytes]]) -> None:
+def test_no_imu_sample_repeats(both: tuple[list[bytes], list[bytes]]) -> None:
     sensor = rows(both[1], "HIL_SENSOR")
     rates = np.stack([sensor["xacc"], sensor["xgyro"]], axis=-1)
     assert (np.diff(rates, axis=0) != 0).any(axis=1).all()

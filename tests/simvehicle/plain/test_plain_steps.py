@@ -1,4 +1,4 @@
-"""Plain steps against the simulation and the packer, whose bytes they have to give."""
+"""Plain steps give the same bytes as the simulation and the packer."""
 
 import math
 import struct
@@ -49,11 +49,11 @@ VEHICLES = {
     "plane": PLANE.replace("NAME", "aerosonde-2025"),
     "plane without a motor model": PLANE.replace("NAME", "aerosonde-2025-thrust-law"),
 }
-STEPS = 1600  # over three blocks of drawn numbers
+STEPS = 1600  # over three blocks of random draws
 
 
 def channels(number: int, kind: str) -> list[float]:
-    """What an autopilot might command at a step, some of it nonsense."""
+    """Possible commands of an autopilot at a step, some of them invalid."""
     draw = np.random.default_rng([7, number])
     values = [0.0] * CHANNEL_COUNT
     if kind == "quad":
@@ -81,7 +81,7 @@ def flight(kind: str, folder: Path) -> Simulation:
 
 
 def read(simulation: Simulation, values: list[float], mode: int) -> Controls:
-    """The ordinary way of an answer to controls."""
+    """Read the controls of an answer as the loop does."""
     payload = struct.pack("<QQ16fB", 1, 0, *values, mode)
     raw = frame_payload(ANSWER, payload, seq=0, system=1, component=1)
     mix = simulation.kind.mix(simulation.vehicle)
@@ -94,14 +94,14 @@ def ordinary(kind: str, folder: Path) -> tuple[list[bytes], Simulation]:
     for number, (values, mode) in enumerate(answers(kind)):
         if number == 700:
             simulation.plant(simulation.vehicle.plant_names[0], 0.1)
-        told = simulation.step(read(simulation, values, mode))
-        out.append(b"".join(hil.frames(*told)))
+        result = simulation.step(read(simulation, values, mode))
+        out.append(b"".join(hil.frames(*result)))
         simulation.prepare()
     return out, simulation
 
 
 def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
-    """The same by plain steps wherever there is one; how many were."""
+    """The same with plain steps wherever possible, and their number."""
     simulation, hil, out = flight(kind, folder), HilPacker(), []
     assert can_be_plain(simulation)
     steps = PlainSteps(simulation, hil)
@@ -124,8 +124,8 @@ def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
             look_ahead(arrays)
             count, left = count + 1, left - 1
             continue
-        told = simulation.step(read(simulation, values, mode))
-        out.append(b"".join(hil.frames(*told)))
+        result = simulation.step(read(simulation, values, mode))
+        out.append(b"".join(hil.frames(*result)))
         simulation.prepare()
     if taken:
         steps.give_back()
@@ -133,11 +133,11 @@ def plain(kind: str, folder: Path) -> tuple[list[bytes], Simulation, int]:
 
 
 @pytest.mark.parametrize("kind", VEHICLES)
-def test_plain_steps_give_the_bytes_of_the_ordinary_way(kind: str, tmp_path: Path) -> None:
+def test_plain_steps_give_the_same_bytes_as_ordinary_steps(kind: str, tmp_path: Path) -> None:
     expected, simulation = ordinary(kind, tmp_path)
     found, flown, count = plain(kind, tmp_path)
     assert found == expected
-    # At 50 Hz the plane's late compass needs the ordinary way, and each late reading once more.
+    # The plane's delayed 50 Hz compass needs ordinary steps, and each delayed reading another.
     assert count > (0.9 if kind == "quad" else 0.5) * STEPS
     for name in simulation.truth.__struct_fields__:
         np.testing.assert_array_equal(
@@ -145,11 +145,11 @@ def test_plain_steps_give_the_bytes_of_the_ordinary_way(kind: str, tmp_path: Pat
         )
 
 
-def test_a_state_that_leaves_the_numbers_is_told(tmp_path: Path) -> None:
+def test_a_diverging_state_is_reported(tmp_path: Path) -> None:
     simulation = flight("plane", tmp_path)
     steps = PlainSteps(simulation, HilPacker())
     steps.take()
     steps.arrays.x[3] = math.nan
     assert not step(steps.arrays)
-    with pytest.raises(ConfigError, match="left the numbers"):
+    with pytest.raises(ConfigError, match="simulation diverged"):
         steps.give_back()

@@ -28,7 +28,7 @@ def test_an_empty_mapping_is_a_scenario_of_defaults(tmp_path: Path) -> None:
     assert read(tmp_path, "{}") == Scenario()
 
 
-def test_a_preset_fills_in_what_is_not_given(tmp_path: Path) -> None:
+def test_a_preset_fills_in_missing_keys(tmp_path: Path) -> None:
     text = "sensors:\n  imu: {preset: beard-mclain, rate_hz: 100, gyro: {sigma: 0.5}}\n"
     imu = read(tmp_path, text).sensors.imu
     assert isinstance(imu, ImuSensor)
@@ -36,11 +36,11 @@ def test_a_preset_fills_in_what_is_not_given(tmp_path: Path) -> None:
     assert imu.accel.sigma == pytest.approx(0.0025 * 9.80665)
 
 
-def test_sensors_may_stand_in_a_file_of_their_own(tmp_path: Path) -> None:
+def test_sensors_may_be_in_a_separate_file(tmp_path: Path) -> None:
     (tmp_path / "board.yaml").write_text("imu: {preset: icm20602}\nbaro: {rate_hz: 20}\n")
     apart = read(tmp_path, "sensors: board.yaml\n")
-    whole = read(tmp_path, "sensors: {imu: {preset: icm20602}, baro: {rate_hz: 20}}\n")
-    assert apart.sensors == whole.sensors
+    combined = read(tmp_path, "sensors: {imu: {preset: icm20602}, baro: {rate_hz: 20}}\n")
+    assert apart.sensors == combined.sensors
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_sensors_may_stand_in_a_file_of_their_own(tmp_path: Path) -> None:
     [
         ("imu:\n  rate: 3\n", r"board.yaml:2: imu.rate is unknown; did you mean rate_hz"),
         ("mag:\n  preset: x\n", r"board.yaml:2: mag.preset = x is unknown"),
-        ("- imu\n", r"board.yaml:1: holds no sensors"),
+        ("- imu\n", r"board.yaml:1: has no sensors"),
     ],
 )
 def test_an_error_in_a_sensor_file_names_that_file(tmp_path: Path, text: str, message: str) -> None:
@@ -88,7 +88,7 @@ WRONG = [
         r"gyro.bias has 2 numbers; one, or a list of 3",
     ),
     ("sensors:\n  imu: {id: 300}\n", r"id = 300 is out of range; 0 to 255"),
-    ("sensors:\n  range: {min_m: 5, max_m: 1}\n", r"min_m = 5.0 and max_m = 1.0 are no span"),
+    ("sensors:\n  range: {min_m: 5, max_m: 1}\n", r"min_m = 5.0, max_m = 1.0 is no range"),
     (
         "sensors:\n  mag:\n    latency_s: .nan\n",
         r"flight.yaml:3: sensors.mag.latency_s = nan is not",

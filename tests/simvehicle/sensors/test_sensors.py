@@ -1,4 +1,4 @@
-"""Sensors: without noise they equal the truth; with noise they have the statistics asked for."""
+"""Sensors: without noise they equal the truth; with noise they have the configured statistics."""
 
 from typing import Any
 
@@ -62,7 +62,7 @@ def read(sensor: Any, truth: Truth = TRUTH) -> Any:
 
 
 def many(sensor: Any, count: int, seed: int = 1) -> list[Any]:
-    """Readings of a truth that stands still."""
+    """Readings of a truth at rest."""
     rng = np.random.default_rng(seed)
     state = sensor.new_state(rng)
     out = []
@@ -118,7 +118,7 @@ def test_a_range_finder_stops_at_its_limits(height: float, expected: float) -> N
     assert read(Rangefinder(), replace(TRUTH, height_agl_m=height)).distance_m == expected
 
 
-def test_a_range_finder_that_looks_at_the_sky_sees_nothing() -> None:
+def test_a_range_finder_pointing_at_the_sky_measures_nothing() -> None:
     upside_down = replace(TRUTH, q_nb=quat_from_euler(np.pi, 0.0, 0.0))
     assert read(Rangefinder(), upside_down).distance_m == 40.0
 
@@ -156,7 +156,7 @@ def test_a_perfect_battery_monitor_reads_the_pack() -> None:
     assert (reading.voltage_v, reading.current_a, reading.remaining) == (11.1, 20.0, 0.8)
 
 
-def test_an_imu_is_cut_off_at_its_range() -> None:
+def test_an_imu_saturates_at_its_range() -> None:
     fast = replace(TRUTH, omega_b_rps=np.array([50.0, -50.0, 0.0]))
     assert np.array_equal(read(ImuSensor(gyro_range_rps=5.0), fast).gyro_b_rps, [5.0, -5.0, 0.0])
 
@@ -166,7 +166,7 @@ def test_scale_and_bias_act_on_their_axis() -> None:
     assert np.allclose(reading.gyro_b_rps, 1.1 * TRUTH.omega_b_rps + [0.0, 0.5, 0.0])
 
 
-def test_white_noise_has_the_deviation_asked_for() -> None:
+def test_white_noise_has_the_configured_deviation() -> None:
     readings = many(ImuSensor(gyro=NoiseModel(sigma=0.2)), 4000)
     errors = np.array([r.gyro_b_rps - TRUTH.omega_b_rps for r in readings])
     # 12,000 samples: the relative deviation of a standard deviation is 1/sqrt(2 n) = 0.65 %.
@@ -182,7 +182,7 @@ def allan_deviation(values: np.ndarray, rate_hz: float, tau_s: float) -> float:
 
 
 def errors_of(noise: NoiseModel, rate_hz: float, count: int, channels: int = 8) -> np.ndarray:
-    """The first errors (count, channels) that a noise model makes."""
+    """The first errors (count, channels) of a noise model."""
     rng = np.random.default_rng(5)
     state = noise.new_state(rng, channels, rate_hz)
     out = np.empty((count, channels))

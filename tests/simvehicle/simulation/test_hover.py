@@ -26,7 +26,7 @@ sensors: {imu: {preset: consumer-mems, rate_hz: 250}}
 UNTIL_US = 12_000_000
 
 
-def test_the_multirotor_hovers_in_wind_on_controls_that_come_over_the_link(
+def test_the_multirotor_hovers_in_wind_with_controls_from_the_link(
     tmp_path: Path, hover: Any
 ) -> None:
     path = tmp_path / "quad.yaml"

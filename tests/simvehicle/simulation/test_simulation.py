@@ -1,4 +1,4 @@
-"""A flight as a whole: same seed same readings, streams apart, plant faults, the built-in demo."""
+"""A complete flight: reproducible readings, independent streams, plant faults, the built-in demo."""
 
 from itertools import islice
 from typing import Any
@@ -51,30 +51,30 @@ def test_the_same_seed_gives_the_same_readings() -> None:
     assert np.array_equal(imu_of(scenario()), imu_of(scenario()))
 
 
-def test_a_step_that_was_prepared_is_the_same() -> None:
+def test_a_prepared_step_is_the_same() -> None:
     plain, ahead = Simulation(scenario()), Simulation(scenario())
     for _ in range(50):
         ahead.prepare()
-        ahead.prepare()  # which may be asked for as often as one likes
+        ahead.prepare()  # may be called repeatedly
         assert ahead.step()[2] == plain.step()[2]
     assert np.array_equal(ahead.truth.wind_ned_mps, plain.truth.wind_ned_mps)
 
 
-def test_another_seed_gives_other_readings() -> None:
+def test_another_seed_gives_different_readings() -> None:
     assert not np.array_equal(imu_of(scenario()), imu_of(scenario(), seed=2))
 
 
-def test_another_sensor_on_board_leaves_the_noise_of_the_others_as_it_was() -> None:
+def test_adding_a_sensor_does_not_change_the_noise_of_the_others() -> None:
     more = scenario(sensors=SensorSuite(imu=NOISY, gps=Gps(rate_hz=5.0)))
     assert np.array_equal(imu_of(scenario()), imu_of(more))
 
 
-def test_stamps_start_above_zero_and_follow_the_rate_of_the_inertial_unit() -> None:
+def test_timestamps_start_above_zero_and_follow_the_imu_rate() -> None:
     stamps = [t_us for t_us, _, _ in islice(simulate_flight(scenario()), 3)]
     assert stamps == [10_000, 20_000, 30_000]
 
 
-def test_each_sensor_speaks_at_its_own_rate() -> None:
+def test_each_sensor_samples_at_its_own_rate() -> None:
     kinds = [
         type(r) for _, _, readings in islice(simulate_flight(scenario()), 100) for r in readings
     ]
@@ -82,7 +82,7 @@ def test_each_sensor_speaks_at_its_own_rate() -> None:
     assert kinds.count(PressureReading) == 20
 
 
-def test_a_late_sensor_delivers_the_past() -> None:
+def test_a_sensor_with_latency_delivers_old_samples() -> None:
     late = scenario(sensors=SensorSuite(imu=NOISY, gps=Gps(rate_hz=10.0, latency_s=0.1)))
     truths, fixes = {}, []
     for t_us, truth, readings in islice(simulate_flight(late), 50):
@@ -108,7 +108,7 @@ def test_the_demo_flies_its_path_at_height_and_speed() -> None:
     assert np.max(np.abs(np.array(heights) - 100.0)) < 5.0
 
 
-def test_outside_controls_fly_the_vehicle() -> None:
+def test_external_controls_fly_the_vehicle() -> None:
     simulation = Simulation(scenario())
     for _ in range(100):
         _, truth, _ = simulation.step(Controls(np.array([0.0, 1.0, 0.0, 0.5])))
@@ -151,16 +151,16 @@ def test_a_body_that_cannot_exist_is_refused() -> None:
         Simulation(scenario()).plant("mass_kg_add", -100.0)
 
 
-def test_nan_controls_are_an_error_and_not_silence() -> None:
+def test_nan_controls_are_an_error() -> None:
     simulation = Simulation(scenario())
     with pytest.raises(ConfigError, match="4 finite numbers are needed"):
         simulation.step(Controls(np.full(4, np.nan)))
 
 
-def test_a_state_that_leaves_the_numbers_is_an_error_and_not_silence() -> None:
+def test_a_diverging_state_is_an_error() -> None:
     simulation = Simulation(scenario())
     simulation.plant("wind_e_mps", 1e200)
-    with pytest.raises(ConfigError, match="left the numbers at 0"):
+    with pytest.raises(ConfigError, match="simulation diverged at 0"):
         simulation.step()
 
 

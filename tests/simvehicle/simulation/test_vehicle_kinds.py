@@ -1,4 +1,4 @@
-"""A further kind of vehicle is one module with a `KindDefinition` in it; here, a stone."""
+"""A new kind of vehicle is a module with a `KindDefinition`; here, a stone."""
 
 from typing import Any
 
@@ -74,7 +74,7 @@ STONE = KindDefinition(
 )
 
 
-def test_a_kind_of_ones_own_is_simulated_with_the_sensors_and_links_of_the_others(
+def test_a_custom_kind_is_simulated_with_the_usual_sensors_and_links(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(vehicle_kinds.VEHICLE_KINDS, "stone", STONE)
@@ -88,6 +88,6 @@ def test_a_kind_of_ones_own_is_simulated_with_the_sensors_and_links_of_the_other
     assert throttle_command(simulation) == 0.0
 
 
-def test_an_unknown_kind_names_the_known_ones() -> None:
+def test_an_unknown_kind_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"vehicle.kind = boat is unknown; known: fixedwing, mul"):
         find_vehicle_kind("boat")

@@ -15,19 +15,19 @@ def answer(channels: dict[int, float], mode: int = 129, t_us: int = 1_132_000) -
     return Frame(raw, message_layout("HIL_ACTUATOR_CONTROLS"))
 
 
-def test_motors_come_in_px4s_order_with_the_stamp_they_answer() -> None:
+def test_motors_are_in_px4s_order_with_the_timestamp_they_answer() -> None:
     stamp_us, controls = read_controls(answer({0: 0.1, 1: 0.2, 2: 0.3, 3: 0.4}), motor_mix(4))
     assert stamp_us == 1_132_000
     assert controls.armed
     assert controls.values.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
-def test_a_disarmed_autopilot_says_so_by_its_mode() -> None:
+def test_the_mode_field_reports_a_disarmed_autopilot() -> None:
     _, controls = read_controls(answer({}, mode=1), motor_mix(4))
     assert not controls.armed
 
 
-def test_surfaces_turn_the_way_the_model_counts() -> None:
+def test_surfaces_have_the_signs_of_the_model() -> None:
     _, controls = read_controls(answer({2: 0.3, 4: 0.6, 5: -0.2, 6: 0.4, 7: 0.5}), plane_mix)
     elevator, aileron, rudder, throttle = controls.values.tolist()
     assert elevator == pytest.approx(-0.5)  # trailing edge up is negative

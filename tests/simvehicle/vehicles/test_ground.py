@@ -38,7 +38,7 @@ def standing(choice: VehicleChoice, wind: float = 0.0) -> Simulation:
 
 
 def fly(simulation: Simulation, seconds: float) -> None:
-    """Let the built-in controller fly."""
+    """Simulate with the built-in controller."""
     for _ in range(round(seconds * 125)):
         simulation.step()
 

@@ -1,4 +1,4 @@
-"""Parameter files: the shipped ones are whole, wrong ones are refused with line and reason."""
+"""Parameter files: the shipped ones are valid, invalid ones are refused with line and reason."""
 
 from importlib import resources
 from pathlib import Path
@@ -89,7 +89,7 @@ def test_a_wrong_file_is_refused(
         find_vehicle_kind(kind).read(str(edited(tmp_path, name, old, new)))
 
 
-def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
+def test_a_scenario_finds_a_vehicle_file_in_its_folder(tmp_path: Path) -> None:
     edited(tmp_path, "aerosonde-2025", "mass_kg: 11.0", "mass_kg: 12.0")
     path = tmp_path / "flight.yaml"
     path.write_text("vehicle: {kind: fixedwing, parameters: mine.yaml}\n")
@@ -100,7 +100,7 @@ def test_a_scenario_finds_a_vehicle_beside_it(tmp_path: Path) -> None:
 
 def test_a_multirotor_needs_four_rotors(tmp_path: Path) -> None:
     path = edited(tmp_path, "iris", "  - {x_m: -0.13, y_m: 0.20, turns: cw}\n", "")
-    with pytest.raises(ConfigError, match="3 rotors are not supported; 4 to 8 are"):
+    with pytest.raises(ConfigError, match="3 rotors are not supported; use 4 to 8"):
         find_vehicle_kind("multirotor").read(str(path))
 
 

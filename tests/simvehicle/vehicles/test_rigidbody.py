@@ -92,7 +92,7 @@ def test_a_body_without_air_falls_by_half_g_t_squared() -> None:
     assert end[2] == pytest.approx(-100.0 + 0.5 * 9.81 * 9.0, abs=1e-9)
 
 
-def test_a_multirotor_without_air_and_motors_falls_and_keeps_what_it_has() -> None:
+def test_a_multirotor_without_air_and_motors_falls_with_conserved_momentum() -> None:
     iris = Multirotor.read("iris")
     start = iris.start(np.array([0.0, 0.0, -100.0]), np.array([3.0, 1.0, 0.0]), UPRIGHT)
     around = pack_surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0)
@@ -126,7 +126,7 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
     assert 3.6 < np.log2(coarse / fine) < 4.4
 
 
-def test_one_vehicle_is_flown_by_the_same_equations_as_many() -> None:
+def test_a_single_vehicle_uses_the_same_equations_as_a_batch() -> None:
     vehicle = FixedWing.read("aerosonde-2025")
     throw = np.array([*vehicle.throw_rad, 1.0])
     around = pack_surroundings(np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0)
@@ -164,6 +164,8 @@ def test_thrust_of_the_dc_motor_falls_with_airspeed() -> None:
 
 
 @pytest.mark.parametrize("moments", [(0.0, 1.0, 1.0, 0.0), (1.0, 1.0, 3.0, 0.0), (1, 1, 1, 1.5)])
-def test_moments_of_no_real_body_are_refused(moments: tuple[float, float, float, float]) -> None:
+def test_impossible_moments_of_inertia_are_refused(
+    moments: tuple[float, float, float, float],
+) -> None:
     with pytest.raises(ValueError, match="is no rigid body"):
         inertia_coefficients(1.0, *moments)

@@ -1,4 +1,4 @@
-"""A vehicle in the air of a thread, for clients that speak to it over UDP."""
+"""A simulated vehicle in a thread, for clients that connect over UDP."""
 
 import io
 import queue
@@ -21,11 +21,11 @@ SCENARIO = """
 vehicle: {kind: multirotor, parameters: iris}
 sensors: {imu: {rate_hz: 100}, gps: {preset: ideal, rate_hz: 5}}
 """
-SPEED = 8.0  # times real time; a client's own time-outs run on the wall
+SPEED = 8.0  # times real time; a client's timeouts use wall time
 
 
 class Flown:
-    """The vehicle, and the UDP port on loopback that it talks to."""
+    """The vehicle, and the loopback UDP port that it sends to."""
 
     def __init__(self, simulation: Simulation, loop: FreeLoop, port: int) -> None:
         self.simulation = simulation
@@ -41,7 +41,7 @@ def free_port() -> int:
 
 @pytest.fixture(params=[SCENARIO])
 def flown(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flown]:
-    """A multirotor at home, flown at several times real time until the test is over."""
+    """A multirotor at home, simulated at several times real time until the test ends."""
     path = tmp_path / "quad.yaml"
     path.write_text(request.param)
     port = free_port()

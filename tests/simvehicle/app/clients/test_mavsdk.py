@@ -94,7 +94,7 @@ def test_it_uploads_flies_and_downloads_a_mission(system: System, until: Any, fl
 
 
 @pytest.mark.parametrize("flown", [WITH_MISSION], indirect=True)
-def test_the_scenarios_mission_is_downloaded_and_flown_on_after_arming(
+def test_the_scenarios_mission_can_be_downloaded_and_started_after_arming(
     system: System, until: Any, flown: Any
 ) -> None:
     telemetry, action, mission = Telemetry(system), Action(system), Mission(system)
@@ -112,7 +112,7 @@ def test_the_scenarios_mission_is_downloaded_and_flown_on_after_arming(
     until(telemetry.subscribe_armed, bool)
 
 
-def test_it_sends_the_vehicle_to_a_place(system: System, until: Any, flown: Any) -> None:
+def test_it_sends_the_vehicle_to_a_position(system: System, until: Any, flown: Any) -> None:
     telemetry = take_off(system, until)
     home = telemetry.home()
     Action(system).goto_location(
@@ -136,12 +136,12 @@ def test_it_reads_and_sets_parameters(system: System) -> None:
     assert len(everything.int_params) + len(everything.float_params) >= 12
 
 
-def test_a_failure_is_denied_until_the_parameter_allows_it(system: System) -> None:
+def test_a_failure_is_denied_until_a_parameter_enables_it(system: System) -> None:
     with pytest.raises(FailureError, match=r"DENIED|DISABLED"):
         Failure(system).inject(FailureUnit.SYSTEM_MOTOR, FailureType.OFF, 1)
 
 
-def test_a_motor_that_is_told_to_fail_fails(system: System, until: Any, flown: Any) -> None:
+def test_an_injected_motor_failure_stops_the_motor(system: System, until: Any, flown: Any) -> None:
     Param(system).set_param_int("SYS_FAILURE_EN", 1)
     telemetry = take_off(system, until)
     Failure(system).inject(FailureUnit.SYSTEM_MOTOR, FailureType.OFF, 1)

@@ -44,10 +44,10 @@ TABLE = [
 ]
 
 
-def _matches(found: np.ndarray, expected: list[complex]) -> bool:
-    """Every expected mode is found within 1 % or half a unit of its last printed digit."""
+def _matches(modes: np.ndarray, expected: list[complex]) -> bool:
+    """Every expected mode matches within 1 % or half a unit of its last printed digit."""
     for mode in expected:
-        nearest = min(found, key=lambda value: abs(value - mode))
+        nearest = min(modes, key=lambda value: abs(value - mode))
         for got, want in ((nearest.real, mode.real), (nearest.imag, complex(mode).imag)):
             decimals = len(f"{want:g}".partition(".")[2])
             if abs(got - want) > max(0.01 * abs(want), 0.51 * 10.0**-decimals):
@@ -73,9 +73,9 @@ def test_trim_and_modes_are_those_of_the_table(
     assert np.degrees(point.alpha_rad) == pytest.approx(alpha_deg, abs=0.006)
     assert point.elevator_rad == pytest.approx(elevator, abs=2e-4)
     assert point.throttle == pytest.approx(throttle, abs=6e-4)
-    found = mode_eigenvalues(linearise_trim(point, body, aero)[0])
-    assert _matches(found[0], longitudinal)
-    assert _matches(found[1], lateral)
+    modes = mode_eigenvalues(linearise_trim(point, body, aero)[0])
+    assert _matches(modes[0], longitudinal)
+    assert _matches(modes[1], lateral)
 
 
 def test_a_trimmed_climb_is_steady_and_climbs() -> None:
