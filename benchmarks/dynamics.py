@@ -1,7 +1,7 @@
-"""Speed of the vehicle models: the bare kernel, single vehicles, and whole simulations.
+"""Speed of the vehicle models: the bare kernel, single vehicles, and complete simulations.
 
-Run by hand: `python benchmarks/dynamics.py`. Times are CPU time of this process, the best of
-25 rounds, as machines are seldom quiet; what compiles is compiled before.
+Run it manually: `python benchmarks/dynamics.py`. Times are CPU time of this process, the best of 25
+rounds, as machines are rarely idle; compilation is excluded.
 """
 
 import time
@@ -37,7 +37,7 @@ ROUNDS = 25
 
 @compiled
 def lanes(x: np.ndarray, u: np.ndarray, body: Inertia, aero: Aero, n: int) -> None:
-    """Fly 32 vehicles `n` steps; `x` (13 * 32,) and `u` (4 * 32,) hold one row per quantity."""
+    """Step 32 vehicles `n` times; `x` (13 * 32,) and `u` (4 * 32,) hold one row per quantity."""
     for _ in range(n):
         for i in range(32):
             s = (
@@ -55,14 +55,14 @@ def lanes(x: np.ndarray, u: np.ndarray, body: Inertia, aero: Aero, n: int) -> No
 def single(
     x: tuple[float, ...], u: tuple[float, ...], body: Inertia, aero: Aero, n: int
 ) -> tuple[float, ...]:
-    """Fly one vehicle `n` steps."""
+    """Step one vehicle `n` times."""
     for _ in range(n):
         x = step(x, u, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), 1.2682, body, aero, 0.01)
     return x
 
 
 def best(call: Callable[[], object]) -> float:
-    """Least CPU time of a call [s]."""
+    """Shortest CPU time of a call [s]."""
     call()
     times = []
     for _ in range(ROUNDS):
@@ -89,16 +89,16 @@ def kernels() -> None:
 
 
 def simulation(name: str, scenario: Scenario, frames: bool) -> None:
-    """Times real time of a simulation at 250 Hz, with or without HIL frames packed."""
+    """Print the speed of a simulation at 250 Hz, with or without HIL frames packed."""
     flight, packer = Simulation(scenario), HilPacker()
 
     def second() -> None:
         for _ in range(250):
-            found = flight.step()
+            result = flight.step()
             if frames:
-                packer.frames(*found)
+                packer.frames(*result)
 
-    seconds = best(second)  # of simulated time, the GNSS epochs in it
+    seconds = best(second)  # for one simulated second, including its GNSS epochs
     what = "with HIL frames packed" if frames else "readings only"
     print(f"| {name}, {what} | {1.0 / seconds:.0f} x real time, {seconds * 4000:.0f} us/step |")
 

@@ -1,7 +1,7 @@
-"""Both vehicles fly every shape in 8 m/s of wind: a table of errors and a picture per vehicle.
+"""Both vehicles fly every shape in 8 m/s of wind: a table of errors and a plot for each vehicle.
 
-Run by hand: `python benchmarks/shapes.py docs`; the folder gets `shapes-fixedwing.png` and
-`shapes-multirotor.png`.
+Run it manually: `python benchmarks/shapes.py docs` writes `shapes-fixedwing.png` and
+`shapes-multirotor.png` to the folder.
 """
 
 import sys
@@ -25,8 +25,8 @@ from simvehicle.simulation.simulation import Simulation
 
 WIND = Environment(wind_ned_mps=(5.657, 5.657, 0.0), gusts="light")
 SHAPES = ("triangle", "diamond", "trapezoid", "s", "eight", "circle", "line", "all in sequence")
-ROOM = {"triangle": 2.2, "diamond": 1.8, "trapezoid": 2.2}  # so that they look like what they are
-# Vehicle, speed [m/s], wind that counts for the turns, smallest size [m].
+MARGINS = {"triangle": 2.2, "diamond": 1.8, "trapezoid": 2.2}  # size over the smallest size
+# Vehicle, speed [m/s], wind speed for the turns [m/s], smallest size [m].
 VEHICLES = {
     "fixedwing": (VehicleChoice(kind="fixedwing", parameters="aerosonde-2025"), 25.0, 8.0, 400.0),
     "multirotor": (VehicleChoice(kind="multirotor", parameters="iris"), 6.0, 0.0, 60.0),
@@ -34,14 +34,14 @@ VEHICLES = {
 
 
 def legs(shape: str, speed: float, wind: float, accel: float, least: float) -> list[Leg]:
-    """The shape, or all of them one after the other, a little larger than must be."""
+    """The shape, or all shapes in sequence, larger than the smallest size."""
     radius = turn_radius(speed, wind, accel)
     names = SHAPES[:-1] if shape == SHAPES[-1] else (shape,)
     return [
         Leg(
             shape=name,  # type: ignore[arg-type]
             size_m=float(
-                np.ceil(max(least, ROOM.get(name, 1.15) * smallest_size(name, radius)) / 10.0)
+                np.ceil(max(least, MARGINS.get(name, 1.15) * smallest_size(name, radius)) / 10.0)
                 * 10.0
             ),
             height_m=80.0,
@@ -51,8 +51,8 @@ def legs(shape: str, speed: float, wind: float, accel: float, least: float) -> l
     ]
 
 
-def fly(kind: str, shape: str) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Planned path (m, 2); flown north, east, cross-track and height error (n, 4); the legs."""
+def fly_shape(kind: str, shape: str) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Size; planned path (m, 2); flown north, east, cross-track and height error (n, 4)."""
     choice, speed, wind, least = VEHICLES[kind]
     accel = 6.87 if kind == "fixedwing" else 3.0
     scenario = Scenario(
@@ -76,7 +76,7 @@ def fly(kind: str, shape: str) -> tuple[Any, np.ndarray, np.ndarray]:
 
 
 def main(folder: Path) -> None:
-    """Print the table and draw the pictures."""
+    """Print the table and draw the plots."""
     from matplotlib.figure import Figure
 
     print("| vehicle | shape | size m | across track, max m | rms m | height, max m |")
@@ -87,7 +87,7 @@ def main(folder: Path) -> None:
             f"{kind}: planned (grey) and flown (blue) in 8 m/s of wind to the north-east"
         )
         for axes, shape in zip(figure.subplots(2, 4).flat, SHAPES, strict=True):
-            size, plan, rows = fly(kind, shape)
+            size, plan, rows = fly_shape(kind, shape)
             across, height = np.abs(rows[:, 2]), np.abs(rows[:, 3])
             rms = float(np.sqrt(np.mean(across**2)))
             shown = f"{size:.0f}" if shape != SHAPES[-1] else "-"

@@ -1,9 +1,8 @@
-"""How many times real time one vehicle with all sensors is simulated, frames packed and sent.
+"""Simulation speed of one vehicle with all sensors, with HIL frames packed and sent.
 
-Run `python benchmarks/sim_link.py`. CPU time of this process counts and the best simulated second
-of each column, so that a busy machine disturbs little; each row begins with a fixed piece of work,
-by which machines and their moods compare. Frames go by UDP to a socket on loopback that nobody
-reads.
+Run `python benchmarks/sim_link.py`. It reports the best simulated second of each column in CPU time
+of this process, which a busy machine disturbs little; each row starts with a fixed piece of work to
+compare machines and their load. Frames go by UDP to an unread loopback socket.
 """
 
 import argparse
@@ -42,7 +41,7 @@ START = "start: {height_m: 100}\nenvironment: {wind_ned_mps: [2, -3, 0], gusts: 
 
 
 def simulation(text: str) -> Simulation:
-    """A flight that is under way, its kernels compiled."""
+    """A simulation after 500 steps, with compiled kernels."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "scenario.yaml")
         path.write_text(text)
@@ -53,7 +52,7 @@ def simulation(text: str) -> Simulation:
 
 
 def times_real(seconds: float, step: Callable[[], object]) -> float:
-    """Simulated seconds per second of CPU, at 250 steps a simulated second: the best of rounds."""
+    """Best ratio of simulated seconds to CPU seconds, at 250 steps per simulated second."""
     best = math.inf
     for _ in range(round(seconds)):
         start = time.process_time()
@@ -64,7 +63,7 @@ def times_real(seconds: float, step: Callable[[], object]) -> float:
 
 
 def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
-    """Times real time of the steps alone, with frames packed, and with frames sent."""
+    """Multiples of real time of the steps only, with frames packed, and with frames sent."""
     flight = simulation(text)
     hil = HilPacker()
     link = open_link(f"udpout:127.0.0.1:{port}")
@@ -87,7 +86,7 @@ def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
 
 
 def fixed_work_us() -> float:
-    """Best CPU time of a piece of Python that tells machines and loads apart."""
+    """Best CPU time [us] of a fixed piece of Python, to compare machines and loads."""
     best = math.inf
     for _ in range(300):
         start = time.process_time()

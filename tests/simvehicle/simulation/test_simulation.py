@@ -1,4 +1,4 @@
-"""A complete flight: reproducible readings, independent streams, plant faults, the built-in demo."""
+"""A complete flight: reproducible readings, separate streams, plant faults, the built-in demo."""
 
 from itertools import islice
 from typing import Any
