@@ -173,10 +173,10 @@ class LockstepLoop:
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         # The rest runs while the autopilot computes its answer.
-        self._flown(truth)
+        self._update_truth(truth)
         self._simulation.prepare()
         if self._plain is not None and self._locked:
-            self._controls = self._plain.fly(self._controls, self._flown)
+            self._controls = self._plain.fly(self._controls, self._update_truth)
             now_s = time.monotonic()
         self._await_answer()
         if self._answer_due_s is not None and now_s > self._answer_due_s:
@@ -185,7 +185,7 @@ class LockstepLoop:
                 self._progress.say(f"no answer for {FIRST_ANSWER_TIMEOUT_S:g} s; {self.unanswered}")
         self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
 
-    def _flown(self, truth: Truth) -> None:
+    def _update_truth(self, truth: Truth) -> None:
         self.t_us = truth.t_us
         self._battery.update(truth)
 

@@ -39,7 +39,7 @@ class GoalKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The place to fly to; `speed_mps` None and `yaw_rad` NaN leave the choice to the vehicle."""
+    """Where to fly; `speed_mps` None and `yaw_rad` NaN leave the choice to the vehicle."""
 
     kind: GoalKind
     r_ned_m: Vector
@@ -90,7 +90,7 @@ class CommandedFlight:
         self._acceptance_m = acceptance_m
         self._speed_mps: float | None = None
         self._truth: Truth | None = None
-        self._aimed_at: MissionItem | None = None  # the item that the goal was made from
+        self._goal_item: MissionItem | None = None  # the item that the goal was made from
         self._reached_us: int | None = None  # since when the current item is reached
         self._ground_us: int | None = None  # since when a landing vehicle is on the ground
 
@@ -110,7 +110,7 @@ class CommandedFlight:
         if unflyable or self.mode in (FlightMode.LAND, FlightMode.RETURN):
             self.mode = FlightMode.HOLD
         self.armed = self.commanded = True
-        self._enter(self.mode)
+        self._enter_mode(self.mode)
 
     def disarm(self, force: bool) -> bool:
         """Disarm the motors; returns False in the air unless forced, as PX4 does."""
@@ -130,15 +130,15 @@ class CommandedFlight:
             if self.armed and not self.goal_active and not self._missions.revision:
                 return True
         self.commanded = True
-        self._enter(mode)
+        self._enter_mode(mode)
         return True
 
     def take_off(self, alt_m: float) -> None:
         """Climb at the current position to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
         self.commanded = True
-        self._enter(FlightMode.TAKEOFF)
+        self._enter_mode(FlightMode.TAKEOFF)
         if math.isfinite(alt_m):
-            self.goal = replace(self.goal, r_ned_m=self._above_here(alt_m))
+            self.goal = replace(self.goal, r_ned_m=self._position_at(alt_m))
 
     def go_to(self, lat_deg: float, lon_deg: float, alt_m: float, yaw_rad: float) -> bool:
         """Fly to a position and hold; NaN keeps a value. Returns False on the ground."""
@@ -146,14 +146,14 @@ class CommandedFlight:
             return False
         self.commanded = True
         self.mode = FlightMode.HOLD
-        here = self._here()
+        current = self._position()
         # NED counts down: height above home is -down.
-        alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(here[2])
+        alt_m = alt_m if math.isfinite(alt_m) else self.home.alt_m - float(current[2])
         if math.isfinite(lat_deg) and math.isfinite(lon_deg):
-            place = self._locate(lat_deg, lon_deg, alt_m)
+            position = self._locate(lat_deg, lon_deg, alt_m)
         else:
-            place = self._above_here(alt_m)
-        self.goal = Goal(GoalKind.FLY, place, self._speed_mps, yaw_rad)
+            position = self._position_at(alt_m)
+        self.goal = Goal(GoalKind.FLY, position, self._speed_mps, yaw_rad)
         return True
 
     def set_speed(self, speed_mps: float) -> bool:
@@ -174,7 +174,7 @@ class CommandedFlight:
         # The scenario's mission is flown as a path without items: from here on items are flown.
         if self.armed and not self.goal_active and seq != self.seq:
             self.commanded = True
-            self._enter(FlightMode.MISSION)
+            self._enter_mode(FlightMode.MISSION)
         self.seq = seq
         self._reached_us = None
         return True
@@ -187,14 +187,14 @@ class CommandedFlight:
         first = self._truth is None
         self._truth = truth
         if first:
-            self._enter(self.mode)
+            self._enter_mode(self.mode)
         # A new mission was uploaded: start at its first item.
         if self._missions.revision != self._mission_seen:
             self._mission_seen = self._missions.revision
             self.seq = 0
             self._reached_us = None
             if self.goal_active and self.mode == FlightMode.MISSION and not self._missions.items:
-                self._enter(FlightMode.HOLD)
+                self._enter_mode(FlightMode.HOLD)
         messages: list[Message] = []
         if self.armed and self.goal_active:
             messages = self._fly(truth)
@@ -210,8 +210,8 @@ class CommandedFlight:
         elif self.mode == FlightMode.MISSION:
             return self._fly_mission(truth)
         elif self.mode == FlightMode.RETURN:
-            if self._is_there(self.goal.r_ned_m):
-                self._enter(FlightMode.LAND)
+            if self._has_reached(self.goal.r_ned_m):
+                self._enter_mode(FlightMode.LAND)
         elif self.mode == FlightMode.LAND:
             return self._touch_down(truth)
         return []
@@ -219,22 +219,22 @@ class CommandedFlight:
     def _fly_mission(self, truth: Truth) -> list[Message]:
         item = self._missions.items[self.seq]
         if item.command == Command.RETURN_TO_LAUNCH:
-            self._enter(FlightMode.RETURN)
+            self._enter_mode(FlightMode.RETURN)
             # The item counts as reached when its command starts.
             return [make_message("MISSION_ITEM_REACHED", seq=self.seq)]
         if item.command == Command.CHANGE_SPEED:
             self.set_speed(item.params[1])
         elif item.command != Command.DELAY:
             # Compare identity: two equal items in a row are two goals.
-            if self._aimed_at is not item:
-                self._aimed_at = item
+            if self._goal_item is not item:
+                self._goal_item = item
                 kind = GoalKind.LAND if item.command == Command.LAND else GoalKind.FLY
                 yaw = math.radians(item.params[3])
-                self.goal = Goal(kind, self._place(item), self._speed_mps, yaw)
+                self.goal = Goal(kind, self._item_position(item), self._speed_mps, yaw)
             if self.goal.kind is GoalKind.LAND:
                 return self._touch_down(truth)
             # An item stays reached even if wind carries the vehicle away again.
-            if self._reached_us is None and not self._is_there(self.goal.r_ned_m):
+            if self._reached_us is None and not self._has_reached(self.goal.r_ned_m):
                 return []
         # Items without a position, such as a delay, are reached at once.
         if self._reached_us is None:
@@ -276,28 +276,28 @@ class CommandedFlight:
             messages.insert(0, make_message("MISSION_ITEM_REACHED", seq=self.seq))
         return messages
 
-    def _enter(self, mode: FlightMode) -> None:
+    def _enter_mode(self, mode: FlightMode) -> None:
         """Set a mode, and its goal from the current position."""
         self.mode = mode
-        self._aimed_at = None
+        self._goal_item = None
         self._reached_us = self._ground_us = None
         if not self.armed:
             return
         if mode == FlightMode.TAKEOFF:
             height = self._parameters["MIS_TAKEOFF_ALT"]
-            place = self._above_here(self.home.alt_m + height)
+            position = self._position_at(self.home.alt_m + height)
         elif mode == FlightMode.RETURN:
-            here = self._here()
+            current = self._position()
             # Never below the current height: there may be obstacles on the way home.
-            height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(here[2]))
-            place = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
+            height = max(float(self._parameters["RTL_RETURN_ALT"]), -float(current[2]))
+            position = self._locate(self.home.lat_deg, self.home.lon_deg, self.home.alt_m + height)
         else:
-            place = self._here()
+            position = self._position()
         kind = GoalKind.LAND if mode == FlightMode.LAND else GoalKind.FLY
         # In HOLD on the ground the motors stay off.
         if mode == FlightMode.HOLD and self.landed == LandedState.ON_GROUND:
             kind = GoalKind.IDLE
-        self.goal = Goal(kind, place, self._speed_mps)
+        self.goal = Goal(kind, position, self._speed_mps)
 
     def _landed_state(self, truth: Truth) -> LandedState:
         if truth.on_ground:
@@ -308,23 +308,23 @@ class CommandedFlight:
         landing = self.mode == FlightMode.LAND or self.goal.kind is GoalKind.LAND
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
-    def _place(self, item: MissionItem) -> Vector:
+    def _item_position(self, item: MissionItem) -> Vector:
         """Position of an item in NED; 0, 0 means here, as in a take-off item without a position."""
         alt_m = item.z_m + (self.home.alt_m if item.relative else 0.0)
         if item.x_degE7 == 0 and item.y_degE7 == 0:
-            return self._above_here(alt_m)
+            return self._position_at(alt_m)
         return self._locate(item.x_degE7 * 1e-7, item.y_degE7 * 1e-7, alt_m)
 
-    def _here(self) -> Vector:
+    def _position(self) -> Vector:
         return np.zeros(3) if self._truth is None else self._truth.r_ned_m.copy()
 
-    def _above_here(self, alt_m: float) -> Vector:
-        here = self._here()
-        here[2] = self.home.alt_m - alt_m
-        return here
+    def _position_at(self, alt_m: float) -> Vector:
+        current = self._position()
+        current[2] = self.home.alt_m - alt_m
+        return current
 
-    def _is_there(self, place: Vector) -> bool:
-        north, east, down = (place - self._here()).tolist()
+    def _has_reached(self, position: Vector) -> bool:
+        north, east, down = (position - self._position()).tolist()
         near = math.hypot(north, east) < self._acceptance_m
         # A circling vehicle has a large acceptance radius, which applies to its height, too.
         return near and abs(down) < max(HEIGHT_TOLERANCE_M, self._acceptance_m)

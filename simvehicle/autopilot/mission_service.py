@@ -143,10 +143,10 @@ class Missions:
             return [_request_item(upload)]
         item = read_item(frame)
         # One invalid item rejects the mission: a partial mission must not be flown.
-        wrong = check_item(item)
-        if wrong is not None:
+        error = check_item(item)
+        if error is not None:
             self.upload = None
-            return [_ack(frame, wrong, kind)]
+            return [_ack(frame, error, kind)]
         upload = replace(upload, items=(*upload.items, item), requested_us=t_us, retries=0)
         if len(upload.items) < upload.count:
             self.upload = upload

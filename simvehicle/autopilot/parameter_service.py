@@ -65,12 +65,12 @@ class Parameters:
         if name not in self._values:
             return []
         integer = isinstance(self._values[name], int)
-        sent_as = frame.number("param_type")
+        sent_type = frame.number("param_type")
         value = frame.number("param_value")
         # Bytewise encoding: the float's bytes are the integer's.
-        if integer and sent_as == PARAM_INT32:
+        if integer and sent_type == PARAM_INT32:
             self._values[name] = struct.unpack("<i", struct.pack("<f", value))[0]
-        elif not integer and sent_as == PARAM_REAL32 and math.isfinite(value):
+        elif not integer and sent_type == PARAM_REAL32 and math.isfinite(value):
             self._values[name] = float(value)
         # Also after a refusal: PARAM_VALUE reports the unchanged value.
         return [self._value(name)]

@@ -132,11 +132,11 @@ def solve_navigation(
     design, still = np.zeros((rows, m)), np.zeros(3)
     for _ in range(ITERATIONS_MAX):
         own_s = tow_s - x[FIRST_CLOCK] / SPEED_OF_LIGHT_MPS
-        seen = signal_geometry_rows(table, own_s, x, still, coefficients, troposphere)
-        _linearise(observed, seen, x, design, residual)
+        geometry = signal_geometry_rows(table, own_s, x, still, coefficients, troposphere)
+        _linearise(observed, geometry, x, design, residual)
         for i in range(n if near else 0):
             # Errors grow towards the horizon roughly with the inverse sine of the elevation.
-            weights[i] = (max(sin(seen[SAT_ELEVATION, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
+            weights[i] = (max(sin(geometry[SAT_ELEVATION, i]), SINE_MIN) / ZENITH_SIGMA_M) ** 2
         if rows > n:
             _fill_height_row(known_height, x, design, residual)
             weights[n] = 1.0 / known_height[1] ** 2 if near else 1.0
@@ -157,24 +157,24 @@ def solve_navigation(
         return out
     for a in range(m):
         out[POSITION + a] = x[a]  # and the clocks
-    _add_velocity(out, seen, observed.rate_mps, design, weights)
+    _add_velocity(out, geometry, observed.rate_mps, design, weights)
     _add_local(out, covariance)
     return out
 
 
 @compiled
 def _linearise(
-    observed: ReceiverObservations, seen: Vector, x: Vector, design: Vector, residual: Vector
+    observed: ReceiverObservations, geometry: Vector, x: Vector, design: Vector, residual: Vector
 ) -> None:
     """Fill in the n pseudorange rows of the design matrix and the residuals."""
     for i in range(len(observed.code_m)):
-        own = FIRST_CLOCK + observed.system[i]
+        clock_at = FIRST_CLOCK + observed.system[i]
         # Moving towards the satellite shortens the range.
         for a in range(3):
-            design[i, a] = -seen[LINE_OF_SIGHT + a, i]
-        design[i, own] = 1.0
-        model_m = seen[RANGE, i] - SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK, i]
-        residual[i] = observed.code_m[i] - (model_m + seen[DELAY, i] + x[own])
+            design[i, a] = -geometry[LINE_OF_SIGHT + a, i]
+        design[i, clock_at] = 1.0
+        model_m = geometry[RANGE, i] - SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK, i]
+        residual[i] = observed.code_m[i] - (model_m + geometry[DELAY, i] + x[clock_at])
 
 
 @compiled
@@ -191,7 +191,7 @@ def _fill_height_row(
 
 @compiled
 def _add_velocity(
-    out: Vector, seen: Vector, rate_mps: Vector, design: Vector, weights: Vector
+    out: Vector, geometry: Vector, rate_mps: Vector, design: Vector, weights: Vector
 ) -> None:
     """Solve for velocity and drift from range rates; changes `design` to a single clock.
 
@@ -200,7 +200,7 @@ def _add_velocity(
     residual = np.zeros(len(design))
     for i in range(len(rate_mps)):
         residual[i] = (
-            rate_mps[i] - seen[RANGE_RATE, i] + SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK_RATE, i]
+            rate_mps[i] - geometry[RANGE_RATE, i] + SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK_RATE, i]
         )
         design[i, FIRST_CLOCK] = 1.0
     # A literal 4 would make numba compile `least_squares` again for that literal type.

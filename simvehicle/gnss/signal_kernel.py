@@ -88,17 +88,19 @@ def simulate_signals(
         # The receiver samples on its own clock, so it moves by the offset until then.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
-    seen = signal_geometry_rows(
+    geometry = signal_geometry_rows(
         table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere
     )
     out = np.empty((4, len(table)))
     for k in range(len(table)):
-        elevation = seen[SAT_ELEVATION, k]
+        elevation = geometry[SAT_ELEVATION, k]
         # Antenna gain falls towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[CN0_DROP, k]
         code = (
-            seen[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - seen[SAT_CLOCK, k]) + seen[DELAY, k]
+            geometry[RANGE, k]
+            + SPEED_OF_LIGHT_MPS * (offset_s - geometry[SAT_CLOCK, k])
+            + geometry[DELAY, k]
         )
         # The inter-system bias is common to all Galileo satellites: the receiver estimates it.
         code += levels[GALILEO] * channel.galileo[k] + faults[RANGE_ADDED, k]
@@ -106,7 +108,7 @@ def simulate_signals(
         # The process has unit variance: scale it to the elevation.
         code += levels[MULTIPATH] * _multipath_sigma(elevation) * wander[0, k]
         code += levels[THERMAL] * _code_sigma(cn0) * noise[0, k]
-        rate = seen[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - seen[SAT_CLOCK_RATE, k])
+        rate = geometry[RANGE_RATE, k] + SPEED_OF_LIGHT_MPS * (drift - geometry[SAT_CLOCK_RATE, k])
         rate += faults[RATE_ADDED, k] + levels[THERMAL] * _rate_sigma(cn0) * noise[1, k]
         out[ELEVATION, k], out[CN0, k], out[CODE, k], out[RATE, k] = elevation, cn0, code, rate
     return out

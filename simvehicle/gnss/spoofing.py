@@ -40,12 +40,12 @@ class SpoofedPlace(NamedTuple):
         """The spoofed latitude, longitude [rad], height [m] and velocity NED (6,)."""
         meridian_m, prime_m = curvature_radii(here[0])
         north_m, east_m, down_m = self.offset_m[:DELAY].tolist()
-        there = here.copy()
-        there[0] += north_m / (float(meridian_m) + here[2])
-        there[1] += east_m / ((float(prime_m) + here[2]) * np.cos(here[0]))
-        there[2] -= down_m
-        there[3:] += self.offset_mps[:DELAY]
-        return there
+        spoofed = here.copy()
+        spoofed[0] += north_m / (float(meridian_m) + here[2])
+        spoofed[1] += east_m / ((float(prime_m) + here[2]) * np.cos(here[0]))
+        spoofed[2] -= down_m
+        spoofed[3:] += self.offset_mps[:DELAY]
+        return spoofed
 
 
 def spoofed_places(spoof: Vector, before: Vector, step_s: float) -> Iterator[SpoofedPlace]:

@@ -101,12 +101,12 @@ class FixedWingController:
         vn, ve, vd = truth.v_ned_mps.tolist()
         if isinstance(self.track, PathTrack) and self.track.finished:
             end = self.track.setpoint_from(north, east, 0.0)
-            wait = self.circle(north, east, end.height_m, end.speed_mps)
+            circle = self.circle(north, east, end.height_m, end.speed_mps)
             # Centre to the right of the course: the vehicle is already on the circle.
-            course, radius = math.atan2(ve, vn), wait.radius_m
-            wait.north_m -= radius * math.sin(course)
-            wait.east_m += radius * math.cos(course)
-            self.track = wait
+            course, radius = math.atan2(ve, vn), circle.radius_m
+            circle.north_m -= radius * math.sin(course)
+            circle.east_m += radius * math.cos(course)
+            self.track = circle
         ground_speed = max(math.hypot(vn, ve), 1.0)
         setpoint = self.track.setpoint_from(north, east, ground_speed * self.roll_lag_s)
         if self.landing and truth.on_ground:
@@ -184,16 +184,18 @@ class FixedWingController:
         """Deflection [rad] that doubles the airframe's pitch stiffness and adds damping."""
         aero, integrals, inverse = self.vehicle.aero, self._integrals, self.vehicle.body.inverse_jy
         chord = self.vehicle.parameters.wing.chord_m
-        own = -motion.qs * chord * aero.cma * inverse
+        stiffness = -motion.qs * chord * aero.cma * inverse
         power = motion.qs * chord * aero.cmde * inverse
         damping = -0.5 * motion.qs * chord * chord * aero.cmq / motion.airspeed * inverse
-        added = max(own, 20.0)
-        lack = max(0.0, 1.4 * math.sqrt(max(0.0, own + added)) - damping)
+        added = max(stiffness, 20.0)
+        extra_damping = max(0.0, 1.4 * math.sqrt(max(0.0, stiffness + added)) - damping)
         integrals.pitch += 0.5 * added * (pitch - motion.pitch) / self.rate_hz
         integrals.pitch = max(-10.0, min(10.0, integrals.pitch))
         bank_effect = math.tan(motion.roll) * math.sin(motion.roll)
         turning = STANDARD_GRAVITY_MPS2 / motion.airspeed * bank_effect
-        moment = added * (pitch - motion.pitch) + integrals.pitch - lack * (motion.q - turning)
+        moment = (
+            added * (pitch - motion.pitch) + integrals.pitch - extra_damping * (motion.q - turning)
+        )
         return moment / power + point.elevator_rad
 
     def _aileron(self, point: TrimPoint, motion: WingMotion, bank: float) -> float:
@@ -204,10 +206,10 @@ class FixedWingController:
         damping = -gain * (body.g3 * aero.crp + body.g4 * aero.cnp)
         power = motion.qs * span * (body.g3 * aero.crda + body.g4 * aero.cnda)
         stiff = max(25.0, 3.5 * damping)
-        lack = max(0.0, 1.4 * math.sqrt(stiff) - damping)
+        extra_damping = max(0.0, 1.4 * math.sqrt(stiff) - damping)
         integral = integrals.bank + 0.3 * (bank - motion.roll) / self.rate_hz
         integrals.bank = max(-0.3, min(0.3, integral))
-        return (stiff * (bank + integrals.bank - motion.roll) - lack * motion.p) / power
+        return (stiff * (bank + integrals.bank - motion.roll) - extra_damping * motion.p) / power
 
     def _rudder(self, motion: WingMotion) -> float:
         """Deflection [rad] that damps yaw about the rate of a coordinated turn."""

@@ -146,11 +146,11 @@ def plan_path(
     for number, leg in enumerate(legs):
         speed = leg.speed_mps or cruise_mps
         radius = turn_radius(speed, wind_mps, acceleration_mps2)
-        least = smallest_size(leg.shape, radius)
-        if leg.size_m < least:
+        smallest = smallest_size(leg.shape, radius)
+        if leg.size_m < smallest:
             raise ConfigError(
                 f"mission[{number}].size_m = {leg.size_m:g} is too small for a {leg.shape} at "
-                f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; use at least {math.ceil(least)}"
+                f"{speed:g} m/s in {wind_mps:.1f} m/s of wind; use at least {math.ceil(smallest)}"
             )
         spacing = min(spacing, 0.1 * speed + 0.2)
         for length, curvature in lap_arcs(leg.shape, leg.size_m, radius) * leg.laps:

@@ -41,31 +41,31 @@ def path_waypoints(path: MissionPath, start: StartConfig, kind: str) -> tuple[Wa
 
 def simplify_path(path: MissionPath, longest_m: float, chord_m: float) -> list[int]:
     """Indices of points whose straight connections stay within `chord_m` of the path."""
-    places = path.north_m + 1j * path.east_m
-    most = max(round(longest_m / path.spacing_m), 1)
+    points = path.north_m + 1j * path.east_m
+    max_points = max(round(longest_m / path.spacing_m), 1)
     chosen = [0]
-    while (first := chosen[-1]) < len(places) - 1:
-        last = min(first + most, len(places) - 1)
+    while (first := chosen[-1]) < len(points) - 1:
+        last = min(first + max_points, len(points) - 1)
         # Shorten the leg until every point between its ends is close enough to the chord.
-        while last > first + 1 and _chord_deviation(places[first : last + 1]) > chord_m:
+        while last > first + 1 and _chord_deviation(points[first : last + 1]) > chord_m:
             last -= 1
         chosen.append(last)
     return chosen
 
 
-def _chord_deviation(places: NDArray[np.complex128]) -> float:
+def _chord_deviation(points: NDArray[np.complex128]) -> float:
     """Largest distance [m] of points (n,), as complex numbers, from the chord of their ends."""
-    chord = places[-1] - places[0]
+    chord = points[-1] - points[0]
     if abs(chord) == 0.0:
-        return float(np.abs(places - places[0]).max())
-    return float(np.abs(((places - places[0]) * chord.conjugate()).imag).max() / abs(chord))
+        return float(np.abs(points - points[0]).max())
+    return float(np.abs(((points - points[0]) * chord.conjugate()).imag).max() / abs(chord))
 
 
 def make_waypoint(
-    start: StartConfig, place_m: tuple[float, float, float], speed_mps: float
+    start: StartConfig, position_m: tuple[float, float, float], speed_mps: float
 ) -> Waypoint:
-    """A waypoint at `place_m`: north, east and above the start [m]."""
-    north_m, east_m, height_m = place_m
+    """A waypoint at `position_m`: north, east and above the start [m]."""
+    north_m, east_m, height_m = position_m
     meridian_m, normal_m = (float(r) for r in curvature_radii(math.radians(start.lat_deg)))
     parallel_m = normal_m * math.cos(math.radians(start.lat_deg))
     return Waypoint(

@@ -37,10 +37,10 @@ class Plain(NamedTuple):
     x: Doubles  # (m,) the vehicle's state
     after: Doubles  # (m,)
     controls: Doubles  # (k,)
-    load: Doubles  # (LOAD,)
+    load: Doubles  # (LOAD_SIZE,)
     wind: Doubles  # (2, 3) of the last step and of the next one
     around: Doubles  # (9,)
-    here: Doubles  # (PLACE,) what `locate_state` fills in
+    here: Doubles  # (LOCATION_SIZE,) output of `locate_state`
     home: Doubles  # (13,)
     packed: Doubles  # the vehicle's parameters
     law: Doubles  # (11,) the weather's, and its filters and draws

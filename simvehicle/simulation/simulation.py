@@ -101,7 +101,7 @@ class Simulation:
         self._controls = np.zeros(self.vehicle.controls_count)
         self._commands = self._controls
         self.packed_home = self.home.packed
-        self._x = self._begin()
+        self._x = self._initial_state()
         # Before the first step, the specific force and battery of the truth are zero.
         self.truth = self._observe(np.zeros(6), self.weather.steady_mps.copy())
         # Created after the first truth, as its gains depend on the air density.
@@ -141,7 +141,7 @@ class Simulation:
             The readings delivered at this step; the IMU's comes first.
         """
         self._controls = self.commanded() if controls is None else self._checked(controls)
-        self._t_us, steps, dt, wind, surroundings = self._ahead or self._outside()
+        self._t_us, steps, dt, wind, surroundings = self._ahead or self._next_inputs()
         self._ahead = None
         self._x, load = self.vehicle.advance(self._x, self._controls, surroundings, steps, dt)
         self.truth = self._observe(load, wind)
@@ -150,7 +150,7 @@ class Simulation:
     def prepare(self) -> None:
         """Compute the inputs of the next step that do not depend on its controls; a change of the
         wind then takes effect one step later."""
-        self._ahead = self._ahead or self._outside()
+        self._ahead = self._ahead or self._next_inputs()
 
     def step_state(self) -> StepState:
         """The state now, with the inputs of the next step."""
@@ -174,7 +174,7 @@ class Simulation:
         """Continue after steps that were computed elsewhere; call it after `adopt_state`."""
         self._count, self._ahead, self._controls = state.number, state[3:], controls
 
-    def _outside(self) -> tuple[int, int, float, Array, Array]:
+    def _next_inputs(self) -> tuple[int, int, float, Array, Array]:
         """The next step's end [us], its number of substeps and their length [s], wind and
         surroundings."""
         self._count += 1
@@ -260,7 +260,7 @@ class Simulation:
         known = ", ".join((*self.vehicle.plant_names, *_WIND_PLANT_NAMES))
         raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
-    def _begin(self) -> Array:
+    def _initial_state(self) -> Array:
         """The vehicle's initial state: trimmed flight in the air, or standing on the ground."""
         start, scenario = self.scenario.start, self.scenario
         heading = math.radians(start.heading_deg)
@@ -298,10 +298,10 @@ class Simulation:
 
     def _air_and_gravity(self, x: Array) -> tuple[float, float]:
         """Air density [kg/m^3] and gravity [m/s^2] at a state's position."""
-        place = np.empty(LOCATION_SIZE)
-        locate_state(x, np.zeros(3), self.packed_home, place)
-        self._gravity = place[LOCAL_GRAVITY:]
-        return float(place[AIR + 2]), float(np.linalg.norm(self._gravity))
+        location = np.empty(LOCATION_SIZE)
+        locate_state(x, np.zeros(3), self.packed_home, location)
+        self._gravity = location[LOCAL_GRAVITY:]
+        return float(location[AIR + 2]), float(np.linalg.norm(self._gravity))
 
     def _controller(self) -> Controller:
         scenario, density = self.scenario, self.truth.density_kgpm3
@@ -333,16 +333,16 @@ class Simulation:
 
     def _observe(self, load: Array, wind: Array) -> Truth:
         """The truth of the current state."""
-        x, place = self._x, np.empty(LOCATION_SIZE)
-        locate_state(x, wind, self.packed_home, place)
-        lat, lon, height, pressure, temperature, density = place[:VELOCITY].tolist()
+        x, location = self._x, np.empty(LOCATION_SIZE)
+        locate_state(x, wind, self.packed_home, location)
+        lat, lon, height, pressure, temperature, density = location[:VELOCITY].tolist()
         # The height depends on the whole state, so it reveals any divergence.
         if not math.isfinite(height):
             raise ConfigError(
                 f"the simulation diverged at {self._t_us * 1e-6:.3f} s; check the vehicle's "
                 "parameters, controls and plant faults"
             )
-        self._gravity = place[LOCAL_GRAVITY:]
+        self._gravity = location[LOCAL_GRAVITY:]
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
         volts, amperes, charge = load[VOLTS:].tolist()
@@ -354,11 +354,11 @@ class Simulation:
             alt,
             agl,
             x[:U],
-            place[VELOCITY:ATTITUDE],
-            place[ATTITUDE:AIR_VELOCITY],
+            location[VELOCITY:ATTITUDE],
+            location[ATTITUDE:AIR_VELOCITY],
             x[P:RIGID_SIZE],
             load[:VOLTS],
-            place[AIR_VELOCITY:LOCAL_GRAVITY],
+            location[AIR_VELOCITY:LOCAL_GRAVITY],
             wind,
             pressure,
             temperature,

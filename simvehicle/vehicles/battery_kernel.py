@@ -30,5 +30,5 @@ def battery_output(supply: BatterySupply, drawn_as: float, current_a: float) -> 
     charge = min(1.0, max(0.0, 1.0 - drawn_as / (3600.0 * supply.capacity_ah)))
     # The two lines meet at a tenth of the charge, at 3.66 V per cell.
     cell = 3.6 + 0.6 * charge if charge > 0.1 else 3.0 + 6.6 * charge
-    fall = supply.resistance_ohm * (current_a * supply.resistance_scale)
-    return max(0.0, supply.cells * cell - fall) * supply.voltage_scale, charge
+    drop = supply.resistance_ohm * (current_a * supply.resistance_scale)
+    return max(0.0, supply.cells * cell - drop) * supply.voltage_scale, charge

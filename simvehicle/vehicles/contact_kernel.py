@@ -56,9 +56,9 @@ def contact_loads(
         vy = v + r * x - p * z
         vz = w + p * y - q * x
         vn, ve, vd = to_ned(e0, e1, e2, e3, vx, vy, vz)
-        press = wheels.stiffness * depth + wheels.damping * vd
+        normal = wheels.stiffness * depth + wheels.damping * vd
         # The ground never pulls, even if the damper would.
-        press = press if depth > 0.0 and press > 0.0 else 0.0
+        normal = normal if depth > 0.0 and normal > 0.0 else 0.0
         # Split the horizontal velocity along and across the heading.
         cn, ce, _ = to_ned(e0, e1, e2, e3, 1.0, 0.0, 0.0)
         length = np.sqrt(cn * cn + ce * ce) + 1e-9
@@ -67,16 +67,16 @@ def contact_loads(
         aside = -vn * ce + ve * cn
         # The creep speed keeps the friction continuous at rest.
         slip = np.sqrt(ahead * ahead + aside * aside) + _CREEP_MPS
-        rub_along = -wheels.along * press * ahead / slip
-        rub_across = -wheels.across * press * aside / slip
+        friction_along = -wheels.along * normal * ahead / slip
+        friction_across = -wheels.across * normal * aside / slip
         gx, gy, gz = to_body(
             e0,
             e1,
             e2,
             e3,
-            rub_along * cn - rub_across * ce,
-            rub_along * ce + rub_across * cn,
-            -press,
+            friction_along * cn - friction_across * ce,
+            friction_along * ce + friction_across * cn,
+            -normal,
         )
         fx += gx
         fy += gy

@@ -92,7 +92,7 @@ def vehicle(folder: Path) -> Simulation:
 
 
 def play(answers: dict[int, bytes], folder: Path) -> list[bytes]:
-    """The simulator's frames for a PX4 that answers as recorded, to the log's end, in one process."""
+    """The simulator's frames for a PX4 that answers as recorded, to the end of the log."""
     simulation, hil, mix = vehicle(folder), HilPacker(), motor_mix(4)
     controls = Controls(mix([0.0] * 16), armed=False)
     got: list[bytes] = []

@@ -48,7 +48,7 @@ class Stone:
         return after, np.zeros(6)
 
 
-class Nobody:
+class NoController:
     """Steers nothing."""
 
     rate_hz, drifts, lateral_mps2 = 10.0, False, 1.0
@@ -64,7 +64,7 @@ class Nobody:
 
 STONE = KindDefinition(
     read=Stone,
-    controller=lambda *_: Nobody(),
+    controller=lambda *_: NoController(),
     mav_type=lambda _: MavType.FIXED_WING,
     mix=lambda _: lambda channels: np.array(channels[:1]),
     actuators=lambda _: ["nothing"],
