@@ -191,8 +191,8 @@ class FixedWingController:
         extra_damping = max(0.0, 1.4 * math.sqrt(max(0.0, stiffness + added)) - damping)
         integrals.pitch += 0.5 * added * (pitch - motion.pitch) / self.rate_hz
         integrals.pitch = max(-10.0, min(10.0, integrals.pitch))
-        bank_effect = math.tan(motion.roll) * math.sin(motion.roll)
-        turning = STANDARD_GRAVITY_MPS2 / motion.airspeed * bank_effect
+        roll = motion.roll
+        turning = STANDARD_GRAVITY_MPS2 / motion.airspeed * math.tan(roll) * math.sin(roll)
         moment = (
             added * (pitch - motion.pitch) + integrals.pitch - extra_damping * (motion.q - turning)
         )
