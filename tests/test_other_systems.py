@@ -70,7 +70,7 @@ PYTEST = """
 import pytest
 code = pytest.main(sys.argv[1:])
 from mavproxy_fault.links import datagram_batch
-assert not datagram_batch.BATCHES
+assert not datagram_batch.HAS_RECVMMSG
 sys.exit(code)
 """
 
@@ -89,7 +89,7 @@ def test_every_module_is_imported_without_what_only_linux_has() -> None:
 
 def test_a_serial_device_tells_what_is_missing() -> None:
     assert run_masked(SERIAL).stdout == (
-        "COM3,57600: serial devices need termios, which this system has not; "
+        "COM3,57600: serial devices need termios, which this system lacks; "
         "allowed here: udpin, udpout, tcp, tcpin\n"
     )
 

@@ -82,7 +82,7 @@ def test_the_page_tells_who_holds_its_port(capsys: pytest.CaptureFixture[str]) -
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert main(("ui", "--port", str(port))) == 2
-    held = f"port {port} is held by"
+    held = f"port {port} is in use by"
     assert f"--port {port}: Address already in use ({held}" in capsys.readouterr().err
 
 

@@ -1,4 +1,4 @@
-"""ArduPilot's SITL program, started with the bridge's ports and parameters, and ended with it."""
+"""ArduPilot's SITL process, started with the bridge's ports and parameters; ends with it."""
 
 import shlex
 import shutil
@@ -12,12 +12,12 @@ from mavproxy_fault.documents.errors import ConfigError
 
 OUTPUT_LOG = "autopilot.log"
 PARAMETER_FILE = "bridge.parm"
-SPEEDUP = 100  # above what any machine reaches: the HIL link sets the pace, not ArduPilot's sleep
+SPEEDUP = 100  # unreachably high, so that the HIL link sets the pace, not ArduPilot's sleep
 
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """Where the bridge listens on the loopback address."""
+    """Ports of the bridge on the loopback address."""
 
     physics: int  # UDP
     mavlink: int  # UDP
@@ -25,27 +25,27 @@ class Ports:
 
 
 def check_command(binary: str) -> list[str]:
-    """The words of a command, its program found.
+    """Split a command into arguments and resolve its program.
 
     Raises
     ------
     ConfigError
-        If there is no such program.
+        If the program does not exist.
     """
-    words = shlex.split(binary)
-    found = shutil.which(words[0]) if words else None
-    if found is None:
+    arguments = shlex.split(binary)
+    program = shutil.which(arguments[0]) if arguments else None
+    if program is None:
         raise ConfigError(
-            f"--binary: {binary!r} is no program; give ArduPilot's SITL binary, which "
-            "`./waf configure --board sitl && ./waf copter` leaves in build/sitl/bin/arducopter"
+            f"--binary: {binary!r} is not a program; give ArduPilot's SITL binary, which "
+            "`./waf configure --board sitl && ./waf copter` builds as build/sitl/bin/arducopter"
         )
-    return [str(Path(found).resolve()), *words[1:]]
+    return [str(Path(program).resolve()), *arguments[1:]]
 
 
 def start_process(
-    words: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
+    command: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
 ) -> "subprocess.Popen[bytes]":
-    """Start the program in `folder`; later files of `defaults` win."""
+    """Start the program in `folder`; later files of `defaults` take precedence."""
     place = f"{home.lat_e7 * 1e-7:.7f},{home.lon_e7 * 1e-7:.7f},{home.alt_mm * 1e-3:.3f}"
     options = {
         "--model": "JSON:127.0.0.1",
@@ -66,7 +66,7 @@ def start_process(
     arguments = [word for option in options.items() for word in option]
     with (folder / OUTPUT_LOG).open("wb") as output:
         return subprocess.Popen(
-            [*words, "-w", *arguments],
+            [*command, "-w", *arguments],
             cwd=folder,
             stdin=subprocess.DEVNULL,
             stdout=output,

@@ -1,7 +1,7 @@
-"""The bridge: a step of the HIL link to ArduPilot, its outputs back, MAVLink either way.
+"""The bridge: HIL steps to ArduPilot, its outputs back, MAVLink both ways.
 
-ArduPilot's outputs after a line of physics answer the step that the line told, so that simulator
-and autopilot are in lockstep. Before ArduPilot asks for its first line the simulator goes on alone.
+ArduPilot's outputs after a line of JSON physics answer the step of that line, so that simulator and
+autopilot run in lockstep. Until ArduPilot requests its first line the simulator runs alone.
 """
 
 from collections.abc import Callable
@@ -17,35 +17,35 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
-ANSWERS, TELEMETRY = 0, 1  # what goes back, as streams: no frame goes over from one to the other
+ANSWERS, TELEMETRY = 0, 1  # stream numbers of returned data: a frame never spans both
 
 ReplyHandler = Callable[[int, bytes], None]
 
 
 class Bridge:
-    """One flight, from the autopilot's start on.
+    """One flight, from the start of the autopilot.
 
     Parameters
     ----------
     answer : callable
-        Is given what goes back on the HIL link: ANSWERS or TELEMETRY, and bytes.
-    seen : Seen
-        What it has told so far.
+        Sends data back on the HIL link: takes ANSWERS or TELEMETRY, and bytes.
+    discovered : DiscoveredVehicle
+        Result of the sensor discovery.
     ports : (Datagrams, Datagrams, SensorPort)
-        Physics, MAVLink and the VectorNav, towards ArduPilot.
+        Physics, MAVLink and VectorNav ports to ArduPilot.
     channels : Channels
-        Outputs to PX4's channels.
+        Converts outputs to PX4's channels.
 
     Attributes
     ----------
     steps, t_us : int
-        How many came, and the vehicle's time of the last.
+        Number of steps, and vehicle time of the last.
     """
 
     def __init__(
         self,
         answer: ReplyHandler,
-        seen: DiscoveredVehicle,
+        discovered: DiscoveredVehicle,
         ports: tuple[Datagrams, Datagrams, SensorPort],
         channels: Channels,
         say: Callable[[str], None],
@@ -53,22 +53,22 @@ class Bridge:
         self.armed = False
         self.steps = self.t_us = 0
         self._answer = answer
-        self._readings = seen.readings
+        self._readings = discovered.readings
         self.physics, self._mavlink, self._sensor = ports
         self._channels = channels
         self._say = say
-        self._feed = SensorFeed(seen.home)
+        self._feed = SensorFeed(discovered.home)
         self._companion = CompanionFeed()
-        self._preparation = Preparation(seen.home)
+        self._preparation = Preparation(discovered.home)
         self._parser = Parser()
         self._seq = 0
-        self._line: tuple[int, bytes] | None = None  # stamp and physics of a step yet to be sent
-        self._sent_us: int | None = None  # the stamp of the step that ArduPilot works on
+        self._line: tuple[int, bytes] | None = None  # time and physics of the step to be sent next
+        self._sent_us: int | None = None  # time of the step that ArduPilot is processing
         self._line_requested = False  # ArduPilot waits for a line
         self._accepted = -1
 
     def descriptors(self) -> dict[int, Callable[[], None]]:
-        """What to wait for towards ArduPilot, and what serves it."""
+        """Return the descriptors of ArduPilot's ports with their handlers."""
         return {
             self.physics.fileno(): self._serve_physics,
             self._mavlink.fileno(): self._serve_mavlink,
@@ -76,18 +76,18 @@ class Bridge:
         }
 
     def drain(self) -> None:
-        """Answer ArduPilot with the last state, a step later each time, so that it can end."""
+        """Repeat the last state with advancing time, so that ArduPilot can shut down."""
         truth = self._readings.truth
         if truth is None:
             return
         for _ in self.physics.read():
-            # 2500 us are a step at 400 Hz: ArduPilot gets to its end only while time goes on.
+            # 2500 us is a step at 400 Hz: ArduPilot shuts down only while time advances.
             later = truth._replace(t_us=(self._sent_us or truth.t_us) + 2500)
             self._sent_us = later.t_us
             self.physics.write(self._feed.step(self._readings, later).physics)
 
     def receive(self, frame: Frame) -> None:
-        """A frame of the HIL link."""
+        """Process a frame of the HIL link."""
         if self._readings.update(frame):
             self._end_step()
         elif (raw := self._companion.step(frame, self.t_us)) is not None:
@@ -107,7 +107,7 @@ class Bridge:
         self._send_step()
 
     def _send_step(self) -> None:
-        """Answer ArduPilot's request by the step that waits, if there are both."""
+        """Send the waiting step if ArduPilot has requested one."""
         if self._line_requested and self._line is not None:
             self._sent_us, line = self._line
             self._line, self._line_requested = None, False
@@ -120,8 +120,8 @@ class Bridge:
                 self._outputs(packet)
 
     def _outputs(self, packet: ServoPacket) -> None:
-        """ArduPilot has worked a step off, or asks again for the next one."""
-        # An unchanged count is a request repeated, not an answer to a step.
+        """Process servo outputs: the answer to a step, or a repeated request for the next."""
+        # An unchanged count is a repeated request, not the answer to a step.
         if packet.accepted != self._accepted and self._sent_us is not None:
             channels = self._channels(packet.pwm_us)
             raw = actuator_frame(self._sent_us, channels, self._next(), armed=self.armed)

@@ -1,6 +1,6 @@
 """The `ardupilot` command: the bridge, and the ArduPilot that it starts and ends.
 
-PX4 speaks first, and so does the bridge: a simulator waits for a word.
+Like PX4, the bridge sends the first message: a simulator waits for it.
 """
 
 import argparse
@@ -26,26 +26,28 @@ from mavproxy_fault.wire.frame import Frame, build_frame
 
 MAV_TYPES: dict[VehicleKind, int] = {"copter": 2, "plane": 1}
 ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
-WAIT_S = 0.5  # between looks at both sides
-SILENCE_S = 5.0  # without a step, after which it is told
+WAIT_S = 0.5  # between checks of both sides
+SILENCE_S = 5.0  # without a step until a warning; chosen: no false alarm on a busy machine
 
 
 class FlightEndError(RuntimeError):
-    """A side of the bridge went away."""
+    """One side of the bridge was closed."""
 
 
 def main(args: argparse.Namespace) -> int:
-    """`mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed, or the
-    program by a failure of its own."""
+    """Run `mavproxy-fault ardupilot`; the exit code is 1 if the flight ended while armed or the
+    autopilot process failed."""
     check_connection_options(args)
-    words = [] if args.binary is None else check_command(args.binary)
+    command = [] if args.binary is None else check_command(args.binary)
     own = user_parameter_files(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
         autopilot: BridgeAutopilot
-        if words:
+        if command:
             folder = Path(args.out)
-            autopilot = BridgedAutopilot(words, args.vehicle, folder, own, print_status, link.name)
+            autopilot = BridgedAutopilot(
+                command, args.vehicle, folder, own, print_status, link.name
+            )
         else:
             lines = open_link(args.vectornav), open_link(args.mavlink)
             autopilot = WiredAutopilot(*lines, args.vehicle, print_status, link.name)
@@ -62,26 +64,26 @@ def main(args: argparse.Namespace) -> int:
 
 
 def check_connection_options(args: argparse.Namespace) -> None:
-    """Refuse half a board, and a board beside a program.
+    """Require either --binary or both connections to a board.
 
     Raises
     ------
     ConfigError
-        With the option that is missing or too many.
+        With the missing or conflicting option.
     """
-    # Sensors without outputs fly nothing, and outputs without sensors neither.
+    # A board needs both: sensors in, outputs back.
     wired = args.vectornav is not None, args.mavlink is not None
     if args.binary is not None and any(wired):
-        raise ConfigError("--binary: is a program; --vectornav and --mavlink are lines to a board")
+        raise ConfigError("--binary: starts SITL; omit --vectornav and --mavlink (for a board)")
     if args.binary is None and not all(wired):
         raise ConfigError(
-            "ardupilot: needs --binary, ArduPilot's SITL program, or --vectornav and --mavlink, "
-            "the lines to a board"
+            "ardupilot: needs --binary (ArduPilot's SITL program), or both --vectornav and "
+            "--mavlink (connections to a board)"
         )
 
 
 class BridgeAutopilot(Protocol):
-    """What the exchange needs of ArduPilot, whether a program or a board."""
+    """The interface of ArduPilot to the exchange, whether a SITL process or a board."""
 
     @property
     def started(self) -> bool: ...
@@ -99,7 +101,7 @@ class BridgeAutopilot(Protocol):
 
 
 class BridgeLoop:
-    """Carries frames between a HIL link and the autopilot until either goes away."""
+    """Carries frames between a HIL link and the autopilot until either is closed."""
 
     def __init__(
         self,
@@ -110,18 +112,18 @@ class BridgeLoop:
     ) -> None:
         self._link, self._autopilot = link, autopilot
         self._say, self._silence_s = say, silence_s
-        self._steps = -1  # at the last look
-        self._silent_s: float | None = None  # when the last step was seen; None once it is told
+        self._steps = -1  # at the last check
+        self._silent_s: float | None = None  # time of the last step; None after the warning
 
     def run(self, word: bytes) -> None:
-        """Exchange, after a first `word` that is repeated until the autopilot has started.
+        """Exchange frames; the first message `word` is repeated until the autopilot has started.
 
         Raises
         ------
         FlightEndError
-            With what went away and when.
+            With the side that was closed, and when.
         ConfigError
-            If the autopilot does not fly on what comes.
+            If the autopilot cannot fly on the available sensors.
         """
         link, autopilot, inbox = self._link, self._autopilot, Inbox(self._link)
         look_s = 0.0
@@ -131,20 +133,20 @@ class BridgeLoop:
                 autopilot.receive(frame)
             for _, data in autopilot.read():
                 link.write(data)
-            # Before that a proxy may still be starting, or start anew.
+            # Before the start a proxy may still be starting or restarting.
             if autopilot.started and not link.peer_count:
                 raise self._ended(f"{link.name}: the HIL link was closed")
             if (now_s := time.monotonic()) >= look_s:
                 look_s = now_s + WAIT_S
-                # Again and again: on UDP the first may be lost.
+                # Repeated, as UDP may lose the first.
                 if not autopilot.started and link.peer_count:
                     link.write(word)
                 if (code := autopilot.poll()) is not None:
-                    raise self._ended(f"the autopilot's program ended {describe_exit(code)}")
+                    raise self._ended(f"the autopilot process ended {describe_exit(code)}")
                 self._watch_silence(now_s)
 
     def _watch_silence(self, now_s: float) -> None:
-        """Tell once that no step comes: the simulator may have died behind a proxy."""
+        """Warn once that no step arrives: the simulator may have died behind a proxy."""
         if self._autopilot.steps != self._steps:
             self._steps, self._silent_s = self._autopilot.steps, now_s
         elif self._silent_s is not None and now_s - self._silent_s > self._silence_s:
@@ -152,20 +154,20 @@ class BridgeLoop:
             self._silent_s = None
 
     def _ended(self, reason: str) -> FlightEndError:
-        """The error that says what ended the flight, and when."""
+        """Create the error that reports what ended the flight, and when."""
         flying = ", in flight" if self._autopilot.armed else ""
         at_s = self._autopilot.t_us * 1e-6
         return FlightEndError(f"{reason} at {at_s:.3f} s of vehicle time{flying}")
 
 
 def hello_heartbeat(kind: VehicleKind) -> bytes:
-    """The bridge's first word."""
+    """Encode the bridge's first message, a HEARTBEAT."""
     values = {"type": MAV_TYPES[kind], "autopilot": ARDUPILOT, "mavlink_version": 3}
     return build_frame(message_layout("HEARTBEAT"), values)
 
 
 def user_parameter_files(file: str | None) -> list[Path]:
-    """The user's parameter file, if there is one and it keeps the truth from the estimator."""
+    """Return the user's parameter file, if given, after checking its parameters."""
     if file is None:
         return []
     try:
@@ -177,5 +179,5 @@ def user_parameter_files(file: str | None) -> list[Path]:
 
 
 def print_status(text: str) -> None:
-    """A line to the person in front of the bridge."""
+    """Print a status line on standard error."""
     print(text, file=sys.stderr, flush=True)

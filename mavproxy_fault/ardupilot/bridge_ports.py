@@ -1,4 +1,4 @@
-"""The bridge's sockets towards ArduPilot, all on the loopback address."""
+"""The bridge's sockets to ArduPilot, all on the loopback address."""
 
 import contextlib
 import socket
@@ -13,7 +13,7 @@ DATAGRAM = 65_536
 
 
 class Datagrams:
-    """A UDP port with one peer, whoever spoke last."""
+    """A UDP port with one peer, the last sender."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -24,12 +24,12 @@ class Datagrams:
         self._peer: tuple[str, int] | None = None
 
     def fileno(self) -> int:
-        """For `select`."""
+        """The descriptor for `select`."""
         return self._socket.fileno()
 
     def read(self) -> list[bytes]:
-        """The datagram that waits longest; while there are more, the port stays readable."""
-        # A step is one datagram: to ask whether there is a second one would cost as much again.
+        """Return the oldest waiting datagram; the port stays readable while there are more."""
+        # A step is one datagram: checking for a second one would double the cost.
         try:
             data, self._peer = self._socket.recvfrom(DATAGRAM)
         except (BlockingIOError, ConnectionRefusedError):
@@ -37,7 +37,7 @@ class Datagrams:
         return [data]
 
     def write(self, data: bytes) -> None:
-        """Send to the peer; before it spoke the datagram is dropped."""
+        """Send to the peer; dropped if there is none yet."""
         if self._peer is not None:
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 self._socket.sendto(data, self._peer)
@@ -48,7 +48,7 @@ class Datagrams:
 
 
 class SensorPort:
-    """The serial device of the VectorNav: answers its configuration, then carries its outputs."""
+    """The VectorNav's serial device: replies to its configuration, then sends its outputs."""
 
     def __init__(self, link: Link | None = None) -> None:
         self._link = link or TcpServer(LOOPBACK, 0)
@@ -56,28 +56,28 @@ class SensorPort:
 
     @property
     def port(self) -> int:
-        """The TCP port; 0 where the device is a serial one."""
+        """The TCP port; 0 for a serial device."""
         return getattr(self._link, "port", 0)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """The descriptor for `select`."""
         return self._link.filenos()[0]
 
     def serve(self) -> None:
-        """Answer what the driver asks."""
+        """Reply to the driver's commands."""
         for _, data in self._link.read():
             if data:
                 self._link.write(self._handshake.received(data))
             else:
-                self._handshake = Handshake()  # a new connection configures the sensor anew
+                self._handshake = Handshake()  # a new connection configures the sensor again
 
     @property
     def outputs(self) -> tuple[BinaryOutput, ...]:
-        """The outputs that the driver wants now."""
+        """The outputs that the driver has configured."""
         return self._handshake.outputs
 
     def write(self, data: bytes) -> None:
-        """Send packets of these outputs, if there are any."""
+        """Send packets, if there are any."""
         if data:
             self._link.write(data)
 

@@ -1,4 +1,4 @@
-"""ArduPilot behind the bridge as a link: towards whoever steps it, it is what PX4 is."""
+"""ArduPilot behind the bridge, as a link that behaves like PX4."""
 
 import select
 import subprocess
@@ -18,26 +18,26 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 CHANNELS = {"copter": motor_channels, "plane": plane_channels}
-POLL_S = 0.5  # between looks at the program
+POLL_S = 0.5  # between checks of the process
 END_S = 3.0  # for the autopilot to close its log
 
 
 class BridgedAutopilot:
-    """A `Link`: HIL frames are written to it, answers and ArduPilot's own MAVLink read from it.
+    """A `Link`: HIL frames are written to it, replies and ArduPilot's own MAVLink read from it.
 
-    The program starts once the first second has shown what the vehicle has.
+    The process starts after one second of sensor discovery.
 
     Parameters
     ----------
-    words : sequence of str
-        The program's command.
+    command : sequence of str
+        The command and its arguments.
     vehicle : {"copter", "plane"}
     folder : Path
-        Where it runs and leaves its logs.
-    own : sequence of Path
-        The user's parameter files; they win over the bridge's.
+        Working folder of the process, with its logs.
+    user_files : sequence of Path
+        The user's parameter files; they override the bridge's.
     say : callable
-        Takes a line for the person who flies.
+        Receives status lines for the user.
     hil : str
         The HIL link's name, for messages.
     """
@@ -46,21 +46,21 @@ class BridgedAutopilot:
 
     def __init__(
         self,
-        words: Sequence[str],
+        command: Sequence[str],
         vehicle: VehicleKind,
         folder: Path,
-        own: Sequence[Path],
+        user_files: Sequence[Path],
         say: Callable[[str], None],
         hil: str = "the HIL link",
     ) -> None:
         self.name = "ArduPilot"
-        # It is there from the start: nobody has to wait for a first word.
+        # Counts as connected from the start: the caller need not wait for a first message.
         self.counters = LinkCounters(bytes_in=1)
-        self._bridge: Bridge | None = None  # once the program has started
-        self._words, self._vehicle, self._own = list(words), vehicle, list(own)
+        self._bridge: Bridge | None = None  # once the process has started
+        self._command, self._vehicle, self._user_files = list(command), vehicle, list(user_files)
         self._folder, self._say = folder, say
         self._process: subprocess.Popen[bytes] | None = None
-        self._observation = SensorDiscovery(hil)
+        self._discovery = SensorDiscovery(hil)
         self._ports = Datagrams(), Datagrams(), SensorPort()
         self._serve: dict[int, Callable[[], None]] = {}
         self._epoll = select.epoll()
@@ -71,41 +71,41 @@ class BridgedAutopilot:
 
     @property
     def started(self) -> bool:
-        """Whether the program was started."""
+        """Whether the process was started."""
         return self._bridge is not None
 
     @property
     def armed(self) -> bool:
-        """Whether its motors are on."""
+        """Whether it is armed."""
         return self._bridge is not None and self._bridge.armed
 
     @property
     def steps(self) -> int:
-        """How many have come since the program started."""
+        """Number of steps since the process started."""
         return 0 if self._bridge is None else self._bridge.steps
 
     @property
     def t_us(self) -> int:
-        """The vehicle's time of the last step."""
+        """Vehicle time of the last step."""
         return 0 if self._bridge is None else self._bridge.t_us
 
     @property
     def peer_count(self) -> int:
-        """1 until the program has ended."""
-        # Asked at each step: the system is asked twice a second.
+        """1 until the process has ended."""
+        # Called at each step, so the process is polled only twice a second.
         if (now_s := time.monotonic()) >= self._look_s:
             self._look_s = now_s + POLL_S
             if not self._gone and (code := self.poll()) is not None:
                 self._gone = True
-                self._say(f"the autopilot's program ended {describe_exit(code)}")
+                self._say(f"the autopilot process ended {describe_exit(code)}")
         return int(not self._gone)
 
     def poll(self) -> int | None:
-        """The program's exit code, once it has ended."""
+        """Return the exit code, once the process has ended."""
         return None if self._process is None else self._process.poll()
 
     def wait(self, timeout: float) -> int:
-        """The program's exit code, which is 0 where none was started.
+        """Wait for the exit code, which is 0 if no process was started.
 
         Raises
         ------
@@ -115,54 +115,54 @@ class BridgedAutopilot:
         return 0 if self._process is None else self._process.wait(timeout)
 
     def filenos(self) -> list[int]:
-        """The epoll descriptor over all that ArduPilot speaks on."""
+        """Return the epoll descriptor of all ArduPilot's sockets."""
         return [self._epoll.fileno()]
 
     def write(self, data: bytes) -> None:
-        """Bytes of the HIL link, in whole frames."""
+        """Process bytes of the HIL link, in complete frames."""
         for item in self._parser.push(data, datagram=True):
             if isinstance(item, Frame):
                 self.receive(item)
 
     def receive(self, frame: Frame) -> None:
-        """A frame of the HIL link.
+        """Process a frame of the HIL link.
 
         Raises
         ------
         ConfigError
-            If ArduPilot cannot fly on what comes.
+            If ArduPilot cannot fly on the available sensors.
         """
         if self._bridge is not None:
             self._bridge.receive(frame)
-        elif (seen := self._observation.update(frame)) is not None:
-            self._start(seen)
+        elif (discovered := self._discovery.update(frame)) is not None:
+            self._start(discovered)
 
     def read(self) -> list[Chunk]:
-        """What ArduPilot has to say.
+        """Return data from ArduPilot.
 
         Raises
         ------
         ConfigError
-            If it does not fly on the bridge's sensors.
+            If it does not use the bridge's sensors.
         """
         for descriptor, _ in self._epoll.poll(0):
             self._serve[descriptor]()
-        # Handed over whole: what comes while they are read belongs to the next time.
+        # Swapped, so that later answers belong to the next call.
         answers, self._answers = self._answers, []
         return answers
 
-    def _start(self, seen: DiscoveredVehicle) -> None:
-        # Later files win: the user's stand behind the bridge's.
+    def _start(self, discovered: DiscoveredVehicle) -> None:
+        # Later files take precedence: the user's follow the bridge's.
         file = self._folder / PARAMETER_FILE
-        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, seen.sensors)))
-        rate_hz = seen.sensors.rate_hz
-        self._say(f"{self._words[0]}: starting in {self._folder}, {rate_hz:g} steps a second")
+        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, discovered.sensors)))
+        rate_hz = discovered.sensors.rate_hz
+        self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
         ports = Ports(*(port.port for port in self._ports))
         self._process = start_process(
-            self._words, self._folder, ports, seen.home, [file, *self._own]
+            self._command, self._folder, ports, discovered.home, [file, *self._user_files]
         )
         channels = CHANNELS[self._vehicle]
-        self._bridge = Bridge(self._answer, seen, self._ports, channels, self._say)
+        self._bridge = Bridge(self._answer, discovered, self._ports, channels, self._say)
         self._serve = self._bridge.descriptors()
         for descriptor in self._serve:
             self._epoll.register(descriptor, select.EPOLLIN)
@@ -171,8 +171,8 @@ class BridgedAutopilot:
         self._answers.append((stream, data))
 
     def close(self) -> None:
-        """End the program: it closes its log while it is still given physics."""
-        # Refused before it was started: nothing runs yet.
+        """End the process; it needs further physics while it closes its log."""
+        # No process yet if the sensors were refused.
         if self._process is not None and self._bridge is not None:
             end_process(self._process, self._bridge)
         for port in self._ports:
@@ -181,7 +181,7 @@ class BridgedAutopilot:
 
 
 def end_process(process: "subprocess.Popen[bytes]", bridge: Bridge) -> None:
-    """Ask it to end, and end it."""
+    """Terminate the process, and kill it if it does not end in time."""
     process.terminate()
     until_s = time.monotonic() + END_S
     while process.poll() is None and time.monotonic() < until_s:

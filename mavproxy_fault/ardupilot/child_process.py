@@ -1,4 +1,4 @@
-"""Processes that one of ours starts: they end with it, and how they ended is told."""
+"""Child processes: they end with their parent, and their exit is described."""
 
 import ctypes
 import os
@@ -10,14 +10,14 @@ PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 def die_with_parent() -> None:
-    """Have the kernel end this process with its parent, which alone can end its waiting."""
-    with suppress(AttributeError, TypeError):  # macOS and Windows have no such thing
+    """Have the kernel kill this process when its parent ends."""
+    with suppress(AttributeError, TypeError):  # macOS and Windows lack prctl
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     parent = parent_process()
-    if parent is not None and not parent.is_alive():  # before the kernel was asked
+    if parent is not None and not parent.is_alive():  # it ended before prctl
         os._exit(1)
 
 
 def describe_exit(code: int) -> str:
-    """How a program ended."""
+    """Describe how a process ended."""
     return f"with exit code {code}" if code >= 0 else f"by signal {-code}"

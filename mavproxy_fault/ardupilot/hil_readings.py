@@ -1,7 +1,7 @@
-"""What the HIL link has told of the vehicle, in SI units; no I/O.
+"""Latest sensor readings and truth from the HIL link, in SI units; no I/O.
 
-A simulator ends each step by the truth, HIL_STATE_QUATERNION, so that its stamp closes the step
-whatever a fault did to the sensors' frames before.
+A simulator ends each step with the truth, HIL_STATE_QUATERNION, so its timestamp closes the step
+whatever a fault did to the sensor frames before it.
 """
 
 import math
@@ -54,26 +54,26 @@ class TrueState(NamedTuple):
 
     @property
     def yaw_deg(self) -> float:
-        """Heading from true north, 0 to 360."""
+        """Heading from true north, 0 to 360 degrees."""
         _, _, yaw_rad = euler_angles(self.q_nb)
         return math.degrees(yaw_rad) % 360.0
 
 
 class Readings:
-    """The newest values of each sensor, and which came since the last step.
+    """The newest values of each sensor, and which are new since the last step.
 
     Attributes
     ----------
-    imus : dict of int to Imu
+    imus : dict of int to HilImu
         By HIL_SENSOR.id.
     truth : TrueState or None
-    battery : Battery or None
+    battery : HilBattery or None
     fresh_imu : bool
-        An HIL_SENSOR of id 0 with new samples came since `begin_step`.
+        A HIL_SENSOR of id 0 with new samples was received since `begin_step`.
     fixes : list of Frame
-        HIL_GPS since `begin_step`.
+        HIL_GPS received since `begin_step`.
     updated : int
-        Every bit of HIL_SENSOR.fields_updated seen so far.
+        All bits of HIL_SENSOR.fields_updated received so far.
     """
 
     def __init__(self) -> None:
@@ -85,12 +85,12 @@ class Readings:
         self.updated = 0
 
     def begin_step(self) -> None:
-        """Forget what is new."""
+        """Clear the flags of new data."""
         self.fresh_imu = False
         self.fixes = []
 
     def update(self, frame: Frame) -> bool:
-        """Read a frame; True when it ends a step."""
+        """Read a frame; return True if it ends a step."""
         name = frame.layout.name
         if name == "HIL_SENSOR":
             self._sensor(frame)
@@ -108,7 +108,7 @@ class Readings:
         return False
 
     def _sensor(self, frame: Frame) -> None:
-        # MAVLink 2 cuts trailing zeros off a payload.
+        # MAVLink 2 truncates trailing zeros of a payload.
         _, *values, updated, number = _SENSOR.unpack(frame.payload.ljust(_SENSOR.size, b"\0"))
         ax, ay, az, p, q, r, mx, my, mz, pressure, diff_pressure, _, temperature_c = values
         self.imus[number] = HilImu(
@@ -124,17 +124,17 @@ class Readings:
 
 
 def read_battery(frame: Frame) -> HilBattery | None:
-    """What a BATTERY_STATUS of the first battery tells; None where it has no voltage or current."""
+    """Decode a BATTERY_STATUS of the first battery; None without voltage or current."""
     cells_mv = [frame.number("voltages", cell) for cell in range(CELLS)]
     known_mv = [voltage_mv for voltage_mv in cells_mv if voltage_mv != NO_CELL]
-    current_ca = frame.number("current_battery")  # in 0.01 A, -1 where it is not measured
+    current_ca = frame.number("current_battery")  # in 0.01 A, -1 if not measured
     if frame.number("id") != ID_BATTERY or not known_mv or current_ca == -1:
         return None
     return HilBattery(sum(known_mv) / MV_PER_V, current_ca * 0.01)
 
 
 def true_airspeed(imu: HilImu) -> float:
-    """True airspeed in m/s from a pitot tube's pressure and the air's density around it."""
+    """Compute true airspeed in m/s from pitot pressure and ambient air density."""
     density_kgpm3 = imu.pressure_pa / (AIR_J_PER_KG_K * (imu.temperature_c + ZERO_CELSIUS_K))
     if not density_kgpm3 > 0.0:
         return 0.0

@@ -1,7 +1,7 @@
-"""ArduPilot's servo outputs -> HIL_ACTUATOR_CONTROLS in PX4's order of channels; no I/O.
+"""Conversion of ArduPilot's servo outputs to HIL_ACTUATOR_CONTROLS in PX4's channel order; no I/O.
 
-A quad X of ArduPilot has the motor order of PX4's `none_iris`: front right, rear left, front left,
-rear right. A plane's first four outputs are aileron, elevator, throttle and rudder.
+ArduPilot's quad X has the motor order of PX4's `none_iris`: front right, rear left, front left,
+rear right. The first four outputs of a plane are aileron, elevator, throttle and rudder.
 """
 
 import struct
@@ -12,7 +12,7 @@ from mavproxy_fault.wire.frame import frame_payload
 
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 CHANNELS = 16
-COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER: ArduPilot counts its own frames as component 1
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER: ArduPilot itself is component 1
 MODE_ENABLED, MODE_ARMED = 1, 128  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _SAFETY_ARMED
 FLAG_LOCKSTEP = 1
 LOW_US, MIDDLE_US, SPAN_US = 1000, 1500, 1000
@@ -23,15 +23,15 @@ _PAYLOAD = struct.Struct("<QQ16fB")
 
 
 def motor_channels(pwm_us: Sequence[int]) -> list[float]:
-    """Every output as a motor: 0 at 1000 us, 1 at 2000 us."""
+    """Convert every output as a motor: 0 at 1000 us, 1 at 2000 us."""
     return [throttle_fraction(pwm) for pwm in pwm_us[:CHANNELS]]
 
 
 def plane_channels(pwm_us: Sequence[int]) -> list[float]:
-    """Aileron, elevator, throttle, rudder to the channels of PX4's plane.
+    """Convert aileron, elevator, throttle and rudder to the channels of PX4's plane.
 
-    Positive channels turn a trailing edge up or to the right, and so do ArduPilot's outputs above
-    1500 us for elevator and rudder; its aileron there rolls to the right.
+    Positive channels deflect a trailing edge up or to the right, as do ArduPilot's outputs above
+    1500 us for elevator and rudder; its aileron above 1500 us rolls to the right.
     """
     roll, pitch, yaw = (surface_fraction(pwm_us[output]) for output in (0, 1, 3))
     channels = [0.0] * CHANNELS
@@ -43,19 +43,19 @@ def plane_channels(pwm_us: Sequence[int]) -> list[float]:
 
 
 def throttle_fraction(pwm_us: int) -> float:
-    """0 to 1."""
+    """Convert a pulse width to 0 to 1."""
     return min(max((pwm_us - LOW_US) / SPAN_US, 0.0), 1.0)
 
 
 def surface_fraction(pwm_us: int) -> float:
-    """-1 to 1; an output that is not in use (0 us) stands in the middle."""
+    """Convert a pulse width to -1 to 1; an unused output (0 us) is centred."""
     return min(max((pwm_us - MIDDLE_US) / (SPAN_US / 2), -1.0), 1.0) if pwm_us else 0.0
 
 
 def actuator_frame(
     stamp_us: int, channels: Sequence[float], seq: int, *, armed: bool, system: int = 1
 ) -> bytes:
-    """The answer to the step of this stamp."""
+    """Encode the HIL_ACTUATOR_CONTROLS that answers the step at `stamp_us`."""
     mode = MODE_ENABLED | (MODE_ARMED if armed else 0)
     payload = _PAYLOAD.pack(stamp_us, FLAG_LOCKSTEP, *channels, mode)
     return frame_payload(

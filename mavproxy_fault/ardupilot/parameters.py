@@ -1,8 +1,8 @@
-"""The parameters with which ArduPilot flies on the bridge's sensors; no I/O.
+"""ArduPilot parameters for flying on the bridge's sensors; no I/O.
 
-SITL's own GPS, barometers and compasses are removed, since they are made from the truth, which no
-fault touches. AHRS_EKF_TYPE 3 is EKF3; type 10 would be an estimator that reads the truth.
-GPS parameters stand under their names before 4.6 too; ArduPilot ignores what it does not know.
+SITL's own GPS, barometers and compasses are removed, because they are computed from the truth and
+bypass the faults. AHRS_EKF_TYPE 3 is EKF3; type 10 is an estimator that reads the truth. GPS
+parameters are set under their names before and since 4.6; ArduPilot ignores unknown names.
 """
 
 from collections.abc import Iterable
@@ -33,12 +33,12 @@ SENSORS = {
     "COMPASS_OFS_Y": 0,
     "COMPASS_OFS_Z": 0,
     "INS_GYR_CAL": 1,
-    # SITL's are 0.001 and 1.001; before 4.6 offsets of an IMU that is not there forbid arming
+    # SITL has 0.001 and 1.001; before 4.6 offsets of a missing IMU prevent arming
     **{f"INS_ACC2OFFS_{axis}": 0 for axis in "XYZ"},
     **{f"INS_ACC2SCAL_{axis}": 1 for axis in "XYZ"},
     "BATT_MONITOR": 0,
-    "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, and traps nobody
-    "FS_THR_ENABLE": 0,  # nobody holds a radio
+    "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, without a trap
+    "FS_THR_ENABLE": 0,  # there is no RC transmitter
     "FS_GCS_ENABLE": 0,
     "LOG_DISARMED": 1,
     # streams of the first serial device, Hz: estimates for the recordings and the reports
@@ -79,18 +79,18 @@ KIND_PARAMETERS: dict[VehicleKind, dict[str, float]] = {
         **{f"SERVO{output}_TRIM": 1500 for output in (1, 2, 4)},
     },
 }
-FIXED_PARAMETERS = {  # a file of the user's must not change these
-    "AHRS_EKF_TYPE": "3; others do not estimate from the sensors that faults act on",
-    "EAHRS_TYPE": "1, the VectorNav that the bridge is",
-    "EAHRS_SENSORS": f"{EAHRS_ALL}; what is missing would come from the truth",
-    "SIM_BARO_COUNT": "0; SITL's barometer is made from the truth",
-    "SIM_GPS1_ENABLE": "0; SITL's GPS is made from the truth",
+FIXED_PARAMETERS = {  # a user's parameter file must not change these
+    "AHRS_EKF_TYPE": "3; other estimators do not use the sensors that faults act on",
+    "EAHRS_TYPE": "1, the VectorNav that the bridge simulates",
+    "EAHRS_SENSORS": f"{EAHRS_ALL}; a missing sensor would be taken from the truth",
+    "SIM_BARO_COUNT": "0; SITL computes its barometer from the truth",
+    "SIM_GPS1_ENABLE": "0; SITL computes its GPS from the truth",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class AvailableSensors:
-    """What the HIL link showed: sensors beyond the first, and the rate of steps."""
+    """Sensors on the HIL link beyond the required ones, and the step rate."""
 
     rate_hz: float
     second_imu: bool
@@ -100,27 +100,27 @@ class AvailableSensors:
     vision: bool = False
 
 
-def bridge_parameters(kind: VehicleKind, fitted: AvailableSensors) -> dict[str, float]:
-    """Every parameter that the bridge sets."""
-    found: dict[str, float] = {**SENSORS, **KIND_PARAMETERS[kind]}
-    found["SIM_RATE_HZ"] = round(fitted.rate_hz)
-    found["SCHED_LOOP_RATE"] = min(round(fitted.rate_hz), LOOP_HZ[kind])
-    found["EAHRS_RATE"] = min(round(fitted.rate_hz), 400)
-    found["SIM_IMU_COUNT"] = 1 if fitted.second_imu else 0
-    found["EK3_IMU_MASK"] = 3 if fitted.second_imu else 1
-    if fitted.second_gps:
-        found |= {"GPS2_TYPE": 14, "GPS_TYPE2": 14}  # GPS_INPUT
-    if fitted.rangefinder:  # DISTANCE_SENSOR, looking down
-        found |= {"RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MAX_CM": 4000}
-    if fitted.flow:  # OPTICAL_FLOW
-        found |= {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER}
-    if fitted.vision:  # by MAVLink; which of it EKF3 uses is the user's choice, EK3_SRC1_
-        found["VISO_TYPE"] = 1
-    return found
+def bridge_parameters(kind: VehicleKind, sensors: AvailableSensors) -> dict[str, float]:
+    """Return every parameter that the bridge sets."""
+    values: dict[str, float] = {**SENSORS, **KIND_PARAMETERS[kind]}
+    values["SIM_RATE_HZ"] = round(sensors.rate_hz)
+    values["SCHED_LOOP_RATE"] = min(round(sensors.rate_hz), LOOP_HZ[kind])
+    values["EAHRS_RATE"] = min(round(sensors.rate_hz), 400)
+    values["SIM_IMU_COUNT"] = 1 if sensors.second_imu else 0
+    values["EK3_IMU_MASK"] = 3 if sensors.second_imu else 1
+    if sensors.second_gps:
+        values |= {"GPS2_TYPE": 14, "GPS_TYPE2": 14}  # GPS_INPUT
+    if sensors.rangefinder:  # DISTANCE_SENSOR, facing down
+        values |= {"RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MAX_CM": 4000}
+    if sensors.flow:  # OPTICAL_FLOW
+        values |= {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER}
+    if sensors.vision:  # by MAVLink; the user selects what EKF3 uses (EK3_SRC1_*)
+        values["VISO_TYPE"] = 1
+    return values
 
 
 def parameter_file_text(values: dict[str, float]) -> str:
-    """A parameter file."""
+    """Format a parameter file."""
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
 
 
@@ -133,12 +133,12 @@ def check_parameter_file(lines: Iterable[str], where: str) -> None:
         If a line sets a fixed parameter to another value.
     """
     for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if len(words) < 2 or words[0] not in FIXED_PARAMETERS:
+        fields = line.partition("#")[0].replace(",", " ").split()
+        if len(fields) < 2 or fields[0] not in FIXED_PARAMETERS:
             continue
-        name, text = words[:2]
+        name, text = fields[:2]
         if text not in (str(SENSORS[name]), f"{SENSORS[name]}.0"):
             raise ConfigError(
-                f"{where}:{number}: {name} = {text} is not for the bridge; "
-                f"it must be {FIXED_PARAMETERS[name]}"
+                f"{where}:{number}: {name} = {text} bypasses the bridge; "
+                f"set it to {FIXED_PARAMETERS[name]}"
             )

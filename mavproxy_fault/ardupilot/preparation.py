@@ -1,7 +1,7 @@
-"""What ArduPilot is asked before anybody flies: is it set up right, and the calibrations; no I/O.
+"""Preparation of ArduPilot before arming: parameter check and calibrations; no I/O.
 
-Devices that SITL has never seen must be calibrated before arming. Both calibrations are for a
-vehicle at rest: the simple one of the accelerometer, and the compass' from a known heading.
+Devices that are new to SITL must be calibrated before arming. Both calibrations need a vehicle at
+rest: the simple accelerometer calibration, and that of the compass from a known heading.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ COMMAND_LONG, PARAM_REQUEST_READ = (
     message_layout("PARAM_REQUEST_READ"),
 )
 PREFLIGHT_CALIBRATION, SET_MESSAGE_INTERVAL, FIXED_MAG_CAL_YAW = 241, 511, 42006  # MAV_CMD_
-STREAM_INTERVALS_US = {  # of a board, which tells nothing by itself: 6 kB/s
+STREAM_INTERVALS_US = {  # requested from a board, which streams nothing by itself: 6 kB/s
     "SERVO_OUTPUT_RAW": 10_000.0,
     "GLOBAL_POSITION_INT": 200_000.0,
     "ATTITUDE": 100_000.0,
@@ -33,7 +33,7 @@ REQUIRED_PARAMETERS = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
-    """One frame to ArduPilot, and how its answer is known."""
+    """One frame to ArduPilot, and a predicate that recognizes its answer."""
 
     name: str
     raw: bytes
@@ -41,14 +41,14 @@ class SetupRequest:
 
 
 class Preparation:
-    """Requests one after the other, each repeated until it is answered.
+    """Sends requests one after the other, each repeated until it is answered.
 
     Parameters
     ----------
     at_rest : TrueState
-        Where the vehicle stands and which way it points.
-    first : sequence of Request
-        What is asked before all.
+        Position and heading of the vehicle at rest.
+    first : sequence of SetupRequest
+        Requests to send before the standard ones.
     """
 
     def __init__(self, at_rest: TrueState, first: Sequence[SetupRequest] = ()) -> None:
@@ -62,27 +62,27 @@ class Preparation:
 
     @property
     def pending(self) -> str:
-        """What is waited for; empty when all is done."""
+        """Name of the unanswered request; empty when all are done."""
         return self._pending[0].name if self._pending else ""
 
     def due(self, t_us: int) -> bytes | None:
-        """The frame to send now, if any."""
+        """Return the frame to send now, if any."""
         if not self._pending or t_us < self._again_us:
             return None
         self._again_us = t_us + REPEAT_US
         return self._pending[0].raw
 
     def received(self, frame: Frame) -> None:
-        """Read what ArduPilot says."""
+        """Check a frame from ArduPilot for the awaited answer."""
         if self._pending and self._pending[0].answered(frame):
             self._pending.pop(0)
             self._again_us = 0
 
 
 def _read_back(name: str) -> SetupRequest:
-    """ArduPilot's value of a parameter, which must be the bridge's.
+    """Request a parameter, which must have the bridge's value.
 
-    The answer raises ConfigError where it is another.
+    `answered` raises ConfigError if it has another.
     """
 
     def answered(frame: Frame) -> bool:
@@ -91,8 +91,8 @@ def _read_back(name: str) -> SetupRequest:
         value = frame.number("param_value")
         if value != REQUIRED_PARAMETERS[name]:
             raise ConfigError(
-                f"{name}: ArduPilot flies with {value:g}, which does not fly on the bridge's "
-                f"sensors; it must be {REQUIRED_PARAMETERS[name]:g}"
+                f"{name}: ArduPilot has {value:g}, which does not use the bridge's sensors; "
+                f"set it to {REQUIRED_PARAMETERS[name]:g}"
             )
         return True
 
@@ -108,7 +108,7 @@ def _read_back(name: str) -> SetupRequest:
 
 
 def stream_requests() -> list[SetupRequest]:
-    """Outputs, which a board has no other way to tell, and what conditions and reports look at."""
+    """Request a board's servo outputs and the streams that conditions and reports need."""
     return [
         _command(
             f"stream of {name}",

@@ -1,6 +1,6 @@
-"""What the HIL link shows before the autopilot starts: its sensors, its rate, where it stands.
+"""Sensor discovery on the HIL link before the autopilot starts: sensors, step rate, position.
 
-The simulator goes on without an answer until the autopilot is there.
+The simulator runs without answers until then.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ VISION = "ODOMETRY", "VISION_POSITION_ESTIMATE"
 
 @dataclass(frozen=True, slots=True)
 class DiscoveredVehicle:
-    """What was observed; `readings` goes on being updated."""
+    """Result of the discovery; `readings` is updated further."""
 
     readings: Readings
     home: TrueState
@@ -25,7 +25,7 @@ class DiscoveredVehicle:
 
 
 class SensorDiscovery:
-    """A second of the vehicle's time on the HIL link, in which every sensor shows itself.
+    """Discovers the sensors in one second of vehicle time, in which every sensor reports.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ class SensorDiscovery:
         self._first: TrueState | None = None
 
     def update(self, frame: Frame) -> DiscoveredVehicle | None:
-        """Read a frame; what was seen, once it is enough.
+        """Read a frame; return the result once a second is complete, else None.
 
         Raises
         ------
         ConfigError
-            If ArduPilot cannot fly on what comes.
+            If ArduPilot cannot fly on the available sensors.
         """
-        # Ids tell whether there is a second IMU or receiver.
+        # The id distinguishes a second IMU or receiver.
         number = int(frame.number("id")) if "id" in frame.layout.fields else 0
         self._sensors.add((frame.layout.name, number))
         truth = self._readings.truth if self._readings.update(frame) else None
@@ -56,7 +56,7 @@ class SensorDiscovery:
             return None
         self._first = self._first or truth
         self._stamps.append(truth.t_us)
-        # In the vehicle's time: of a slow simulator as many steps are wanted.
+        # Vehicle time, so that a slow simulator delivers as many steps.
         if self._stamps[-1] - self._stamps[0] < DISCOVERY_US:
             return None
         check_sensors(self._readings, self._where)
@@ -66,8 +66,8 @@ class SensorDiscovery:
         rate_hz = 1e6 * (len(self._stamps) - 1) / (self._stamps[-1] - self._stamps[0])
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise ConfigError(
-                f"{self._where}: {rate_hz:g} steps a second are not for ArduPilot; "
-                f"{SLOWEST_HZ:g} to {FASTEST_HZ:g} are, 400 for a copter"
+                f"{self._where}: runs at {rate_hz:g} steps/s; ArduPilot needs "
+                f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}, best 400 for a copter"
             )
         return AvailableSensors(
             rate_hz,
@@ -80,18 +80,18 @@ class SensorDiscovery:
 
 
 def check_sensors(readings: Readings, where: str) -> None:
-    """Refuse a vehicle without what EKF3 needs.
+    """Refuse a vehicle without the sensors that EKF3 needs.
 
     Raises
     ------
     ConfigError
-        With the sensor that is missing.
+        With the missing sensor.
     """
     for name, bits in (("compass", MAG), ("barometer", BARO)):
         if readings.updated & bits != bits:
             raise ConfigError(
-                f"{where}: HIL_SENSOR comes without a {name}; ArduPilot needs IMU, compass, "
+                f"{where}: HIL_SENSOR has no {name}; ArduPilot needs IMU, compass, "
                 "barometer and GPS"
             )
     if not readings.fixes:
-        raise ConfigError(f"{where}: no HIL_GPS comes; ArduPilot needs a GPS of id 0")
+        raise ConfigError(f"{where}: no HIL_GPS was received; ArduPilot needs a GPS of id 0")

@@ -1,7 +1,7 @@
-"""ArduPilot on its own board: a VectorNav on one serial line, its MAVLink on another.
+"""ArduPilot on its own board: a VectorNav on one serial port, its MAVLink on another.
 
-Nothing is in lockstep: the board has its own clock. Its outputs come as SERVO_OUTPUT_RAW and act
-when they come, so the simulator has to go on in real time.
+There is no lockstep: the board has its own clock. Its outputs arrive as SERVO_OUTPUT_RAW and take
+effect on arrival, so the simulator must run in real time.
 """
 
 import select
@@ -25,15 +25,15 @@ SERVOS = [f"servo{output}_raw" for output in range(1, OUTPUTS + 1)]
 
 
 class WiredAutopilot:
-    """The board as a `Link`: HIL frames are received, its answers and its own MAVLink read.
+    """The board as a `Link`: it receives HIL frames; its replies and its own MAVLink are read.
 
     Parameters
     ----------
     vectornav, mavlink : Link
-        The lines to the board's external AHRS and telemetry ports; closed with this.
+        Links to the board's external AHRS and telemetry ports; closed with this.
     vehicle : {"copter", "plane"}
     say : callable
-        Takes a line for the person who flies.
+        Receives status lines for the user.
     hil : str
         The HIL link's name, for messages.
     """
@@ -55,10 +55,10 @@ class WiredAutopilot:
         self._sensor, self._mavlink = SensorPort(vectornav), mavlink
         self._inbox = Inbox(mavlink)
         self._channels, self._say = CHANNELS[vehicle], say
-        self._observation = SensorDiscovery(hil)
+        self._discovery = SensorDiscovery(hil)
         self._discovered: DiscoveredVehicle | None = None
         self._answers: list[Chunk] = []
-        # Both kinds of link have a descriptor of their own that stays while devices come and go.
+        # Either kind of link has one descriptor that stays valid when devices are replugged.
         self._seq = 0
         self._epoll = select.epoll()
         for fileno in (self._sensor.fileno(), *mavlink.filenos()):
@@ -66,63 +66,63 @@ class WiredAutopilot:
 
     @property
     def started(self) -> bool:
-        """Whether the sensors were seen, and the board is fed."""
+        """Whether sensor discovery is complete and the board receives data."""
         return self._discovered is not None
 
     @property
     def peer_count(self) -> int:
-        """1 while its MAVLink device is there."""
+        """1 while its MAVLink device is open."""
         return self._mavlink.peer_count
 
     def poll(self) -> None:
-        """A board does not end."""
+        """Return None: a board has no exit code."""
 
     def filenos(self) -> list[int]:
-        """The epoll descriptor over both lines."""
+        """Return the epoll descriptor of both links."""
         return [self._epoll.fileno()]
 
     def receive(self, frame: Frame) -> None:
-        """A frame of the HIL link.
+        """Process a frame of the HIL link.
 
         Raises
         ------
         ConfigError
-            If ArduPilot cannot fly on what comes.
+            If ArduPilot cannot fly on the available sensors.
         """
         if self._discovered is None:
-            if (seen := self._observation.update(frame)) is not None:
-                self._start(seen)
+            if (discovered := self._discovery.update(frame)) is not None:
+                self._start(discovered)
         elif self._discovered.readings.update(frame):
             self._end_step(self._discovered)
         elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
-    def _start(self, seen: DiscoveredVehicle) -> None:
-        self._discovered = seen
-        self._feed = SensorFeed(seen.home)
+    def _start(self, discovered: DiscoveredVehicle) -> None:
+        self._discovered = discovered
+        self._feed = SensorFeed(discovered.home)
         self._companion = CompanionFeed()
-        self._preparation = Preparation(seen.home, stream_requests())
-        self._say(f"feeding the board, {seen.sensors.rate_hz:g} steps a second")
+        self._preparation = Preparation(discovered.home, stream_requests())
+        self._say(f"feeding the board at {discovered.sensors.rate_hz:g} steps/s")
 
-    def _end_step(self, seen: DiscoveredVehicle) -> None:
-        truth = seen.readings.truth
+    def _end_step(self, discovered: DiscoveredVehicle) -> None:
+        truth = discovered.readings.truth
         if truth is None:
             return
         self.steps, self.t_us = self.steps + 1, truth.t_us
-        # The line of physics is for SITL: a board has no other world than its sensors.
-        fed = self._feed.step(seen.readings, truth, self._sensor.outputs)
+        # The JSON physics is only for SITL: a board needs nothing but its sensors.
+        fed = self._feed.step(discovered.readings, truth, self._sensor.outputs)
         self._sensor.write(fed.vectornav)
-        seen.readings.begin_step()
+        discovered.readings.begin_step()
         if (request := self._preparation.due(truth.t_us)) is not None:
             self._mavlink.write(request)
 
     def read(self) -> list[Chunk]:
-        """What the board has to say.
+        """Return data from the board.
 
         Raises
         ------
         ConfigError
-            If it does not fly on the VectorNav.
+            If it does not use the VectorNav.
         """
         self._sensor.serve()
         for frame in self._inbox.frames():
@@ -132,7 +132,7 @@ class WiredAutopilot:
 
     def _receive_mavlink(self, frame: Frame) -> None:
         name = frame.layout.name
-        # Before the sensors are known there is no step that outputs could answer.
+        # Before sensor discovery there is no step to answer.
         if name == "SERVO_OUTPUT_RAW":
             if self.started and frame.number("port") == 0:
                 self._answer(frame)
@@ -146,8 +146,8 @@ class WiredAutopilot:
                 self._say(f"{waiting}: done")
 
     def _answer(self, frame: Frame) -> None:
-        """The outputs as HIL_ACTUATOR_CONTROLS; the monitor hears them as they came, too."""
-        # Port 1 are the outputs of an extension board, which drive no motor here.
+        """Send the outputs as HIL_ACTUATOR_CONTROLS, and unchanged for the monitor."""
+        # Only port 0 comes here; port 1 is an extension board without motors.
         pwm_us = [int(frame.number(servo)) for servo in SERVOS]
         self._seq = (self._seq + 1) & 0xFF
         channels = self._channels(pwm_us)
@@ -155,7 +155,7 @@ class WiredAutopilot:
         self._answers += [(0, frame.raw), (0, raw)]
 
     def close(self) -> None:
-        """Close both lines."""
+        """Close both links."""
         self._epoll.close()
         self._sensor.close()
         self._mavlink.close()

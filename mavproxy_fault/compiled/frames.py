@@ -142,7 +142,7 @@ def _record(log: k.Octets, place: int, now_us: int, at: int, length: int, shared
 
 @kernel
 def _record_received(link: int, now_us: int, at: int, length: int, shared: Shared) -> None:
-    """Note a frame as `Tape.receive` does."""
+    """Note a frame as `CaptureBuffer.receive` does."""
     place = shared.loop[k.INDEX_AT]
     shared.index[place] = link
     shared.index[place + 1] = 0

@@ -1,1 +1,1 @@
-"""Where bytes come from and go to: UDP, TCP and serial links by the strings users know."""
+"""UDP, TCP and serial links by their connection strings, and the Zenoh bus."""

@@ -1,8 +1,8 @@
-"""The Zenoh session: the one place that knows the library.
+"""The bus: a Zenoh session for live control and results; the only user of the Zenoh library.
 
-The proxy's process (or `run`) opens the bus as the router on loopback; everyone else is a client,
-so nothing needs to be installed. Keys lie under `mavfault/v1/{run}/`; live control is under the
-verbatim chunk `@ctl`, which no wildcard reaches. See docs/zenoh.md for the key space.
+The proxy's process (or `run`) opens the bus as the router on loopback; all others are clients, so
+no router needs to be installed. Keys start with `mavfault/v1/{run}/`; live control is under the
+verbatim chunk `@ctl`, which wildcards do not match. docs/zenoh.md lists the key space.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ DEFAULT_URL = "tcp/127.0.0.1:7447"
 ROOT = "mavfault/v1"
 ENCODING = "application/json"
 RUN_NAME = re.compile(r"[\w.-]+", re.ASCII)
-ANY_RUN = "*"  # a session for whichever run there is
-OPEN_MS = 3000
+ANY_RUN = "*"  # a session that addresses all runs
+OPEN_MS = 3000  # chosen: long enough for a busy router, short enough for a waiting user
 LOG = logging.getLogger(__name__)
 
 QueryHandler = Callable[[str, bytes], object]
@@ -32,9 +32,9 @@ SampleHandler = Callable[[str, bytes], None]
 
 
 class Bus:
-    """A session; close it (or leave its `with` block) or the interpreter hangs at exit.
+    """One session; unless it is closed (or its `with` block left), the interpreter hangs at exit.
 
-    Callbacks run on Zenoh's own threads.
+    Callbacks run on Zenoh's threads.
     """
 
     def __init__(self, session: Any, url: str, run: str, *, is_router: bool = False) -> None:
@@ -57,13 +57,13 @@ class Bus:
         self.close()
 
     def key(self, suffix: str) -> str:
-        """The full key of `suffix` in this run."""
+        """Return the full key of `suffix` in this run."""
         return f"{ROOT}/{self.run}/{suffix}"
 
     def put(self, suffix: str, payload: bytes, schema: str = "", history: int = 0) -> None:
-        """Publish JSON under a suffix; a slow subscriber loses samples, never holds the caller.
+        """Publish JSON under a suffix; a slow subscriber loses samples but never blocks the caller.
 
-        The newest `history` samples are kept for those who subscribe late with history.
+        The newest `history` samples are stored for late subscribers.
         """
         publisher = self._publishers.get(suffix)
         if publisher is None:
@@ -76,7 +76,7 @@ class Bus:
 
         options: dict[str, Any] = {
             "encoding": f"{ENCODING};{schema}" if schema else ENCODING,
-            # Whoever watches may be slow; the proxy's loop must not wait for them.
+            # The proxy's loop must not wait for a slow subscriber.
             "congestion_control": zenoh.CongestionControl.DROP,
         }
         if not history:
@@ -92,7 +92,7 @@ class Bus:
     def subscribe(self, suffix: str, received: SampleHandler) -> None:
         """Call `received(key, payload)` for every sample under a suffix (wildcards allowed).
 
-        What its publisher kept comes first.
+        Samples stored by the publisher come first.
         """
         import zenoh.ext
 
@@ -105,9 +105,9 @@ class Bus:
         self._declarations.append(subscriber)
 
     def serve_queries(self, suffix: str, answer: QueryHandler) -> None:
-        """Reply to queries under a suffix with the JSON of what `answer(key, payload)` returns.
+        """Reply to queries under a suffix with the return value of `answer(key, payload)` as JSON.
 
-        A ConfigError becomes an error reply with its text.
+        The text of a ConfigError is sent as an error reply.
         """
 
         def reply(query: Any) -> None:
@@ -116,56 +116,56 @@ class Bus:
                 value = answer(str(query.key_expr), payload)
             except ConfigError as error:
                 query.reply_err(json.dumps({"error": str(error)}), encoding=ENCODING)
-            except Exception:  # a bug must reach the caller: Zenoh only prints it
+            except Exception:  # Zenoh would only print a bug; the client must learn of it
                 LOG.exception("query %s failed", query.key_expr)
-                text = "the request failed by a bug of ours; the log of who answered tells more"
+                text = "the request failed because of a bug; see the log of the replying process"
                 query.reply_err(json.dumps({"error": text}), encoding=ENCODING)
             else:
                 data = value if isinstance(value, bytes) else json.dumps(value)
                 query.reply(query.key_expr, data, encoding=ENCODING)
             finally:
-                query.drop()  # whoever asks waits until it is gone, and a traceback may hold it
+                query.drop()  # the client waits until it is freed, and a traceback may refer to it
 
         self._declarations.append(self._session.declare_queryable(self.key(suffix), reply))
 
     def query(self, suffix: str, payload: bytes = b"", timeout_s: float = 3.0) -> list[bytes]:
-        """The replies to one query.
+        """Send a query and return the replies.
 
         Raises
         ------
         ConfigError
-            If the other side refused, with its reason, or nobody answered.
+            If the request was refused (with the reason), or there was no reply.
         """
         replies = []
         for reply in self._session.get(self.key(suffix), payload=payload, timeout=timeout_s):
             if reply.ok is None:
                 text = reply.err.payload.to_string()
-                # Our own refusals are JSON, Zenoh's errors (such as a time-out) are plain text.
+                # Refusals are JSON, Zenoh's own errors (such as a timeout) plain text.
                 raise ConfigError(json.loads(text)["error"] if text[:1] == "{" else text)
             replies.append(reply.ok.payload.to_bytes())
         if not replies:
             raise ConfigError(
-                f"{self.url}: nobody answers {self.key(suffix)}; start a proxy or a run first"
+                f"{self.url}: no reply for {self.key(suffix)}; start a proxy or a run first"
             )
         return replies
 
     def declare_alive(self, component: str) -> None:
-        """Declare that a component is there, until this bus closes."""
+        """Declare a component alive until this bus closes."""
         token = self._session.liveliness().declare_token(self.key(f"alive/{component}"))
         self._declarations.append(token)
 
     def list_components(self, timeout_s: float = 2.0) -> list[str]:
-        """Keys of the components that are there, of every run."""
+        """Return the keys of all live components, of every run."""
         replies = self._session.liveliness().get(f"{ROOT}/*/alive/**", timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     @property
     def is_connected(self) -> bool:
-        """Whether it is the router, or has one."""
+        """Whether this session is the router or connected to one."""
         return self.is_router or bool(self._session.info.routers_zid())
 
     def close(self) -> None:
-        """End the session; late callbacks are cut off."""
+        """Close the session; no callback runs afterwards."""
         for thing in [*self._declarations, *self._publishers.values()]:
             thing.undeclare()
         self._declarations, self._publishers = [], {}
@@ -176,7 +176,7 @@ class Bus:
 def open_bus(
     url: str | None = None, *, run: str = "live", router: bool = False, config_file: str = ""
 ) -> Bus:
-    """Open a session as the router on loopback, or as a client of one.
+    """Open a session as a router or as the client of one.
 
     Parameters
     ----------
@@ -185,17 +185,17 @@ def open_bus(
     run : str
         The run's name in the key space.
     router : bool
-        Listen at `url` and be the hub; otherwise connect to it.
+        Listen at `url` as the router; otherwise connect to it.
     config_file : str
-        Zenoh's own configuration, such as TLS, users and access control; ours goes on top of it.
-        Without one that of the variable ZENOH_CONFIG, or else only the user's own programs are let
-        in (see `bus_users`).
+        A Zenoh configuration, such as TLS, users and access control, that the settings below
+        extend. The default is the variable ZENOH_CONFIG; without either only programs of the same
+        user are admitted (see `bus_users`).
 
     Raises
     ------
     ConfigError
-        If the address is taken (router) or nobody listens there (client), or a name or the
-        configuration is wrong.
+        If the address is in use (router) or has no router (client), or if a name or the
+        configuration is invalid.
     """
     if run != ANY_RUN:
         check_run_name(run)
@@ -212,7 +212,7 @@ def open_bus(
     try:
         return _open_session(address, run, router, config)
     except ConfigError:
-        # A router of the user's own, such as zenohd or that of ROS 2, may ask for nobody's name.
+        # Another router, such as zenohd or that of ROS 2, may not require a password.
         return _open_session(address, run, router, read_config(""))
 
 
@@ -221,14 +221,14 @@ def _open_session(address: str, run: str, router: bool, config: Any) -> Bus:
 
     settings: dict[str, object] = {
         "mode": "router" if router else "client",
-        # Nothing leaves this machine that the user has not asked for: no multicast, no gossip.
+        # Nothing leaves this machine unless the user requests it: no multicast, no gossip.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
-        # Kept samples are ordered by their time.
+        # Stored samples are ordered by timestamp.
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": False,
-        # Whoever holds the address and says nothing is given up soon.
+        # Give up soon on a peer that accepts the connection but does not respond.
         "transport/unicast/open_timeout": OPEN_MS,
         "connect/retry": {
             "period_init_ms": 100,
@@ -243,7 +243,7 @@ def _open_session(address: str, run: str, router: bool, config: Any) -> Bus:
             config.insert_json5(key, json.dumps(value))
         return Bus(zenoh.open(config), address, run, is_router=router)
     except zenoh.ZError as error:
-        # Behind it stands a path of Zenoh's own source.
+        # Zenoh appends a path of its own source.
         reason = str(error).split(" at /")[0]
         wrong = (
             _explain_router_failure(address, reason) if router else _explain_client_failure(address)
@@ -253,17 +253,17 @@ def _open_session(address: str, run: str, router: bool, config: Any) -> Bus:
             + ("free" if router else "served by a proxy, a run or zenohd")
         ) from error
     except BaseException as error:
-        # A panic of Zenoh's is no Exception, and its class can only be known by name.
+        # Zenoh's panic is not an Exception, and its class is known only by name.
         if type(error).__name__ != "PanicException":
             raise
         raise ConfigError(
             f"zenoh {address} cannot be opened ({error}); "
-            "allow more descriptors, threads or memory (ulimit -n, -u, -v)"
+            "raise the limits of descriptors, threads or memory (ulimit -n, -u, -v)"
         ) from None
 
 
 def _explain_router_failure(address: str, reason: str) -> str:
-    """What a router is told: who has the address, where that is the reason."""
+    """Explain why the router could not open; name the owner of an address in use."""
     port = address.rpartition(":")[2]
     held = (
         f": {describe_port_owner(int(port), tcp=True)}"
@@ -274,35 +274,35 @@ def _explain_router_failure(address: str, reason: str) -> str:
 
 
 def _explain_client_failure(address: str) -> str:
-    """What a client is told: somebody who listens and refuses is another than nobody at all."""
+    """Explain why a client could not connect: refused, or no router listening."""
     host, _, port = address.partition("/")[2].rpartition(":")
     with contextlib.suppress(OSError, ValueError), socket.create_connection((host, int(port)), 1.0):
         return (
-            "refuses us: it is another user's, or asks for users or certificates"
-            " (--zenoh-config FILE, or the variable ZENOH_CONFIG)"
+            "refused the connection: it belongs to another user or requires a password or"
+            " certificate; give them with --zenoh-config FILE or the variable ZENOH_CONFIG"
         )
     return "has no router listening"
 
 
 def check_run_name(run: str) -> None:
-    """Refuse a run's name that no key could hold.
+    """Refuse a run name that is not valid in a key.
 
     Raises
     ------
     ConfigError
-        If it is not made of letters, digits, dots, hyphens and underscores.
+        If it has other characters than letters, digits, dots, hyphens and underscores.
     """
     if not RUN_NAME.fullmatch(run):
-        raise ConfigError(f"--run {run!r} cannot be a key; take letters, digits, '.', '-' and '_'")
+        raise ConfigError(f"--run {run!r} cannot be a key; use letters, digits, '.', '-' and '_'")
 
 
 def read_config(path: str) -> Any:
-    """Zenoh's configuration from a file, or its defaults.
+    """Read a Zenoh configuration file, or return Zenoh's defaults.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is wrong.
+        If the file cannot be read or is invalid.
     """
     import zenoh
 
@@ -312,29 +312,29 @@ def read_config(path: str) -> Any:
         return zenoh.Config.from_file(path)
     except zenoh.ZError as error:
         raise ConfigError(
-            f"--zenoh-config {path}: {str(error).split(' at /')[0]}; give Zenoh's JSON5 or YAML"
+            f"--zenoh-config {path}: {str(error).split(' at /')[0]}; give a JSON5 or YAML file"
         ) from None
 
 
 def running_proxies(keys: Sequence[str]) -> list[str]:
-    """The runs whose proxy is alive, by the keys of all components that are (see `Bus.who`)."""
+    """Return the runs with a live proxy, given the keys of all live components."""
     start, end = f"{ROOT}/", "/alive/proxy"
     return sorted(key[len(start) : -len(end)] for key in keys if key.endswith(end))
 
 
 def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
-    """The bus at `auto` (the default address) or at an address: as its router, else as a client.
+    """Open the bus at `auto` (the default address) or an address as router, else as client.
 
     Raises
     ------
     ConfigError
-        If neither can be had.
+        If neither is possible.
     """
     try:
         return open_bus(choice, run=run, router=True, config_file=config_file)
     except ConfigError as error:
         try:
-            # Somebody else is the router already.
+            # Another process is already the router.
             return open_bus(choice, run=run, config_file=config_file)
         except ConfigError:
             raise error from None
@@ -344,21 +344,20 @@ def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
 def open_run_bus(
     choice: str, run: str, component: str = "run", config_file: str = ""
 ) -> Iterator[Bus | None]:
-    """The bus of a run: the router, or a client of the one that is there already.
+    """Open the bus of a run as the router, or as a client if there is one already.
 
-    `choice` is `auto` (the default address, and without a bus where that is another's), `off` or an
-    address.
+    `choice` is `auto` (the default address, or no bus if another user has it), `off` or an address.
 
     Raises
     ------
     ConfigError
-        If `choice` names an address where neither can be had.
+        If `choice` is an address where neither is possible.
     """
     bus = None
     if choice != "off":
         try:
             bus = join_bus(choice, run, config_file)
-        # Asked for by name it must work; `auto` may do without.
+        # An explicit address must work; `auto` may go without a bus.
         except ConfigError as error:
             if choice != "auto" or config_file:
                 raise
@@ -372,10 +371,10 @@ def open_run_bus(
 
 
 def choose_free_port(url: str) -> str:
-    """`url` with port 0 replaced by a port that is free now."""
+    """Replace port 0 in `url` by a port that is free now."""
     if not url.endswith(":0"):
         return url
     with socket.socket() as probe:
-        # Zenoh does not say which port it got, so one is chosen for it.
+        # Zenoh does not report the port it got, so choose one for it.
         probe.bind(("127.0.0.1", 0))
         return f"{url[:-1]}{probe.getsockname()[1]}"

@@ -1,8 +1,8 @@
-"""Who may join the bus: by default only programs of the user who opened it.
+"""Credentials of the bus: by default only programs of the user who opened it may join.
 
-A loopback port is open to every user of the machine, and whoever joins the bus may stop a vehicle's
-traffic. So the router asks for a name and a password, which lie in a file that only its user can
-read. Any Zenoh program of that user joins with this file as its configuration.
+A loopback port is open to every user of the machine, and any client of the bus can stop a vehicle's
+traffic. So the router requires a name and a password from a file that only its user can read. Any
+Zenoh program of that user can join with this file as its configuration.
 """
 
 import contextlib
@@ -21,37 +21,37 @@ CONFIG, USERS = "config.json5", "users.txt"
 
 
 def credentials_folder() -> Path:
-    """The folder with the configuration and the list of users, made at the first use.
+    """Return the folder with the bus configuration and user list, created at first use.
 
     Raises
     ------
     ConfigError
-        If there is no place to keep them.
+        If there is no writable folder for them.
     """
     for place in _candidate_folders():
         if is_usable(place):
             return _create_credentials(place / "zenoh")
     raise ConfigError(
-        "--zenoh: no folder to keep the bus's password in; set XDG_STATE_HOME to one that can be"
-        " written to, give --zenoh-config FILE, or --zenoh off"
+        "--zenoh: no folder for the bus's password; set XDG_STATE_HOME to a writable one, or give"
+        " --zenoh-config FILE or --zenoh off"
     )
 
 
 def _candidate_folders() -> Iterator[Path]:
     home = os.environ.get("XDG_STATE_HOME")
     if home is None:
-        with contextlib.suppress(RuntimeError):  # a user without a name has no home either
+        with contextlib.suppress(RuntimeError):  # a user without a name has no home
             home = str(Path.home() / ".local" / "state")
     if home is not None:
         yield Path(home) / "mavproxy-fault"
-    # Without a home, or a read-only one: a folder that only this user can write to.
+    # If home is missing or read-only: a folder that only this user can write to.
     yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{user_number()}"
 
 
 def _create_credentials(folder: Path) -> Path:
     if (folder / CONFIG).exists():
         return folder
-    # Made aside and moved at once: of two processes that start together one is first for both.
+    # Created aside and renamed atomically: of two concurrent processes both use the first one's.
     new = Path(tempfile.mkdtemp(dir=folder.parent))
     user, password = f"user-{user_number()}", secrets.token_urlsafe(24)
     auth = {"usrpwd": {"user": user, "password": password}}
@@ -65,6 +65,6 @@ def _create_credentials(folder: Path) -> Path:
 
 
 def _write(path: Path, text: str) -> None:
-    # Closed to others before the password is in it.
+    # Restrict access before writing the password.
     path.touch(mode=0o600)
     path.write_text(text)

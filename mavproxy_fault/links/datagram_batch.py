@@ -1,10 +1,10 @@
-"""Datagrams in batches, without giving up the interpreter's lock.
+"""Datagrams received in batches, without releasing the interpreter lock (GIL).
 
-Python's sockets release the lock around every call; where another thread computes (the compiled
-path being loaded, a bus callback), getting it back costs up to a whole turn of that thread, per
-datagram. These calls never block, so they can keep the lock: one call receives up to 64 datagrams.
-The structures are those of 64-bit Linux (`recvmmsg(2)`); where that call is missing, as on macOS
-and Windows, `datagram_plain` serves, and the compiled form stays away.
+Python's sockets release the lock around every call. While another thread computes (loading the
+compiled path, a bus callback), regaining it takes up to a full switch interval per datagram. These
+calls never block, so they keep the lock; one call receives up to 64 datagrams. The structures are
+those of 64-bit Linux (`recvmmsg(2)`); on systems without that call, such as macOS and Windows,
+`datagram_plain` is used and the compiled path is unavailable.
 """
 
 import ctypes
@@ -12,29 +12,29 @@ import socket
 from typing import Any
 
 BATCH = 64
-# The longest datagram: a shorter buffer would cut one without a word.
+# The longest datagram: a shorter buffer would truncate silently.
 MAX_DATAGRAM = 65_536
-ADDRESS_SIZE = 32  # bytes kept for a socket address
+ADDRESS_SIZE = 32  # bytes reserved for a socket address
 DONTWAIT = getattr(socket, "MSG_DONTWAIT", 0)  # Windows has none
 
 
 def _libc() -> Any:
-    """The C library with its calls, or None where it has not those that are needed."""
+    """Load the C library; None if it lacks the calls needed."""
     try:
-        found = ctypes.PyDLL(None)  # unlike CDLL it keeps the lock
-    except TypeError:  # Windows has no library of the process itself
+        libc = ctypes.PyDLL(None)  # unlike CDLL it does not release the lock
+    except TypeError:  # Windows cannot open the process itself
         return None
-    if not hasattr(found, "recvmmsg"):
+    if not hasattr(libc, "recvmmsg"):
         return None
-    found.recvmmsg.argtypes = [
+    libc.recvmmsg.argtypes = [
         ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p,
     ]  # fmt: skip
-    found.sendto.argtypes = [
+    libc.sendto.argtypes = [
         ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_char_p,
         ctypes.c_uint,
     ]  # fmt: skip
-    found.sendto.restype = ctypes.c_ssize_t
-    return found
+    libc.sendto.restype = ctypes.c_ssize_t
+    return libc
 
 
 _LIBC = _libc()
@@ -77,22 +77,22 @@ class BatchedDatagrams:
             message.part, message.part_count = ctypes.addressof(part), 1
 
     def receive(self) -> list[tuple[bytes, bytes]]:
-        """The raw addresses and bytes of datagrams that wait, at most 64."""
+        """Return raw address and bytes of waiting datagrams, at most 64."""
         count = _LIBC.recvmmsg(self._fileno, self._messages, BATCH, DONTWAIT, None)
-        found = []
-        # The count is -1 where nothing waits: then there is nothing to go through.
+        datagrams = []
+        # The count is -1 if no datagram waits.
         for n in range(count):
             message = self._messages[n]
             name = bytes(self._name_view[n * ADDRESS_SIZE : n * ADDRESS_SIZE + message.name_length])
-            # Copied, as the buffers are filled again at the next call.
-            found.append(
+            # Copied, because the next call reuses the buffers.
+            datagrams.append(
                 (name, bytes(self._view[n * MAX_DATAGRAM : n * MAX_DATAGRAM + message.length]))
             )
             message.name_length = ADDRESS_SIZE
-        return found
+        return datagrams
 
     def send(self, data: bytes, address: bytes | None = None) -> bool:
-        """Send one datagram; False if the kernel did not take it."""
+        """Send one datagram; return False if the kernel did not accept it."""
         length = 0 if address is None else len(address)
         sent = _LIBC.sendto(self._fileno, data, len(data), DONTWAIT, address, length)
         return bool(sent >= 0)

@@ -1,14 +1,14 @@
-"""Datagrams one by one, by Python's own sockets: for systems without Linux' calls.
+"""Datagrams received one by one with Python's sockets, for systems without `recvmmsg(2)`.
 
-Addresses are the raw ones of `datagram_batch`, whatever the system's own form is, so that all that
-knows them (`peers`, the compiled form) knows one form.
+Addresses have the raw Linux form of `datagram_batch` on every system, so that their users (`peers`,
+the compiled path) need only one form.
 """
 
 import socket
 import struct
 
 BATCH = 64
-MAX_DATAGRAM = 65_536  # a shorter buffer would cut a datagram without a word
+MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 
 
@@ -19,18 +19,18 @@ class PlainDatagrams:
         self._sock = sock
 
     def receive(self) -> list[tuple[bytes, bytes]]:
-        """The raw addresses and bytes of datagrams that wait, at most 64."""
-        found: list[tuple[bytes, bytes]] = []
-        while len(found) < BATCH:
+        """Return raw address and bytes of waiting datagrams, at most 64."""
+        datagrams: list[tuple[bytes, bytes]] = []
+        while len(datagrams) < BATCH:
             try:
                 data, address = self._sock.recvfrom(MAX_DATAGRAM)
-            except OSError:  # nothing waits, or an earlier datagram of ours was refused
+            except OSError:  # no datagram waits, or an earlier one that we sent was refused
                 break
-            found.append((_raw(address), data))
-        return found
+            datagrams.append((_raw(address), data))
+        return datagrams
 
     def send(self, data: bytes, address: bytes | None = None) -> bool:
-        """Send one datagram; False if the kernel did not take it."""
+        """Send one datagram; return False if the kernel did not accept it."""
         try:
             if address is None:
                 self._sock.send(data)
@@ -42,7 +42,7 @@ class PlainDatagrams:
 
 
 def _raw(address: tuple[str, int] | tuple[str, int, int, int]) -> bytes:
-    """Python's address as Linux writes it; port and host are in the network's order."""
+    """Convert Python's address to Linux's raw form; port and host are in network byte order."""
     port = address[1].to_bytes(2, "big")
     if len(address) == 2:
         return V4.pack(socket.AF_INET, port, socket.inet_aton(address[0]))
@@ -52,7 +52,7 @@ def _raw(address: tuple[str, int] | tuple[str, int, int, int]) -> bytes:
 
 
 def _pair(raw: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """A raw address as Python's sockets want it."""
+    """Convert a raw address to the form of Python's sockets."""
     port = int.from_bytes(raw[2:4], "big")
     if len(raw) == V4.size:
         return socket.inet_ntoa(raw[4:8]), port

@@ -1,7 +1,7 @@
-"""Descriptors: what a link waits on, one over all its connections where the system has that.
+"""Descriptors that a link waits on: a single one for all its connections where possible.
 
-Linux (epoll) and macOS (kqueue) have such a descriptor. Elsewhere, as on Windows, every connection
-is waited on by itself, and room for pending writes is looked for a few times a second.
+Linux (epoll) and macOS (kqueue) have such a descriptor. On other systems, such as Windows, each
+connection has its own, and pending writes are retried a few times per second.
 """
 
 import select
@@ -13,47 +13,47 @@ from mavproxy_fault.links.link import Link
 
 
 class Descriptors:
-    """The connections of one link."""
+    """The descriptors of all connections of one link."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
 
     def filenos(self) -> list[int]:
-        """What to `select` on; with a descriptor over all it is that one, always the same."""
+        """Return the descriptors for `select`; a common descriptor never changes."""
         own = getattr(self._selector, "fileno", None)
         if own is not None:
             return [own()]
         return [key.fd for key in self._selector.get_map().values()]
 
     def add(self, fileno: int) -> None:
-        """Wait for what comes on a descriptor."""
+        """Watch a descriptor for received data."""
         self._selector.register(fileno, selectors.EVENT_READ)
 
     def watch_writable(self, fileno: int, *, wanted: bool) -> None:
-        """Wait for room to write as well, or no longer."""
+        """Start or stop watching a descriptor for space to write."""
         room = selectors.EVENT_WRITE if wanted else 0
         self._selector.modify(fileno, selectors.EVENT_READ | room)
 
     def remove(self, fileno: int) -> None:
-        """Forget a descriptor before it is closed."""
+        """Stop watching a descriptor before it is closed."""
         self._selector.unregister(fileno)
 
     def ready(self) -> list[int]:
-        """The descriptors that want service now."""
-        # Windows refuses to wait for nothing.
+        """Return the descriptors that are ready now."""
+        # Windows cannot wait on an empty set.
         if not self._selector.get_map():
             return []
         return [key.fd for key, _ in self._selector.select(0)]
 
     def close(self) -> None:
-        """Release what the system keeps for it."""
+        """Release the system's resources."""
         self._selector.close()
 
 
 def wait_until_readable(links: Sequence[Link], wait_s: float) -> None:
-    """Wait until one of the links has something to read, `wait_s` seconds at most."""
+    """Wait until one of the links is readable, at most `wait_s` seconds."""
     descriptors = [descriptor for link in links for descriptor in link.filenos()]
     if descriptors:
         select.select(descriptors, (), (), wait_s)
-    else:  # Windows refuses to wait for nothing
+    else:  # Windows cannot wait on an empty set
         time.sleep(wait_s)

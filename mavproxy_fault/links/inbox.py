@@ -1,4 +1,4 @@
-"""The frames that come in on a link, whichever of its streams they come on."""
+"""Frames received on a link, from all its streams."""
 
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
@@ -14,22 +14,22 @@ class Inbox:
         self._parsers: dict[int, Parser] = {}
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
-        """What has come since the last call; bytes that are no frame are left out.
+        """Return the frames received since the last call, without junk.
 
-        Waits up to `wait_s` seconds for something to come.
+        Waits up to `wait_s` seconds for data.
         """
         if wait_s > 0.0:
             wait_until_readable([self.link], wait_s)
         return [frame for chunk in self.link.read() for frame in self.parsed(*chunk)]
 
     def incomplete(self, stream: int) -> bool:
-        """Whether a stream owes the rest of a frame."""
+        """Whether a stream has delivered only part of a frame."""
         parser = self._parsers.get(stream)
         return parser is not None and parser.incomplete > 0
 
     def parsed(self, stream: int, data: bytes) -> list[Frame]:
-        """The frames that a chunk completes."""
-        # The stream has ended: its half frame must not be joined with what comes next.
+        """Return the frames that a chunk completes; empty bytes end the stream."""
+        # The stream has ended: its incomplete frame must not be joined with later data.
         if not data:
             self._parsers.pop(stream, None)
             return []

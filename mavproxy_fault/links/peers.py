@@ -1,7 +1,7 @@
-"""Who a listening UDP link answers: the addresses heard of late, within what was allowed.
+"""Peers of a listening UDP link: the recently heard, admitted addresses that it sends to.
 
-A peer is proven once it has sent a verified frame. Those that are not never displace those that
-are, so that strangers cannot cut off a vehicle that is silent for a while.
+A peer is proven once it has sent a verified frame. Unproven peers never displace proven ones, so
+strangers cannot cut off a vehicle that is silent for a while.
 """
 
 import ipaddress
@@ -9,23 +9,23 @@ import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-PEER_EXPIRY_S = 60.0  # a silent peer makes room for a newcomer, unless it was the last to speak
-MAX_PEERS = 32
+PEER_EXPIRY_S = 60.0  # a peer silent this long may be replaced, unless it was heard last
+MAX_PEERS = 32  # chosen: every frame goes to every peer, so this bounds the cost of a frame
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 def reject_every_datagram(_: bytes) -> bool:
-    """What a link believes that was given no way to tell."""
+    """Default of `Admission.is_frame`: no datagram proves its sender."""
     return False
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """Which addresses may be peers.
+    """The rule for which addresses may be peers.
 
-    `allowed` are networks (none: every address). With `lock` nobody is heard any more but the first
-    peer that was proven. `is_frame` tells whether a datagram proves its sender.
+    `allowed` are networks (empty: every address). With `lock` only the first proven peer is
+    accepted. `is_frame` decides whether a datagram proves its sender.
     """
 
     allowed: tuple[Network, ...] = ()
@@ -35,14 +35,14 @@ class Admission:
 
 @dataclass(slots=True)
 class Peer:
-    """When an address last spoke (monotonic seconds), and whether it is proven."""
+    """When an address was last heard (monotonic seconds), and whether it is proven."""
 
     last_heard_s: float
     proven: bool = False
 
 
 class Peers:
-    """The peers of one link by raw socket address."""
+    """The peers of one link, by raw socket address."""
 
     def __init__(self) -> None:
         self.admission = Admission()
@@ -50,26 +50,26 @@ class Peers:
         self._last_heard = b""
 
     def register(self, address: bytes, data: bytes, now_s: float) -> bool:
-        """Note that an address spoke; whether it may be listened to."""
+        """Record that an address sent a datagram; return whether it is admitted."""
         peer = self.by_address.get(address)
         proven = peer is not None and peer.proven
         if not proven and not self._admits(address):
             return False
-        # Looked at only until it holds: parsing every datagram would cost the link its rate.
+        # Checked only until proven: parsing every datagram would be too slow.
         proven = proven or self.admission.is_frame(data)
         if peer is None:
             if not self._make_room(proven, now_s):
-                return True  # heard, but not answered
+                return True  # accepted, but nothing is sent back
             peer = self.by_address[address] = Peer(now_s)
         peer.last_heard_s, peer.proven = now_s, proven
         self._last_heard = address
-        # Whoever was heard before, unproven, is a stranger now.
+        # Drop all unproven peers heard before.
         if proven and self.admission.lock:
             self.by_address = {address: peer}
         return True
 
     def confirm(self, address: bytes, now_s: float) -> None:
-        """Note that a peer sent verified frames."""
+        """Record that a peer sent verified frames."""
         peer = self.by_address.get(address)
         if peer is not None:
             peer.last_heard_s, peer.proven = now_s, True
@@ -82,8 +82,8 @@ class Peers:
         return not allowed or any(host_address(address) in network for network in allowed)
 
     def _make_room(self, proven: bool, now_s: float) -> bool:
-        """Forget whom a newcomer may displace; whether there is room for it."""
-        # A proven newcomer may displace anybody, an unproven one only its like.
+        """Remove peers that a newcomer may displace; return whether there is a free place."""
+        # A proven newcomer may displace any peer, an unproven one only unproven peers.
         weaker = {a: peer for a, peer in self.by_address.items() if proven or not peer.proven}
         for address, peer in weaker.items():
             if now_s - peer.last_heard_s > PEER_EXPIRY_S and address != self._last_heard:
@@ -100,22 +100,22 @@ class Peers:
 
 
 def host_address(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """The host of a raw `sockaddr_in` or `sockaddr_in6`."""
-    # In the machine's own order, unlike the port and the host.
+    """Return the host of a raw `sockaddr_in` or `sockaddr_in6`."""
+    # The family is in host byte order, unlike port and address.
     family = int.from_bytes(address[:2], "little")
     if family == socket.AF_INET:
         return ipaddress.IPv4Address(address[4:8])
-    found = ipaddress.IPv6Address(address[8:24])
-    # A socket for both families shows IPv4 hosts as ::ffff:a.b.c.d; the user writes a.b.c.d.
-    return found.ipv4_mapped or found
+    host = ipaddress.IPv6Address(address[8:24])
+    # A dual-stack socket reports IPv4 hosts as ::ffff:a.b.c.d; the user writes a.b.c.d.
+    return host.ipv4_mapped or host
 
 
 def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:
-    """Networks by their text, such as 10.0.0.7 or 192.168.1.0/24.
+    """Parse networks such as 10.0.0.7 or 192.168.1.0/24.
 
     Raises
     ------
     ValueError
-        If one is no network.
+        If a text is not a network.
     """
     return tuple(ipaddress.ip_network(text) for text in texts)

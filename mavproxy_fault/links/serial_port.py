@@ -1,4 +1,4 @@
-"""Serial devices: non-blocking, with a bounded queue, opened again after they were unplugged."""
+"""Serial devices: non-blocking, with a bounded queue, reopened after they were unplugged."""
 
 import contextlib
 import os
@@ -15,15 +15,15 @@ from mavproxy_fault.links.stream import Stream
 try:
     import termios
 
-    TerminalError: type[Exception] = termios.error  # no OSError
+    TerminalError: type[Exception] = termios.error  # not a subclass of OSError
 except ImportError:  # Windows
     TerminalError = OSError
 
-REOPEN_S = 0.5
+REOPEN_S = 0.5  # chosen: two attempts per second cost nothing
 
 
 class SerialPort:
-    """One device, which may be unplugged and come back."""
+    """One device, which may be unplugged and plugged in again."""
 
     datagrams = False
 
@@ -55,15 +55,15 @@ class SerialPort:
 
     @property
     def peer_count(self) -> int:
-        """1 while the device is there."""
+        """1 while the device is open."""
         return int(self._port is not None)
 
     def filenos(self) -> list[int]:
-        """What to wait on for the device, while it is there."""
+        """Return the descriptor of the device while it is open."""
         return self._descriptors.filenos()
 
     def read(self) -> list[Chunk]:
-        """Reopen a lost device, continue pending writes, and collect what came."""
+        """Reopen a lost device, continue pending writes, and return received data."""
         if self._port is None:
             if time.monotonic() >= self._retry_s:
                 self._retry_s = time.monotonic() + REOPEN_S
@@ -72,21 +72,20 @@ class SerialPort:
             return []
         port, stream = self._port
         stream.flush()
-        # Asked first: what comes between the two calls must not look like a hang-up.
-        waits = bool(select.select([port], (), (), 0)[0])
-        data, stands = stream.read()
+        # Before the read: data arriving between the two calls must not look like a hang-up.
+        readable = bool(select.select([port], (), (), 0)[0])
+        data, is_open = stream.read()
         chunks = [(self._number, data)] if data else []
-        # A pulled USB adapter reads as empty for ever, and yet as if something waited.
-        if (waits and not data) or not stands:
+        # An unplugged USB adapter stays readable but returns no data.
+        if (readable and not data) or not is_open:
             self._lose()
             chunks.append((self._number, b""))
-            # What comes after plugging in is another stream: half a frame of the old one stays
-            # half.
+            # Reopening starts a new stream: the old stream's incomplete frame is not continued.
             self._number += 1
         return chunks
 
     def write(self, data: bytes) -> None:
-        """Send; while the device is gone the chunk is dropped, for it would be stale later."""
+        """Send one chunk; it is dropped while the device is missing, as it would be stale later."""
         if self._port is None:
             self.counters.drops += 1
         else:

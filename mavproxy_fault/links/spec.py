@@ -1,12 +1,12 @@
-"""Connection strings: pymavlink's, as users know them, and MAVSDK's `scheme://` form.
+"""Connection strings in pymavlink's form and in MAVSDK's `scheme://` form.
 
-    udpin:HOST:PORT    listen, answer everyone heard    udpout:HOST:PORT   send to
+    udpin:HOST:PORT    listen, answer all peers         udpout:HOST:PORT   send to
     tcp:HOST:PORT      TCP client                       tcpin:HOST:PORT    TCP server
     /dev/ttyACM0,57600 serial device and baud rate      serial:///dev/ttyACM0:57600
 
-Any other `scheme:ADDRESS` is for the file of that name in this folder, if there is one.
-`udp:HOST:PORT` and a bare `HOST:PORT` mean what they mean to MAVProxy: listen for a master, send
-for an output. An empty host is 127.0.0.1; to listen on all interfaces say 0.0.0.0.
+Any other `scheme:ADDRESS` is opened by the module of that name in this package, if there is one.
+`udp:HOST:PORT` and `HOST:PORT` mean the same as in MAVProxy: listen for a master, send for an
+output. An empty host is 127.0.0.1; to listen on all interfaces, use 0.0.0.0.
 """
 
 import re
@@ -21,8 +21,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.open_hint import open_hint
 
-# Scheme to kind of link, and kind to the file of this folder whose OPENERS open it. A further
-# kind is found in the file of its own name.
+# Scheme to kind of link, and kind to the module of this package whose OPENERS open it. The module
+# of any other kind has the name of the kind.
 SCHEMES = {"udpin": "udpin", "udpout": "udpout", "tcp": "tcp", "tcpout": "tcp", "tcpin": "tcpin"}
 FILES = {"udpin": "udp", "udpout": "udp", "tcpin": "tcp", "serial": "serial_port"}
 ALLOWED = (
@@ -34,9 +34,9 @@ DEFAULT_BAUD = 115_200  # pymavlink's
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """What a connection string says; `host` is the device of a serial link, `port` its baud rate.
+    """A parsed connection string; a serial link has its device as `host`, its baud rate as `port`.
 
-    For kinds of link that have a file of their own, `host` is all that follows the scheme.
+    For other kinds of link with a module of their own, `host` is everything after the scheme.
     `text` is the string as the user wrote it, for messages.
     """
 
@@ -47,15 +47,15 @@ class LinkSpec:
 
 
 def parse_spec(text: str, *, bare_udp: Literal["udpin", "udpout"] = "udpin") -> LinkSpec:
-    """Read a connection string; `bare_udp` is what `udp:` and a bare HOST:PORT stand for.
+    """Parse a connection string; `bare_udp` is the meaning of `udp:` and a bare HOST:PORT.
 
     Raises
     ------
     ConfigError
-        If the string has none of the known forms.
+        If the string is in none of the known forms.
     """
-    found = re.fullmatch(r"([a-z_]+)://(.*)", text) or re.fullmatch(r"([a-z]+):(.*)", text)
-    scheme, rest = (found[1], found[2]) if found else ("", text)
+    match = re.fullmatch(r"([a-z_]+)://(.*)", text) or re.fullmatch(r"([a-z]+):(.*)", text)
+    scheme, rest = (match[1], match[2]) if match else ("", text)
     if scheme == "serial":
         return _serial(text, rest.replace(",", ":"))
     kind = bare_udp if scheme == "udp" else SCHEMES.get(scheme)
@@ -71,15 +71,15 @@ def parse_spec(text: str, *, bare_udp: Literal["udpin", "udpout"] = "udpin") -> 
 
 
 def _socket(kind: str, text: str, rest: str) -> LinkSpec:
-    found = re.fullmatch(r"(?:\[(?P<six>[^\]]+)\]|(?P<host>[^:]*)):(?P<port>\d{1,5})", rest)
-    if found is None:
+    match = re.fullmatch(r"(?:\[(?P<six>[^\]]+)\]|(?P<host>[^:]*)):(?P<port>\d{1,5})", rest)
+    if match is None:
         raise ConfigError(f"{text}: has no HOST:PORT after its scheme; {ALLOWED}")
-    port = int(found["port"])
+    port = int(match["port"])
     if port > 0xFFFF:
         raise ConfigError(f"{text}: port {port} is too large; allowed: 0 to 65535")
     if port == 0 and kind in ("udpout", "tcp"):
         raise ConfigError(f"{text}: port 0 cannot be sent to; allowed: 1 to 65535")
-    return LinkSpec(kind, found["six"] or found["host"] or "127.0.0.1", port, text)
+    return LinkSpec(kind, match["six"] or match["host"] or "127.0.0.1", port, text)
 
 
 def _serial(text: str, rest: str) -> LinkSpec:
@@ -95,24 +95,24 @@ def open_link(spec: str | LinkSpec, *, bare_udp: Literal["udpin", "udpout"] = "u
     Raises
     ------
     ConfigError
-        If the string is wrong, or the address or device cannot be opened.
+        If the string is invalid, or the address or device cannot be opened.
     """
     if isinstance(spec, str):
         spec = parse_spec(spec, bare_udp=bare_udp)
     try:
         return _open(spec)
     except OSError as error:
-        # Where Python itself adds the address, it would stand there twice.
+        # Python may add the address itself, which would repeat it.
         reason = (error.strerror or str(error)).partition(" (while attempting")[0]
         hint = open_hint(spec.kind, spec.host, spec.port, error)
         raise ConfigError(f"{spec.text}: cannot be opened: {reason}; {hint}") from error
 
 
 def _open(spec: LinkSpec) -> Link:
-    # Its devices are no files on Windows, and `select` does not wait for them.
+    # On Windows serial devices are not files, and `select` cannot wait for them.
     if spec.kind == "serial" and find_spec("termios") is None:
         raise ConfigError(
-            f"{spec.text}: serial devices need termios, which this system has not; "
+            f"{spec.text}: serial devices need termios, which this system lacks; "
             "allowed here: udpin, udpout, tcp, tcpin"
         )
     opener = _openers(FILES.get(spec.kind, spec.kind))[spec.kind]
@@ -120,9 +120,9 @@ def _open(spec: LinkSpec) -> Link:
 
 
 def _openers(file: str) -> dict[str, Callable[[str, int], Link]]:
-    """What opens the kinds of link of one file of this folder; empty where there is no such."""
+    """Return the OPENERS of a module of this package; empty if there is no such module."""
     name = f"{links.__name__}.{file}"
     if find_spec(name) is None:
         return {}
-    found: dict[str, Callable[[str, int], Link]] = getattr(import_module(name), "OPENERS", {})
-    return found
+    openers: dict[str, Callable[[str, int], Link]] = getattr(import_module(name), "OPENERS", {})
+    return openers

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import QUEUE_LIMIT, LinkCounters
 
-READ_SIZE = 32_768  # what is no frame must still fit one datagram
+READ_SIZE = 32_768  # bytes; junk read at once must still fit one datagram
 
 
 class Stream:
-    """A non-blocking descriptor that its link watches, read and written by two calls.
+    """A non-blocking descriptor with the two calls that read and write it.
 
-    `empty_is_end` tells whether reading nothing means that the peer closed (TCP) or only that
-    nothing waits (a serial device).
+    `empty_is_end` is true if an empty read means that the peer closed (TCP), false if it only
+    means that no data are available (a serial device).
     """
 
     def __init__(
@@ -27,29 +27,29 @@ class Stream:
         empty_is_end: bool,
     ) -> None:
         self.fileno = fileno
-        self.open = True  # False while a TCP connection is still being made
-        self._read, self._write = calls  # of a socket or a file: Windows tells them apart
+        self.open = True  # False while a TCP connection is being established
+        self._read, self._write = calls  # of a socket or a file: they differ on Windows
         self._descriptors = descriptors
         self._counters = counters
         self._empty_is_end = empty_is_end
-        self._queue: deque[tuple[bytes, int]] = deque()  # and of how many chunks they are
+        self._queue: deque[tuple[bytes, int]] = deque()  # bytes, number of chunks
         self._queued = 0
         self._awaits_room = False
         descriptors.add(fileno)
 
     def await_open(self) -> None:
-        """Hold what is written until the connection stands."""
+        """Queue written data until the connection is established."""
         self.open = False
         self._await_room(wanted=True)
 
     @property
     def has_pending(self) -> bool:
-        """Whether something is still to be sent."""
+        """Whether data are still to be sent."""
         return bool(self._queue)
 
     def write(self, data: bytes, chunks: int = 1) -> None:
-        """Send, or queue what the kernel does not take; drop whole chunks beyond the limit."""
-        # Whole chunks: half a frame would make the receiver lose its place.
+        """Send, or queue what the kernel does not accept; drop entire chunks beyond the limit."""
+        # Entire chunks: half a frame would make the receiver lose synchronization.
         if self._queued + len(data) > QUEUE_LIMIT:
             self._counters.drops += chunks
             return
@@ -59,18 +59,18 @@ class Stream:
             self.flush()
 
     def flush(self) -> None:
-        """Send what is queued until the kernel takes no more; a part sent is continued later."""
+        """Send queued data until the kernel accepts no more; the rest is sent later."""
         queue = self._queue
         while queue:
             data, chunks = queue[0]
             try:
                 sent = self._write(data)
-            except OSError:  # full, or lost: the next read notices the latter
+            except OSError:  # buffer full, or connection lost, which the next read detects
                 break
             self._queued -= sent
             self._counters.bytes_out += sent
             if sent < len(data):
-                # The rest of this chunk goes first, or its frame would be torn.
+                # Send the rest of this chunk first, or its frame would be split.
                 queue[0] = data[sent:], chunks
                 break
             queue.popleft()
@@ -78,9 +78,9 @@ class Stream:
         self._await_room(wanted=bool(queue))
 
     def read(self, most: int = READ_SIZE) -> tuple[bytes, bool]:
-        """What has come, so many bytes at most, and whether the stream still stands.
+        """Return received data, at most `most` bytes, and whether the stream is still open.
 
-        One read, however much waits: other links and due frames get their turn in between.
+        Only one read per call, so that other links and due frames get their turn.
         """
         try:
             data = self._read(most)
@@ -95,16 +95,16 @@ class Stream:
         return data, True
 
     def abandon(self) -> None:
-        """Stop watching the descriptor before its owner closes it; count what is lost."""
+        """Stop watching the descriptor before its owner closes it; count queued data as dropped."""
         self._counters.drops += sum(chunks for _, chunks in self._queue)
         self._queue.clear()
         self._queued = 0
-        # The kernel forgets a closed descriptor by itself.
+        # The kernel removes a closed descriptor by itself.
         with contextlib.suppress(OSError):
             self._descriptors.remove(self.fileno)
 
     def _await_room(self, *, wanted: bool) -> None:
-        # A system call saved for each frame.
+        # Saves a system call per frame.
         if wanted != self._awaits_room:
             self._awaits_room = wanted
             self._descriptors.watch_writable(self.fileno, wanted=wanted)

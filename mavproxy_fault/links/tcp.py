@@ -1,6 +1,6 @@
-"""TCP: a client that reconnects and a server for several peers.
+"""TCP links: a client that reconnects and a server for several peers.
 
-Each link has descriptors of its own over its sockets, which come and go.
+Each link watches its changing set of sockets through its own `Descriptors`.
 """
 
 import contextlib
@@ -16,37 +16,35 @@ from mavproxy_fault.links.peers import MAX_PEERS
 from mavproxy_fault.links.stream import READ_SIZE, Stream
 
 LOG = logging.getLogger(__name__)
-RECONNECT_S = 0.5
-ACCEPT_CHECK_S = (
-    0.1  # for which a lone peer that speaks all the time keeps others waiting at the door
-)
-ACCEPT_PAUSE_S = 0.5  # for which nobody is let in where there are no descriptors at all
-KEEPALIVE_IDLE_S = 60  # after which a connection is asked whether the other side still lives
-MAX_JOINED_BYTES = 1 << 16  # bytes at most that are kept, or dropped, as a whole
-RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: a fast peer waits rather than its frames
+RECONNECT_S = 0.5  # chosen: two attempts per second cost nothing
+ACCEPT_CHECK_S = 0.1  # between checks for new connections while a single peer sends continuously
+ACCEPT_PAUSE_S = 0.5  # without accepting connections after running out of descriptors
+KEEPALIVE_IDLE_S = 60  # idle time before 3 probes at 10 s: a lost peer is found in 90 s
+MAX_JOINED_BYTES = 1 << 16  # bytes at most that are queued, or dropped, as one
+RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: TCP throttles a fast sender early
 
 
 def _prepare(sock: socket.socket) -> None:
     sock.setblocking(False)
-    # Frames are small and wanted now: Nagle would hold them back for the next acknowledgement.
+    # Frames are small and urgent: Nagle would delay them until the next acknowledgement.
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-    # The system finds out that a peer is gone that never said so.
+    # Keepalive detects a peer that vanished without closing.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (
         ("TCP_KEEPIDLE", KEEPALIVE_IDLE_S),
         ("TCP_KEEPINTVL", 10),
         ("TCP_KEEPCNT", 3),
     ):
-        if hasattr(socket, name):  # some systems know only the first, or none
+        if hasattr(socket, name):  # some systems have only the first, or none
             sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _is_self_connected(sock: socket.socket) -> bool:
-    """Whether a port was called that nobody serves and that the system chose for the caller."""
+    """Whether a client connected to itself: the port has no server and was also its own."""
     try:
         return bool(sock.getsockname() == sock.getpeername())
-    except OSError:  # lost again already: the next read notices
+    except OSError:  # already lost again, which the next read detects
         return False
 
 
@@ -55,7 +53,7 @@ def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounter
 
 
 class TcpServer:
-    """Accepts up to MOST_PEERS peers; what is written goes to all of them."""
+    """Accepts up to 32 peers and sends to all of them."""
 
     datagrams = False
 
@@ -65,42 +63,42 @@ class TcpServer:
         )[0]
         self._listener = socket.create_server(address, family=family, backlog=16)
         self._listener.setblocking(False)
-        # Before connections come: the window of a connection is that of its listener.
+        # Set before accepting: connections inherit the listener's window.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port: int = self._listener.getsockname()[1]
         self.name = f"tcpin:{host_port(host, self.port)}"
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
-        self._accept_checked_s = 0.0  # when others than a lone peer were last asked for
-        self._reserve = socket.socket()  # kept for the moment when there are no descriptors
+        self._accept_checked_s = 0.0  # when new connections were last checked
+        self._reserve = socket.socket()  # a descriptor to free when none are left
         self._warned = False
-        self._accept_paused_until_s: float | None = None  # the listener, unwatched so long
+        self._accept_paused_until_s: float | None = None  # while the listener is not watched
         self._descriptors = Descriptors()
         self._descriptors.add(self._listener.fileno())
 
     @property
     def peer_count(self) -> int:
-        """How many peers are connected."""
+        """Number of connected peers."""
         return len(self._peers)
 
     def filenos(self) -> list[int]:
-        """What to wait on for the listener and all connections."""
+        """Return the descriptors of the listener and all connections."""
         return self._descriptors.filenos()
 
     def lone_peer(self) -> tuple[int, int] | None:
-        """Descriptor and stream of the only peer, where all that was written has left."""
+        """Return descriptor and stream of the only peer, provided its queue is empty."""
         if len(self._peers) != 1:
             return None
         _, stream, number = next(iter(self._peers.values()))
         return None if stream.has_pending else (stream.fileno, number)
 
     def read(self) -> list[Chunk]:
-        """Accept, continue pending writes, and collect what the peers sent."""
+        """Accept peers, continue pending writes, and return received data."""
         chunks: list[Chunk] = []
         now_s = time.monotonic()
         if len(self._peers) == 1 and now_s - self._accept_checked_s < ACCEPT_CHECK_S:
-            # Nobody else to be asked for: one system call, not two.
+            # With a single peer one system call suffices instead of two.
             self._read_from(next(iter(self._peers)), READ_SIZE, chunks)
             if chunks:
                 return chunks
@@ -108,9 +106,9 @@ class TcpServer:
         if self._accept_paused_until_s is not None and now_s >= self._accept_paused_until_s:
             self._accept_paused_until_s = None
             self._descriptors.add(self._listener.fileno())
-        # Only those with something to do: a system call for each of the others is saved.
+        # Only ready descriptors: saves a system call for each of the others.
         ready = self._descriptors.ready()
-        # Or 32 that send as fast as they can would keep one that does not waiting for a second.
+        # Without shares, 32 flooding peers would delay a slow one for a second.
         share = READ_SIZE // max(len(ready), 1)
         for descriptor in ready:
             if descriptor == self._listener.fileno():
@@ -120,24 +118,24 @@ class TcpServer:
         return chunks
 
     def _read_from(self, descriptor: int, most: int, chunks: list[Chunk]) -> None:
-        """Carry on writing to a peer, and collect what it sent."""
+        """Continue pending writes to a peer and append received data to `chunks`."""
         sock, stream, number = self._peers[descriptor]
         stream.flush()
-        data, stands = stream.read(most)
+        data, is_open = stream.read(most)
         if data:
             chunks.append((number, data))
-        if not stands:
+        if not is_open:
             stream.abandon()
             sock.close()
             del self._peers[descriptor]
             self._warn_last_peer_left()
-            # Empty bytes end the stream: its half frame will never be completed.
+            # Empty bytes end the stream: its incomplete frame will not be completed.
             chunks.append((number, b""))
 
     def _warn_last_peer_left(self) -> None:
-        # Whoever flies should know; somebody who only looked whether the port is open is not told.
+        # Warn if data had been received; a mere port check is not worth a message.
         if not self._peers and self.counters.bytes_in:
-            LOG.warning("%s: the other side closed the connection; nobody is left", self.name)
+            LOG.warning("%s: the last peer closed its connection; no peer is left", self.name)
 
     def _accept(self) -> None:
         while True:
@@ -152,11 +150,9 @@ class TcpServer:
                     self.counters.errors += 1
                 return
             if len(self._peers) >= MAX_PEERS:
-                # Each frame goes to each of them: a thousand would take the loop's time for good.
+                # Each frame is sent to each peer: a thousand would saturate the loop.
                 sock.close()
-                self._count_rejected(
-                    f"{MAX_PEERS} peers are connected; a further one is turned away"
-                )
+                self._count_rejected(f"{MAX_PEERS} peers are connected; another one was rejected")
                 continue
             _prepare(sock)
             stream = _stream(sock, self._descriptors, self.counters)
@@ -164,43 +160,43 @@ class TcpServer:
             self._next_stream += 1
 
     def _reject_without_descriptor(self) -> None:
-        """Close a connection for which there is no descriptor, in the place of the reserve."""
-        # Left waiting it would wake the loop for ever.
-        why = "no descriptor for a further peer; allow more (ulimit -n)"
+        """Accept and close a connection with the reserve descriptor, as none is left for it."""
+        # A connection left waiting would wake the loop continuously.
+        why = "no descriptor for another peer; raise the limit (ulimit -n)"
         self._reserve.close()
         try:
             self._listener.accept()[0].close()
-        except BlockingIOError:  # nobody waits: Linux looks for a descriptor first
+        except BlockingIOError:  # no connection waits: Linux checks descriptors first
             pass
-        except OSError:  # its place went to another thread, or the limit was lowered
+        except OSError:  # another thread took the descriptor, or the limit was lowered
             self._descriptors.remove(self._listener.fileno())
             self._accept_paused_until_s = time.monotonic() + ACCEPT_PAUSE_S
             self._warn_once(why)
         else:
             self._count_rejected(why)
-        with contextlib.suppress(OSError):  # none to be had: the next one waits
+        with contextlib.suppress(OSError):  # none available: retried at the next rejection
             self._reserve = socket.socket()
 
     def _count_rejected(self, why: str) -> None:
-        """Count a connection that was closed at once, and tell the first."""
+        """Count a rejected connection and warn of the first."""
         self.counters.errors += 1
         self._warn_once(why)
 
     def _warn_once(self, why: str) -> None:
-        """Say once why somebody was not let in."""
+        """Log once why a connection was rejected."""
         if not self._warned:
             LOG.warning("%s: %s", self.name, why)
             self._warned = True
 
     def write(self, data: bytes) -> None:
-        """Send to every peer; without peers the chunk is dropped."""
+        """Send to every peer; the chunk is dropped if there is none."""
         if not self._peers:
             self.counters.drops += 1
         for _, stream, _ in self._peers.values():
             stream.write(data)
 
     def write_all(self, chunks: Sequence[bytes]) -> None:
-        """Send several chunks to every peer, with one system call for each peer."""
+        """Send several chunks to every peer, with one system call per peer."""
         data = b"".join(chunks)
         if not self._peers or len(data) > MAX_JOINED_BYTES:
             for chunk in chunks:
@@ -221,14 +217,14 @@ class TcpServer:
 
 
 class TcpClient:
-    """Connects to a server, again and again while there is none."""
+    """Connects to a server and reconnects whenever the connection is lost."""
 
     datagrams = False
 
     def __init__(self, host: str, port: int) -> None:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        self._family = found[0]
-        self._address = found[4]
+        address_info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        self._family = address_info[0]
+        self._address = address_info[4]
         self.name = f"tcp:{host_port(host, port)}"
         self.counters = LinkCounters()
         self._descriptors = Descriptors()
@@ -240,32 +236,32 @@ class TcpClient:
 
     @property
     def peer_count(self) -> int:
-        """1 while the connection stands."""
+        """1 while connected."""
         return int(self._peer is not None and self._peer[1].open)
 
     def filenos(self) -> list[int]:
-        """What to wait on for whatever connection there is."""
+        """Return the descriptors of the present connection."""
         return self._descriptors.filenos()
 
     def _connect(self) -> None:
         self._retry_s = time.monotonic() + RECONNECT_S
         try:
             sock = socket.socket(self._family, socket.SOCK_STREAM)
-        except OSError as error:  # no descriptors: there may be some at the next attempt
+        except OSError as error:  # no descriptors: retried at the next attempt
             self.counters.errors += 1
             if not self._warned:
                 LOG.warning("%s: no connection: %s", self.name, error)
                 self._warned = True
             return
         _prepare(sock)
-        # It is under way when this returns; the descriptor tells when it stands or has failed.
+        # Non-blocking: the descriptor becomes ready when the connection succeeds or fails.
         sock.connect_ex(self._address)
         stream = _stream(sock, self._descriptors, self.counters)
         stream.await_open()
         self._peer = (sock, stream)
 
     def read(self) -> list[Chunk]:
-        """Carry on connecting or writing, and collect what came."""
+        """Continue connecting or pending writes, and return received data."""
         if self._peer is None:
             if time.monotonic() >= self._retry_s:
                 self._connect()
@@ -274,9 +270,9 @@ class TcpClient:
         if not stream.open and not self._finish_connecting(sock, stream):
             return []
         stream.flush()
-        data, stands = stream.read()
+        data, is_open = stream.read()
         chunks = [(self._number, data)] if data else []
-        if not stands:
+        if not is_open:
             self._lose(sock, stream)
             chunks.append((self._number, b""))
             self._number += 1
@@ -285,7 +281,7 @@ class TcpClient:
     def _finish_connecting(self, sock: socket.socket, stream: Stream) -> bool:
         if not self._descriptors.ready():
             return False
-        # Writable also means failed: only the socket's error tells the two apart.
+        # A failed connection is also writable; only SO_ERROR distinguishes them.
         if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or _is_self_connected(sock):
             self._lose(sock, stream)
             return False
@@ -293,16 +289,16 @@ class TcpClient:
         return True
 
     def _lose(self, sock: socket.socket, stream: Stream) -> None:
-        # Whoever flies should know; attempts at a server that is not there are not told.
+        # Warn of a lost connection, but not of attempts to reach a missing server.
         if stream.open:
-            LOG.warning("%s: the connection was lost; it is made again", self.name)
+            LOG.warning("%s: the connection was lost; reconnecting", self.name)
         stream.abandon()
         sock.close()
         self._peer = None
         self.counters.errors += 1
 
     def write(self, data: bytes) -> None:
-        """Send; while nobody answers the chunk is dropped, for it would be stale later."""
+        """Send one chunk; it is dropped while not connected, as it would be stale later."""
         if self._peer is None:
             self.counters.drops += 1
         else:

@@ -1,4 +1,4 @@
-"""UDP: a server that answers everyone it has heard, and a client that sends to one address."""
+"""UDP links: a server that sends to every peer heard, and a client of one address."""
 
 import socket
 import struct
@@ -9,7 +9,7 @@ from mavproxy_fault.links.datagram_plain import PlainDatagrams
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers, host_port
 from mavproxy_fault.links.peers import Peers
 
-SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts losses
+SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts drops
 
 
 def _open(host: str, port: int, *, listen: bool) -> socket.socket:
@@ -32,7 +32,7 @@ def _open(host: str, port: int, *, listen: bool) -> socket.socket:
 
 
 class _UdpSocket:
-    """What server and client share: a socket that never blocks, and its counters."""
+    """A non-blocking socket and its counters, shared by server and client."""
 
     datagrams = True
 
@@ -45,7 +45,7 @@ class _UdpSocket:
 
     @property
     def lost_in_kernel(self) -> int:
-        """Datagrams that came while the kernel's buffer was full."""
+        """Datagrams dropped because the kernel's receive buffer was full."""
         return lost_in_kernel(self.sock)
 
     def filenos(self) -> list[int]:
@@ -53,10 +53,10 @@ class _UdpSocket:
         return [self.sock.fileno()]
 
     def _send(self, data: bytes, address: bytes | None = None) -> None:
-        """Send and count; a refusal belongs to an earlier datagram and is cleared by telling."""
+        """Send and count; a refusal refers to an earlier datagram, and reporting clears it."""
         counters = self.counters
         if not self._datagrams.send(data, address):
-            # The kernel reports that an earlier datagram was refused at the next call: once more.
+            # The kernel reported the refusal of an earlier datagram: try again.
             counters.errors += 1
             if not self._datagrams.send(data, address):
                 counters.drops += 1
@@ -70,7 +70,7 @@ class _UdpSocket:
 
 
 class UdpServer(_UdpSocket):
-    """Listens on an address; what is written goes to every peer heard of late."""
+    """Listens on an address and sends to every recently heard peer."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(host, port, listen=True)
@@ -80,11 +80,11 @@ class UdpServer(_UdpSocket):
 
     @property
     def peer_count(self) -> int:
-        """How many peers are written to."""
+        """Number of peers."""
         return len(self.peers.by_address)
 
     def read(self) -> list[Chunk]:
-        """The datagrams that wait; their senders become peers."""
+        """Return waiting datagrams; their senders become peers."""
         chunks: list[Chunk] = []
         counters = self.counters
         now_s = time.monotonic()
@@ -93,17 +93,17 @@ class UdpServer(_UdpSocket):
             counters.bytes_in += len(data)
             if not self.register(address, data, now_s):
                 counters.refused += 1
-            # UDP allows empty datagrams, but empty bytes tell the reader that a stream has ended.
+            # UDP allows empty datagrams, but empty bytes would mean the end of a stream.
             elif data:
                 chunks.append((0, data))
         return chunks
 
     def register(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
-        """Note that an address spoke; whether it may be listened to."""
+        """Record that an address sent a datagram; return whether it is admitted."""
         return self.peers.register(address, data, time.monotonic() if now_s is None else now_s)
 
     def write(self, data: bytes) -> None:
-        """Send a datagram to every peer; without peers it is dropped."""
+        """Send a datagram to every peer; it is dropped if there is none."""
         if not self.peers.by_address:
             self.counters.drops += 1
         for address in self.peers.by_address:
@@ -111,15 +111,15 @@ class UdpServer(_UdpSocket):
 
 
 class UdpClient(_UdpSocket):
-    """Sends to one address and hears only that one; the peer may come and go."""
+    """Sends to one address and receives only from it; the peer may come and go."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(host, port, listen=False)
         self.name = f"udpout:{host_port(host, port)}"
-        self.peer_count = 1  # whether anybody listens there cannot be known
+        self.peer_count = 1  # UDP cannot know whether the address has a listener
 
     def read(self) -> list[Chunk]:
-        """The datagrams that wait."""
+        """Return waiting datagrams."""
         chunks: list[Chunk] = []
         counters = self.counters
         for _, data in self._datagrams.receive():
@@ -135,12 +135,12 @@ class UdpClient(_UdpSocket):
 
 
 def lost_in_kernel(sock: socket.socket) -> int:
-    """What the kernel has dropped on a socket since it was opened; 0 where it does not say."""
+    """Return the kernel's drop count of a socket; 0 on systems that do not report it."""
     try:
-        words = struct.unpack("9I", sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36))
+        meminfo = struct.unpack("9I", sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36))
     except (OSError, struct.error):
         return 0
-    return int(words[DROPPED])
+    return int(meminfo[DROPPED])
 
 
 OPENERS = {"udpin": UdpServer, "udpout": UdpClient}

@@ -1,8 +1,8 @@
 """The proxy without sockets, files or clocks: bytes in, bytes with their due times out.
 
-The *core* verifies, records and routes frames and gives those that faults ask for to the *engine*,
-a schedule at work. An *active entry* is one entry of it: when it is active, what it did, its
-label. *Senders* is what is remembered of every system and component, in one flat array that the
-compiled form shares. The *vehicle clock* makes one timeline of the stamps inside the frames. The
-*tape* keeps what came and left until a recorder takes it.
+The *core* verifies, records and routes frames and passes those that faults act on to the *engine*,
+which runs a schedule. An *active entry* is one of its entries with its state, counts and label.
+*Senders* is the state of every system and component, in one flat array shared with the compiled
+path. The *vehicle clock* merges the timestamps inside the frames into one timeline. The *capture
+buffer* stores received and sent frames until the recorder writes them.
 """

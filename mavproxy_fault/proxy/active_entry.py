@@ -1,4 +1,4 @@
-"""One entry of a schedule at work: when it is active, what it did, and the labels for it."""
+"""One entry of a running schedule: when it is active, what it changed, and its labels."""
 
 import logging
 import math
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 LOG = logging.getLogger(__name__)
-BOTH_DIRECTIONS = "both"  # directions of one stretch
+BOTH_DIRECTIONS = "both"  # directions of one activation
 NEVER_US = 1 << 62
-VALUE_LABEL_INTERVAL_US = 200_000  # between two labels about new values of one fault
+VALUE_LABEL_INTERVAL_US = 200_000  # between two labels of new values: a slider moves faster
 
 
 def add_seconds(t_us: int, seconds: float) -> int:
-    """A stamp so many seconds later; NEVER_US where no clock gets there."""
-    # Infinite durations and stamps near the end of 64 bits are never reached.
+    """Add seconds to a timestamp; NEVER_US if no clock reaches it."""
+    # Never reached: infinite durations and timestamps near the 64-bit limit.
     later_us = t_us + seconds * 1e6
     return t_us + round(seconds * 1e6) if later_us < NEVER_US else NEVER_US
 
 
 class LazyGenerator:
-    """A generator of random numbers that loads numpy when it is first drawn from."""
+    """A random number generator that loads numpy at the first draw."""
 
     def __init__(self, seed: int, name: str) -> None:
         self._seeds = [seed, crc32(name.encode())]
@@ -41,16 +41,16 @@ class LazyGenerator:
 
         generator = self.__dict__.get("_generator") or default_rng(self._seeds)
         self._generator = generator
-        found = getattr(generator, name)
-        setattr(self, name, found)  # asked for once: the next draw costs nothing here
-        return found
+        method = getattr(generator, name)
+        setattr(self, name, method)  # later draws bypass __getattr__
+        return method
 
 
 class ActiveEntry:
-    """An entry, the state of its fault, and the count of what it did.
+    """A schedule entry with its fault's state and its counts.
 
-    `base_us` is the stamp from which `at_s` counts; an `injected` entry stands in no schedule, and
-    is forgotten some time after it ended.
+    `base_us` is the timestamp from which `at_s` counts. An `injected` entry (live edit) is not in
+    the schedule and is removed some time after it ended.
     """
 
     def __init__(
@@ -63,57 +63,55 @@ class ActiveEntry:
         self.t0_us = t0_us
         self.base_us = base_us
         self.condition = entry.condition
-        self.armed = True  # a condition starts the fault when it becomes true, not while it is
+        self.armed = True  # a condition starts the fault only when it becomes true
         self.earliest_us = add_seconds(base_us, entry.at_s)
-        # With a condition too, that counts from the event or moment on.
+        # A condition is checked only after the event that the entry waits for.
         self._waits_for_event = entry.after is not None or entry.moment is not None
         self.start_us = NEVER_US if entry.when or self._waits_for_event else self.earliest_us
         self.end_us = self._end()
         self.active = False
         self.starts = 0
         self.frames = self.sealed = self.saturated = 0
-        self._earlier_frames = 0  # of the stretches that have ended
-        self.failures = 0  # frames that the fault could not be applied to
+        self._earlier_frames = 0  # of earlier activations
+        self.failures = 0  # frames on which the fault raised an error
         self.failure: str | None = None
-        self._largest = -1.0  # change of the present stretch; negative: none that has a size
+        self._largest = -1.0  # change of the present activation; negative: none with a magnitude
         self.first_us: int | None = None
-        self.needs_attention = (
-            False  # the engine has to look: a first frame, a new value, an end of itself
-        )
+        self.needs_attention = False  # for the engine: a first frame, a new value, or an early end
         self.direction = ""
         self.states: dict[str, Any] = {}
         self.rng = cast("Generator", LazyGenerator(seed, entry.id))
-        self.live: tuple[float, int] | None = None  # newest streamed value and when it came
+        self.live: tuple[float, int] | None = None  # newest streamed value and its time
         self.latency_us: int | None = None
-        self.value: float | None = None  # given live, constant or streamed
+        self.value: float | None = None  # set by a live edit, constant or streamed
         self.changed_us: int | None = None
-        self.unannounced = False  # no label has told the newest value
-        self._announced_us: int | None = None  # None: the stretch has no label yet
+        self.unannounced = False  # no label has the newest value yet
+        self._announced_us: int | None = None  # None: the activation has no label yet
         self._described: tuple[Any, ...] = ()
         self._description: dict[str, Any] = {}
         where = entry.where
-        # In a tuple: read for each frame that passes.
+        # A tuple, as it is read for each frame.
         self._where = (where.system, where.component, where.direction, where.id)
         self.matches_all = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.buffers = hasattr(entry.fault, "release")  # `Buffering`; asking for that is slow
+        self.buffers = hasattr(entry.fault, "release")  # `Buffering`; isinstance would be slow
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
 
     @property
     def magnitude(self) -> float | None:
-        """The largest change of the present stretch."""
+        """The largest change of the present activation."""
         return self._largest if self._largest >= 0.0 else None
 
     @property
     def total_frames(self) -> int:
-        """Frames that all its stretches have touched."""
+        """Frames changed in all activations."""
         return self._earlier_frames + self.frames
 
     @property
     def watched_ids(self) -> set[int]:
-        """The messages that it looks at besides those it acts on."""
+        """Ids of the messages that its conditions read."""
         conditions = (self.condition, self.entry.moment)
         return {number for one in conditions if one is not None for number in one.ids}
 
@@ -124,13 +122,12 @@ class ActiveEntry:
         )  # fmt: skip
 
     def trigger(self, t_us: int) -> None:
-        """Start at `t_us`, because what it waited for has come."""
+        """Set the start to `t_us`, because the condition or event has occurred."""
         self.start_us = t_us
         self.end_us = self._end()
 
     def start_after_event(self, t_us: int) -> None:
-        """The event that it waited for has come: start at `t_us`, or look at the condition from
-        then on."""
+        """The awaited event has occurred: start at `t_us`, or check the condition from then on."""
         if not self._waits_for_event:
             return
         self._waits_for_event = False
@@ -139,12 +136,12 @@ class ActiveEntry:
             self.trigger(self.earliest_us)
 
     def check_condition(self, t_us: int, telemetry: Telemetry) -> bool:
-        """Start if the condition has become true, or note the moment; whether it did."""
+        """Start if the condition has become true or the flight event has occurred; True if so."""
         moment = self.entry.moment
         if moment is not None and self._waits_for_event and moment.holds(telemetry):
             self.start_after_event(add_seconds(t_us, self.entry.at_s))
             return True
-        # One that acts, or waits for its end, is not started a second time.
+        # An active or already triggered entry is not started again.
         if (
             self.active
             or self.condition is None
@@ -154,7 +151,7 @@ class ActiveEntry:
             return False
         if self.start_us < NEVER_US or not self._may_start_again():
             return False
-        # False again: the next time it holds counts as a new start.
+        # Re-arm while it is false: becoming true again is a new start.
         if not self.condition.holds(telemetry):
             self.armed = True
             return False
@@ -173,39 +170,38 @@ class ActiveEntry:
         return repeat.times is None or self.starts < repeat.times
 
     def begin(self) -> None:
-        """Become active; every direction starts with a fresh state."""
+        """Begin an activation; every direction gets a new state."""
         self.active = True
         self.starts += 1
         self.states = {}
 
     def end_activation(self, now_us: int) -> None:
-        """End a stretch; set the next start if the entry repeats, leaving out what is long past."""
+        """End an activation; set the next start if the entry repeats, skipping missed ones."""
         self.active = False
         repeat = self.entry.repeat
         if repeat is not None and repeat.every_s is not None:
-            # A clock that leapt ahead passes whole repetitions: they count, but nothing acts in
-            # them.
+            # A time jump may skip entire repetitions: they count, but without any effect.
             missed = int((now_us - self.start_us) * 1e-6 / repeat.every_s) - 1
             self.starts += max(missed, 0)
             if repeat.times is None or self.starts < repeat.times:
                 next_us = add_seconds(self.start_us, repeat.every_s * (1 + max(missed, 0)))
-                self.start_us = max(next_us, self.start_us + 1)  # it cannot stand still
+                self.start_us = max(next_us, self.start_us + 1)  # it must advance
                 self.end_us = self._end()
                 return
         self.start_us = self.end_us = NEVER_US
 
     @property
     def next_us(self) -> int:
-        """When it starts or ends by the clock."""
+        """Time of its next scheduled start or end."""
         return self.end_us if self.active else self.start_us
 
     @property
     def done(self) -> bool:
-        """Whether it has acted and will not start again by the clock."""
+        """Whether it has been active and has no further scheduled start."""
         return not self.active and self.start_us == NEVER_US and self.starts > 0
 
     def matches(self, frame: Frame, direction: str) -> bool:
-        """Whether `where` lets the frame through to the fault."""
+        """Whether the frame matches the entry's `where`."""
         if self.matches_all:
             return True
         system, component, way, instance = self._where
@@ -219,55 +215,55 @@ class ActiveEntry:
 
     @staticmethod
     def _instance(frame: Frame) -> object:
-        # Where a message has no instance of its own, most carry an `id`.
+        # Most messages without an instance field have an `id`.
         name = frame.layout.instance or "id"
         return frame.read(name) if name in frame.layout.fields else 0
 
     def matches_junk(self, direction: str) -> bool:
-        """Whether bytes that are no frame pass through the fault."""
+        """Whether the fault acts on junk from this direction."""
         system, component, way, instance = self._where
-        # Junk has no sender that a filter could ask for.
+        # Junk has no sender that a filter could match.
         if not self.takes_bytes or (system, component, instance) != (None, None, None):
             return False
         return way is None or way == direction
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
-        """Put a frame through the fault and count what it did."""
+        """Apply the fault to a frame and count the effect."""
         if self.skips_by_chance():
             return [Outgoing(t_us, frame)]
         try:
             sends = self._apply(frame, direction, t_us)
-        except Exception as error:  # others write faults too: theirs must not end the forwarding
+        except Exception as error:  # a failing plugin fault must not stop the forwarding
             self.note_failure(error)
             return [Outgoing(t_us, frame)]
-        # Untouched and on time: nothing was done.
+        # Unchanged and on time: no effect.
         if len(sends) == 1 and sends[0].frame is frame and sends[0].due_us == t_us:
             return sends
-        # What was kept back and leaves as it came was not touched; what changed has a magnitude.
+        # Of buffered frames only those with a magnitude were changed.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
         if touched:
             self.note_changed_frame(direction, t_us)
             sizes = [out.magnitude for out in sends if out.magnitude is not None]
-            # NaN and infinity would stick in the maximum for ever.
+            # NaN and infinity would spoil the maximum permanently.
             largest = max((size for size in sizes if math.isfinite(size)), default=-1.0)
             self.count_frames(touched, sum(out.saturated for out in sends), largest)
         return sends
 
     def skips_by_chance(self) -> bool:
-        """Whether chance lets this frame pass by the fault."""
-        # No draw without a probability: the stream stays that of the fault.
+        """Whether the entry's probability exempts this frame."""
+        # Draw only with a probability, so that the fault's own random stream is unaffected.
         chance = self.entry.probability
         return chance < 1.0 and bool(self.rng.random() >= chance)
 
     def note_failure(self, error: Exception) -> None:
-        """Count a frame that passes because the fault failed; the first time it is logged."""
+        """Count a frame forwarded unchanged because the fault failed; log the first."""
         if not self.failures:
-            LOG.exception("fault %s failed; the frame passes as it came", self.entry.id)
+            LOG.exception("fault %s failed; its frames are forwarded unchanged", self.entry.id)
         self.failures += 1
         self.failure = repr(error)
 
     def note_changed_frame(self, direction: str, t_us: int) -> None:
-        """Note that a frame of this direction was touched."""
+        """Record that a frame of this direction was changed."""
         if self.first_us is None:
             self.first_us = t_us
             self.direction = direction
@@ -276,7 +272,7 @@ class ActiveEntry:
             self.direction = BOTH_DIRECTIONS
 
     def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
-        """What the fault makes of a frame, its state of that direction brought up to date."""
+        """Apply the fault to a frame and update its state for that direction."""
         state = self.states.get(direction)
         if state is None and direction not in self.states:
             state = self.fresh_state(direction)
@@ -288,11 +284,11 @@ class ActiveEntry:
         return sends
 
     def end_early(self, t_us: int) -> None:
-        """End with the next frame, before its time."""
+        """End at the next frame, before the scheduled time."""
         self.end_us, self.needs_attention = t_us, True
 
     def fresh_state(self, direction: str) -> Any:
-        """The state with which a direction starts, also where the value was given live."""
+        """Create the initial state of a direction, including the newest streamed value."""
         state = self.fault.new_state(self.start_us)
         if self.live is not None:
             state = self.fault.fed(state, *self.live)
@@ -300,21 +296,21 @@ class ActiveEntry:
         return state
 
     def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
-        """Count what was done in this fault's name; a negative magnitude is none."""
+        """Add to this entry's counts; a negative magnitude means none."""
         self.frames += frames
         self.saturated += saturated
         if magnitude > self._largest:
             self._largest = magnitude
 
     def release_us(self) -> int:
-        """When the fault must let go of the oldest frame it keeps."""
+        """Time at which the fault must release its oldest buffered frame."""
         if not self.buffers:
             return NEVER_US
         times = [self.fault.release_us(state) for state in self.states.values()]
         return min((time for time in times if time is not None), default=NEVER_US)
 
     def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
-        """What the fault keeps: all of it, or only where the oldest is overdue."""
+        """Release the fault's buffered frames: all, or only of directions that are overdue."""
         sends: list[Outgoing] = []
         for direction, state in self.states.items() if self.buffers else ():
             until_us = self.fault.release_us(state)
@@ -324,7 +320,7 @@ class ActiveEntry:
         return sends
 
     def label(self, end_us: int | None) -> Label:
-        """The label of the present stretch, open or complete."""
+        """Create the label of the present activation, open (`end_us` None) or complete."""
         entry = self.entry
         where = {
             key: value
@@ -351,12 +347,12 @@ class ActiveEntry:
         )
 
     def pending_label(self, t_us: int) -> Label | None:
-        """The label of a stretch that has just touched its first frame, or of a new value."""
+        """Return a label for the activation's first changed frame or a new value, if due."""
         if self.first_us is None:
             return None
         if self._announced_us is None:
-            self.changed_us = None  # what was given before is the value that it began with
-        # A slider moves many times a second: labels tell of it a few times.
+            self.changed_us = None  # a value set earlier is the initial value
+        # A slider changes the value many times a second: limit the rate of labels.
         elif not self.unannounced or t_us - self._announced_us < VALUE_LABEL_INTERVAL_US:
             return None
         self.unannounced = self.needs_attention = False
@@ -364,9 +360,9 @@ class ActiveEntry:
         return self.label(None)
 
     def close(self, t_us: int) -> Label | None:
-        """The complete label of a stretch that ended, and a clean count; None if it did nothing."""
-        # A stretch in which nothing was touched has no label. What ends one may bear an older
-        # stamp than its first frame: an answer without a stamp of its own, say.
+        """Return the complete label of the ended activation (None without effect); reset counts."""
+        # The frame that ends an activation may have an older time than its first frame, for example
+        # a reply without a timestamp.
         label = None if self.first_us is None else self.label(max(t_us, self.first_us))
         self._earlier_frames += self.frames
         self.frames = self.saturated = 0
@@ -376,26 +372,26 @@ class ActiveEntry:
         return label
 
     def set_value(self, value: float, t_us: int, latency_us: int | None) -> None:
-        """Take a live value, or another constant one.
+        """Set a streamed value, or another constant one.
 
         Raises
         ------
         ConfigError
             If the fault has no value.
         """
-        inner = getattr(self.fault, "fault", self.fault)  # what acts on satellites is wrapped
+        inner = getattr(self.fault, "fault", self.fault)  # satellite faults are wrapped
         profile = getattr(inner, "profile", None)
         if profile is not None and profile.live is not None:
             self._stream(value, t_us, latency_us, profile.live.timeout_s)
         else:
             self._change(inner, value)
-        # The same value again is no news.
+        # Only a different value needs a label.
         if value != self.value:
             self.value, self.changed_us, self.unannounced = value, t_us, True
             self.needs_attention = True
 
     def _change(self, inner: Any, value: float) -> None:
-        """Take another constant value."""
+        """Set another constant value."""
         if getattr(inner, "value", None) is None:
             raise ConfigError(
                 f"update: {self.entry.id} ({self.entry.name}) has no value to change; "
@@ -405,7 +401,7 @@ class ActiveEntry:
             hints = get_type_hints(type(inner), include_extras=True)
             changed = msgspec.structs.replace(inner, value=msgspec.convert(value, hints["value"]))
         except (ValueError, msgspec.ValidationError) as error:
-            # The value's own limits hold for live changes too.
+            # Live changes obey the value's limits too.
             raise ConfigError(f"update: {self.entry.id} = {value}: {error}") from None
         wrapped = inner is not self.fault
         self.fault = msgspec.structs.replace(self.fault, fault=changed) if wrapped else changed
@@ -415,7 +411,7 @@ class ActiveEntry:
     def _stream(self, value: float, t_us: int, latency_us: int | None, timeout_s: float) -> None:
         if latency_us is not None:
             self.latency_us = latency_us
-            # A stale command must not move a vehicle.
+            # A stale value must not act on a vehicle.
             if latency_us > timeout_s * 1e6:
                 raise ConfigError(
                     f"update: {self.entry.id} = {value} is {latency_us / 1e6:.3f} s old; "
@@ -426,12 +422,12 @@ class ActiveEntry:
             self.states[direction] = self.fault.fed(state, value, t_us)
 
     def state(self) -> dict[str, Any]:
-        """What a page shows of it; the same object as before where nothing has changed."""
+        """Return its state for pages and the bus; the same object while unchanged."""
         now = (
             self.active, self.starts, self.start_us, self.end_us, self.total_frames, self.magnitude,
             self.saturated, self.sealed, self.failures, self.latency_us, self.value,
         )  # fmt: skip
-        # Of a thousand entries nearly all wait: to describe them anew would hold frames up.
+        # Nearly all of a thousand entries wait: describing them again would delay frames.
         if now != self._described:
             self._described, self._description = now, self._describe()
         return self._description

@@ -1,4 +1,4 @@
-"""Labels as STATUSTEXT of the proxy's own component, so that every viewer of a log shows them."""
+"""Labels as STATUSTEXT of the proxy's component, so that every log viewer shows them."""
 
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ TEXT_LENGTH = 50
 
 
 def label_text(label: "Label") -> str:
-    """One line about a label, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
+    """Describe a label in one line, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
     if label.end_us is not None:
         return f"FAULT {label.id} off: {label.frames} frames"
     if label.changed_us is not None:
@@ -23,9 +23,9 @@ def label_text(label: "Label") -> str:
 
 
 def label_announcement(label: "Label", system: int) -> Frame:
-    """A STATUSTEXT for a label, cut to the message's 50 characters."""
+    """Create the STATUSTEXT of a label, truncated to the message's 50 characters."""
     layout = message_layout("STATUSTEXT")
-    # ASCII: STATUSTEXT of old receivers knows no more.
+    # Old receivers of STATUSTEXT support only ASCII.
     values = {
         "severity": NOTICE,
         "text": label_text(label).encode("ascii", "replace")[:TEXT_LENGTH],

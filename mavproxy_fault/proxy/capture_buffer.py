@@ -1,10 +1,10 @@
-"""Tape: what the core received and sent, kept in memory until a recorder takes it.
+"""Capture buffer: received and sent bytes in memory until the recorder writes them.
 
-Frames, also of unknown messages or with a wrong CRC, go to tlogs: a big-endian Unix stamp in
-microseconds before each frame. Readers step over such a frame by its length; other bytes would
-cost them the frames behind (pymavlink loses one or two each time), so these go to a file of their
-own, as stamp, length and bytes. `index` says for every received record which link it came on,
-which of the two files it is in and how long it is.
+Frames, including unknown messages and wrong CRCs, are stored as tlog records: a big-endian Unix
+timestamp in microseconds, then the frame. Log readers skip such a frame by its length. Any other
+bytes would cost them the following frames (pymavlink loses one or two each time), so these have a
+file of their own, with timestamp, length and bytes. `index` has the link, file and length of every
+received record.
 """
 
 import struct
@@ -15,12 +15,12 @@ from mavproxy_fault.wire.parser import frame_span
 
 STAMP = struct.Struct(">Q")
 LENGTH = struct.Struct(">I")
-INDEX = struct.Struct("<BBI")  # link, 1 if among the others, length in bytes
+INDEX = struct.Struct("<BBI")  # link, 1 if in the file of other bytes, length in bytes
 
 
 @dataclass(slots=True)
 class CapturedBytes:
-    """Bytes to append to the files of one session."""
+    """Bytes to append to the files of one recording session."""
 
     received: bytes
     received_other: bytes
@@ -31,27 +31,27 @@ class CapturedBytes:
 
 @dataclass(slots=True)
 class CaptureBuffer:
-    """Growing logs; `drain` hands over and empties each."""
+    """Growing logs; `drain` returns and empties them."""
 
     received: bytearray = field(default_factory=bytearray)
     received_other: bytearray = field(default_factory=bytearray)
     index: bytearray = field(default_factory=bytearray)
     sent: bytearray = field(default_factory=bytearray)
     sent_other: bytearray = field(default_factory=bytearray)
-    drained: int = 0  # records received that were handed over
+    drained: int = 0  # received records already returned by `drain`
 
     @property
     def count(self) -> int:
-        """How many records were received since the start."""
+        """Number of records received since the start."""
         return self.drained + len(self.index) // INDEX.size
 
     def resume_count(self, count: int) -> int:
-        """Let the records handed over so far be so many: those that are in the files."""
+        """Set the number of records returned so far to that in the files."""
         self.drained = count
         return count
 
     def receive(self, now_us: int, link: int, raw: bytes, *, is_frame: bool = False) -> None:
-        """Note what came; of a frame that was verified nobody asks for its shape again."""
+        """Store received bytes; `is_frame` saves checking a verified frame's shape again."""
         if is_frame or has_frame_shape(raw):
             self.received += STAMP.pack(now_us) + raw
             self.index += INDEX.pack(link, 0, len(raw))
@@ -60,20 +60,20 @@ class CaptureBuffer:
             self.index += INDEX.pack(link, 1, len(raw))
 
     def send(self, due_us: int, raw: bytes) -> None:
-        """Note what left."""
+        """Store sent bytes."""
         if has_frame_shape(raw):
             self.sent += STAMP.pack(due_us) + raw
         else:
             self.sent_other += STAMP.pack(due_us) + LENGTH.pack(len(raw)) + raw
 
     def drain(self) -> CapturedBytes:
-        """What came together since the last call."""
+        """Return and clear everything stored since the last call."""
         contents = CapturedBytes(*(bytes(part) for part in self._parts))
         self.clear()
         return contents
 
     def clear(self) -> None:
-        """Empty it; what it held counts as handed over."""
+        """Discard the content, counting it as drained."""
         self.drained = self.count
         for part in self._parts:
             part.clear()
@@ -84,7 +84,7 @@ class CaptureBuffer:
 
 
 def has_frame_shape(raw: bytes) -> bool:
-    """Whether the bytes have the shape of one frame, right or wrong."""
+    """Whether the bytes have the length and start byte of one frame, whatever its CRC."""
     if not raw or raw[0] not in (STX_V1, STX_V2):
         return False
     place = frame_span(raw, 0)

@@ -1,8 +1,8 @@
-"""The engine: a schedule at work on the frames that pass, without sockets, clock or files.
+"""The engine: runs a schedule on the passing frames, without sockets, clock or files.
 
-All stamps are microseconds of the vehicle's time. Entries act in the order of the schedule, each
-on what the one before let through. Nothing here looks at a frame that no entry asks for: `wanted`
-says which messages must come by, and an entry costs nothing while it is not active.
+All times are microseconds of vehicle time. Entries act in schedule order, each on the output of the
+one before. Only messages in `wanted` need to pass through the engine; inactive entries cost
+nothing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,13 +23,13 @@ from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 
-MAX_ENDED_FAULTS = 32  # injected faults that are over
+MAX_ENDED_FAULTS = 32  # ended injected faults that a page still shows
 
 
 class Engine:
-    """Applies a schedule; `revision` changes whenever `wanted` may have.
+    """Runs a schedule; `revision` changes whenever `wanted` may have changed.
 
-    With `commands` false a schedule that commands the vehicle is refused by ConfigError.
+    With `commands` false, a schedule that commands the vehicle raises ConfigError.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Engine:
         self._check(schedule.faults)
         self.seed = schedule.seed if seed is None else seed
         self.revision = 0
-        self.changes = 0  # how often it has changed who acts on what
+        self.changes = 0  # counts changes of the active entries
         self.t0_us: int | None = None
         self.now_us = 0
         self.wanted: frozenset[int] | None = frozenset()
@@ -53,12 +53,12 @@ class Engine:
         self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
-        self._released: list[Outgoing] = []  # let go by a fault that ended
+        self._released: list[Outgoing] = []  # released by a fault that ended
         self._update_wanted()
 
     @property
     def draws(self) -> bool:
-        """Whether an entry may draw random numbers, for which numpy is loaded at the first one."""
+        """Whether an entry may draw random numbers, which requires numpy."""
         return any(
             entry.probability < 1.0
             or getattr(entry.fault, "draws", True)
@@ -69,12 +69,12 @@ class Engine:
     # -- time ------------------------------------------------------------------------------------
 
     def start_at(self, t0_us: int) -> None:
-        """Let `at_s` count from this stamp, as the first frame does, unless it counts already."""
+        """Start the schedule at this time, as the first frame does, unless it has started."""
         if self.t0_us is None:
             self.restart(t0_us)
 
     def restart(self, t0_us: int) -> None:
-        """End what acts and let the schedule begin at this stamp."""
+        """End active faults and start the schedule at this time."""
         for running in [r for r in self._all if r.active]:
             self._end(running, self.now_us)
         entries = list(self._entries())
@@ -88,25 +88,25 @@ class Engine:
         return activate_entry(entry, self.seed, base_us, self.t0_us)
 
     def advance_time(self, t_us: int) -> None:
-        """Let edits count from this stamp, whatever frame was seen last."""
+        """Advance the time for live edits, even without a frame."""
         if self.t0_us is not None:
             self.now_us = max(self.now_us, t_us)
 
     @property
     def release_us(self) -> int | None:
-        """When frames kept back must leave, whatever the schedule does then.
+        """Vehicle time at which buffered frames must leave; None without any.
 
-        At once too where an edit has ended a fault: its label must not wait for the next frame.
+        Now if an edit has ended a fault: its label must not wait for the next frame.
         """
         if self._released or self._labels:
             return self.now_us
-        if not self._buffering:  # asked for each frame
+        if not self._buffering:  # fast path: called for each frame
             return None
         due_us = min(running.release_us() for running in self._buffering)
         return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
-        """Frames that a fault kept back and that must leave by now."""
+        """Release buffered frames that are due by `t_us`."""
         if self.t0_us is None:
             return []
         self.now_us = max(self.now_us, t_us)
@@ -119,16 +119,16 @@ class Engine:
         return sends
 
     def _advance(self, t_us: int) -> None:
-        """Start and end what the clock says; several times where one hangs on another."""
+        """Start and end entries that are due, including those that depend on them."""
         self._dependents = self._find_dependents()
         due = [(r.next_us, place) for place, r in enumerate(self._all) if r.next_us <= t_us]
-        # A schedule whose times have passed has thousands of events: looking through all entries
-        # for the next one would hold the forwarding up.
+        # A heap: after a late start thousands of events may be due, and a linear search for each
+        # would stall the forwarding.
         heapify(due)
         while due:
             at_us, place = heappop(due)
             late = self._all[place]
-            if late.next_us != at_us:  # it was set to another time meanwhile
+            if late.next_us != at_us:  # rescheduled meanwhile
                 continue
             if late.active:
                 self._end(late, at_us)
@@ -149,7 +149,7 @@ class Engine:
         self._start_dependents(running, "end", t_us)
 
     def _start_dependents(self, leader: ActiveEntry, event: str, t_us: int) -> None:
-        """Set the start of entries that wait for another one."""
+        """Set the start of the entries that wait for this one's start or end."""
         for _, running in self._dependents.get(leader.entry.id, ()):
             after = running.entry.after
             if after is None or running.starts or running.start_us < NEVER_US:
@@ -158,15 +158,15 @@ class Engine:
                 running.start_after_event(add_seconds(t_us, after.delay_s))
 
     def _find_dependents(self) -> dict[str, list[tuple[int, ActiveEntry]]]:
-        """The entries that wait for another one, with their places, by its id."""
-        found: dict[str, list[tuple[int, ActiveEntry]]] = {}
+        """Return the entries that wait for another one, with their indices, by its id."""
+        dependents: dict[str, list[tuple[int, ActiveEntry]]] = {}
         for place, running in enumerate(self._all):
             if running.entry.after is not None:
-                found.setdefault(running.entry.after.id, []).append((place, running))
-        return found
+                dependents.setdefault(running.entry.after.id, []).append((place, running))
+        return dependents
 
     def _index(self) -> None:
-        """Who acts on which message now, and when that changes by the clock."""
+        """Update the tables of active entries by message, and the time of the next change."""
         self.changes += 1
         active = [running for running in self._all if running.active]
         ids = {number for running in active for number in running.entry.ids or ()}
@@ -180,10 +180,10 @@ class Engine:
         self._edge_us = min((running.next_us for running in self._all), default=NEVER_US)
 
     def _update_wanted(self) -> None:
-        """Note that other messages may be wanted."""
+        """Update `wanted` and the conditions' messages after an edit."""
         self.revision += 1
         ids: set[int] = set()
-        everything = self.t0_us is None  # whatever comes first sets the time
+        everything = self.t0_us is None  # the first frame of any kind sets the time
         for entry in self._entries():
             everything |= entry.ids is None
             ids |= entry.ids or set()
@@ -198,11 +198,11 @@ class Engine:
 
     @property
     def edge_us(self) -> int:
-        """When the next fault starts or ends by the clock."""
+        """Time of the next scheduled start or end."""
         return self._edge_us
 
     def active_entries(self, number: int) -> tuple[ActiveEntry, ...] | None:
-        """Who acts on a message now; None if a condition watches it as well."""
+        """Return the entries active on a message; None if a condition reads it."""
         return None if number in self._watched else self._by_id.get(number, self._any)
 
     # -- bytes -----------------------------------------------------------------------------------
@@ -210,9 +210,9 @@ class Engine:
     def apply(
         self, frame: Frame, direction: str, t_us: int, *, sealed: bool = False
     ) -> list[Outgoing]:
-        """What leaves for one frame; untouched it is the same object, due at `t_us`.
+        """Process a frame; an unchanged one is returned as the same object, due at `t_us`.
 
-        With `sealed` (signed, and the key is not known) value faults let it pass and count it.
+        With `sealed` (signed with an unknown key) value faults skip the frame and count it.
         """
         if self.t0_us is None:
             self.start_at(t_us)
@@ -246,15 +246,15 @@ class Engine:
         return sends
 
     def _attend(self, running: ActiveEntry, t_us: int) -> None:
-        """Write a label about what a fault has just begun to do; see whether it ended itself."""
+        """Add a pending label of a fault, and note an early end."""
         if running.end_us <= t_us:
-            self._edge_us = t_us  # with the next frame
+            self._edge_us = t_us  # at the next frame
         news = running.pending_label(t_us)
         if news is not None:
             self._labels.append(news)
 
     def _watch(self, frame: Frame, t_us: int) -> None:
-        """Let conditions see a frame, as it came, before any fault has touched it."""
+        """Check the conditions against a frame as received, before any fault acts on it."""
         self._telemetry.note(frame)
         begun = [
             running.check_condition(t_us, self._telemetry) for running in self._watched[frame.id]
@@ -263,11 +263,11 @@ class Engine:
             self._edge_us = t_us
 
     def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
-        """What leaves for bytes that are no frame: faults of the whole link act on them too."""
+        """Process bytes that are not a frame: faults on an entire link act on them too."""
         sends = [Outgoing(t_us, data)]
         if self.t0_us is None:
             return sends
-        self.now_us = t_us  # repetitions that were missed by then are passed over at once
+        self.now_us = t_us  # so that missed repetitions are skipped in one step
         if t_us >= self._edge_us:
             self._advance(t_us)
         for running in self._any:
@@ -276,12 +276,12 @@ class Engine:
         return sends
 
     def drain_labels(self) -> list[Label]:
-        """The labels written since the last call."""
+        """Return the labels written since the last call."""
         labels, self._labels = self._labels, []
         return labels
 
     def finish(self, t_us: int) -> list[Label]:
-        """End everything; all labels that are left. Call `due` afterwards for frames kept back."""
+        """End all faults and return the last labels; call `due` next for buffered frames."""
         if self.t0_us is not None:
             self._advance(t_us)
         for running in [r for r in self._all if r.active]:
@@ -298,12 +298,12 @@ class Engine:
         Returns
         -------
         list of str
-            The ids, several where a preset has several parts.
+            The ids, several if a preset has several parts.
 
         Raises
         ------
         ConfigError
-            If a mapping is no right entry.
+            If a mapping is not a valid entry.
         """
         if isinstance(entry, dict):
             entry = parse_entry(entry, "arm")
@@ -324,22 +324,22 @@ class Engine:
         return [one.id for one in entries]
 
     def _check(self, entries: Iterable[Entry]) -> None:
-        """Refuse commands to the vehicle where they are not allowed."""
+        """Refuse entries that command the vehicle unless that is allowed."""
         for entry in entries:
             if not self._commands and getattr(entry.fault, "commands_vehicle", False):
                 raise ConfigError(
-                    f"{entry.id}: commands the vehicle, which this proxy does not do; start it "
+                    f"{entry.id}: commands the vehicle, which is not allowed; start the proxy "
                     "with --allow-commands"
                 )
 
     def _drop_ended(self) -> None:
-        """Let go of the injected faults that ended first, beyond some that a page may show."""
+        """Remove ended injected faults, except the latest, which a page may show."""
         ended = [running for running in self._all if running.injected and running.done]
         for running in ended[: -MAX_ENDED_FAULTS or None]:
             self._all.remove(running)
 
     def clear(self, id: str) -> bool:
-        """End and forget a fault (with its parts), or `all`; whether there was one."""
+        """End and remove a fault with its parts, or `all`; return whether there was one."""
         ids = {one.id for one in self._entries() if _is_fault_or_part(one.id, id)}
         for running in self._all:
             if running.active and running.entry.id in ids:
@@ -357,9 +357,9 @@ class Engine:
             self._all.remove(running)
 
     def update(self, id: str, value: float, latency_us: int | None = None) -> None:
-        """Give a fault another value; a fault with a live profile takes it as its newest.
+        """Set another value of a fault, or the newest streamed value of a live profile.
 
-        `latency_us` is how old the value is by the wall clock, if its sender has told.
+        `latency_us` is the age of the value by the wall clock, if known.
 
         Raises
         ------
@@ -368,25 +368,25 @@ class Engine:
         """
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
-            raise ConfigError(f"update: {id} is no fault; {suggest_known(id, self.ids())}")
+            raise ConfigError(f"update: {id} is not a fault; {suggest_known(id, self.ids())}")
         chosen[0].set_value(value, self.now_us, latency_us)
         self._update_wanted()
 
     def prepare_entries(self, schedule: Schedule) -> dict[str, ActiveEntry]:
-        """What `replace` will need, by id; it touches nothing, so another thread may make it."""
+        """Create the active entries for `replace`, by id; read-only, so any thread may call it."""
         t0_us = self.t0_us
         if t0_us is None:
             return {}
-        found = {entry.id: self._run(entry, t0_us) for entry in schedule.faults}
+        prepared = {entry.id: self._run(entry, t0_us) for entry in schedule.faults}
         followed = {entry.after.id for entry in schedule.faults if entry.after is not None}
-        for running in found.values():
-            # What is over by now need not be begun and ended in the loop.
+        for running in prepared.values():
+            # Mark entries that are over as done, to save the forwarding loop the work.
             over = running.end_us <= self.now_us and running.entry.repeat is None
             if over and running.entry.id not in followed:
                 running.begin()
                 running.end_activation(self.now_us)
-            running.state()  # it is asked for right after
-        return found
+            running.state()  # cached, as a page reads it next
+        return prepared
 
     def replace(
         self,
@@ -395,10 +395,10 @@ class Engine:
         anew: bool = False,
         prepared: Mapping[str, ActiveEntry] | None = None,
     ) -> Sequence[ActiveEntry]:
-        """Take another schedule; entries that stand in both as they were go on undisturbed.
+        """Replace the schedule; entries that are the same in both continue undisturbed.
 
-        With `anew` the times count from now instead of the start, and every entry begins again.
-        Gives the entries as they were, since to forget a thousand takes milliseconds too.
+        With `anew` times count from now instead of the start, and every entry restarts. Returns
+        the old entries, because freeing a thousand would take milliseconds here.
         """
         before = self._all
         self._check(schedule.faults)
@@ -415,7 +415,7 @@ class Engine:
                 elif running.active:
                     self._end(running, self.now_us)
             base_us = self.now_us if anew else self.t0_us
-            # Of no use where the schedule has begun again since, or its times count from now.
+            # Unusable if the schedule has restarted since, or its times count from now.
             fresh = {
                 id: running
                 for id, running in (prepared or {}).items()
@@ -429,7 +429,7 @@ class Engine:
         self._update_wanted()
         return before
 
-    # -- what there is ---------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------
 
     def _entries(self) -> Iterable[Entry]:
         if self.t0_us is None:
@@ -437,16 +437,16 @@ class Engine:
         return [running.entry for running in self._all]
 
     def ids(self) -> list[str]:
-        """The ids of all faults, waiting, active or done."""
+        """Return the ids of all faults, waiting, active or done."""
         return [entry.id for entry in self._entries()]
 
     @property
     def active(self) -> list[str]:
-        """The ids of the faults that act now."""
+        """The ids of the active faults."""
         return [running.entry.id for running in self._all if running.active]
 
     def state(self) -> dict[str, Any]:
-        """What a page or a bus shows: every fault, whether it is active, and what it did."""
+        """Return the state of the schedule and every fault, for pages and the bus."""
         return {
             "t0_us": self.t0_us,
             "now_us": self.now_us,
@@ -458,9 +458,9 @@ class Engine:
         }
 
     def save(self, *, anew: bool = False) -> str:
-        """The schedule as it stands, live edits included, as YAML that `read_schedule` takes.
+        """Return the present schedule, live edits included, as YAML for `read_schedule`.
 
-        Its times count from the start, or with `anew` from when the first entry was loaded.
+        Times count from the start, or with `anew` from when the first entry was loaded.
         """
         if self.t0_us is None:
             return write_schedule(self.seed, [(entry, 0.0) for entry in self._schedule.faults])
@@ -470,19 +470,19 @@ class Engine:
         return write_schedule(self.seed, late)
 
     def _late_s(self, running: ActiveEntry) -> float:
-        """Seconds from the start to the moment from which the times of an entry count."""
+        """Return the seconds from the start to the time from which an entry's times count."""
         assert self.t0_us is not None
         return (running.base_us - self.t0_us) * 1e-6
 
 
 def _comparable_entry(entry: Entry, late_s: float = 0.0) -> Entry:
-    """An entry without how it was written, its times counted from so much earlier."""
-    # Rounded as in a saved file, so that what was saved and loaded again is the same.
+    """Normalize an entry for comparison: times from the start, source text removed."""
+    # Rounded as in a saved file, so that a saved and reloaded entry is equal.
     return msgspec.structs.replace(entry, at_s=round(late_s + entry.at_s, 6), written={})
 
 
 def _is_fault_or_part(id: str, chosen: str) -> bool:
-    """Whether an id is the one chosen, or a part of it."""
+    """Whether an id is the chosen one or one of its parts."""
     head, _, part = id.rpartition(".")
     return chosen == "all" or id == chosen or (head == chosen and part.isdigit())
 
@@ -490,20 +490,20 @@ def _is_fault_or_part(id: str, chosen: str) -> bool:
 def _apply_to_outgoing(
     running: ActiveEntry, sends: list[Outgoing], direction: str, t_us: int
 ) -> list[Outgoing]:
-    """What a further entry makes of what the ones before let through; delays add up."""
-    found: list[Outgoing] = []
+    """Apply a further entry to the output of the earlier ones; delays add up."""
+    outgoing: list[Outgoing] = []
     for out in sends:
         frame = out.frame
         if out.back or (isinstance(frame, bytes) and not running.takes_bytes):
-            found.append(out)
+            outgoing.append(out)
             continue
         for further in running.act(frame, direction, t_us):
             if further.frame is frame and further.due_us == t_us:
-                found.append(out)
+                outgoing.append(out)
                 continue
-            # Copied only where the entries before held it back.
+            # Copied only if an earlier entry delayed it.
             if out.due_us != t_us:
                 due_us = further.due_us + out.due_us - t_us
                 further = msgspec.structs.replace(further, due_us=due_us)
-            found.append(further)
-    return found
+            outgoing.append(further)
+    return outgoing

@@ -1,11 +1,11 @@
-"""What the core is joined to: links by their role, the fault engine, and the control path."""
+"""Interfaces of the core: links by their role, the fault engine, and the command responder."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from mavproxy_fault.wire.frame import Frame
 
-if TYPE_CHECKING:  # both cost start-up time that a proxy without faults need not pay
+if TYPE_CHECKING:  # a proxy without faults starts faster without them
     from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
@@ -13,7 +13,7 @@ Direction = Literal["to-vehicle", "from-vehicle"]
 
 
 class Send(NamedTuple):
-    """Bytes for one link, to leave at `due_us` of the wall clock."""
+    """Bytes to send on one link at wall time `due_us`."""
 
     link: int
     data: bytes
@@ -22,7 +22,7 @@ class Send(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LinkRole:
-    """A link as the core sees it: `direction` is the way of what comes in on it."""
+    """A link as the core sees it; `direction` is that of data received on it."""
 
     name: str
     direction: Direction
@@ -30,10 +30,10 @@ class LinkRole:
 
 
 class FaultEngine(Protocol):
-    """The faults: frames in, timed frames out, on the vehicle's time.
+    """The fault engine: frames in, frames with due times out, in vehicle time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `release_us` is the vehicle time at which `due` has something.
+    `release_us` is the vehicle time at which `due` has frames to release.
     """
 
     @property
@@ -43,34 +43,34 @@ class FaultEngine(Protocol):
     def release_us(self) -> int | None: ...
 
     def restart(self, t0_us: int) -> None:
-        """End what acts and count the schedule's times from `t0_us`."""
+        """End active faults and restart the schedule at `t0_us`."""
 
     def apply(
         self, frame: Frame, direction: Direction, t_us: int, *, sealed: bool = False
     ) -> "list[Outgoing]":
-        """What leaves for one frame; a sealed one may be delayed or dropped but not changed."""
+        """Process a frame; a sealed (signed) one may be delayed or dropped but not changed."""
 
     def junk(self, data: bytes, direction: Direction, t_us: int) -> "list[Outgoing]":
-        """What leaves for bytes that are no frame."""
+        """Process bytes that are not a frame."""
 
     def due(self, t_us: int) -> "list[Outgoing]":
-        """What was held until now."""
+        """Return buffered frames due by `t_us`."""
 
     def drain_labels(self) -> "list[Label]":
-        """Labels begun or ended since the last call."""
+        """Return the labels begun or ended since the last call."""
 
     def finish(self, t_us: int) -> "list[Label]":
-        """End every label."""
+        """End every fault and return the last labels."""
 
 
 class CommandResponder(Protocol):
-    """Whatever answers commands for the proxy itself; `wanted` are the messages it must see."""
+    """Responder for commands to the proxy itself; `wanted` are the messages it must see."""
 
     @property
     def wanted(self) -> frozenset[int]: ...
 
     def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
-        """Replies for the link the frame came on if it was for the proxy, else None."""
+        """Return replies for the frame's link if it was for the proxy, else None."""
 
     def sent(self, raw: bytes, t_us: int) -> None:
-        """Look at what leaves, at the vehicle's time."""
+        """Observe a sent frame, at its vehicle time."""

@@ -1,4 +1,4 @@
-"""Departures: what leaves the core at one time, and who sent it."""
+"""Outgoing batch: what leaves the core at one time."""
 
 import itertools
 
@@ -6,11 +6,11 @@ from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.wire.frame import STX_V1, STX_V2, Frame
 
 LARGEST_DATAGRAM = 65_507  # bytes of payload of an IPv4 datagram
-OutgoingBatch = list[tuple[int, bytes]]  # what leaves now: the links as a bit mask, and the bytes
+OutgoingBatch = list[tuple[int, bytes]]  # links as a bit mask, and bytes
 
 
 def source_of(raw: Frame | bytes) -> tuple[int, int]:
-    """System and component by the header, (0, 0) where there is none."""
+    """Return the sender's system and component from the header, (0, 0) without one."""
     if isinstance(raw, Frame):
         return raw.system, raw.component
     if len(raw) > 6 and raw[0] == STX_V2:
@@ -20,14 +20,14 @@ def source_of(raw: Frame | bytes) -> tuple[int, int]:
     return 0, 0
 
 
-def join_datagrams(departures: OutgoingBatch) -> OutgoingBatch:
-    """Neighbours for the same links as one datagram, but for the proxy's own announcements."""
+def join_datagrams(batch: OutgoingBatch) -> OutgoingBatch:
+    """Join consecutive frames for the same links into datagrams, except announcements."""
     joined: OutgoingBatch = []
 
-    def kind(departure: tuple[int, bytes]) -> tuple[int, bool]:
-        return departure[0], source_of(departure[1])[1] == COMPONENT
+    def kind(item: tuple[int, bytes]) -> tuple[int, bool]:
+        return item[0], source_of(item[1])[1] == COMPONENT
 
-    for (mask, _), group in itertools.groupby(departures, key=kind):
+    for (mask, _), group in itertools.groupby(batch, key=kind):
         data = b""
         for _, raw in group:
             if len(data) + len(raw) > LARGEST_DATAGRAM:

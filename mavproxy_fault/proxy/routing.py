@@ -1,7 +1,7 @@
-"""Where a frame goes: MAVLink's target rules between any number of links, and a guard on loops.
+"""Routing: MAVLink's target rules between any number of links, and a loop guard.
 
-A frame for everybody goes to all other links, a frame for one component where that component was
-heard [1]_; `sender_rules.links_towards` holds the rule. Sets of links are bit masks.
+A broadcast frame goes to all other links, a frame for one component to the links on which that
+component was heard [1]_; `sender_rules` has the rule. Sets of links are bit masks.
 
 References
 ----------
@@ -16,20 +16,20 @@ from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
-LOOP_WINDOW_US = 1_000_000
-MAX_REMEMBERED = 4096
+LOOP_WINDOW_US = 1_000_000  # chosen: far above the round trip of a loop
+MAX_REMEMBERED = 4096  # chosen: about a second of traffic; bounds the memory
 
 
 @cache
 def target_offsets(name: str) -> tuple[int, int]:
-    """Offsets of a message's target system and component; -1 without one."""
+    """Return the offsets of a message's target system and component; -1 if it has none."""
     fields = message_layout(name).fields
     system, component = fields.get("target_system"), fields.get("target_component")
     return (system.offset if system else -1), (component.offset if component else -1)
 
 
 class Routes:
-    """Who was heard on which links, kept in the array of senders that the compiled form shares."""
+    """The links each sender was heard on, in the senders array shared with the compiled path."""
 
     def __init__(self, link_count: int, senders: "array[int] | None" = None) -> None:
         self.all_links = (1 << link_count) - 1
@@ -39,19 +39,19 @@ class Routes:
         self._senders = new_senders() if senders is None else senders
 
     def note_sender(self, system: int, component: int, link: int) -> bool:
-        """Note a sender; True if it has been heard on other links too."""
+        """Record that a sender was heard on a link; True if it was also heard on others."""
         bit = 1 << link
         sender = system << 8 | component
-        seen = self._senders[LINKS + sender]
-        if not seen & bit:
+        links = self._senders[LINKS + sender]
+        if not links & bit:
             self.home_links.setdefault((system, component), link)
-            seen |= bit
-            self._senders[LINKS + sender] = seen
+            links |= bit
+            self._senders[LINKS + sender] = links
             self._senders[SYSTEM_LINKS + system] |= bit
-        return seen != bit
+        return links != bit
 
     def select(self, frame: Frame, link: int) -> int:
-        """The links a frame from `link` goes to."""
+        """Select the links that a frame from `link` goes to, as a bit mask."""
         elsewhere = self.all_links & ~(1 << link)
         places = target_offsets(frame.layout.name)
         if places[0] < 0:
@@ -61,11 +61,11 @@ class Routes:
 
 
 class LoopGuard:
-    """Stops bytes that come round again and again, and nothing else.
+    """Stops frames that circulate in a loop, and nothing else.
 
-    Asked only about senders heard on several links, without whom there is no loop. Bytes may come
-    back as often as they came from the sender's home link (an echo does that), and once more for
-    senders that moved; a loop brings them more often.
+    Used only for senders heard on several links, which every loop causes. A frame may return as
+    often as it came from the sender's home link (an echo does that), and once more in case the
+    sender has moved; a loop returns it more often.
     """
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class LoopGuard:
         self._since_us = 0
 
     def admits(self, raw: bytes, *, from_home: bool, now_us: int) -> bool:
-        """Whether to forward these bytes."""
+        """Whether to forward this frame."""
         if now_us - self._since_us > LOOP_WINDOW_US or len(self._recent) >= MAX_REMEMBERED:
             self._older, self._recent, self._since_us = self._recent, {}, now_us
         counts = self._recent.get(raw)

@@ -1,7 +1,7 @@
-"""What follows from who sent a frame and when: its time, what is missing before it, where it goes.
+"""Rules by sender and arrival time: a frame's vehicle time, sequence gaps and routing.
 
-Each rule stands here once and works on the flat array of `senders`. The core calls it as it is,
-`compiled` as machine code; so the functions use numbers and arrays only, and none calls another.
+Each rule is defined once, on the flat array of `senders`. The core calls it directly, `compiled`
+compiles it; so the functions use only numbers and arrays, and none calls another.
 """
 
 from collections.abc import MutableSequence, Sequence
@@ -22,29 +22,29 @@ from mavproxy_fault.proxy.senders import (
     UNKNOWN,
 )
 
-UNIX_TIME_FROM_US = 10**15  # stamps beyond are Unix time (2001 on); no vehicle is up for 31 years
-MAX_STAMP_US = 1 << 53  # no stamp reaches the year 2255: such a number is damage, and read as none
-MAX_TIME_JUMP_US = 10_000_000
+UNIX_TIME_FROM_US = 10**15  # larger: Unix time (from 2001); no vehicle runs for 31 years
+MAX_STAMP_US = 1 << 53  # larger timestamps (year 2255) are corrupted and ignored
+MAX_TIME_JUMP_US = 10_000_000  # chosen: far above link delays; more is a reboot or an error
 
 Senders = MutableSequence[int]
 
 
 def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> int:
-    """The time of a frame that came at `now_us` of the wall clock, in microseconds.
+    """Return the vehicle time in microseconds of a frame received at wall time `now_us`.
 
-    A frame without a stamp (0) takes the newest time of its system, else of any; before the first
-    stamp the wall clock serves. A stamp that leaps by more than ten seconds, and further than the
-    wall clock did, is doubted and counted, and its frame takes the newest time, until the next
-    stamp of that clock bears it out.
+    A frame without a timestamp (0) gets the newest time of its system, else of any system; before
+    the first timestamp, wall time. A timestamp that jumps by more than ten seconds, and further
+    than the wall clock, is unconfirmed and counted: its frame gets the newest time, until the next
+    timestamp of that clock confirms the jump.
 
     Parameters
     ----------
     senders : sequence of int, shape (senders.SIZE,)
-        What is known of all senders; brought up to date.
+        State of all senders; updated.
     sender : int
         `system << 8 | component`.
     stamp_us, now_us : int
-        The frame's stamp, and the wall clock.
+        The frame's timestamp, and wall time.
     """
     newest_at = SYSTEM_TIME + (sender >> 8)
     if stamp_us == 0:
@@ -72,7 +72,7 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
             if suspect == 0 or not same_way or stamp_us < suspect - MAX_TIME_JUMP_US:
                 senders[UNCONFIRMED] += 1
                 return senders[newest_at]
-            if leap_us < 0:  # the vehicle has started again: its time goes on from the newest
+            if leap_us < 0:  # reboot: its time continues from the newest
                 shift = senders[NEWEST_TIME] - min(suspect, stamp_us)
                 senders[CLOCK_OFFSET + clock] = shift
     t_us = stamp_us + shift
@@ -85,7 +85,7 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
 
 
 def missing_before(senders: Senders, sender: int, seq: int) -> int:
-    """How many frames of a sender are missing before the one numbered `seq`; counted there too."""
+    """Return the number of frames missing before `seq`, and add it to the sender's gaps."""
     expected = senders[NEXT_SEQ + sender]
     senders[NEXT_SEQ + sender] = (seq + 1) & 0xFF
     if expected == UNKNOWN or seq == expected:
@@ -96,10 +96,10 @@ def missing_before(senders: Senders, sender: int, seq: int) -> int:
 
 
 def read_target(data: Sequence[int], payload: int, length: int, places: tuple[int, int]) -> int:
-    """`system << 8 | component` that a frame is for, 0 for all; cut zeros read as 0.
+    """Return a frame's target as `system << 8 | component`, 0 for all; truncated bytes read as 0.
 
-    `payload` is where the payload of `length` bytes begins in `data`, `places` are the offsets of
-    the target system and component in it, -1 without one.
+    The payload of `length` bytes starts at offset `payload` of `data`; `places` are the offsets of
+    target system and component in it, -1 if the message has none.
     """
     system_at, component_at = places
     if system_at < 0 or system_at >= length:
@@ -111,15 +111,15 @@ def read_target(data: Sequence[int], payload: int, length: int, places: tuple[in
 
 
 def select_links(senders: Senders, addressee: int, elsewhere: int) -> int:
-    """The links a frame goes to, of those that it did not come from (bit masks).
+    """Select the links for a frame from `elsewhere`, all links but its own (bit masks).
 
-    One component's frame goes where that component was heard, else where its system was, else to
-    all: nothing is lost because its addressee has not spoken yet.
+    A frame for one component goes where that component was heard, else where its system was heard,
+    else to all links, so that a target not heard yet still receives it.
     """
     if addressee == 0:
         return elsewhere
     exact = senders[LINKS + addressee]
     if exact != 0:
         return exact & elsewhere
-    found = senders[SYSTEM_LINKS + (addressee >> 8)] & elsewhere
-    return found if found != 0 else elsewhere
+    links = senders[SYSTEM_LINKS + (addressee >> 8)] & elsewhere
+    return links if links != 0 else elsewhere

@@ -1,8 +1,8 @@
-"""What the proxy remembers of every sender, as one flat array of 64-bit integers.
+"""State of every sender, in one flat array of 64-bit integers.
 
-The core and the compiled form (`compiled`) work on the same array, so they can alternate at any
-frame; `sender_rules` says how. A sender is `system << 8 | component`; its clocks are two, counting
-from boot and from 1970.
+The core and the compiled path (`compiled`) share the array, so they can alternate at any frame;
+`sender_rules` has the rules. A sender is `system << 8 | component`; it has two clocks, one counting
+from boot and one from 1970.
 """
 
 from array import array
@@ -10,27 +10,25 @@ from array import array
 SENDERS = 1 << 16
 UNKNOWN = -(1 << 62)
 
-LINKS = 0  # per sender: bit mask of the links it was heard on
-NEXT_SEQ = LINKS + SENDERS  # per sender: the sequence number expected, UNKNOWN at first
+LINKS = 0  # per sender: bit mask of links it was heard on
+NEXT_SEQ = LINKS + SENDERS  # per sender: expected sequence number, UNKNOWN at first
 GAPS = NEXT_SEQ + SENDERS  # per sender: frames missing
-CLOCK_OFFSET = GAPS + SENDERS  # per clock: from its stamps to the timeline, UNKNOWN at first
-NEWEST_STAMP = CLOCK_OFFSET + 2 * SENDERS  # per clock: its newest stamp
-LAST_HEARD = NEWEST_STAMP + 2 * SENDERS  # per clock: wall time at which that came
-CANDIDATE_STAMP = (
-    LAST_HEARD + 2 * SENDERS
-)  # per clock: a stamp that leapt and waits for another, 0 for none
-SYSTEM_LINKS = CANDIDATE_STAMP + 2 * SENDERS  # per system: bit mask of the links it was heard on
-SYSTEM_TIME = SYSTEM_LINKS + 256  # per system: its newest time, UNKNOWN at first
-T0 = SYSTEM_TIME + 256  # first stamp of all, UNKNOWN at first
-NEWEST_TIME = T0 + 1  # newest time of all
-WALL_OFFSET = NEWEST_TIME + 1  # wall time minus vehicle time, by the newest frame
-VEHICLE_SYSTEM = WALL_OFFSET + 1  # the system whose name the proxy's own frames carry
-UNCONFIRMED = VEHICLE_SYSTEM + 1  # stamps that leapt and were not followed
+CLOCK_OFFSET = GAPS + SENDERS  # per clock: vehicle time minus its timestamps, UNKNOWN at first
+NEWEST_STAMP = CLOCK_OFFSET + 2 * SENDERS  # per clock: newest timestamp
+LAST_HEARD = NEWEST_STAMP + 2 * SENDERS  # per clock: wall time of that timestamp
+CANDIDATE_STAMP = LAST_HEARD + 2 * SENDERS  # per clock: unconfirmed timestamp, 0 for none
+SYSTEM_LINKS = CANDIDATE_STAMP + 2 * SENDERS  # per system: bit mask of links it was heard on
+SYSTEM_TIME = SYSTEM_LINKS + 256  # per system: newest vehicle time, UNKNOWN at first
+T0 = SYSTEM_TIME + 256  # first timestamp of all, UNKNOWN at first
+NEWEST_TIME = T0 + 1  # newest vehicle time of all
+WALL_OFFSET = NEWEST_TIME + 1  # wall time minus vehicle time, at the newest frame
+VEHICLE_SYSTEM = WALL_OFFSET + 1  # the system id used in the proxy's own frames
+UNCONFIRMED = VEHICLE_SYSTEM + 1  # number of unconfirmed timestamps
 SIZE = UNCONFIRMED + 1
 
 
 def new_senders() -> "array[int]":
-    """Nobody heard yet."""
+    """Create the initial state, before any sender was heard."""
     unknown = array("q", [UNKNOWN])
     senders = array("q", bytes(8 * SIZE))
     senders[NEXT_SEQ:GAPS] = unknown * SENDERS

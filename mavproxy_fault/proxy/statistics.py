@@ -17,22 +17,22 @@ COLUMNS = (
 
 
 class LatencyHistogram:
-    """A histogram with eight steps per octave, so that percentiles are right to 9 %."""
+    """A histogram of eight bins per octave, so that percentiles are accurate to 9 %."""
 
     def __init__(self) -> None:
         self._counts: dict[int, int] = {}
 
     def add(self, ns: int, count: int = 1) -> None:
-        """Note that `count` frames took `ns` nanoseconds."""
+        """Add `count` frames that took `ns` nanoseconds."""
         octave = max(ns, 16).bit_length()
         self.add_step(octave << 3 | max(ns, 16) >> (octave - 4) & 7, count)
 
     def add_step(self, step: int, count: int) -> None:
-        """The same by the number of the histogram's step."""
+        """Add `count` frames to a bin."""
         self._counts[step] = self._counts.get(step, 0) + count
 
     def percentile_us(self, percent: float) -> float | None:
-        """The latency `percent` of the frames stay below, in microseconds; None without any."""
+        """Return a percentile of the latency in microseconds; None without frames."""
         total = sum(self._counts.values())
         passed = 0
         for step, count in sorted(self._counts.items()):
@@ -42,12 +42,12 @@ class LatencyHistogram:
         return None
 
     def summary(self) -> dict[str, float | None]:
-        """The percentiles by name."""
+        """Return the percentiles by name."""
         return {f"p{percent}_us": self.percentile_us(percent) for percent in PERCENTILES}
 
 
 def link_statistics(core: "Core", number: int) -> dict[str, Any]:
-    """What the core has counted of what came in on one link."""
+    """Return the core's counts for one link."""
     role, state, parsed = core.links[number], core.states[number], core.parser_counters(number)
     return {
         "name": role.name,
@@ -65,7 +65,7 @@ def link_statistics(core: "Core", number: int) -> dict[str, Any]:
 
 
 def format_endpoints(endpoints: Sequence[dict[str, Any]]) -> str:
-    """The endpoints' figures as aligned text, a line each."""
+    """Format the endpoints' statistics as an aligned table, one line each."""
     rows = [[title for title, _ in COLUMNS]]
     rows += [
         ["-" if point.get(key) is None else str(point[key]) for _, key in COLUMNS]

@@ -1,1 +1,1 @@
-"""MAVLink bytes: layouts, frames, parsing, signing, RTCM payloads and telemetry logs."""
+"""MAVLink bytes: message layouts, frames, parsing, signing and telemetry logs."""

@@ -1,7 +1,7 @@
-"""Layouts: where the fields of each MAVLink message lie in its payload.
+"""Message layouts: the position, type and unit of every field in a MAVLink payload.
 
-The table is pymavlink's `all` dialect (see `generate.py`). A message's fields are sorted by size on
-the wire; extension fields follow in the order of their definition and exist in MAVLink 2 only [1]_.
+The table is pymavlink's `all` dialect (see `generate_messages`). On the wire, fields are sorted by
+size; extension fields follow in definition order and exist only in MAVLink 2 [1]_.
 
 References
 ----------
@@ -29,16 +29,16 @@ CODES = {
     "float": "f",
     "double": "d",
 }
-# Little-endian and without padding, as MAVLink lays its fields out.
+# MAVLink fields are little-endian and unpadded.
 PACKERS = {code: struct.Struct("<" + code) for code in CODES.values()}
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field: `count` is 0 for a scalar, else the length of the array; `offset` in bytes.
+    """One field: `count` is 0 for a scalar, otherwise the array length; `offset` is in bytes.
 
-    `code` is the `struct` code of one element, `packer` its `Struct`, `size` its bytes, and
-    `length` the bytes of the whole field.
+    `code`, `packer` and `size` are the `struct` code, `Struct` and byte size of one element;
+    `length` is the byte size of the entire field.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Field:
     def __post_init__(self) -> None:
         code = CODES[self.type]
         size = PACKERS[code].size
-        # Set once, though frozen: reading a value must not look them up each time.
+        # Cached in the frozen object so that reading a value needs no lookups.
         object.__setattr__(self, "code", code)
         object.__setattr__(self, "packer", PACKERS[code])
         object.__setattr__(self, "size", size)
@@ -64,9 +64,9 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """One message: `length` is the full payload, `base_length` that without extensions (MAVLink 1).
+    """One message: `length` is the full payload, `base_length` excludes extensions (MAVLink 1).
 
-    `instance` names the field that tells several sensors of one kind apart ("" where none does).
+    `instance` names the field that distinguishes sensors of one kind ("" if none does).
     """
 
     name: str
@@ -92,13 +92,13 @@ def _names_by_id() -> dict[int, str]:
 
 
 def message_names() -> list[str]:
-    """Names of all messages known, sorted."""
+    """Return the sorted names of all messages in the dialect."""
     return sorted(_message_table())
 
 
 @cache
 def find_layout(key: str | int) -> Layout | None:
-    """The layout of a message by name or id; None if the dialect does not know it."""
+    """Look up a message's layout by name or id; None if it is not in the dialect."""
     name = key if isinstance(key, str) else _names_by_id().get(key)
     entry = _message_table().get(name) if name is not None else None
     if name is None or entry is None:
@@ -109,7 +109,7 @@ def find_layout(key: str | int) -> Layout | None:
         one = Field(field_name, type_name, count, unit, extension, offset)
         fields[field_name] = one
         offset += one.length
-        # Extensions come last, so the length of MAVLink 1 ends before the first of them.
+        # Extensions come last, so the MAVLink 1 payload ends before the first of them.
         if not extension:
             base_length = offset
     return Layout(
@@ -118,14 +118,14 @@ def find_layout(key: str | int) -> Layout | None:
 
 
 def message_layout(key: str | int) -> Layout:
-    """The layout of a message the caller knows to exist.
+    """Return the layout of a message that must exist, by name or id.
 
     Raises
     ------
     KeyError
         If the dialect has no such message.
     """
-    found = find_layout(key)
-    if found is None:
+    layout = find_layout(key)
+    if layout is None:
         raise KeyError(key)
-    return found
+    return layout

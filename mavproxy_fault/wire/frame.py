@@ -1,4 +1,4 @@
-"""Frames: the bytes of one verified MAVLink message, read and patched in place.
+"""Frames: the bytes of one verified MAVLink message, and reading and patching its fields.
 
 MAVLink 2: FD, LEN, incompat, compat, SEQ, system, component, id (3), payload, CRC (2),
            signature (13)
@@ -26,7 +26,7 @@ SIGNATURE_LENGTH = 13
 HEADER_V1 = 6
 HEADER_V2 = 10
 
-# By struct's codes.
+# By struct code.
 INTEGER_LIMITS = {
     "B": (0, 0xFF),
     "b": (-0x80, 0x7F),
@@ -39,7 +39,7 @@ INTEGER_LIMITS = {
 }
 _STX = bytes((STX_V2,))
 _HEAD = struct.Struct("<6BHB")  # length, flags, sequence, sender and message id of MAVLink 2
-# The largest finite float32: what lies beyond would pack to infinity or raise.
+# The largest finite float32: a larger value would pack to infinity or raise.
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 
 Number = int | float
@@ -49,9 +49,9 @@ _packings: dict[int, Packing] = {}  # by message id
 
 
 class Frame:
-    """The received bytes of one message whose CRC was right, and its header.
+    """The received bytes of one message with a correct CRC, and its decoded header.
 
-    `raw` is never changed; `patched` gives a new frame.
+    `raw` is never changed; `patched` returns a new frame.
     """
 
     __slots__ = ("component", "id", "layout", "length", "payload_at", "raw", "seq", "system")
@@ -83,11 +83,11 @@ class Frame:
 
     @property
     def payload(self) -> bytes:
-        """The payload as it was sent, possibly shortened by its trailing zeros."""
+        """The payload as sent; MAVLink 2 truncates trailing zeros."""
         return self.raw[self.payload_at : self.payload_at + self.length]
 
     def read(self, name: str, index: int = 0) -> Number | bytes:
-        """One element of a field (a `char` array whole, without its zeros); cut zeros read as 0."""
+        """Read one element of a field (a `char` array as text); truncated bytes read as 0."""
         field = self.layout.fields[name]
         if field.type == "char":
             text = self.payload[field.offset : field.offset + field.length]
@@ -97,20 +97,20 @@ class Frame:
         if start + field.size <= self.length:
             value = field.packer.unpack_from(self.raw, self.payload_at + start)[0]
         else:
-            # The sender cut the payload inside this field: what lacks is zeros.
+            # The payload was truncated inside this field: the missing bytes are zeros.
             data = self.payload[start : start + field.size].ljust(field.size, b"\0")
             value = field.packer.unpack(data)[0]
         return value
 
     def number(self, name: str, index: int = 0) -> Number:
-        """One element of a numeric field."""
+        """Read one element of a numeric field."""
         value = self.read(name, index)
         if isinstance(value, bytes):
             raise TypeError(f"{self.layout.name}.{name} holds text")
         return value
 
     def values(self) -> dict[str, Number | bytes | tuple[Number, ...]]:
-        """All fields by name; arrays as tuples, text as bytes."""
+        """Read all fields by name; arrays as tuples, text as bytes."""
         return {
             field.name: self.read(field.name)
             if field.count == 0 or field.type == "char"
@@ -119,12 +119,11 @@ class Frame:
         }
 
     def patched(self, changes: Mapping[tuple[str, int], Number]) -> "Frame":
-        """A frame with some elements changed, keyed by field and index, and the CRC redone.
+        """Return a frame with elements changed, keyed by (field, index), and a new CRC.
 
-        Integers saturate at the limits of their type (see `saturate_value`). The payload keeps its
-        length unless the change reaches into zeros that were cut, and then grows as little as it
-        must. A signed frame comes back with its old signature, now wrong: the sender signs it
-        again.
+        Integers saturate at the limits of their type. The payload keeps its length unless the
+        change reaches into truncated zeros; then it grows only as far as needed. A signed frame
+        keeps its old signature, which is now wrong: the caller must sign it again.
         """
         payload = bytearray(self.payload)
         for (name, index), value in changes.items():
@@ -132,32 +131,32 @@ class Frame:
             start = field.offset + index * field.size
             data = field.packer.pack(saturate_value(field, value))
             if start + field.size > len(payload):
-                # Only as many bytes as are no trailing zeros, but all that lie inside the payload.
+                # Omit trailing zeros beyond the present payload, but keep all bytes inside it.
                 data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
-                if data:  # a zero among zeros that were cut needs no byte
+                if data:  # a zero in the truncated part needs no byte
                     payload.extend(bytes(start + len(data) - len(payload)))
             payload[start : start + len(data)] = data
         return self.with_payload(bytes(payload))
 
     def with_payload(self, payload: bytes) -> "Frame":
-        """The same header and trailer around another payload, length and CRC redone."""
+        """Return this frame with another payload and updated length and CRC."""
         raw = self.raw
         head = bytes((raw[0], len(payload))) + raw[2 : self.payload_at]
         crc = mcrf4xx(head[1:] + payload + bytes((self.layout.crc_extra,)))
-        # As it was; whoever holds the key signs anew.
+        # Unchanged; the holder of the key signs again.
         signature = raw[self.payload_at + self.length + 2 :]
         return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
 
 
 def saturate_value(field: Field, value: Number) -> Number:
-    """The value nearest to `value` that the field's type can hold; NaN in an integer becomes 0."""
+    """Clamp a value to the range of the field's type; NaN becomes 0 in an integer field."""
     code = field.code
     if code == "d":
         return float(value)
     if code == "f":
         return max(-FLOAT_MAX, min(FLOAT_MAX, value)) if math.isfinite(value) else value
     low, high = INTEGER_LIMITS[code]
-    # NaN has no integer; rounding it would raise.
+    # round(NaN) would raise.
     if value != value:
         return 0
     return low if value <= low else high if value >= high else round(value)
@@ -171,7 +170,7 @@ def build_frame(
     system: int = 1,
     component: int = 1,
 ) -> bytes:
-    """The bytes of a MAVLink 2 frame; fields not given are zero, arrays are sequences, text bytes.
+    """Encode a MAVLink 2 frame; omitted fields are zero, arrays are sequences, text is bytes.
 
     Raises
     ------
@@ -196,7 +195,7 @@ def build_frame(
 
 
 def _fit_bytes(name: str, value: object, blank: bytes) -> bytes:
-    """Text, which is cut where it is too long, or an array of bytes, which must not be."""
+    """Convert text (truncated if too long) or a byte array (an error if too long) to bytes."""
     data: bytes = bytes(value)  # type: ignore[call-overload]
     if blank and len(data) > len(blank):
         raise struct.error(f"{name} holds {len(blank)} bytes, not {len(data)}")
@@ -206,8 +205,8 @@ def _fit_bytes(name: str, value: object, blank: bytes) -> bytes:
 def frame_payload(
     layout: Layout, payload: bytes, *, seq: int, system: int, component: int
 ) -> bytes:
-    """The bytes of a MAVLink 2 frame around a payload, whose trailing zeros are cut."""
-    # At least one byte stays, by the MAVLink 2 rule.
+    """Encode a MAVLink 2 frame around a payload, whose trailing zeros are truncated."""
+    # MAVLink 2 keeps at least one payload byte.
     payload = payload.rstrip(b"\0") or b"\0"
     number = layout.id
     body = _HEAD.pack(len(payload), 0, 0, seq, system, component, number & 0xFFFF, number >> 16)
@@ -216,15 +215,15 @@ def frame_payload(
 
 
 def _make_packing(layout: Layout) -> Packing:
-    """How a payload is packed, and what stands for each field that is not given.
+    """Return the Struct of a payload and the default value of each field.
 
-    Text and arrays of bytes are packed as bytes, in one piece.
+    Text and byte arrays are packed as one bytes object.
     """
     code, blanks = "<", []
     for field in layout.fields.values():
-        whole = field.type == "char" or (field.code == "B" and field.count > 0)
-        code += f"{field.length}s" if whole else field.code * max(field.count, 1)
-        array = bytes(field.count) if whole else (0,) * field.count
+        as_bytes = field.type == "char" or (field.code == "B" and field.count > 0)
+        code += f"{field.length}s" if as_bytes else field.code * max(field.count, 1)
+        array = bytes(field.count) if as_bytes else (0,) * field.count
         blanks.append((field.name, b"" if field.type == "char" else array if field.count else 0))
     _packings[layout.id] = struct.Struct(code), tuple(blanks)
     return _packings[layout.id]

@@ -1,7 +1,7 @@
-"""Where a frame is and whether its checksum is right, in compiled code.
+"""Frame boundaries and checksums in compiled code, shared by the log reader and the proxy.
 
-The log reader and the compiled form of the proxy share these. They read memory eight bytes at a
-time by address: what bounds each access is said beside it. Importing this file imports numba.
+Memory is read eight bytes at a time by address; the bounds of each access are stated beside it.
+Importing this module imports numba.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def inline_in_kernels(function: Function) -> Function:
-    """Let compiled code call a function, which becomes part of its caller."""
+    """Decorate a function that compiled code calls; it is inlined into its caller."""
     return cast(Function, register_jitable(inline="always")(function))
 
 
@@ -50,7 +50,7 @@ load64, store64 = _access(64)
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _swap_bytes(_: Any, value: Any) -> Any:
-    """The eight bytes of a word in opposite order."""
+    """Reverse the byte order of a 64-bit word."""
 
     def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
         return builder.bswap(values[0])
@@ -60,19 +60,19 @@ def _swap_bytes(_: Any, value: Any) -> Any:
 
 @inline_in_kernels
 def big_endian64(address: Any) -> Any:
-    """A big-endian word of eight bytes, as tlogs stamp their records."""
+    """Read a big-endian 64-bit integer, the format of timestamps in a tlog."""
     return np.int64(_swap_bytes(load64(np.uint64(address))))
 
 
 @inline_in_kernels
 def byte_at(address: Any) -> Any:
-    """One byte, as an unsigned word."""
+    """Read one byte as an unsigned 64-bit integer."""
     return np.uint64(load8(np.uint64(address)))
 
 
 @inline_in_kernels
 def _crc_step(word: Any, tables: Any) -> Any:
-    """CRC of eight bytes that a CRC was put into."""
+    """Advance the CRC by eight bytes; `word` is their value XOR the previous CRC."""
     low = np.uint64(0xFF)
     return np.uint64(
         tables[7, word & low]
@@ -88,30 +88,30 @@ def _crc_step(word: Any, tables: Any) -> Any:
 
 @inline_in_kernels
 def range_crc(start: Any, stop: Any, extra: Any, tables: Any) -> Any:
-    """CRC of the two or more bytes at addresses [start, stop) and of the CRC extra.
+    """Compute the CRC of the bytes at addresses [start, stop) followed by the CRC extra.
 
-    The start value 0xFFFF is put into the first two bytes; then zeros before them change nothing,
-    and the odd bytes go first, as the end of a word of zeros. Eight bytes from `start` on are read,
-    which lie within the shortest frame. `tables` are those of `numerics.crc`, shape (8, 256).
+    Needs two or more bytes. XORing the initial value 0xFFFF into the first two makes leading zeros
+    neutral, so the odd bytes are processed first, zero-padded to a word. Reads eight bytes from
+    `start`, which the shortest frame contains. `tables` of `numerics.crc` have shape (8, 256).
     """
     odd = (stop - start) & 7
-    found = np.uint64(0xFFFF)
+    crc = np.uint64(0xFFFF)
     if odd:
-        word = (load64(np.uint64(start)) ^ found) << np.uint64(64 - 8 * odd)
-        found = _crc_step(word, tables) ^ np.uint64(0xFF * (odd == 1))
+        word = (load64(np.uint64(start)) ^ crc) << np.uint64(64 - 8 * odd)
+        crc = _crc_step(word, tables) ^ np.uint64(0xFF * (odd == 1))
     at = start + odd
     while at < stop:
-        found = _crc_step(load64(np.uint64(at)) ^ found, tables)
+        crc = _crc_step(load64(np.uint64(at)) ^ crc, tables)
         at += 8
-    return (found >> np.uint64(8)) ^ np.uint64(tables[0, (found ^ extra) & np.uint64(0xFF)])
+    return (crc >> np.uint64(8)) ^ np.uint64(tables[0, (crc ^ extra) & np.uint64(0xFF)])
 
 
 @inline_in_kernels
 def frame_header(base: Any, size: Any, at: Any) -> Any:
-    """Bytes before the payload, message id and end of the frame at `at`; zeros if none is whole.
+    """Return header length, message id and end of the frame at `at`; zeros if it is incomplete.
 
-    `base` is the address of the data, `size` and `at` count bytes from there. No message is without
-    payload: nine bytes of a frame can be read (of version 2: twelve).
+    `base` is the address of the data; `size` and `at` are byte offsets from it. Every message has
+    a payload, so at least 9 bytes of a version 1 frame and 12 of a version 2 frame can be read.
     """
     if at + 12 > size and (at + 9 > size or byte_at(base + at) != 0xFE):
         return 0, 0, 0
@@ -132,7 +132,7 @@ def frame_header(base: Any, size: Any, at: Any) -> Any:
 
 @inline_in_kernels
 def has_valid_checksum(base: Any, at: Any, head: Any, extra: Any, tables: Any) -> Any:
-    """Whether the checksum of a frame whose `frame_header` was found is right."""
+    """Whether the checksum of the frame at `at` is correct; `head` is its header length."""
     tail = base + at + head + np.int64(byte_at(base + at + 1))
     sent = byte_at(tail) | byte_at(tail + 1) << np.uint64(8)
     return range_crc(base + at + 1, tail, extra, tables) == sent

@@ -1,4 +1,4 @@
-"""Labels: what a fault really did, and when; one JSON object a line in `labels.jsonl`."""
+"""Labels: the ground truth of each fault, one JSON object per line in `labels.jsonl`."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -9,13 +9,13 @@ from mavproxy_fault.documents.errors import ConfigError
 
 
 class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """One stretch in which one fault acted.
+    """One activation of one fault.
 
-    A label is written when the fault first touches a frame (`end_us` is None) and again, complete,
-    when it ends; the last line with the same `id` and `start_us` holds.
-    Stamps are microseconds on the vehicle's clock, like the frames' own; `t0_us` is the stamp from
-    which the schedule's `at_s` counts. `direction` is from-vehicle, to-vehicle, or both. Where the
-    fault's value is changed while it acts, another line tells the new value and when it came.
+    A label is written when the fault first changes a frame (`end_us` is None) and again when it
+    ends; the last line with the same `id` and `start_us` is valid. Timestamps are microseconds of
+    vehicle time, like those in the frames; the schedule's `at_s` counts from `t0_us`. `direction`
+    is from-vehicle, to-vehicle, or both. If the fault's value is changed during the activation,
+    a further line has the new value and its time.
     """
 
     id: str
@@ -32,31 +32,31 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     where: dict[str, int | str] = {}
     parameters: dict[str, object] = {}
     seed: int = 0
-    recorded: bool = False  # done to a recording: nobody could react
-    value: float | None = None  # given live
+    recorded: bool = False  # injected into a recording, so no vehicle could react
+    value: float | None = None  # set by a live edit
     changed_us: int | None = None
 
 
 def read_labels(path: Path) -> list[Label]:
-    """The complete labels of a file, in order of their start; a cut last line is ignored.
+    """Read the latest label of each activation, by start time; a truncated last line is ignored.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or holds something else.
+        If the file cannot be read or is not a label file.
     """
-    if path.exists() and not path.is_file():  # a device may never end
+    if path.exists() and not path.is_file():  # a device may be endless
         raise ConfigError(f"{path}: is not a file; give a labels.jsonl")
     try:
         return latest_labels(_lines(path))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a labels.jsonl") from None
-    except ValueError as error:  # msgspec's decode errors are
+    except ValueError as error:  # includes msgspec's decode errors
         raise ConfigError(f"{path}: {error}; give a labels.jsonl") from None
 
 
 def latest_labels(labels: Iterable[Label]) -> list[Label]:
-    """The last word on every stretch, in order of start."""
+    """Keep the latest label of every activation, sorted by start time."""
     last = {(label.id, label.start_us): label for label in labels}
     return sorted(last.values(), key=lambda label: (label.start_us, label.id))
 

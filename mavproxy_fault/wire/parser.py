@@ -1,12 +1,12 @@
-"""Parser: bytes of a stream or of datagrams to frames, losing none of them.
+"""Lossless parser from a byte stream or datagrams to MAVLink frames.
 
-Every byte comes out exactly once and in order, in a `Frame` (known id, right CRC) or in `Junk`.
-After a wrong CRC the search goes on one byte later, so a broken frame never swallows the next one.
+Every byte comes out exactly once and in order, in a `Frame` (known id, correct CRC) or in `Junk`.
+After a wrong CRC the search resumes one byte later, so a broken frame never swallows the next one.
 
-The CRC of a message the dialect does not know cannot be checked in full, since its CRC extra is
-unknown. But the extra is one byte, so that only 256 of the 65,536 CRCs are possible: the others
-show that the bytes are no frame, and those 256 pass as a frame of unknown content, unless a
-verified frame begins inside.
+The CRC of a message outside the dialect cannot be fully checked, because its CRC extra is unknown.
+The extra is one byte, so only 256 of the 65,536 CRC values are possible. Any other value rejects
+the bytes; one of the 256 accepts them as a frame of unknown content, unless they contain a
+verified frame.
 """
 
 import re
@@ -31,16 +31,16 @@ NO_FRAME = (-1, -1)
 START_BYTES = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
 CRC_TABLE_ENTRIES = frozenset(
     mcrf4xx(bytes((last,)), 0) for last in range(256)
-)  # the CRC's table of bytes
+)  # table of the byte-wise CRC
 JunkKind = Literal["foreign", "crc", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
 class Junk:
-    """Bytes that are no verified frame.
+    """Bytes that are not a verified frame.
 
-    "unknown" is one whole frame of a message or flag the dialect does not know, "crc" holds at
-    least one frame of a known message with a wrong CRC, "foreign" is anything else.
+    "unknown" is one complete frame with a message id or flag outside the dialect, "crc" contains
+    at least one frame of a known message with a wrong CRC, "foreign" is anything else.
     """
 
     raw: bytes
@@ -49,7 +49,7 @@ class Junk:
 
 @dataclass(slots=True)
 class ParserCounters:
-    """What a parser has seen; `crc_errors` counts places that looked like a known message."""
+    """Totals of one parser; `crc_errors` counts positions that looked like a known message."""
 
     bytes: int = 0
     frames: int = 0
@@ -58,7 +58,7 @@ class ParserCounters:
     junk_bytes: int = 0
 
     def add(self, other: "ParserCounters") -> None:
-        """Add another parser's counts to these."""
+        """Add another parser's counts."""
         self.bytes += other.bytes
         self.frames += other.frames
         self.unknown += other.unknown
@@ -67,21 +67,21 @@ class ParserCounters:
 
 
 class Parser:
-    """The state of one stream; datagrams leave none behind."""
+    """The parser of one stream; it keeps no state between datagrams."""
 
     def __init__(self) -> None:
         self.counters = ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
-        self._frame_ahead = NO_FRAME  # a verified frame that lies ahead
+        self._frame_ahead = NO_FRAME  # start and end of a verified frame further on
 
     @property
     def incomplete(self) -> int:
-        """Bytes of an incomplete frame that wait for more of the stream."""
+        """Number of buffered bytes of an incomplete frame."""
         return len(self._incomplete)
 
     def push(self, data: bytes, *, datagram: bool = False) -> list[Frame | Junk]:
-        """What the bytes complete; of a datagram, everything."""
+        """Parse further bytes; return completed items, for a datagram everything."""
         self.counters.bytes += len(data)
         if self._incomplete:
             data = self._incomplete + data
@@ -90,21 +90,21 @@ class Parser:
 
     @property
     def contains_frame(self) -> bool:
-        """Whether a verified frame lies inside of what waits for more of the stream."""
+        """Whether the incomplete bytes contain a verified frame."""
         return _find_frame_inside(self._incomplete, 1, len(self._incomplete)) is not None
 
     def release(self) -> list[Frame | Junk]:
-        """The stream has ended: what is incomplete is parsed as far as it goes."""
+        """End the stream: parse the incomplete bytes as they are."""
         data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=True)
 
     def resync(self) -> list[Frame | Junk]:
-        """Take the first byte of what is incomplete for no beginning; what follows may be one."""
+        """Reject the first incomplete byte as a frame start and search again behind it."""
         data, self._incomplete = self._incomplete, b""
         return self._parse(data, final=False, at=1)
 
     def _parse(self, data: bytes, *, final: bool, at: int = 0) -> list[Frame | Junk]:
-        found: list[Frame | Junk] = []
+        items: list[Frame | Junk] = []
         self._frame_ahead = NO_FRAME
         counters = self.counters
         junk_from = 0
@@ -116,38 +116,38 @@ class Parser:
                 at += 1
                 continue
             item = self._candidate(data, at)
-            # Wait for the rest from here on; of a datagram there is no rest.
+            # A stream may still deliver the rest; a datagram cannot.
             if item is None and not final:
                 break
-            # No frame: the next start byte may lie inside of what looked like one.
+            # Not a frame: the next start byte may lie inside the rejected bytes.
             if item is None or item is False:
                 at += 1
                 continue
             if at > junk_from:
                 kind: JunkKind = "crc" if counters.crc_errors > crc_errors else "foreign"
-                found.append(self._junk(data[junk_from:at], kind))
-            found.append(item)
+                items.append(self._junk(data[junk_from:at], kind))
+            items.append(item)
             crc_errors = counters.crc_errors
             at += len(item.raw)
             junk_from = at
         if at > junk_from:
             kind = "crc" if counters.crc_errors > crc_errors else "foreign"
-            found.append(self._junk(data[junk_from:at], kind))
-        # Never more than one frame: what is longer has been decided above.
+            items.append(self._junk(data[junk_from:at], kind))
+        # At most one frame: anything longer has been decided above.
         self._incomplete = data[at:]
-        return found
+        return items
 
     def _junk(self, raw: bytes, kind: JunkKind) -> Junk:
         self.counters.junk_bytes += len(raw)
         return Junk(raw, kind)
 
     def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
-        """What begins at a start byte; None if it is incomplete, False if it is no frame."""
+        """Parse the item at a start byte; None if it is incomplete, False if it is not a frame."""
         place = frame_span(data, at)
         if place is None or at + place[0] > len(data):
             return None
         length, number, checked = place
-        # A parser sees few messages: their layouts are looked up once, unknown ones too.
+        # A stream has few message ids: cache their layouts, including unknown ones.
         if number in self._layouts:
             known = self._layouts[number]
         else:
@@ -163,7 +163,7 @@ class Parser:
             self.counters.crc_errors += 1
             return False
         raw = data[at : at + length]
-        # MAVLink: a receiver must not read frames with flags it does not know.
+        # MAVLink: a receiver must not read frames with unknown incompat flags.
         if raw[0] == STX_V2 and raw[2] & ~SIGNED:
             self.counters.unknown += 1
             return Junk(raw, "unknown")
@@ -171,9 +171,9 @@ class Parser:
         return Frame(raw, known)
 
     def _contains_frame(self, data: bytes, at: int, end: int) -> bool:
-        """Whether a verified frame lies wholly inside of what begins here."""
-        # One that was found already: bytes may be made so that each of them seems to begin a frame
-        # around it, and to look for it anew would cost time quadratic in their number.
+        """Whether a verified frame lies entirely within [at, end)."""
+        # Reuse the last one found: in crafted input every byte may seem to start a frame around it,
+        # and searching again each time would take quadratic time.
         if at < self._frame_ahead[0] and self._frame_ahead[1] <= end:
             return True
         inside = _find_frame_inside(data, at + 1, end)
@@ -182,7 +182,7 @@ class Parser:
 
 
 def frame_span(data: bytes, at: int) -> tuple[int, int, int] | None:
-    """Length, message id and offset of the CRC of a frame by its header; None if that is cut."""
+    """Read a frame's length, message id and CRC offset from its header; None if it is cut."""
     if data[at] == STX_V2:
         if at + HEADER_V2 > len(data):
             return None
@@ -196,19 +196,19 @@ def frame_span(data: bytes, at: int) -> tuple[int, int, int] | None:
 
 
 def begins_with_frame(data: bytes) -> bool:
-    """Whether verified bytes of a known message stand at the beginning."""
+    """Whether the bytes begin with a verified frame of a known message."""
     return bool(data) and isinstance(next(iter(Parser().push(data, datagram=True))), Frame)
 
 
 def _crc_is_possible(body: bytes, crc: int) -> bool:
-    """Whether some CRC extra gives this CRC."""
-    # The last step takes in the extra: it shifts the register and adds one entry of the table.
+    """Whether any CRC extra gives this CRC."""
+    # The last step processes the extra: shift the register and XOR one table entry.
     return crc ^ (mcrf4xx(body) >> 8) in CRC_TABLE_ENTRIES
 
 
 def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | None:
-    """Where the first verified frame begins and ends that lies wholly inside a stretch."""
-    # A message that is unknown and by chance passes must not hide a known one.
+    """Find the first verified frame entirely within [start, end); return its start and end."""
+    # An unknown message whose CRC passes by chance must not hide a known one.
     for begin in START_BYTES.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
         at = begin.start()
         place = frame_span(data, at)

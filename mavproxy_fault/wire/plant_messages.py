@@ -1,13 +1,13 @@
-"""Messages to the simulator: what a fault changes in the plant or in its receiver.
+"""Messages to the simulator that set plant faults and faults of the simulated receiver.
 
-A change travels to the simulator (component 51) in MAVLink TUNNEL of the payload type below (types
-above 32767 are for private use), as JSON in UTF-8:
+A change is sent to the simulator (component 51) in a MAVLink TUNNEL with the payload type below
+(types above 32767 are for private use), as JSON in UTF-8:
 
-    {"name": "motor_efficiency[0]", "value": 0.5}     from now on
-    {"name": "motor_efficiency[0]", "value": null}    healthy again
+    {"name": "motor_efficiency[0]", "value": 0.5}     set the fault
+    {"name": "motor_efficiency[0]", "value": null}    end it
 
-It is repeated while the fault lasts, so a lost one does no harm. Names are those behind `PLANT.` in
-a schedule, and `pseudorange_m[G12]` (metres) and `satellite_lost[G12]` for the simulated receiver.
+It is repeated while the fault lasts, so a lost message does no harm. Names are those after `PLANT.`
+in a schedule, plus `pseudorange_m[G12]` (metres) and `satellite_lost[G12]` for the receiver.
 """
 
 import math
@@ -23,7 +23,7 @@ SIMULATOR = (1, 51)  # system, component
 
 
 class PlantChange(msgspec.Struct, frozen=True):
-    """One parameter and its value now; None means healthy again."""
+    """One parameter and its new value; None ends the fault."""
 
     name: str
     value: float | None
@@ -37,7 +37,7 @@ def plant_frame(
     system: int = 1,
     component: int = 191,
 ) -> bytes:
-    """The TUNNEL frame that carries a change to a system and component.
+    """Encode a change as a TUNNEL frame to a system and component.
 
     Raises
     ------
@@ -62,14 +62,14 @@ def plant_frame(
 
 
 def plant_change(frame: Frame) -> PlantChange | None:
-    """The change that a frame carries; None if it is another message or cannot be read."""
+    """Decode the change in a frame; None if it is another message or invalid."""
     if frame.layout.name != "TUNNEL" or frame.number("payload_type") != PAYLOAD_TYPE:
         return None
     start = frame.layout.fields["payload"].offset
-    # JSON ends in no zero byte, so that MAVLink 2 has cut nothing off it.
+    # JSON never ends in a zero byte, so MAVLink 2 has not truncated it.
     data = frame.payload[start : start + int(frame.number("payload_length"))]
     try:
         return msgspec.json.decode(data, type=PlantChange)
-    # A peer's bytes may be anything: what cannot be read changes nothing.
+    # A peer may send anything: ignore what cannot be decoded.
     except msgspec.MsgspecError:
         return None

@@ -1,7 +1,7 @@
-"""The parameters that a plant fault can set in the simulator, by the names behind `PLANT.`.
+"""Parameters that a plant fault can set in the simulator, by their names after `PLANT.`.
 
-`[i]` is a motor, `[G12]` a satellite, `[G]` all of GPS, `[E]` of Galileo, `[all]` of both. Which of
-them a vehicle has is for the simulator to say: a fixed wing has no second motor.
+`[i]` is a motor, `[G12]` a satellite, `[G]` all of GPS, `[E]` of Galileo, `[all]` both. Only the
+simulator knows which of them a vehicle has: a fixed wing has no second motor.
 """
 
 import re
@@ -16,11 +16,11 @@ WIND = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 RECEIVER = ("receiver_off",)
 SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost", "range_rate_mps")
 SPOOF = ("spoof_north_m", "spoof_east_m", "spoof_down_m", "spoof_clock_m")
-# What moves more from one epoch to the next has jumped, and has no Doppler of it.
+# Spoofed positions that move faster are position jumps and produce no Doppler.
 FASTEST_SPOOF_MPS = 500.0
-GROUPS = ("all", "G", "E")  # satellites together: all, GPS, Galileo
+GROUPS = ("all", "G", "E")  # groups of satellites: all, GPS, Galileo
 
-# Numbers that GPS and Galileo give their satellites (RTCM 10403.3, MSM satellite masks).
+# Satellite numbers of GPS and Galileo (RTCM 10403.3, MSM satellite masks).
 SATELLITES = (*(f"G{n:02d}" for n in range(1, 33)), *(f"E{n:02d}" for n in range(1, 37)))
 SATELLITE_NAME = re.compile(r"G(0[1-9]|[12]\d|3[0-2])|E(0[1-9]|[12]\d|3[0-6])")
 SIGNALS = (*SATELLITE, *SPOOF)
@@ -28,25 +28,25 @@ INDEXED = re.compile(r"(\w+)\[(\w+)\]")
 
 
 def check_plant_name(name: str) -> None:
-    """Refuse a name that no simulated vehicle knows.
+    """Refuse a name that no simulated vehicle has.
 
     Raises
     ------
     ValueError
-        With the names that are near it.
+        With similar names.
     """
     parts = INDEXED.fullmatch(name)
     if parts is None:
         if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *RECEIVER)):
             return
         known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SIGNALS)]
-        raise ValueError(f"{name} is no parameter of the plant; {suggest_known(name, known)}")
+        raise ValueError(f"{name} is not a plant parameter; {suggest_known(name, known)}")
     base, index = parts.groups()
     if base not in (*MOTOR, *SIGNALS):
         raise ValueError(
-            f"{name} is no parameter of the plant; {suggest_known(base, (*MOTOR, *SIGNALS))}"
+            f"{name} is not a plant parameter; {suggest_known(base, (*MOTOR, *SIGNALS))}"
         )
     if base in MOTOR and not (index.isascii() and index.isdigit()):
-        raise ValueError(f"{name} names no motor; they are like {base}[0]")
+        raise ValueError(f"{name} does not name a motor; write e.g. {base}[0]")
     if base in SIGNALS and index not in GROUPS and not SATELLITE_NAME.fullmatch(index):
-        raise ValueError(f"{name} names no satellite; [all], [G], [E], or like {base}[G12]")
+        raise ValueError(f"{name} does not name a satellite; use [all], [G], [E] or e.g. [G12]")

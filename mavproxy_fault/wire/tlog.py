@@ -1,12 +1,12 @@
-"""Logs of MAVLink frames: whole logs to columns, frame by frame, and written.
+"""Reading and writing tlogs, the telemetry logs of ground stations.
 
-A tlog is a row of records, each the microseconds since 1970 (or on the vehicle's clock) as a
-big-endian 64-bit integer and the bytes of one frame. Nothing in it can be trusted: bytes may be
-missing or wrong anywhere, the last record is often cut short, logs are joined, clocks jump. Every
-frame whose checksum is right is found all the same, and what was passed over is counted.
+A tlog is a sequence of records: a timestamp (microseconds since 1970 or on the vehicle's clock) as
+a big-endian 64-bit integer, then the bytes of one frame. Its content cannot be trusted: bytes may
+be missing or wrong anywhere, the last record is often truncated, logs are concatenated, clocks
+jump. Every frame with a correct checksum is found; skipped bytes are counted.
 
-A file is mapped, not read: `read_columns` needs the memory of the columns it returns,
-`read_blocks` that of one block, whatever the size of the file.
+Files are memory-mapped: `read_columns` needs memory for the columns it returns, `read_blocks` for
+one block, whatever the size of the file.
 """
 
 import struct
@@ -25,22 +25,22 @@ from mavproxy_fault.wire.dialect import Layout, message_layout, message_names
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
 from mavproxy_fault.wire.written import written_bytes
 
-if TYPE_CHECKING:  # numba is loaded when a log is read, not before
+if TYPE_CHECKING:  # numba is loaded only when a log is read
     from mavproxy_fault.wire.log_walk import LogFrames, LogMessages
 
 Columns = dict[str, NDArray[np.void]]
 
-BLOCK_FRAMES = 1 << 17
-ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer cost calls, more the processor's cache
-CACHED_FRAMES = 1 << 14  # whose places and stamps stay in the processor's cache
-END_BYTES = 1 << 16  # as much of a log's beginning or end as shows its first or last frame
+BLOCK_FRAMES = 1 << 17  # bounds the memory of one block
+ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer add calls, more exceed the processor's cache
+CACHED_FRAMES = 1 << 14  # their offsets and timestamps fit in the processor's cache
+END_BYTES = 1 << 16  # read at either end of a log to find its first and last frame
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Frames of a stretch of a log: a row per run of them (`walk.walk`), frames of each message.
+    """Frames of one section of a log: a row per run (`log_walk.walk`), and counts per message.
 
-    `end` is the place in the log behind the stretch.
+    `end` is the byte offset after the section.
     """
 
     runs: NDArray[np.int64]
@@ -51,19 +51,18 @@ class _Block:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A log read.
+    """A decoded log or part of one.
 
     Attributes
     ----------
     columns : dict of structured arrays
-        Per message `t_us` (the log's stamp), `system`, `component`, `seq` and the message's fields.
+        By message: `t_us` (log timestamp), `system`, `component`, `seq` and the message's fields.
     frames : structured array
-        Every frame in the log's order: `t_us`, `id`, `system`, `component`, `seq`,
-        `message_layout`.
+        Every frame in log order: `t_us`, `id`, `system`, `component`, `seq`, `known`.
     junk_bytes : int
-        Bytes that belong to no frame found: broken records, a cut tail, foreign bytes.
+        Bytes outside any frame: broken records, a truncated end, foreign bytes.
     size, end : int
-        Bytes of the file as far as it was written, and of them those walked so far.
+        Written bytes of the file, and the number of them read so far.
     """
 
     columns: Columns
@@ -87,14 +86,14 @@ FRAMES = np.dtype(
 
 @cache
 def row_dtype(name: str) -> np.dtype[np.void]:
-    """The type of a message's rows: packed, the fields in their order on the wire."""
+    """Return the packed dtype of a message's rows, fields in wire order."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = [
         ("t_us", "<i8"),
         ("system", "u1"),
         ("component", "u1"),
         ("seq", "u1"),
     ]
-    # A message may have fields of these names: they get an underscore.
+    # A message's own fields of these names get an underscore.
     taken = {"t_us", "system", "component", "seq"}
     for field in message_layout(name).fields.values():
         column = field.name + "_" if field.name in taken else field.name
@@ -109,11 +108,11 @@ def row_dtype(name: str) -> np.dtype[np.void]:
 
 @cache
 def _messages() -> "LogMessages":
-    """The dialect as the compiled walk takes it."""
+    """Return the dialect in the form the compiled log reader uses."""
     from mavproxy_fault.wire.log_walk import LogMessages
 
     layouts = [message_layout(name) for name in message_names()]
-    # A table by message id: kernels look up faster in it than in a dictionary.
+    # A table by message id: faster in kernels than a dictionary.
     slots = np.full(max(item.id for item in layouts) + 1, -1, np.int16)
     for slot, item in enumerate(layouts):
         slots[item.id] = slot
@@ -124,7 +123,7 @@ def _messages() -> "LogMessages":
 
 
 def map_bytes(path: Path) -> NDArray[np.uint8]:
-    """The bytes of a file, mapped.
+    """Memory-map the bytes of a log.
 
     Raises
     ------
@@ -138,12 +137,12 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     size = written_bytes(path)
     if size == 0:
         raise ConfigError(f"{path}: the log is empty; nothing was recorded")
-    # Pages come in as the walk needs them: a log may be larger than memory.
+    # Pages are loaded on demand: a log may be larger than memory.
     return np.memmap(path, np.uint8, mode="r", shape=(size,))
 
 
 def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
-    """The frames of a log, so many at a time."""
+    """Find the frames of a log, up to `frames` per block."""
     from mavproxy_fault.wire.log_walk import walk
 
     messages = _messages()
@@ -151,12 +150,12 @@ def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
     start = 0
     while start < len(data):
         counts = np.zeros(len(messages.lengths), np.int64)
-        found, start, junk = walk(data, start, messages, runs, counts)
-        yield _Block(runs[:found].copy(), counts, junk, start)
+        count, start, junk = walk(data, start, messages, runs, counts)
+        yield _Block(runs[:count].copy(), counts, junk, start)
 
 
 def _entire_log(data: NDArray[np.uint8]) -> _Block:
-    """A log as one block."""
+    """Return the entire log as one block."""
     blocks = list(_blocks(data, BLOCK_FRAMES))
     return _Block(
         np.concatenate([block.runs for block in blocks]),
@@ -167,7 +166,7 @@ def _entire_log(data: NDArray[np.uint8]) -> _Block:
 
 
 def _unroll_frames(data: NDArray[np.uint8], block: _Block) -> Iterator["LogFrames"]:
-    """Start, stamp and slot of every frame, some at a time in arrays that are used again."""
+    """Yield offset, timestamp and slot of every frame in batches; the arrays are reused."""
     from mavproxy_fault.wire.log_walk import LogFrames, first_stamp, unroll
 
     at, t_us = np.empty(CACHED_FRAMES, np.int64), np.empty(CACHED_FRAMES, np.int64)
@@ -185,7 +184,7 @@ def _columns(
     parts: Iterable["LogFrames"],
     only: Collection[str] | None = None,
 ) -> Columns:
-    """The columns of frames, so many of each message, given part by part."""
+    """Decode batches of frames into columns; `counts` are the frames of each message."""
     from mavproxy_fault.wire.log_walk import HEAD, SLACK, scatter
 
     names = message_names()
@@ -193,9 +192,9 @@ def _columns(
     wanted = counts > 0
     if only is not None:
         wanted &= np.array([name in only for name in names])
-    # Room for full payloads: cut zeros are put back.
+    # Space for full payloads: truncated zeros are restored.
     sizes = np.where(wanted, counts * (lengths + HEAD) + SLACK, 0)
-    # Each message's rows begin at a cache line.
+    # Align each message's rows to a cache line.
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
@@ -216,14 +215,14 @@ def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
     second = data[at] == 0xFD
     frames = np.empty(len(at), FRAMES)
     frames["t_us"] = t_us
-    # MAVLink 2 has four header bytes more, two of them before the sender.
+    # The MAVLink 2 header has four more bytes, two of them before the sender.
     source = at + np.where(second, 5, 3)
     frames["system"] = data[source]
     frames["component"] = data[source + 1]
     frames["seq"] = data[source - 1]
     frames["known"] = slot >= 0
     number = data[at + np.where(second, 7, 5)].astype(np.uint32)
-    # MAVLink 1 has no upper id bytes: a byte of the head stands in, and counts nothing.
+    # MAVLink 1 has no upper id bytes: read a valid offset instead and discard the value.
     high = np.where(second, at, 0)
     number += np.where(second, data[high + 8].astype(np.uint32) << 8, 0)
     number += np.where(second, data[high + 9].astype(np.uint32) << 16, 0)
@@ -232,13 +231,13 @@ def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a whole log."""
+    """Read an entire log."""
     data = map_bytes(Path(path))
     return _log(data, _entire_log(data))
 
 
 def read_parts(path: str | Path) -> Iterator[Log]:
-    """The same block by block, for logs larger than memory; `size` is the whole file's."""
+    """Read a log block by block, if it may exceed memory; `size` is that of the entire file."""
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
         yield _log(data, block)
@@ -251,15 +250,15 @@ def _log(data: NDArray[np.uint8], block: _Block) -> Log:
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
-    """The columns of each message in a log.
+    """Read a log into one structured array per message.
 
     Returns
     -------
     dict
-        By message name a structured array, one row per frame in the log's order: `t_us` (the log's
-        stamp, microseconds), `system`, `component`, `seq`, then the message's fields in their units
-        on the wire (arrays have shape (n, length), text is bytes). A field called like one of the
-        first four has `_` appended.
+        By message name a structured array, one row per frame in log order: `t_us` (log timestamp,
+        microseconds), `system`, `component`, `seq`, then the message's fields in wire units (arrays
+        have shape (n, length), text is bytes). A field with one of the first four names has `_`
+        appended.
     """
     data = map_bytes(Path(path))
     block = _entire_log(data)
@@ -267,7 +266,7 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
 
 
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
-    """The same block by block (131,072 frames each), for logs larger than memory."""
+    """Read columns in blocks of 131,072 frames, for logs larger than memory."""
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
         yield _columns(data, block.counts, _unroll_frames(data, block), only)
@@ -279,9 +278,9 @@ def read_ordered(
     frames: int = ORDERED_FRAMES,
     junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
-    """The columns of so many frames at a time, with the place (n,) of each row among all frames.
+    """Read columns of up to `frames` frames at a time, with each row's index (n,) among them.
 
-    Bytes that belong to no frame are added to the first number of `junk`.
+    The number of bytes outside any frame is added to `junk[0]`.
     """
     yield from read_ordered_bytes(map_bytes(Path(path)), only, frames, junk)
 
@@ -292,13 +291,13 @@ def read_ordered_bytes(
     frames: int = ORDERED_FRAMES,
     junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
-    """The same of a log's bytes (n,) in memory."""
+    """Do the same as `read_ordered` for a log's bytes (n,) in memory."""
     slots = {name: slot for slot, name in enumerate(message_names())}
     for block in _blocks(data, frames):
         if junk is not None:
             junk[0] += block.junk_bytes
         parts = [
-            # Copies, as the arrays are used again for the next part.
+            # Copies, because the arrays are reused for the next batch.
             type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())
             for some in _unroll_frames(data, block)
         ]
@@ -308,10 +307,10 @@ def read_ordered_bytes(
 
 
 def extent_us(path: str | Path) -> tuple[int, int] | None:
-    """Stamps of the first and last frame, found near the ends of the file; None without frames."""
+    """Return the timestamps of the first and last frame; None if there is no frame."""
     data = map_bytes(Path(path))
     ends: list[int] = []
-    # A log of gigabytes must not be walked for its two ends.
+    # Read only the ends: a log may have gigabytes.
     for part in (data[:END_BYTES], data[-END_BYTES:]):
         for _, t_us, _ in _unroll_frames(part, _entire_log(part)):
             ends.extend(t_us[[0, -1]].tolist() if len(t_us) else [])
@@ -319,7 +318,7 @@ def extent_us(path: str | Path) -> tuple[int, int] | None:
 
 
 def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]:
-    """Stamp, bytes and layout of every frame in order; None where the message is unknown."""
+    """Yield timestamp, bytes and layout (None if unknown) of every frame in order."""
     data = map_bytes(Path(path))
     layouts = [message_layout(name) for name in message_names()]
     for block in _blocks(data, BLOCK_FRAMES):
@@ -330,24 +329,24 @@ def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]
             ends += np.where(signed, SIGNATURE_LENGTH, 0)
             rows = (at.tolist(), ends.tolist(), t_us.tolist(), slot.tolist())
             for start, end, stamp, which in zip(*rows, strict=True):
-                found = layouts[which] if which >= 0 else None
-                yield stamp, data[start:end].tobytes(), found
+                layout = layouts[which] if which >= 0 else None
+                yield stamp, data[start:end].tobytes(), layout
 
 
 def read_frames(path: str | Path) -> Iterator[tuple[int, Frame]]:
-    """Stamp (microseconds) and frame of every message the dialect knows, in order."""
-    for t_us, raw, found in read_records(path):
-        if found is not None:
-            yield t_us, Frame(raw, found)
+    """Yield timestamp (microseconds) and frame of every message in the dialect, in order."""
+    for t_us, raw, layout in read_records(path):
+        if layout is not None:
+            yield t_us, Frame(raw, layout)
 
 
 def log_record(t_us: int, frame: bytes) -> bytes:
-    """One record of a log."""
+    """Encode one record of a tlog."""
     return struct.pack(">Q", t_us) + frame
 
 
 def write_log(path: str | Path, frames: Iterable[tuple[int, bytes]]) -> None:
-    """Write stamps and frames as a log."""
+    """Write timestamps (microseconds) and frames as a tlog."""
     with Path(path).open("wb") as file:
         for t_us, frame in frames:
             file.write(log_record(t_us, frame))

@@ -1,4 +1,4 @@
-"""How much of a file was ever written: loggers may reserve space that they never fill."""
+"""Written length of a file: loggers may preallocate space that they never fill."""
 
 import os
 from errno import ENXIO
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def written_bytes(path: Path) -> int:
-    """The file's length without a hole at its end; the whole length where holes are not told."""
+    """Return the file's length without a hole at its end, if the file system reports holes."""
     size = path.stat().st_size
     if not hasattr(os, "SEEK_DATA"):  # Windows
         return size
@@ -17,6 +17,6 @@ def written_bytes(path: Path) -> int:
                 data = os.lseek(file.fileno(), end, os.SEEK_DATA)
                 end = os.lseek(file.fileno(), data, os.SEEK_HOLE)
         except OSError as error:
-            # ENXIO: no data behind this place. Anything else: a file system without an answer.
+            # ENXIO: no data after this offset. Other errors: the file system cannot report holes.
             return end if error.errno == ENXIO else size
     return size

@@ -151,7 +151,7 @@ def _dynamic(p: Plain, at: int, fields: k.Doubles) -> int:
 
 @compiled
 def _frame(p: Plain, payload: Octets, number: int, extra: int) -> None:
-    """Append the frame of a payload whose trailing zeros are cut; as `wire.frame.framed`."""
+    """Append the frame of a payload whose trailing zeros are cut; as `wire.frame.frame_payload`."""
     words, out = p.words, p.out
     size = payload.shape[0]
     while size > 1 and payload[size - 1] == 0:

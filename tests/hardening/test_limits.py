@@ -73,7 +73,7 @@ def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
                     pass
             proxy.pass_frame()
         _, told = proxy.end()
-    assert 0 < told.count("nobody is left") < 100
+    assert 0 < told.count("no peer is left") < 100
 
 
 def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:
@@ -103,7 +103,7 @@ def test_peers_beyond_the_descriptors_are_turned_away_and_the_others_served() ->
                     unknown.remove(peer)
         printed, told = proxy.end()
     assert 8 < turned_away < 40
-    assert told.count("no descriptor for a further peer; allow more (ulimit -n)") == 1
+    assert told.count("no descriptor for another peer; raise the limit (ulimit -n)") == 1
     row = next(line for line in printed.splitlines() if line.startswith("tcpin"))
     # One error for each that was turned away: the loop did not go round in vain.
     assert int(row.split()[12]) == turned_away
@@ -201,7 +201,7 @@ def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_fram
         for _ in range(100):
             proxy.pass_frame()
         printed, told = proxy.end()
-    assert "no descriptor for a further peer; allow more (ulimit -n)" in told
+    assert "no descriptor for another peer; raise the limit (ulimit -n)" in told
     assert printed.split("\n")[1].split()[2] == str(proxy.sent)
     recorded = list(split_records((tmp_path / "received.tlog").read_bytes()))
     assert len(recorded) == proxy.sent

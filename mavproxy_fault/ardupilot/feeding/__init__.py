@@ -1,1 +1,1 @@
-"""What ArduPilot is fed in bytes: VectorNav packets, a line of physics, its own MAVLink; no I/O."""
+"""Encoders of ArduPilot's inputs: VectorNav packets, JSON physics, MAVLink messages; no I/O."""

@@ -1,8 +1,8 @@
-"""Frames of the HIL link that ArduPilot takes as MAVLink, in the form that it takes; no I/O.
+"""Conversion of HIL frames that ArduPilot reads as MAVLink into its formats; no I/O.
 
-A second receiver becomes GPS_INPUT. ArduPilot reads an ODOMETRY in MAV_FRAME_LOCAL_FRD alone. What
-is no sensor of a HIL simulator (commands, missions, a companion's messages) passes as it is.
-HIL_OPTICAL_FLOW becomes OPTICAL_FLOW (`optical_flow`).
+A second GPS receiver becomes GPS_INPUT, HIL_OPTICAL_FLOW becomes OPTICAL_FLOW (`optical_flow`).
+ArduPilot reads ODOMETRY only in MAV_FRAME_LOCAL_FRD. Messages other than HIL sensors (commands,
+missions, messages of a companion computer) pass unchanged.
 """
 
 import math
@@ -23,17 +23,17 @@ WEEK_US = 604_800_000_000
 LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
 COVARIANCES = {"ODOMETRY": "pose_covariance", "VISION_POSITION_ESTIMATE": "covariance"}
 ATTITUDE_VARIANCES = 15, 18, 20  # of the upper triangle of a 6x6 matrix
-UNREAD_PREFIXES = ("HIL_", "TUNNEL")  # raw ranges go to the monitor, not to the autopilot
+UNREAD_PREFIXES = ("HIL_", "TUNNEL")  # raw pseudoranges are for the monitor only
 
 
 class CompanionFeed:
-    """What ArduPilot is sent as MAVLink in one flight."""
+    """Converts the frames sent to ArduPilot as MAVLink in one flight."""
 
     def __init__(self) -> None:
         self._flow = FlowInput()
 
     def step(self, frame: Frame, t_us: int) -> bytes | None:
-        """The frame to send at the vehicle's time `t_us`; None where ArduPilot takes none of it."""
+        """Convert a frame received at vehicle time `t_us`; None if ArduPilot does not use it."""
         name = frame.layout.name
         if name == "HIL_GPS":
             return build_gps_input(frame) if frame.number("id") != ID_GPS else None
@@ -45,10 +45,10 @@ class CompanionFeed:
 
 
 def adapt_vision_pose(frame: Frame) -> Frame:
-    """A pose as ArduPilot reads it: in its frame, an attitude of unknown variance with none.
+    """Adapt a vision pose to ArduPilot: local FRD frame, unknown attitude variance as 0.
 
-    ArduPilot adds the attitude's variances wherever the position's are known: a NaN among them
-    is an internal error, which forbids arming. A variance of 0 becomes its VISO_YAW_M_NSE.
+    ArduPilot sums the attitude variances if those of the position are known, and a NaN is an
+    internal error that prevents arming. It replaces a variance of 0 by VISO_YAW_M_NSE.
     """
     covariance = COVARIANCES[frame.layout.name]
     values: dict[tuple[str, int], float] = {
@@ -62,7 +62,7 @@ def adapt_vision_pose(frame: Frame) -> Frame:
 
 
 def build_gps_input(frame: Frame) -> bytes:
-    """GPS_INPUT of the receiver's own number."""
+    """Encode a HIL_GPS as GPS_INPUT with the same receiver id."""
     read = frame.number
     week, within_us = divmod(GPS_EPOCH_US + int(read("time_usec")), WEEK_US)
     horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01

@@ -1,6 +1,6 @@
-"""SITL's JSON backend in bytes: servo packets in, one line of text out per step; no I/O.
+"""Protocol of SITL's JSON backend: servo packets in, one line of JSON out per step; no I/O.
 
-ArduPilot sends its outputs and waits for the line. It looks for the keys as substrings, so that the
+ArduPilot sends its outputs and waits for the line. It searches for the keys as substrings, so the
 text must be compact and in this order [1]_.
 
 References
@@ -12,21 +12,21 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
-MAGIC_16, MAGIC_32 = 18458, 29569  # of 16 and of 32 outputs
+MAGIC_16, MAGIC_32 = 18458, 29569  # packets of 16 and of 32 outputs
 _HEAD = struct.Struct("<HHI")
 _PWM = {MAGIC_16: struct.Struct("<16H"), MAGIC_32: struct.Struct("<32H")}
 
 
 class ServoPacket(NamedTuple):
-    """One answer of ArduPilot: `accepted` is how many lines it has accepted since it started."""
+    """Servo outputs of ArduPilot; `accepted` counts the lines it has accepted since its start."""
 
-    rate_hz: int  # at which it would like lines
+    rate_hz: int  # requested rate of lines
     accepted: int
     pwm_us: tuple[int, ...]  # 16 or 32
 
 
 class BodyState(NamedTuple):
-    """What a line tells: `gyro` and `accel` are measured, the rest is the simulator's truth."""
+    """Content of a line: `gyro` and `accel` are measured, the rest is the simulator's truth."""
 
     t_us: int
     gyro_b_rps: Sequence[float]
@@ -35,11 +35,11 @@ class BodyState(NamedTuple):
     q_nb: Sequence[float]
     v_ned_mps: Sequence[float]
     airspeed_mps: float | None = None  # true airspeed
-    battery_va: Sequence[float] | None = None  # V and A, which early versions do not read
+    battery_va: Sequence[float] | None = None  # V and A, ignored by early versions
 
 
 def read_servos(data: bytes) -> ServoPacket | None:
-    """A servo packet; None where the bytes are none."""
+    """Decode a servo packet; None if the bytes are not one."""
     if len(data) < _HEAD.size:
         return None
     magic, rate_hz, count = _HEAD.unpack_from(data)
@@ -50,7 +50,7 @@ def read_servos(data: bytes) -> ServoPacket | None:
 
 
 def state_line(state: BodyState) -> bytes:
-    """The line for one step; ArduPilot wants a line break on either side."""
+    """Encode the line of one step; ArduPilot requires a line break on either side."""
     text = (
         f'\n{{"timestamp":{state.t_us / 1e6:.6f},'
         f'"imu":{{"gyro":{_vector(state.gyro_b_rps)},"accel_body":{_vector(state.accel_b_mps2)}}},'
@@ -66,5 +66,5 @@ def state_line(state: BodyState) -> bytes:
 
 
 def _vector(values: Sequence[float]) -> str:
-    # Nine digits carry every float32 unchanged.
+    # Nine digits preserve every float32.
     return "[" + ",".join([f"{value:.9g}" for value in values]) + "]"

@@ -1,8 +1,8 @@
-"""One step of the HIL link -> what ArduPilot's drivers are fed: VectorNav bytes, a line of physics.
+"""Conversion of one HIL step into the inputs of ArduPilot's drivers: VectorNav and JSON physics.
 
-HIL_SENSOR of id 0 and HIL_GPS of id 0 are the VectorNav, HIL_SENSOR of id 1 is the IMU of the JSON
-backend. A sample that a fault withheld is a packet that is not sent; the JSON backend cannot leave
-one out and repeats its last.
+HIL_SENSOR id 0 and HIL_GPS id 0 become the VectorNav, HIL_SENSOR id 1 the IMU of the JSON backend.
+For a sample dropped by a fault no packet is sent; the JSON backend cannot omit one and repeats its
+last.
 """
 
 import math
@@ -29,16 +29,16 @@ from mavproxy_fault.ardupilot.hil_readings import (
 )
 from mavproxy_fault.wire.frame import Frame
 
-GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, for simulators that do not tell the date
+GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, as HIL_GPS has no date
 ESTIMATE_PERIOD_US = 20_000
-SPEED_SIGMA_MPS = 0.3  # HIL_GPS has no figure for it; a consumer receiver's
+SPEED_SIGMA_MPS = 0.3  # not in HIL_GPS; typical of a consumer receiver
 M_PER_E7_DEG = 0.011131884502145034  # ArduPilot's scale of --home, Location.h
-DOP_PER_M = 1 / 2.5  # dilution of precision for a receiver with a range error of 2.5 m
+DOP_PER_M = 1 / 2.5  # DOP of a receiver with a range error of 2.5 m
 WORST_DOP = 99.0
 
 
 class StepBytes(NamedTuple):
-    """What a step feeds."""
+    """Bytes for ArduPilot's drivers in one step."""
 
     vectornav: bytes
     physics: bytes
@@ -50,7 +50,7 @@ class SensorFeed:
     Parameters
     ----------
     home : TrueState
-        Where ArduPilot's `--home` is.
+        State at ArduPilot's `--home`.
     """
 
     def __init__(self, home: TrueState) -> None:
@@ -61,7 +61,7 @@ class SensorFeed:
     def step(
         self, readings: Readings, truth: TrueState, outputs: Sequence[BinaryOutput] = ()
     ) -> StepBytes:
-        """The bytes of a step that the truth has closed; `outputs` are those of the VectorNav."""
+        """Encode a step that the truth has ended, for the VectorNav's configured `outputs`."""
         first = readings.imus[0]
         self._values |= imu_values(
             ImuOutput(
@@ -108,12 +108,12 @@ class SensorFeed:
 
 
 def longitude_scale(lat_e7: int) -> float:
-    """Length of a degree of longitude over one of latitude, on a sphere."""
+    """Return the length ratio of a degree of longitude to one of latitude, on a sphere."""
     return max(math.cos(math.radians(lat_e7 * 1e-7)), 0.01)
 
 
 def gnss_output(frame: Frame) -> GnssOutput:
-    """A HIL_GPS as the VectorNav's receiver tells it; eph and epv are centimetres of error."""
+    """Convert a HIL_GPS to VectorNav values; its eph and epv are errors in centimetres."""
     read = frame.number
     horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
     return GnssOutput(

@@ -1,9 +1,10 @@
-"""A VectorNav's binary outputs: any choice of the fields that ArduPilot's drivers ask for; no I/O.
+"""Binary outputs of a VectorNav, with any of the fields that ArduPilot's drivers request; no I/O.
 
-An output is a sync byte, the groups chosen and a word of fields for each, the payload, and a CRC-16
-(polynomial 0x1021, start 0) over all after the sync byte, high byte first [1]_. The driver writes
-its choice into registers 75 to 77 and compares the head of each packet byte for byte. ArduPilot 4.6
-asks for IMU, estimate and GNSS apart, 4.5 for IMU and estimate in one.
+An output is a sync byte, a byte of group bits, one word of field bits per group, the payload, and a
+CRC-16 (polynomial 0x1021, initial value 0) over everything after the sync byte, high byte first
+[1]_. The driver writes its selection to registers 75 to 77 and compares the header of each packet
+byte for byte. ArduPilot 4.6 requests IMU, estimate and GNSS separately, 4.5 IMU and estimate
+together.
 
 References
 ----------
@@ -26,7 +27,7 @@ NO_FIX_SIGMA_M = 1e3
 Values = Mapping[str, Sequence[float]]
 Pace = Literal["imu", "gnss", "estimate"]
 
-# Groups by their bit in the first byte, fields by theirs in the group's word.
+# Groups by bit number in the first byte, fields by bit number in the group's word.
 COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2 = range(7)
 _GNSS_FIELDS = {
     3: "satellites",
@@ -48,7 +49,7 @@ _FIELDS: dict[int, dict[int, str]] = {
     GNSS1: _GNSS_FIELDS,
     ATTITUDE: {1: "ypr", 2: "quaternion", 8: "ypr_sigma"},
     INS: {0: "ins_status", 1: "fix_lla", 4: "fix_velocity", 9: "ins_sigma", 10: "velocity_sigma"},
-    # The second receiver is the first one again.
+    # The second receiver repeats the first one.
     GNSS2: _GNSS_FIELDS,
 }  # fmt: skip
 _CODES = {
@@ -61,7 +62,7 @@ _CODES = {
 
 
 class ImuOutput(NamedTuple):
-    """What an IMU sample brings."""
+    """Values of an IMU sample."""
 
     t_us: int
     gyro_b_rps: Sequence[float]
@@ -72,7 +73,7 @@ class ImuOutput(NamedTuple):
 
 
 class GnssOutput(NamedTuple):
-    """What a fix brings."""
+    """Values of a GNSS fix."""
 
     satellites: int
     fix: int
@@ -96,36 +97,36 @@ class BinaryOutput:
     Parameters
     ----------
     groups : int
-        A bit for each group.
-    words : sequence of int
-        For each of them, in order, a bit for each field.
+        Bit mask of groups.
+    field_words : sequence of int
+        For each group, in order, a bit mask of fields.
 
     Attributes
     ----------
     pace : {"imu", "gnss", "estimate"}
-        What it is sent with: each IMU sample, each fix, or every now and then.
+        What triggers a packet: each IMU sample, each fix, or the estimate's period.
 
     Raises
     ------
     ConfigError
-        If it has a field that is not served.
+        If it has a field that is not supported.
     """
 
-    def __init__(self, groups: int, words: Sequence[int]) -> None:
+    def __init__(self, groups: int, field_words: Sequence[int]) -> None:
         chosen = [group for group in range(8) if groups >> group & 1]
-        if len(chosen) != len(words):
+        if len(chosen) != len(field_words):
             raise ConfigError(
-                f"VectorNav: an output of groups {groups:#04x} has {len(words)} words of fields; "
-                "it has one for each group"
+                f"VectorNav: {len(field_words)} as the number of field words does not fit groups "
+                f"{groups:#04x}; an output needs one for each group"
             )
         self._names = [
             _name(group, bit)
-            for group, word in zip(chosen, words, strict=True)
+            for group, word in zip(chosen, field_words, strict=True)
             for bit in range(16)
             if word >> bit & 1
         ]
         self._payload = struct.Struct("<" + "".join(_CODES[name] for name in self._names))
-        self._head = struct.pack(f"<B{len(words)}H", groups, *words)
+        self._head = struct.pack(f"<B{len(field_words)}H", groups, *field_words)
         self.pace: Pace = "estimate"
         if not {"gyro", "accel"}.isdisjoint(self._names):
             self.pace = "imu"
@@ -133,7 +134,7 @@ class BinaryOutput:
             self.pace = "gnss"
 
     def packet(self, values: Values) -> bytes:
-        """The bytes of one packet; `values` are those of `imu_values` and `gnss_values`."""
+        """Encode one packet from the values of `imu_values` and `gnss_values`."""
         numbers = [number for name in self._names for number in values[name]]
         body = self._head + self._payload.pack(*numbers)
         return SYNC + body + xmodem(body).to_bytes(2, "big")
@@ -143,14 +144,14 @@ def _name(group: int, bit: int) -> str:
     name = _FIELDS.get(group, {}).get(bit)
     if name is None:
         raise ConfigError(
-            f"VectorNav: field {bit} of group {group + 1} is asked for and not served; "
-            "ArduPilot 4.5 to 4.7 ask for others"
+            f"VectorNav: the requested field {bit} of group {group + 1} is not supported; "
+            "use ArduPilot 4.5 to 4.7"
         )
     return name
 
 
 def imu_values(imu: ImuOutput, gps_epoch_us: int) -> dict[str, Sequence[float]]:
-    """IMU, compass, barometer and time, by the names of fields."""
+    """Return IMU, compass, barometer and time, by field name."""
     gyro, accel, field = imu.gyro_b_rps, imu.accel_b_mps2, imu.field_b_gauss
     temperature, pressure = imu.temperature_c, imu.pressure_pa * 1e-3
     return {
@@ -167,10 +168,10 @@ def imu_values(imu: ImuOutput, gps_epoch_us: int) -> dict[str, Sequence[float]]:
 
 
 def gnss_values(gnss: GnssOutput) -> dict[str, Sequence[float]]:
-    """A receiver's solution, and the sensor's own estimate: level, at the last fix.
+    """Return a receiver's solution and the sensor's own estimate: level, at the last fix.
 
-    ArduPilot asks for the estimate for health alone. The attitude is not the truth's: nothing may
-    reach the estimator past the faults.
+    ArduPilot uses the estimate only as a health check. Its attitude is not the true one, because
+    no value may reach the estimator without passing the faults.
     """
     return {
         "satellites": (gnss.satellites,),

@@ -1,7 +1,7 @@
-"""How a VN-200 answers the commands that configure it, before it streams; no I/O.
+"""Replies of a VN-200 to the commands that configure it before it streams; no I/O.
 
-Commands are ASCII lines `$...*XX` with an exclusive-or of what is between. Each is answered by
-itself, which is how the sensor confirms a register; a question for the model by the model's name.
+Commands are ASCII lines `$...*XX`, where XX is the XOR of the bytes between. The sensor confirms a
+command by echoing it, and a request for the model with the model's name.
 """
 
 from functools import reduce
@@ -10,10 +10,10 @@ from operator import xor
 from mavproxy_fault.ardupilot.feeding.vectornav import BinaryOutput
 from mavproxy_fault.documents.errors import ConfigError
 
-MODEL = b"VN-200"  # one receiver
+MODEL = b"VN-200"  # model with a single receiver
 MODEL_REGISTER = 1
-OUTPUT_REGISTERS = (75, 76, 77)  # registers: port, divisor, groups, their fields (hexadecimal)
-MAX_PENDING = 256  # bytes of a line that never ends
+OUTPUT_REGISTERS = (75, 76, 77)  # registers: port, divisor, groups, field words (hexadecimal)
+MAX_PENDING = 256  # bytes kept of an endless line
 
 
 class Handshake:
@@ -26,16 +26,16 @@ class Handshake:
 
     @property
     def outputs(self) -> tuple[BinaryOutput, ...]:
-        """What is wanted now; nothing before it is configured, or while it is paused."""
+        """Active outputs; none before the configuration or while paused."""
         return () if self._paused else tuple(self._outputs.values())
 
     def received(self, data: bytes) -> bytes:
-        """The answers to the lines that these bytes complete.
+        """Return the replies to the lines that these bytes complete.
 
         Raises
         ------
         ConfigError
-            If an output is asked for that is not served.
+            If an unsupported output is requested.
         """
         *lines, rest = (self._pending + data).split(b"\n")
         self._pending = rest[-MAX_PENDING:]
@@ -45,18 +45,18 @@ class Handshake:
         _, start, sentence = line.rpartition(b"$")
         body, star, given = sentence.partition(b"*")
         if not start or not star or given.upper() != b"%02X" % xor_checksum(body):
-            return b""  # ArduPilot repeats what was not answered
+            return b""  # ArduPilot repeats unanswered commands
         try:
             return format_sentence(self._execute(body))
         except ConfigError:
             raise
         except ValueError:
-            return b""  # a number that is none
+            return b""  # an invalid number
 
     def _execute(self, body: bytes) -> bytes:
-        """Carry a command out; its answer."""
+        """Execute a command and return its reply."""
         match body.split(b","):
-            # ArduPilot 4.5 leaves out the zero.
+            # ArduPilot 4.5 omits the leading zero.
             case [b"VNRRG", register] if int(register) == MODEL_REGISTER:
                 return b"VNRRG,%02d,%s" % (MODEL_REGISTER, MODEL)
             case [b"VNASY", on]:
@@ -70,10 +70,10 @@ class Handshake:
 
 
 def format_sentence(body: bytes) -> bytes:
-    """A whole line."""
+    """Format a complete line with its checksum."""
     return b"$%s*%02X\r\n" % (body, xor_checksum(body))
 
 
 def xor_checksum(body: bytes) -> int:
-    """Exclusive-or of all bytes."""
+    """Compute the XOR of all bytes."""
     return reduce(xor, body, 0)

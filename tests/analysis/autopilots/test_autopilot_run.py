@@ -122,7 +122,7 @@ def test_a_missing_program_is_told_with_what_to_do(run):
     process = run("--binary", "no-such-autopilot")
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "--binary: 'no-such-autopilot' is no program; give ArduPilot's SITL binary" in said
+    assert "--binary: 'no-such-autopilot' is not a program; give ArduPilot's SITL binary" in said
 
 
 def test_a_moment_that_no_flight_has_is_refused(run):
@@ -155,7 +155,7 @@ def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path
     said, _ = process.communicate(timeout=240)
     assert process.returncode == 1
     assert "the flight ended early: " in said
-    assert "the autopilot's program ended with exit code 3" in said
+    assert "the autopilot process ended with exit code 3" in said
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert not summary["autopilot"]["landed"]
     assert summary["verdict"] == "FAIL"

@@ -75,7 +75,7 @@ def test_a_source_of_another_user_joins_with_the_configuration_it_is_given(
     with open_bus("tcp/127.0.0.1:0", run="first", router=True) as proxy:
         proxy.declare_alive("proxy")
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "ours"))
-        with pytest.raises(ConfigError, match="refuses us"):
+        with pytest.raises(ConfigError, match="refused the connection"):
             open_bus(proxy.url)
         source = RunSource(feed, proxy.url, str(*tmp_path.glob(f"theirs/*/*/{CONFIG}")))
         source.start()

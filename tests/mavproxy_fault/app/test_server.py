@@ -375,10 +375,10 @@ from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.capture_buffer import Tape
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 tried, compiled = [], set()
 for name, kind in known_faults().items():
@@ -386,12 +386,12 @@ for name, kind in known_faults().items():
     engine = Engine(parse_schedule(json.dumps({"seed": 1, "faults": [entry]})))
     if engine.draws:
         continue
-    tape = Tape()
+    tape = CaptureBuffer()
     core = Core([LinkRole("a", "to-vehicle"), LinkRole("b", "from-vehicle")], engine, tape=tape)
     passage = Passage(core, tape)
     for n in range(100):
         values = {"time_usec": 1_000_000 + 10_000 * n, "fields_updated": 63}
-        frame = build(known("HIL_SENSOR"), values, seq=n, system=1, component=1)
+        frame = build_frame(message_layout("HIL_SENSOR"), values, seq=n, system=1, component=1)
         if passage.passed(0, frame, 10_000 * n) is None:
             core.received(0, frame, 10_000 * n)
         else:

@@ -116,7 +116,7 @@ def test_an_autopilot_that_dies_is_told_with_its_time(tmp_path):
         fly(simulator, lambda: process.poll() is not None)
         said = process.stderr.read()
         assert process.returncode == 1
-    assert "the autopilot's program ended with exit code 3" in said
+    assert "the autopilot process ended with exit code 3" in said
     assert "s of vehicle time" in said
 
 
@@ -125,7 +125,7 @@ def test_a_simulator_without_gps_is_refused_before_the_autopilot_starts(tmp_path
         fly(simulator, lambda: process.poll() is not None)
         said = process.stderr.read()
         assert process.returncode == 2
-    assert "no HIL_GPS comes; ArduPilot needs a GPS of id 0" in said
+    assert "no HIL_GPS was received; ArduPilot needs a GPS of id 0" in said
     assert not (tmp_path / "autopilot.log").exists()
 
 
@@ -135,7 +135,7 @@ def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
         [*command, "--binary", "no-such-arducopter"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert "'no-such-arducopter' is no program; give ArduPilot's SITL binary" in done.stderr
+    assert "'no-such-arducopter' is not a program; give ArduPilot's SITL binary" in done.stderr
 
 
 @pytest.mark.parametrize("line", ["AHRS_EKF_TYPE 10", "SIM_BARO_COUNT 1"])
@@ -190,13 +190,13 @@ def test_within_a_process_it_is_a_link_that_ends_with_its_program(tmp_path):
         assert simulator.answers[-1].number("controls", 0) > 0.6
         fly(simulator, lambda: autopilot.peer_count == 0)
         assert autopilot.poll() == 3
-    assert told[0] == f"{sys.executable}: starting in {tmp_path}, 400 steps a second"
+    assert told[0] == f"{sys.executable}: starting in {tmp_path} at 400 steps/s"
 
 
 def test_within_a_process_a_vehicle_without_gps_is_refused(tmp_path):
     with closing(BridgedAutopilot(["true"], "copter", tmp_path, [], print)) as autopilot:
         simulator = Simulator(Inbox(autopilot), gps=False)
-        with pytest.raises(ConfigError, match="the HIL link: no HIL_GPS comes"):
+        with pytest.raises(ConfigError, match="the HIL link: no HIL_GPS was received"):
             fly(simulator, lambda: False)
         assert autopilot.poll() is None
     assert not (tmp_path / "autopilot.log").exists()

@@ -52,7 +52,7 @@ def test_a_file_has_a_line_for_each():
 
 
 def test_an_estimator_that_reads_the_truth_is_refused():
-    with pytest.raises(ConfigError, match=r"own\.parm:2: AHRS_EKF_TYPE = 10 .* must be 3"):
+    with pytest.raises(ConfigError, match=r"own\.parm:2: AHRS_EKF_TYPE = 10 .* set it to 3"):
         check_parameter_file(["# mine", "AHRS_EKF_TYPE 10"], "own.parm")
 
 

@@ -51,7 +51,7 @@ def test_a_request_is_repeated_each_second_until_it_is_answered():
 
 
 def test_an_autopilot_on_another_estimator_is_refused():
-    with pytest.raises(ConfigError, match="AHRS_EKF_TYPE: ArduPilot flies with 10"):
+    with pytest.raises(ConfigError, match="AHRS_EKF_TYPE: ArduPilot has 10"):
         Preparation(EAST).received(
             frame("PARAM_VALUE", param_id=b"AHRS_EKF_TYPE", param_value=10.0)
         )

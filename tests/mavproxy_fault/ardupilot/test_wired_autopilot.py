@@ -99,9 +99,9 @@ def test_a_board_is_fed_over_its_lines_and_its_outputs_fly_the_vehicle() -> None
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        ([], "needs --binary, ArduPilot's SITL program, or --vectornav and --mavlink"),
+        ([], "needs --binary (ArduPilot's SITL program), or both --vectornav"),
         (["--vectornav", "udpin:127.0.0.1:0"], "needs --binary"),
-        (["--binary", "true", "--mavlink", "udpin:127.0.0.1:0"], "--binary: is a program"),
+        (["--binary", "true", "--mavlink", "udpin:127.0.0.1:0"], "--binary: starts SITL"),
     ],
 )
 def test_half_a_board_is_refused(words: list[str], reason: str) -> None:

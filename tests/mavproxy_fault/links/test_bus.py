@@ -59,7 +59,7 @@ def test_a_refused_query_raises_with_the_reason() -> None:
 def test_a_wildcard_query_does_not_reach_live_control() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
         hub.serve_queries("@ctl/fault/gyro/arm", lambda key, payload: "armed")
-        with pytest.raises(ConfigError, match="nobody answers"):
+        with pytest.raises(ConfigError, match="no reply for"):
             client.query("**", timeout_s=0.3)
 
 
@@ -99,7 +99,7 @@ def test_a_bug_is_told_without_its_text() -> None:
 
     with router() as hub, open_bus(hub.url, run="test") as client:
         hub.serve_queries("@ctl/x", fail)
-        with pytest.raises(ConfigError, match="bug of ours") as caught:
+        with pytest.raises(ConfigError, match="because of a bug") as caught:
             client.query("@ctl/x")
     assert "secret" not in str(caught.value)
 
@@ -156,7 +156,9 @@ def test_a_default_address_that_is_another_programs_costs_the_bus_alone(
         with open_run_bus("auto", "test") as found:
             assert found is None
         assert "nothing is published" in caplog.text
-        held = rf"cannot be opened as the router: port \d+ is held by .* \(process {os.getpid()}\)"
+        held = (
+            rf"cannot be opened as the router: port \d+ is in use by .* \(process {os.getpid()}\)"
+        )
         begun_s = time.monotonic()
         with pytest.raises(ConfigError, match=held), open_run_bus(url, "test"):
             pass

@@ -26,7 +26,7 @@ def test_programs_of_the_user_are_let_in_and_others_are_told_why_not(nobody: str
         hub.serve_queries("@ctl/x", lambda key, payload: "in")
         with open_bus(hub.url, run="test") as own:
             assert own.query("@ctl/x") == [b'"in"']
-        with pytest.raises(ConfigError, match="refuses us"):
+        with pytest.raises(ConfigError, match="refused the connection"):
             open_bus(hub.url, run="test", config_file=nobody)
 
 

@@ -19,8 +19,8 @@ def test_the_error_tells_who_holds_an_occupied_port(scheme: str) -> None:
         first.close()
     name = Path("/proc/self/comm").read_text().strip()
     assert str(caught.value) == (
-        f"{scheme}:127.0.0.1:{port}: cannot be opened: Address already in use; port {port} is held "
-        f"by {name} (process {os.getpid()}); allowed: a free port, or 0 for any"
+        f"{scheme}:127.0.0.1:{port}: cannot be opened: Address already in use; port {port} is "
+        f"in use by {name} (process {os.getpid()}); allowed: a free port, or 0 for any"
     )
 
 
@@ -29,15 +29,15 @@ def test_the_holder_stays_unnamed_where_the_system_does_not_show_it(
 ) -> None:
     monkeypatch.setattr(open_hint, "PROC", tmp_path)
     assert (
-        open_hint.describe_port_owner(14550, tcp=False) == "port 14550 is held by another process"
+        open_hint.describe_port_owner(14550, tcp=False) == "port 14550 is in use by another process"
     )
 
 
 def test_listening_on_a_remote_address_points_to_sending() -> None:
     # Reserved for documentation (RFC 5737): no machine has it.
-    with pytest.raises(ConfigError, match=r"; to send there say udpout:192\.0\.2\.1:14550$"):
+    with pytest.raises(ConfigError, match=r"; to send there, use udpout:192\.0\.2\.1:14550$"):
         open_link("udpin:192.0.2.1:14550")
-    with pytest.raises(ConfigError, match=r"; to send there say tcp:192\.0\.2\.1:14550$"):
+    with pytest.raises(ConfigError, match=r"; to send there, use tcp:192\.0\.2\.1:14550$"):
         open_link("tcpin:192.0.2.1:14550")
 
 

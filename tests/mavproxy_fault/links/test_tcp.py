@@ -68,7 +68,7 @@ def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog
         assert [one.recv(9) for one in late] == [b"", b""]
         server.write(b"to all")
         assert {peer.recv(9) for peer in peers} == {b"to all"}
-        assert caplog.text.count("a further one is turned away") == 1
+        assert caplog.text.count("another one was rejected") == 1
         peers[0].close()
         read_until(server, lambda _: server.peer_count < MAX_PEERS)
         opened.enter_context(connect(server))
@@ -94,7 +94,7 @@ def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
         assert server.peer_count == 1
         server.write(b"word")
         assert peer.recv(9) == b"word"
-    assert caplog.text.count("no descriptor for a further peer") == 1
+    assert caplog.text.count("no descriptor for another peer") == 1
 
 
 def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
@@ -170,7 +170,7 @@ def test_a_client_tells_of_a_connection_that_is_lost_but_of_no_attempt(server, c
     read_until(client, lambda _: client.counters.errors >= 1)
     client.close()
     told = [record.message for record in caplog.records]
-    assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; it is made again"]
+    assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; reconnecting"]
 
 
 def test_a_client_that_the_system_connects_to_itself_tries_again(
@@ -270,7 +270,7 @@ def test_a_server_tells_that_nobody_is_left_but_of_none_who_only_knocked(server,
         assert read_until(server, bool) == [(1, b"word")]
     assert read_until(server, bool) == [(1, b"")]
     told = [record.message for record in caplog.records]
-    assert told == [f"{server.name}: the other side closed the connection; nobody is left"]
+    assert told == [f"{server.name}: the last peer closed its connection; no peer is left"]
 
 
 def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:

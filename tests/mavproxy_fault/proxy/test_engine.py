@@ -195,7 +195,7 @@ def test_a_wrong_live_edit_changes_nothing():
     it.start_at(0)
     with pytest.raises(ConfigError, match="did you mean bias"):
         it.arm({"fault": "bais", "target": "HIL_SENSOR.xgyro", "value": 1})
-    with pytest.raises(ConfigError, match="no fault"):
+    with pytest.raises(ConfigError, match="is not a fault"):
         it.update("stepp", 1)
     assert it.ids() == ["step"]
 

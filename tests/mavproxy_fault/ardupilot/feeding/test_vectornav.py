@@ -124,9 +124,9 @@ def test_before_any_fix_the_sensor_tracks_nothing():
 @pytest.mark.parametrize(
     ("groups", "words", "message"),
     [
-        (0x01, [0x0008], "field 3 of group 1 is asked for and not served"),
+        (0x01, [0x0008], "field 3 of group 1 is not supported"),
         (0x80, [0x0001], "group 8"),
-        (0x05, [0x0001], "has 1 words of fields; it has one for each group"),
+        (0x05, [0x0001], "needs one for each group"),
     ],
 )
 def test_an_output_that_is_not_served_is_refused(groups, words, message):
