@@ -3,7 +3,7 @@
 Each rule has its twin in the interpreted way, which with Python's own numbers takes less than half
 the time of these functions without a compiler (docs/compiled.md): `_met` is `faults.driven.meet`,
 `_changed` is `fault_parts.draft.Draft.write`, `_segment` is `fault_parts.profile.at`, `_is_for` is
-`ActiveEntry.matches`. A property of the tests holds the two together: same bytes, labels and counters.
+`ActiveEntry.matches`. A property test compares the two: same bytes, labels and counters.
 """
 
 import math

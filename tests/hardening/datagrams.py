@@ -1,4 +1,4 @@
-"""Many datagrams with one call, as `sendmmsg(2)` and `recvmmsg(2)` of 64-bit Linux have it.
+"""Many datagrams per call, with `sendmmsg(2)` and `recvmmsg(2)` of 64-bit Linux.
 
 A test's own sender and reader in Python must not be what is short of processor time. Other than
 the proxy's these calls give up the interpreter's lock, as here threads share it.
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 ROOM = 512  # for datagrams that wait
-ROW = 512  # bytes of a datagram that comes
+ROW = 512  # maximum bytes of a received datagram
 CONTROL = 64  # bytes for what the kernel says about it
 STAMP = slice(16, 32)  # of those: seconds and nanoseconds, after a header of 16 bytes
 _PART = np.dtype([("base", "u8"), ("length", "u8")])

@@ -1,8 +1,8 @@
 """How long frames wait while 1,000 entries are loaded: `python -m tests.hardening.loading`.
 
-Frames go to and fro one by one; the slowest of a load stands beside the slowest of as many frames
-without one, which shows what the machine's other work costs. Once the entries' times lie ahead,
-once they have passed.
+Frames are sent one by one; the slowest during a load is compared with the slowest of as many frames
+without one, which shows the effect of other work on the machine. Measured once with the entries'
+times in the future and once in the past.
 """
 
 import json
@@ -20,7 +20,7 @@ FIELDS = ["xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zm
 
 
 def schedule(number: int, at_s: float) -> bytes:
-    """Entries that no schedule before had."""
+    """Entries that no earlier schedule had."""
     faults = [
         {
             "id": f"load{number}-{n}", "fault": ["bias", "scale", "drift", "constant"][n % 4],

@@ -1,4 +1,4 @@
-"""A browser that watches the page: what its scripts, its memory and each of its frames take.
+"""A browser that shows the page, and the cost of its scripts, memory and frames.
 
     python -m tests.hardening.page_watcher 'http://127.0.0.1:8350/#token=...' --seconds 30
 
@@ -67,7 +67,7 @@ class PageWatcher:
 
 
 def frame_work(events: list[dict[str, Any]]) -> FrameWork:
-    """The work of each frame, by the events of a trace; the thread that draws frames is asked."""
+    """The work of each frame, from the trace events of the thread that draws frames."""
     frames = [one for one in events if one["name"] == FRAME and one["ph"] == "X"]
     thread = {(one["pid"], one["tid"]) for one in frames}
     assert len(thread) == 1, "one page draws at a time"
@@ -77,7 +77,7 @@ def frame_work(events: list[dict[str, Any]]) -> FrameWork:
     at = np.searchsorted(begins_us, [one["ts"] + one.get("dur", 0) for one in tasks]) - 1
     work_ms = np.zeros(len(begins_us) + 1)
     np.add.at(work_ms, at, [1e-3 * one.get("tdur", 0) for one in tasks])
-    work_ms = work_ms[: len(begins_us) - 1]  # the last frame is cut off, and [-1] came before all
+    work_ms = work_ms[: len(begins_us) - 1]  # the last frame is incomplete, and [-1] precedes all
     gaps_ms = 1e-3 * np.diff(begins_us)
     return FrameWork(
         1e3 / float(gaps_ms.mean()), *np.percentile(work_ms, [50, 99, 100]), float(gaps_ms.max())
@@ -99,7 +99,7 @@ def watched_page(address: str) -> Iterator[PageWatcher]:
 
 
 def main() -> None:
-    """Watch a page that somebody serves."""
+    """Watch a page that is already served."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("address")
     parser.add_argument("--seconds", type=float, default=30.0)

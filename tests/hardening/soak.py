@@ -1,18 +1,17 @@
-"""Hours of traffic with ten faults and an edit a second, and the page that watches it.
+"""Soak test: hours of traffic with ten faults, an edit per second, and the page open.
 
     python -m tests.hardening.soak --minutes 240 --rate 20000 --page
     python -m tests.hardening.soak --minutes 240 --rate 20000 --speed 2.5
 
-The minutes, the frames a second and the edit a second are those of the vehicle's clock. With
-`--speed` it runs faster than the wall's, and so does every clock of the proxy's process, by
-libfaketime (Debian's `faketime`; `FAKETIME_LIBRARY` names another place): what happens in hours
-happens in less. How old the proxy is by its own clock is told by its statistics, which come once a
-second. Prints a row of figures now and then (`--csv FILE` keeps them): what the proxy holds, how
-late its frames are, what the kernel dropped on the way (at the proxy, at the station, or in the
-queue of either processor), and with `--page` what a browser (Debian's Chromium), its frames at the
-end of the row's time, and the page's server take. Edits are counted row by row. Ctrl-C or SIGTERM
-end it with a last row and what the proxy itself counted; SIGSTOP pauses it: traffic goes on where
-it was.
+The minutes, the frames per second and the edit per second are those of the vehicle's clock. With
+`--speed` it runs faster than the wall clock, and so does every clock of the proxy's process, by
+libfaketime (Debian's `faketime`; `FAKETIME_LIBRARY` names another path): the events of hours happen
+in less. The proxy's statistics, published once per second of its own clock, show its age by that
+clock. Prints a row of values periodically (`--csv FILE` stores them): memory and descriptors of the
+proxy, the delay of its frames, the kernel's drops (at the proxy, at the station, or in the queue of
+either processor), and with `--page` the load of a browser (Debian's Chromium), of its frames at the
+end of the row's time, and of the page's server. Edits are counted per row. Ctrl-C or SIGTERM end it
+with a last row and the proxy's own counts; SIGSTOP pauses it: traffic continues afterwards.
 """
 
 import argparse
@@ -46,9 +45,9 @@ from tests.hardening.proxy_process import CLOCK_LIBRARY
 MARKED = 42  # the system whose heartbeats are timed
 MARK_EVERY = 50  # frames
 BURST_S = 0.005  # between two bursts of frames
-LOOK_S = 0.002  # between two looks at what came
+LOOK_S = 0.002  # between two reads of the station
 SETTLE_S = 6.0  # after the last frame: a mark is missing after five
-FRAMES_S = 20.0  # of the page's frames, looked at one by one
+FRAMES_S = 20.0  # of the page's frames that are analysed one by one
 SO_TIMESTAMPNS = 35  # Linux <asm-generic/socket.h>
 FIELDS = (
     "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure",
@@ -69,7 +68,7 @@ class Traffic:
         self.station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.station.bind(("127.0.0.1", 0))
         enlarge_buffers(self.station)  # a busy machine's pause must not be taken for a loss
-        # The kernel says when a frame came: this process may be late to look.
+        # Kernel timestamps, because this process may read late.
         self.station.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.rate_hz, self.burst = rate_hz, round(rate_hz * speed * BURST_S)
         self.frames = frames  # that are sent in all
@@ -95,7 +94,7 @@ class Traffic:
         return self.sent >= self.frames
 
     def send(self) -> None:
-        """Frames in bursts; what was missed while this process had to wait comes later."""
+        """Send frames in bursts; bursts missed while this process waited are sent later."""
         next_s = time.monotonic()
         while not self.all_sent and not self.over.wait(max(next_s - time.monotonic(), 0.0)):
             next_s = max(next_s + BURST_S, time.monotonic() - BURST_S)
@@ -107,7 +106,7 @@ class Traffic:
                 burst = burst[taken:]
 
     def frame(self, number: int) -> bytes:
-        """The marks are heartbeats, the rest what a simulator sends."""
+        """Marks are heartbeats, the other frames are those of a simulator."""
         if number % MARK_EVERY == 0:
             self.due_s[number] = time.time()
             values = {"type": 2, "custom_mode": number}
@@ -120,7 +119,7 @@ class Traffic:
             return build_frame(
                 message_layout("ATTITUDE"), values, seq=number // 40 & 255, system=1, component=1
             )
-        # 20,000 times a second only what changes is written.
+        # For 20,000 frames per second, write only the changing bytes.
         raw = self._sensor
         self._sensors += 1
         raw[4] = self._sensors & 255
@@ -130,7 +129,7 @@ class Traffic:
         return bytes(raw)
 
     def receive(self) -> None:
-        """Note how late each mark is."""
+        """Record how late each mark is."""
         inbox = Inbox(self.station)
         while not self.over.is_set():
             select.select([self.station], [], [], 0.5)
@@ -143,11 +142,11 @@ class Traffic:
                     self.late_s.append(inbox.came_s(row) - self.due_s.pop(number))
 
     def missing(self) -> int:
-        """The marks that have not come after five seconds."""
+        """The number of marks not received after five seconds."""
         return sum(time.time() - due_s > 5.0 for due_s in list(self.due_s.values()))
 
     def latencies(self) -> list[str]:
-        """Median, 99th percentile and maximum in ms since they were asked for last."""
+        """Median, 99th percentile and maximum in ms since the last call."""
         late_ms, self.late_s = 1e3 * np.array(self.late_s or [np.nan]), []
         return [f"{late:.2f}" for late in np.percentile(late_ms, [50, 99, 100])]
 
@@ -161,7 +160,7 @@ def usage(pid: int) -> tuple[float, float, int]:
 
 
 def lost(*ports: int) -> list[int]:
-    """What the kernel has dropped for want of room: before each UDP port, and before any."""
+    """The kernel's drops because of full buffers: at each UDP port, and before any."""
     before = {}
     for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
         words = line.split()
@@ -172,7 +171,7 @@ def lost(*ports: int) -> list[int]:
 
 @contextlib.contextmanager
 def command(*words: str, **environment: str) -> Iterator[tuple[int, str]]:
-    """A command of ours in its own process: its number and its first line."""
+    """Run a mavproxy-fault command as a process; yield its pid and first output line."""
     whole = [sys.executable, "-m", "mavproxy_fault.cli", *words]
     with subprocess.Popen(
         whole, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
@@ -182,11 +181,11 @@ def command(*words: str, **environment: str) -> Iterator[tuple[int, str]]:
             yield process.pid, process.stdout.readline()
         finally:
             process.terminate()
-            print(process.stdout.read())  # a proxy ends with what it counted, losses too
+            print(process.stdout.read())  # a proxy ends with its counts, including losses
 
 
 class Rows:
-    """The table of figures: printed, and written to a file as it grows."""
+    """The table of values, printed and written to a file row by row."""
 
     def __init__(self, path: str | None) -> None:
         self._path = path

@@ -1,7 +1,7 @@
-"""The wall clock is set an hour ahead and back while frames pass: nothing waits, nothing lies.
+"""The wall clock is set an hour ahead and back while frames pass, without any delay or error.
 
-Python's own clock is always tried. With libfaketime (Debian's `faketime`; `FAKETIME_LIBRARY` names
-another place) the whole process has such a clock, Zenoh and the machine code too.
+Python's own clock is always tested. With libfaketime (Debian's `faketime`; `FAKETIME_LIBRARY` names
+another path) the entire process has such a clock, including Zenoh and compiled code.
 """
 
 import json
@@ -34,25 +34,23 @@ time.time_ns = lambda: now_ns() + round(ahead_s() * 1e9)
 
 
 def environment(kind: str, folder: Path) -> dict[str, str]:
-    """What gives a process a clock that a file sets."""
+    """The environment that gives a process a clock set by a file."""
     (folder / "ahead").write_text("+0")
-    found = {"FAKETIME_TIMESTAMP_FILE": str(folder / "ahead")}
+    variables = {"FAKETIME_TIMESTAMP_FILE": str(folder / "ahead")}
     if kind == "libfaketime":
         if not CLOCK_LIBRARY:
             pytest.skip("libfaketime is not there")
-        # Looked for at every call; the monotonic clock is one that nobody can set.
+        # Read at every call; the monotonic clock cannot be set.
         return {
-            **found, "LD_PRELOAD": CLOCK_LIBRARY, "FAKETIME_NO_CACHE": "1",
+            **variables, "LD_PRELOAD": CLOCK_LIBRARY, "FAKETIME_NO_CACHE": "1",
             "DONT_FAKE_MONOTONIC": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1",
         }  # fmt: skip
     (folder / "sitecustomize.py").write_text(STEPPED)
-    return {**found, "PYTHONPATH": str(folder)}
+    return {**variables, "PYTHONPATH": str(folder)}
 
 
 @pytest.mark.parametrize("kind", ["python", "libfaketime"])
-def test_a_clock_that_is_set_moves_no_frame_no_label_and_no_record(
-    kind: str, tmp_path: Path
-) -> None:
+def test_setting_the_clock_affects_no_frame_label_or_record(kind: str, tmp_path: Path) -> None:
     (tmp_path / "one.yaml").write_text(SCHEDULE)
     url, logs = choose_free_port("tcp/127.0.0.1:0"), tmp_path / "logs"
     options = ("--schedule", str(tmp_path / "one.yaml"), "--logdir", str(logs), "--zenoh", url)
@@ -64,19 +62,19 @@ def test_a_clock_that_is_set_moves_no_frame_no_label_and_no_record(
         for number in range(FRAMES):
             proxy.pass_frame()
             if number % STEP == 0:
-                # An hour ahead, then two back, and so on: what is asked for is answered all along.
+                # An hour ahead, then two back, and so on: queries are answered throughout.
                 (tmp_path / "ahead").write_text("-3600" if number % (2 * STEP) else "+3600")
                 (reply,) = bus.query("@ctl/state", timeout_s=60)
                 states.append(json.loads(reply))
-        printed, told = proxy.end()
-    assert told == ""
+        printed, errors = proxy.end()
+    assert errors == ""
     received, sent = (
         [(t_us, raw) for t_us, raw, _ in read_records(logs / f"{name}.tlog") if raw[7] == 30]
         for name in ("received", "sent")
     )
     assert len(received) == len(sent) == FRAMES
     for records in (received, sent):
-        # The clock went back by two hours: the stamps of the recording go on.
+        # The clock went back by two hours: the timestamps of the recording continue.
         assert all(0 <= b - a < 1_800_000_000 for (a, _), (b, _) in pairwise(records))
     labels = {label.id: label for label in read_labels(logs / "labels.jsonl")}
     t0_us = labels["bias"].t0_us

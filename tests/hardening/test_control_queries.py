@@ -1,4 +1,4 @@
-"""Queries with anything in them: each is answered soon, none shows a bug, and the proxy goes on.
+"""Queries with arbitrary content: each is answered soon, without a bug, and the proxy continues.
 
 `QUERIES=10000 pytest -s tests/hardening/test_control_queries.py` is the long form.
 """
@@ -76,7 +76,7 @@ def answer(bus: Bus, what: str, payload: bytes) -> str:
         return ""
 
 
-def test_no_query_stops_the_proxy_or_shows_a_bug() -> None:
+def test_no_query_stops_the_proxy_or_reveals_a_bug() -> None:
     with (
         socket.socket() as free,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,

@@ -1,9 +1,9 @@
-"""Inputs that a fuzzer makes of those that reached something new: traffic, and schedules.
+"""Coverage-guided fuzzing of traffic and schedules.
 
 `python -m tests.hardening.test_guided traffic --seconds 600` is the long form, `schedule` the other
 target; both need atheris (`pip install atheris`). The fast form calls the targets with the inputs
-that the fuzzer starts from. The core is given the same datagrams as its machine code, and must do
-the same; at the end a mark that no fault acts on must leave, once.
+that the fuzzer starts from. The core and its compiled path get the same datagrams and must produce
+the same output; at the end a mark that no fault acts on must leave once.
 """
 
 import argparse
@@ -37,10 +37,10 @@ from mavproxy_fault.wire.frame import Frame, build_frame
 from tests.hardening.test_mutated_traffic import LONGEST, NAMES, mark, mutated, sixteen
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-MOST_S = 2.0  # of processor for one input, while a fuzzer watches each step of it
+MOST_S = 2.0  # of processor time per input, with the fuzzer's instrumentation
 WALL_US, STEP_US = 1_700_000_000_000_000, 5_000
 MARK = 12_345_678
-# What the bytes of a peer reach; to watch all else at each step would cost the most of the time.
+# The code that a peer's bytes reach; instrumenting everything would be too slow.
 WATCHED = {
     "traffic": ("wire.", "proxy.", "faults.", "fault_parts."),
     "schedule": ("",),
@@ -49,9 +49,9 @@ STREAM, FAULTS = 1, 2  # bits of an input's first byte
 
 
 def pieces(data: bytes) -> list[bytes]:
-    """What comes, one by one: bytes as they are, or the payload of a frame whose sum is right.
+    """Split an input into pieces: raw bytes, or the payload of a frame with a correct CRC.
 
-    Each is a byte that says which, one with its length, and that many bytes.
+    Each piece is a byte for its kind, a byte for its length, and that many bytes.
     """
     found: list[bytes] = []
     while len(data) > 1:
@@ -74,8 +74,8 @@ def faults() -> Schedule:
 
 
 @cache
-def nobody() -> BinaryIO:
-    """A file with what a core remembers at first."""
+def initial_senders() -> BinaryIO:
+    """A file with the initial senders array of a core."""
     file = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the process lives
     file.write(new_senders().tobytes())
     file.flush()
@@ -83,15 +83,15 @@ def nobody() -> BinaryIO:
 
 
 def senders() -> memoryview:
-    """The same, of which only the pages that are written to are copied.
+    """Map the file copy-on-write.
 
-    Six megabytes anew for each input would cost more than all the rest.
+    Copying six megabytes for each input would cost more than everything else.
     """
-    return memoryview(mmap.mmap(nobody().fileno(), 0, flags=mmap.MAP_PRIVATE)).cast("q")
+    return memoryview(mmap.mmap(initial_senders().fileno(), 0, flags=mmap.MAP_PRIVATE)).cast("q")
 
 
 def core(data: bytes) -> tuple[Core, CaptureBuffer]:
-    """A core as an input's first byte wants it."""
+    """A core with the options in an input's first byte."""
     engine, tape = Engine(faults()) if data[0] & FAULTS else None, CaptureBuffer()
     links = [
         LinkRole("vehicle", "from-vehicle", not data[0] & STREAM),
@@ -103,13 +103,13 @@ def core(data: bytes) -> tuple[Core, CaptureBuffer]:
 
 @cache
 def made() -> Forward | None:
-    """The machine code, whose sources are looked at once."""
+    """The compiled code; its sources are checked only once."""
     make()
     return load()
 
 
 def machine(one: Core, tape: CaptureBuffer) -> Passage | None:
-    """The core's machine code; None on a system where there is none."""
+    """The core's compiled path; None on systems without one."""
     if not HAS_RECVMMSG:
         return None
     with patch("mavproxy_fault.compiled.tables.load", made):
@@ -117,19 +117,19 @@ def machine(one: Core, tape: CaptureBuffer) -> Passage | None:
 
 
 def failures(one: Core) -> list[str]:
-    """What went wrong inside faults, which the core survives."""
+    """Errors inside faults, which the core survives."""
     state = {"faults": []} if one.engine is None else one.engine.state()
     return [fault["failure"] for fault in state["faults"] if fault.get("failure")]
 
 
 def traffic(data: bytes) -> None:
-    """Let a core pass on what comes, and its machine code do the same where it can."""
+    """Forward an input with the interpreted core and, where available, the compiled path."""
     if not data:
         return
     (reference, _), (other, tape) = core(data), core(data)
     passage = None if data[0] & STREAM else machine(other, tape)
-    now_us, came = WALL_US, [*pieces(data[1:])]
-    for part in came:
+    now_us, parts = WALL_US, [*pieces(data[1:])]
+    for part in parts:
         now_us += STEP_US
         sends = reference.received(0, part, now_us)
         passed = passage.passed(0, part, now_us) if passage is not None and part else None
@@ -151,7 +151,7 @@ def traffic(data: bytes) -> None:
 
 
 def schedule(data: bytes) -> None:
-    """Read a schedule: it is right, or refused by name."""
+    """Read a schedule: it is valid, or refused with a ConfigError."""
     with contextlib.suppress(ConfigError):
         parse_schedule(data.decode("utf-8", "replace"))
 
@@ -160,7 +160,7 @@ TARGETS = {"traffic": traffic, "schedule": schedule}
 
 
 def seeds(target: str) -> list[bytes]:
-    """What to begin with."""
+    """The initial inputs."""
     if target == "schedule":
         texts = [path.read_bytes() for path in sorted(EXAMPLES.glob("*.yaml"))]
         return [sixteen().encode(), *texts]
@@ -179,13 +179,13 @@ def _measured(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("target", list(TARGETS))
-def test_what_a_fuzzer_starts_from_passes(target: str) -> None:
+def test_the_seeds_of_the_fuzzer_pass(target: str) -> None:
     for seed in seeds(target):
         TARGETS[target](seed)
 
 
 def main() -> None:
-    """Let atheris find inputs, and stop at one that fails."""
+    """Run atheris until the time is over or an input fails."""
     import atheris
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -199,14 +199,14 @@ def main() -> None:
         took_s = time.process_time() - begun_s
         assert took_s < MOST_S, took_s
 
-    made()  # machine code is loaded before the clock runs
+    made()  # load the compiled code before timing starts
     with tempfile.TemporaryDirectory() as folder:
         for number, seed in enumerate(seeds(args.target)):
             Path(folder, f"{number}").write_bytes(seed)
         options = [f"-max_total_time={args.seconds}", "-max_len=4000", "-rss_limit_mb=4096"]
-        ours = tuple(f"mavproxy_fault.{room}" for room in WATCHED[args.target])
+        instrumented = tuple(f"mavproxy_fault.{room}" for room in WATCHED[args.target])
         for one in gc.get_objects():
-            if isinstance(one, FunctionType) and str(one.__module__).startswith(ours):
+            if isinstance(one, FunctionType) and str(one.__module__).startswith(instrumented):
                 atheris.instrument_func(one)
         atheris.Setup([sys.argv[0], *options, folder], called)
         atheris.Fuzz()

@@ -1,6 +1,6 @@
-"""A proxy and a run that are killed leave recordings that can be read, up to the last second.
+"""A killed proxy or run leaves readable recordings that lack at most the last second.
 
-`KILLS=100 pytest -s tests/hardening/test_kills.py` is the long form; it prints what was lost.
+`KILLS=100 pytest -s tests/hardening/test_kills.py` is the long form; it prints the losses.
 """
 
 import json
@@ -22,7 +22,7 @@ from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_records
 
 KILLS = int(os.environ.get("KILLS", "2"))
-OURS = [sys.executable, "-m", "mavproxy_fault.cli"]
+COMMAND = [sys.executable, "-m", "mavproxy_fault.cli"]
 SCHEDULE = """
 seed: 1
 faults:
@@ -31,7 +31,7 @@ faults:
 
 
 def numbered(number: int) -> bytes:
-    """A frame that tells its number, with a stamp that starts the schedule."""
+    """A frame that contains its number, with a timestamp that starts the schedule."""
     values = {"time_boot_ms": number, "yaw": float(number)}
     return build_frame(message_layout("ATTITUDE"), values, seq=number & 255)
 
@@ -41,7 +41,7 @@ def number_of(frame: bytes) -> int:
 
 
 @pytest.mark.parametrize("kill", range(KILLS))
-def test_a_killed_proxy_leaves_all_but_the_last_second(kill: int, tmp_path: Path) -> None:
+def test_a_killed_proxy_loses_at_most_the_last_second(kill: int, tmp_path: Path) -> None:
     (tmp_path / "one.yaml").write_text(SCHEDULE)
     logs = tmp_path / "logs"
     further = random.Random(kill).randrange(1, 5000)
@@ -52,7 +52,7 @@ def test_a_killed_proxy_leaves_all_but_the_last_second(kill: int, tmp_path: Path
     ):
         station.bind(("127.0.0.1", 0))
         station.settimeout(60)
-        command = [*OURS, "proxy", "--zenoh", "off", "--schedule", str(tmp_path / "one.yaml")]
+        command = [*COMMAND, "proxy", "--zenoh", "off", "--schedule", str(tmp_path / "one.yaml")]
         command += ["--logdir", str(logs), "--master", "udpin:127.0.0.1:0"]
         command += ["--to", f"udpout:127.0.0.1:{station.getsockname()[1]}"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -86,20 +86,31 @@ WRITTEN = ("received.tlog", "sent.tlog", "labels.jsonl", "results.jsonl")
 
 def start(out: Path) -> "subprocess.Popen[bytes]":
     """The demo without a bus, at twenty times real time."""
-    command = [*OURS, "run", "--zenoh", "off", "--gcs", "off", "--speed", "20", "--out", str(out)]
+    command = [
+        *COMMAND,
+        "run",
+        "--zenoh",
+        "off",
+        "--gcs",
+        "off",
+        "--speed",
+        "20",
+        "--out",
+        str(out),
+    ]
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run that nobody kills."""
-    out = tmp_path_factory.mktemp("whole") / "out"
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run that is not killed."""
+    out = tmp_path_factory.mktemp("complete") / "out"
     assert start(out).wait() == 0
     return out
 
 
-# The file to wait for, and the bytes that it must have: of a whole run's, a share.
+# The file to wait for, and the share of a complete run's bytes that it must have.
 MOMENTS = [
     ("received.tlog", 1.0), ("results.jsonl", 1.0), ("summary.json.new", 0.0),
     ("report.html.new", 0.0), ("summary.json", 0.0),
@@ -107,13 +118,13 @@ MOMENTS = [
 
 
 @pytest.mark.parametrize("kill", range(KILLS))
-def test_a_killed_run_leaves_logs_and_results_that_can_be_read(
-    kill: int, whole: Path, tmp_path: Path
+def test_a_killed_run_leaves_readable_logs_and_results(
+    kill: int, complete: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     rng = random.Random(kill)
     name, share = MOMENTS[-1 - kill % len(MOMENTS)]
-    enough = share * rng.random() * size(whole / name) if share else 0
+    enough = share * rng.random() * size(complete / name) if share else 0
     with start(out) as process:
         while process.poll() is None and not ((out / name).exists() and size(out / name) > enough):
             os.sched_yield()
@@ -122,11 +133,11 @@ def test_a_killed_run_leaves_logs_and_results_that_can_be_read(
         ages_s = [now_s - (out / one).stat().st_mtime for one in ("sent.tlog", "results.jsonl")]
         if ended is None:
             os.killpg(process.pid, signal.SIGKILL)  # its monitor too
-    # What is short-lived may be missed: then the run ended by itself.
+    # A short-lived file may be missed: then the run ended by itself.
     assert ended in (None, 0)
     for one in WRITTEN:
         if (out / one).exists():
-            assert (whole / one).read_bytes().startswith((out / one).read_bytes()), one
+            assert (complete / one).read_bytes().startswith((out / one).read_bytes()), one
     received, sent = (list(read_records(out / f"{one}.tlog")) for one in ("received", "sent"))
     results = list(read_results(out / "results.jsonl"))
     assert received

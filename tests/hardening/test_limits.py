@@ -1,4 +1,4 @@
-"""Few descriptors, little memory, nothing that can be written: it says so and forwards."""
+"""With few descriptors, little memory or no writable folder the proxy reports it and forwards."""
 
 import contextlib
 import fcntl
@@ -25,24 +25,24 @@ from tests.hardening.proxy_process import driven, numbered
         ("ulimit -v 120000", "Cannot allocate memory"),
     ],
 )
-def test_a_limited_proxy_goes_without_live_control_and_forwards(limits: str, reason: str) -> None:
+def test_a_limited_proxy_forwards_without_live_control(limits: str, reason: str) -> None:
     with driven(limits=limits) as proxy:
         assert proxy.process.stderr is not None
-        told = ""
-        while "no live control" not in told:
+        errors = ""
+        while "no live control" not in errors:
             proxy.pass_frame()
-            told = proxy.process.stderr.readline()
-        assert told.startswith("no live control, forwarding goes on: ")
-        assert reason in told
+            errors = proxy.process.stderr.readline()
+        assert errors.startswith("no live control, forwarding goes on: ")
+        assert reason in errors
         for _ in range(100):
             proxy.pass_frame()
-        printed, told = proxy.end()
-    assert told == ""
+        printed, errors = proxy.end()
+    assert errors == ""
     assert printed.split("\n")[1].split()[2] == str(proxy.sent)
 
 
-def _told_with_descriptors(limit: int) -> str:
-    """What a proxy with so few tells: why it does not start, or what it passes frames without."""
+def _errors_with_descriptors(limit: int) -> str:
+    """Errors of a proxy with few descriptors: why it does not start, or what it goes without."""
     try:
         with driven("--zenoh", "off", limits=f"ulimit -n {limit}") as proxy:
             for _ in range(20):
@@ -52,14 +52,14 @@ def _told_with_descriptors(limit: int) -> str:
         return str(refusal)
 
 
-def test_at_every_number_of_descriptors_it_forwards_or_says_why_not() -> None:
-    told = [_told_with_descriptors(limit) for limit in range(5, 10)]
-    assert not [one for one in told if "Traceback" in one]
-    assert "Too many open files" in told[0]
-    assert "no live control, forwarding goes on" in told[-1]
+def test_at_every_number_of_descriptors_it_forwards_or_reports_why_not() -> None:
+    errors = [_errors_with_descriptors(limit) for limit in range(5, 10)]
+    assert not [one for one in errors if "Traceback" in one]
+    assert "Too many open files" in errors[0]
+    assert "no live control, forwarding goes on" in errors[-1]
 
 
-def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
+def test_strangers_cannot_stop_a_proxy_whose_standard_error_is_not_read() -> None:
     with socket.create_server(("127.0.0.1", 0)) as place:
         port = place.getsockname()[1]
     with driven("--zenoh", "off", "--to", f"tcpin:127.0.0.1:{port}") as proxy:
@@ -72,11 +72,11 @@ def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
                 while stranger.recv(99):
                     pass
             proxy.pass_frame()
-        _, told = proxy.end()
-    assert 0 < told.count("no peer is left") < 100
+        _, errors = proxy.end()
+    assert 0 < errors.count("no peer is left") < 100
 
 
-def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:
+def test_explicitly_requested_live_control_is_refused_with_the_limit() -> None:
     with (
         pytest.raises(AssertionError, match=r"live control cannot be had: .*ulimit -n"),
         driven("--zenoh", "tcp/127.0.0.1:0", limits="ulimit -n 16"),
@@ -84,7 +84,7 @@ def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:
         pass
 
 
-def test_peers_beyond_the_descriptors_are_turned_away_and_the_others_served() -> None:
+def test_peers_beyond_the_descriptors_are_rejected_and_the_others_served() -> None:
     with socket.create_server(("127.0.0.1", 0)) as place:
         port = place.getsockname()[1]
     options = ("--zenoh", "off", "--to", f"tcpin:127.0.0.1:{port}")
@@ -93,76 +93,76 @@ def test_peers_beyond_the_descriptors_are_turned_away_and_the_others_served() ->
         for _ in range(40):
             unknown.append(opened.enter_context(socket.create_connection(("127.0.0.1", port))))
             unknown[-1].setblocking(False)
-        turned_away = 0
+        rejected = 0
         while unknown:
             proxy.pass_frame()
             for peer in unknown[:]:
                 with contextlib.suppress(BlockingIOError):
-                    # A frame goes to those who were let in, the others hear the end.
-                    turned_away += not peer.recv(1)
+                    # Accepted peers receive a frame, the others the end of the connection.
+                    rejected += not peer.recv(1)
                     unknown.remove(peer)
-        printed, told = proxy.end()
-    assert 8 < turned_away < 40
-    assert told.count("no descriptor for another peer; raise the limit (ulimit -n)") == 1
+        printed, errors = proxy.end()
+    assert 8 < rejected < 40
+    assert errors.count("no descriptor for another peer; raise the limit (ulimit -n)") == 1
     row = next(line for line in printed.splitlines() if line.startswith("tcpin"))
-    # One error for each that was turned away: the loop did not go round in vain.
-    assert int(row.split()[12]) == turned_away
+    # One error for each rejected peer: the loop did not spin.
+    assert int(row.split()[12]) == rejected
 
 
-def test_without_a_home_or_a_folder_to_write_to_it_is_controlled_all_the_same(
+def test_live_control_works_without_a_home_or_a_writable_folder(
     tmp_path: Path,
 ) -> None:
     nowhere = {"HOME": "/proc/none", "XDG_STATE_HOME": "", "TMPDIR": str(tmp_path)}
     with driven("--zenoh", "tcp/127.0.0.1:0", folder=Path("/proc"), **nowhere) as proxy:
         for _ in range(100):
             proxy.pass_frame()
-        _, told = proxy.end()
-    assert told == ""
+        _, errors = proxy.end()
+    assert errors == ""
 
 
 def _memory_of(process: int) -> int:
-    """Bytes of address space that a process has."""
-    return _told_of(process, "VmSize") * 1024
+    """Bytes of address space of a process."""
+    return _status_of(process, "VmSize") * 1024
 
 
-def _told_of(process: int, name: str) -> int:
-    """A number of a process by Linux' name of it."""
+def _status_of(process: int, name: str) -> int:
+    """A number in a process's status, by its Linux name."""
     status = Path(f"/proc/{process}/status").read_text()
     return int(status.split(f"{name}:")[1].split()[0])
 
 
-def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_path: Path) -> None:
+def test_running_out_of_memory_stops_the_recording_but_loses_no_frame(tmp_path: Path) -> None:
     with driven("--zenoh", "off", "--logdir", str(tmp_path)) as proxy:
         assert proxy.process.stderr is not None
         enlarge_buffers(proxy.station)
         number = proxy.process.pid
-        # Live control joins within a second, and the machine code takes its memory anew for it.
+        # Live control joins within a second, and the compiled path reallocates its memory for it.
         until_s = time.monotonic() + 3.0
-        while time.monotonic() < until_s or _told_of(number, "Threads") > 1:
+        while time.monotonic() < until_s or _status_of(number, "Threads") > 1:
             proxy.pass_frame()
         _, highest = resource.prlimit(number, resource.RLIMIT_AS)
         resource.prlimit(number, resource.RLIMIT_AS, (_memory_of(number), highest))
-        many, told = numbered(0) * 256, ""
-        while "recording stops" not in told:
+        many, errors = numbered(0) * 256, ""
+        while "recording stops" not in errors:
             for _ in range(10):
                 proxy.vehicle.send(many)
             proxy.pass_frame()
-            told += _read(proxy.process.stderr.fileno())
-            if "slower way" in told:
-                pytest.skip("live control came too late: the memory ran out for something else")
+            errors += _read(proxy.process.stderr.fileno())
+            if "slower way" in errors:
+                pytest.skip("live control started too late: the memory ran out for something else")
         resource.prlimit(number, resource.RLIMIT_AS, (highest, highest))
-        while "recording goes on" not in told:
+        while "recording goes on" not in errors:
             proxy.pass_frame()
-            told += _read(proxy.process.stderr.fileno())
-        came = proxy.end()[0].split("\n")[1].split()[2]
+            errors += _read(proxy.process.stderr.fileno())
+        received = proxy.end()[0].split("\n")[1].split()[2]
     lost = json.loads((tmp_path / "session.json").read_text())["lost_records"]
     recorded = len(list(split_records((tmp_path / "received.tlog").read_bytes())))
     assert lost > 0
-    assert recorded + lost == int(came)
+    assert recorded + lost == int(received)
 
 
 def _read(descriptor: int) -> str:
-    """What a process has told by now, without waiting for it."""
+    """Read the output of a process without waiting."""
     os.set_blocking(descriptor, False)
     with contextlib.suppress(BlockingIOError):
         return os.read(descriptor, 65_536).decode()
@@ -170,12 +170,12 @@ def _read(descriptor: int) -> str:
 
 
 def _next_descriptor(process: int) -> int:
-    """The number that the next descriptor of a process gets."""
+    """The number of a process's next descriptor."""
     held = {int(name) for name in os.listdir(f"/proc/{process}/fd")}
     return next(number for number in itertools.count() if number not in held)
 
 
-def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_frame(
+def test_running_out_of_descriptors_rejects_new_peers_but_loses_no_frame(
     tmp_path: Path,
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as place:
@@ -184,7 +184,7 @@ def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_fram
     with contextlib.ExitStack() as opened, driven(*options) as proxy:
 
         def first_byte(peer: socket.socket) -> bytes:
-            """What a peer hears of frames that pass, nothing if it is turned away."""
+            """The first byte that a peer receives, empty if it is rejected."""
             peer.setblocking(False)
             while True:
                 proxy.pass_frame()
@@ -195,13 +195,13 @@ def test_descriptors_that_run_out_meanwhile_turn_new_peers_away_and_stop_no_fram
         number = proxy.process.pid
         _, highest = resource.prlimit(number, resource.RLIMIT_NOFILE)
         resource.prlimit(number, resource.RLIMIT_NOFILE, (_next_descriptor(number), highest))
-        # What the proxy had open for a moment only is free below the limit: some are let in yet.
+        # Briefly used descriptors are free below the limit: a few more peers are accepted.
         while first_byte(opened.enter_context(socket.create_connection(("127.0.0.1", port)))):
             pass
         for _ in range(100):
             proxy.pass_frame()
-        printed, told = proxy.end()
-    assert "no descriptor for another peer; raise the limit (ulimit -n)" in told
+        printed, errors = proxy.end()
+    assert "no descriptor for another peer; raise the limit (ulimit -n)" in errors
     assert printed.split("\n")[1].split()[2] == str(proxy.sent)
     recorded = list(split_records((tmp_path / "received.tlog").read_bytes()))
     assert len(recorded) == proxy.sent

@@ -1,8 +1,8 @@
-"""Mutated MAVLink through every kind of link: it neither ends nor stalls the proxy.
+"""Mutated MAVLink on every kind of link neither ends nor stalls the proxy.
 
-Between mutated bytes goes a mark, a frame that no fault acts on. Each must leave exactly once, in
-order, unchanged, and soon. A mark's time holds waits for a processor too; what the process computed
-meanwhile is told beside it.
+Marks, frames that no fault acts on, are sent between the mutated bytes. Each must leave exactly
+once, in order, unchanged, and soon. The time of a mark includes waiting for a processor; the
+processor time of the process is printed beside it.
 `HARDENING_BYTES=125000000 pytest -s --timeout 0 tests/hardening/test_mutated_traffic.py` is the
 long form: 10^9 bytes through the eight.
 """
@@ -33,8 +33,8 @@ from mavproxy_fault.wire.frame import HEADER_V2, SIGNATURE_LENGTH, Frame, build_
 from mavproxy_fault.wire.signing import derive_key, sign_frame
 
 BYTES = int(os.environ.get("HARDENING_BYTES", "150000"))
-BETWEEN = 10 if BYTES < 1_000_000 else 100  # datagrams: on a stream marks may wait 0.2 s each
-PATIENCE_S = 20.0  # on a busy machine
+BETWEEN = 10 if BYTES < 1_000_000 else 100  # datagrams: on a stream a mark may be delayed by 0.2 s
+TIMEOUT_S = 20.0  # on a busy machine
 LONGEST = HEADER_V2 + 255 + 2 + SIGNATURE_LENGTH  # bytes of a frame
 MARKED = 42  # the system that sends marks
 EDGES = [0, 1, 1 << 31, 10**15 - 1, 10**15, 1 << 53, (1 << 63) - 1, 1 << 63, (1 << 64) - 1]
@@ -44,7 +44,7 @@ Write = Callable[[bytes], object]
 
 
 def frame(rng: random.Random, seq: int) -> bytes:
-    """A frame with a wild stamp or none, of version 1 or 2, signed or not."""
+    """A frame with an extreme timestamp or none, of version 1 or 2, signed or not."""
     name = rng.choice(NAMES) if rng.random() < 0.8 else rng.choice(message_names())
     described = message_layout(name)
     payload = bytearray(rng.randbytes(described.length))
@@ -64,7 +64,7 @@ def frame(rng: random.Random, seq: int) -> bytes:
 
 
 def mutated(rng: random.Random, seq: int) -> bytes:
-    """Frames, of which some are flipped, cut, doubled or run into one another."""
+    """Frames, some of them with flipped bits, cut, duplicated or merged."""
     data = b"".join(frame(rng, seq + n) for n in range(rng.choice([1, 1, 2, 5])))
     for _ in range(rng.choice([0, 0, 1, 3])):
         at = rng.randrange(len(data))
@@ -132,7 +132,7 @@ def proxy(link: Link, schedule: str, *, compiled: bool) -> Iterator[socket.socke
     """A proxy's loop in a thread; the station it sends to."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
-        station.settimeout(PATIENCE_S)
+        station.settimeout(TIMEOUT_S)
         enlarge_buffers(station)
         links = [link, open_link(f"udpout:127.0.0.1:{station.getsockname()[1]}")]
         engine = Engine(parse_schedule(schedule)) if schedule else None
@@ -153,7 +153,7 @@ def proxy(link: Link, schedule: str, *, compiled: bool) -> Iterator[socket.socke
             yield station
         finally:
             server.stop()
-            loop.join(PATIENCE_S)
+            loop.join(TIMEOUT_S)
             for one in links:
                 one.close()
             assert not loop.is_alive()
@@ -191,22 +191,22 @@ def test_marks_between_mutated_bytes_leave_once_in_order_and_soon(
             number += 1
             begun_s, computed_s = time.monotonic(), time.process_time()
             write(apart + mark(number))
-            came = b""
-            while mark(number) not in came:
-                came += station.recv(65_535)
+            received = b""
+            while mark(number) not in received:
+                received += station.recv(65_535)
             computed_s = time.process_time() - computed_s
             slowest = max(slowest, (time.monotonic() - begun_s, computed_s))
             longest_s = max(longest_s, computed_s)
-            marks = [n for n in range(max(number - 3, 0), number + 2) if mark(n) in came]
+            marks = [n for n in range(max(number - 3, 0), number + 2) if mark(n) in received]
             assert marks in ([number], [0, 1]), marks
-            assert came.count(mark(number)) == 1
+            assert received.count(mark(number)) == 1
     print(
         f"{kind}, {16 * schedule} faults: {sent} bytes, {number} marks, "
         f"slowest {slowest[0]:.3f} s, of which {slowest[1]:.3f} s computed, at most {longest_s:.3f}"
     )
 
 
-def test_a_stream_cut_at_any_byte_gives_what_the_whole_gives_with_16_faults() -> None:
+def test_a_stream_split_at_any_byte_gives_the_same_output_with_16_faults() -> None:
     schedule, rng = parse_schedule(sixteen()), random.Random(2)
     stream = b"".join(mutated(rng, n) for n in range(6))
     now_us = 10**15
@@ -217,9 +217,9 @@ def test_a_stream_cut_at_any_byte_gives_what_the_whole_gives_with_16_faults() ->
         sends = [send for data in (*pieces, b"") for send in core.received(0, data, now_us)]
         return b"".join(send.data for send in [*sends, *core.finish(now_us + 10**7)])
 
-    whole = given(stream)
-    assert whole != stream
+    expected = given(stream)
+    assert expected != stream
     every = 40 if BYTES < 1_000_000 else 1
     for at in range(1, len(stream), every):
-        assert given(stream[:at], stream[at:]) == whole, at
-    assert given(*(stream[at : at + 1] for at in range(len(stream)))) == whole
+        assert given(stream[:at], stream[at:]) == expected, at
+    assert given(*(stream[at : at + 1] for at in range(len(stream)))) == expected

@@ -1,4 +1,4 @@
-"""Delays and a rate limit on TCP while one peer reads too slowly: the other one does not notice.
+"""Delays and a rate limit on TCP while one peer reads too slowly do not affect the other peer.
 
 `FRAMES=400000 PER_S=4000 pytest -s --timeout 0 tests/hardening/test_slow_peer.py` is the long form.
 It prints how late frames came to the peer that reads, and what became of the slow one.
@@ -31,7 +31,7 @@ faults:
   - {{fault: jitter, target: RAW_IMU, value: {JITTER_S}}}
   - {{fault: rate-limit, target: HIL_GPS, value: {LIMIT_PER_S}, queue_s: 1000}}
 """
-# Of a hundred frames: the limit is for less than comes, and most are as large as can be.
+# Of a hundred frames: the limit is below the input rate, and most frames have maximum size.
 KINDS = ["HIL_SENSOR", "RAW_IMU", "HIL_GPS", "HEARTBEAT"] * 5 + ["FILE_TRANSFER_PROTOCOL"] * 80
 LARGE = bytes(range(1, 252))
 
@@ -56,7 +56,7 @@ def send(vehicle: socket.socket, sent_s: dict[str, list[float]]) -> None:
         vehicle.sendall(frame(kind, number, now_s))
 
 
-def test_a_peer_that_reads_too_slowly_delays_and_loses_nothing_of_the_others() -> None:
+def test_a_slow_peer_neither_delays_nor_loses_data_of_the_others() -> None:
     links = [open_link("tcpin:127.0.0.1:0") for _ in range(3)]
     ports = [int(link.name.rsplit(":", 1)[1]) for link in links]
     sent_s: dict[str, list[float]] = {kind: [] for kind in KINDS}
@@ -104,7 +104,7 @@ def test_a_peer_that_reads_too_slowly_delays_and_loses_nothing_of_the_others() -
         print(f"{kind}: late by {median(late_s) * 1e3:.2f} ms, at most {max(late_s) * 1e3:.1f} ms")
     spent_s = came_s["HIL_GPS"][-1] - came_s["HIL_GPS"][0]
     assert (len(came_s["HIL_GPS"]) - 1) / spent_s < LIMIT_PER_S * 1.02
-    # Whole frames alone came to the slow one, and no more than its queue holds waited for it.
+    # The slow peer received only complete frames, and no more than its queue holds were waiting.
     assert parsers["slow"].counters.junk_bytes == 0
     assert most_queued <= QUEUE_LIMIT
     print(f"slow peer: {drops} dropped of {FRAMES}, {most_queued} bytes waited at most")

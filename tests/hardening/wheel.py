@@ -1,12 +1,12 @@
-"""The wheel as users get it: built, installed without a network, tried where nothing is allowed.
+"""Test of the wheel as users get it: built, installed offline, run by an unprivileged user.
 
     python tests/hardening/wheel.py [--wheel FILE] [--twice] [--folder DIR] [--python PATH]
 
-Builds a wheel (`--twice`: two, and compares them), fetches what it needs from the registry, and
-installs all of it in an empty environment without a network. Then another user, who can write
-nothing there and has no HOME or one that is `/`, runs the demo twice and starts proxies. Prints
-each figure beside its limit; exit code 1 if one is missed. Needs root, `setpriv`, `unshare` and a C
-compiler (for the load on the proxy).
+Builds a wheel (`--twice`: two, and compares them), downloads its dependencies, and installs
+everything in an empty environment without a network. Then another user, who has no write access and
+no HOME (or HOME `/`), runs the demo twice and starts proxies. Prints each value beside its limit;
+exit code 1 if one is exceeded. Needs root, `setpriv`, `unshare` and a C compiler (for the load on
+the proxy).
 """
 
 import argparse
@@ -29,14 +29,14 @@ MISSED: list[str] = []
 
 
 def note(what: str, value: float, limit: float, unit: str) -> None:
-    """Print a figure beside its limit."""
+    """Print a value beside its limit."""
     print(f"| {what} | {value:.3g} {unit} | {limit:g} {unit} |", flush=True)
     if value > limit:
         MISSED.append(what)
 
 
 def processor_s(*command: str | Path, environment: dict[str, str] | None = None) -> float:
-    """Run a command, which must succeed; processor seconds of it and all its children."""
+    """Run a command that must succeed; return the processor seconds of it and its children."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [str(one) for one in command], env=environment, capture_output=True, text=True, cwd="/"
@@ -107,7 +107,7 @@ def demo(commands: Path, folder: Path) -> None:
 
 
 def proxies(commands: Path, folder: Path) -> None:
-    """How soon a proxy is ready, and how fast in its first second."""
+    """Measure the start-up time of a proxy, and its speed in the first second."""
     load = folder / "load"
     processor_s("cc", "-O2", "-o", load, ROOT / "benchmarks" / "load.c", "-lm")
     ready_s, slower = [], []
@@ -125,11 +125,11 @@ def proxies(commands: Path, folder: Path) -> None:
             ready_s.append(time.monotonic() - begun_s)
             rates = []
             for _ in range(4):  # a third of a second each
-                told = subprocess.run(
+                values = subprocess.run(
                     [load, str(master), str(out), "window", "64", "100000"],
                     capture_output=True, text=True, check=True,
                 ).stdout.split()  # fmt: skip
-                rates.append(float(told[1]) / float(told[3]))
+                rates.append(float(values[1]) / float(values[3]))
             slower.append(statistics.median(rates[1:]) / rates[0])
             proxy.terminate()
     note("proxy with a schedule is ready", statistics.median(ready_s), 0.25, "s")

@@ -1,4 +1,4 @@
-"""What a real ArduCopter said to the bridge in one flight; see the data's README."""
+"""Output of a real ArduCopter to the bridge in one flight; see the data's README."""
 
 from pathlib import Path
 
@@ -23,5 +23,5 @@ def servo_packets() -> list[bytes]:
 
 @pytest.fixture(scope="session")
 def mavlink_bytes() -> bytes:
-    """Its heartbeats, answers and texts."""
+    """Its heartbeats, replies and texts."""
     return (RECORDED / "mavlink.bin").read_bytes()

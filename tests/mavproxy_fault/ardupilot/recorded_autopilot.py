@@ -1,4 +1,4 @@
-"""A stand-in for ArduPilot's program that says what a real one said in a recorded flight.
+"""A substitute for ArduPilot's SITL program that replays the output of a recorded flight.
 
 It takes the options that the bridge gives, and before them `--ends-after N` servo packets.
 """
@@ -14,7 +14,7 @@ TIMEOUT_S = 20.0
 
 
 def main() -> int:
-    """Configure the sensor, ask for physics, answer by servo packets."""
+    """Configure the sensor, request physics, reply with servo packets."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--ends-after", type=int)
     parser.add_argument("--sim-port-out", type=int)

@@ -1,4 +1,4 @@
-"""The whole command over real sockets, between a simulator here and a recorded ArduCopter."""
+"""The entire command over real sockets, between a simulator here and a recorded ArduCopter."""
 
 import contextlib
 import select
@@ -27,7 +27,7 @@ PATIENCE_S = 30.0
 
 
 class Simulator:
-    """Steps as a HIL simulator sends them, and what comes back."""
+    """Steps as a HIL simulator sends them, and the replies."""
 
     def __init__(self, inbox: Inbox, *, gps: bool = True) -> None:
         self.t_us = 0
@@ -70,7 +70,7 @@ def bridge(
         simulator = Simulator(Inbox(link), gps=gps)
         deadline_s = time.monotonic() + PATIENCE_S
         while not simulator.others and time.monotonic() < deadline_s:
-            simulator.listen(0.1)  # the bridge speaks first
+            simulator.listen(0.1)  # the bridge sends first
         try:
             yield simulator, process
         finally:
@@ -79,7 +79,7 @@ def bridge(
 
 
 def fly(simulator, until):
-    """Step; once answers come, each step waits for its own for a while."""
+    """Step; after the first answer, each step waits for its own for a while."""
     deadline_s = time.monotonic() + PATIENCE_S
     while not until() and time.monotonic() < deadline_s:
         answered = len(simulator.answers)
@@ -103,7 +103,7 @@ def test_each_step_is_answered_with_its_stamp_and_the_motors_of_the_recording(tm
     assert {"HEARTBEAT", "PARAM_VALUE", "COMMAND_ACK", "STATUSTEXT"} <= texts
 
 
-def test_what_the_autopilot_was_started_with_is_left_in_the_folder(tmp_path):
+def test_the_parameters_of_the_autopilot_are_stored_in_the_folder(tmp_path):
     with bridge(tmp_path) as (simulator, _):
         fly(simulator, lambda: bool(simulator.answers))
     parameters = (tmp_path / "bridge.parm").read_text().splitlines()
@@ -111,7 +111,7 @@ def test_what_the_autopilot_was_started_with_is_left_in_the_folder(tmp_path):
     assert "SIM_RATE_HZ 400" in parameters
 
 
-def test_an_autopilot_that_dies_is_told_with_its_time(tmp_path):
+def test_the_death_of_the_autopilot_is_reported_with_its_time(tmp_path):
     with bridge(tmp_path, "--ends-after", "30") as (simulator, process):
         fly(simulator, lambda: process.poll() is not None)
         said = process.stderr.read()
@@ -129,7 +129,7 @@ def test_a_simulator_without_gps_is_refused_before_the_autopilot_starts(tmp_path
     assert not (tmp_path / "autopilot.log").exists()
 
 
-def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
+def test_a_missing_binary_is_reported_with_the_remedy(tmp_path):
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--out", str(tmp_path)]
     done = subprocess.run(
         [*command, "--binary", "no-such-arducopter"], capture_output=True, text=True, check=False
@@ -139,7 +139,7 @@ def test_a_binary_that_is_missing_is_told_with_what_to_do(tmp_path):
 
 
 @pytest.mark.parametrize("line", ["AHRS_EKF_TYPE 10", "SIM_BARO_COUNT 1"])
-def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
+def test_parameters_that_pass_the_truth_to_the_estimator_are_refused(tmp_path, line):
     own = tmp_path / "own.parm"
     own.write_text(line + "\n")
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", "--out", str(tmp_path)]
@@ -151,11 +151,11 @@ def test_parameters_that_let_the_truth_in_are_refused(tmp_path, line):
     assert f"own.parm:1: {line.split()[0]}" in done.stderr
 
 
-def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
-    told = []
+def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
+    messages = []
 
     class Autopilot:
-        """One that has started, and ends once something was told."""
+        """An autopilot that has started, and ends after the first status line."""
 
         started, armed, steps, t_us = True, False, 0, 0
 
@@ -166,31 +166,31 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_told_once():
             return []
 
         def poll(self):
-            return 0 if told else None
+            return 0 if messages else None
 
     with closing(TcpServer("127.0.0.1", 0)) as link, contextlib.ExitStack() as stack:
         peer = stack.enter_context(socket.create_connection(("127.0.0.1", link.port)))
         quiet = stack.enter_context(closing(Datagrams()))
         while not link.peer_count:
             link.read()
-        exchange = BridgeLoop(link, Autopilot(), told.append, silence_s=0.1)
+        exchange = BridgeLoop(link, Autopilot(), messages.append, silence_s=0.1)
         with pytest.raises(FlightEndError, match="ended with exit code 0"):
             exchange.run(b"")
         assert peer.fileno() >= 0
-    assert told == [f"{link.name}: no step for 0.1 s; still waiting"]
+    assert messages == [f"{link.name}: no step for 0.1 s; still waiting"]
 
 
-def test_within_a_process_it_is_a_link_that_ends_with_its_program(tmp_path):
-    told: list[str] = []
+def test_within_a_process_it_is_a_link_that_ends_with_its_autopilot(tmp_path):
+    messages: list[str] = []
     words = [sys.executable, str(STAND_IN)]
-    with closing(BridgedAutopilot(words, "copter", tmp_path, [], told.append)) as autopilot:
+    with closing(BridgedAutopilot(words, "copter", tmp_path, [], messages.append)) as autopilot:
         simulator = Simulator(Inbox(autopilot))
         assert autopilot.peer_count == 1
         fly(simulator, lambda: len(simulator.answers) >= 115)
         assert simulator.answers[-1].number("controls", 0) > 0.6
         fly(simulator, lambda: autopilot.peer_count == 0)
         assert autopilot.poll() == 3
-    assert told[0] == f"{sys.executable}: starting in {tmp_path} at 400 steps/s"
+    assert messages[0] == f"{sys.executable}: starting in {tmp_path} at 400 steps/s"
 
 
 def test_within_a_process_a_vehicle_without_gps_is_refused(tmp_path):

@@ -33,7 +33,7 @@ def test_the_truth_ends_a_step():
     assert readings.truth == TrueState(5000, (1, 0, 0, 0), 1, 2, 3, (1.0, -2.0, 0.5))
 
 
-def test_a_new_step_knows_what_did_not_come():
+def test_a_new_step_shows_missing_samples():
     readings = Readings()
     readings.update(frame("HIL_SENSOR", fields_updated=0x1FFF))
     readings.update(frame("HIL_GPS", fix_type=3))
@@ -65,7 +65,7 @@ def test_a_battery_is_the_sum_of_its_cells():
 @pytest.mark.parametrize(
     "unknown", [{"id": 1}, {"current_battery": -1}, {"voltages": (0xFFFF,) * 10}]
 )
-def test_a_second_battery_or_one_without_figures_changes_nothing(unknown):
+def test_a_second_battery_or_one_without_values_changes_nothing(unknown):
     readings = Readings()
     values = {"voltages": (12_000, *(0xFFFF,) * 9), "current_battery": 250, **unknown}
     readings.update(frame("BATTERY_STATUS", **values))

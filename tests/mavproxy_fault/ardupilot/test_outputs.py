@@ -10,7 +10,7 @@ def test_motors_run_from_nothing_to_full():
     assert motor_channels([1000, 1500, 2000, 2100] + [0] * 12)[:5] == [0.0, 0.5, 1.0, 1.0, 0.0]
 
 
-def test_the_motors_of_a_real_copter_stand_still_before_arming(servo_packets):
+def test_the_motors_of_a_real_copter_are_off_before_arming(servo_packets):
     first = read_servos(servo_packets[0])
     assert motor_channels(first.pwm_us)[:4] == [0.0] * 4
     lift_off = read_servos(servo_packets[-1])
@@ -32,7 +32,7 @@ def test_a_planes_outputs_reach_the_channels_of_px4(pwm_us, channels):
     assert {number: value for number, value in enumerate(found) if value} == channels
 
 
-def test_the_answer_carries_the_stamp_of_its_step_and_the_armed_flag():
+def test_the_answer_has_the_timestamp_of_its_step_and_the_armed_flag():
     raw = actuator_frame(2_500, [0.25] * 16, 7, armed=True)
     (frame,) = Parser().push(raw)
     assert isinstance(frame, Frame)

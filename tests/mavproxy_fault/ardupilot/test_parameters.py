@@ -13,14 +13,14 @@ BARE = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=F
 
 
 @pytest.mark.parametrize("kind", VEHICLE_KINDS)
-def test_nothing_of_sitls_own_sensors_is_left(kind):
+def test_all_of_sitls_own_sensors_are_removed(kind):
     values = bridge_parameters(kind, BARE)
     assert values["AHRS_EKF_TYPE"] == 3
     assert values["SIM_IMU_COUNT"] == values["SIM_BARO_COUNT"] == values["SIM_GPS1_ENABLE"] == 0
     assert all(values[f"SIM_MAG{number}_DEVID"] == 0 for number in range(1, 7))
 
 
-def test_what_is_fitted_twice_is_used_twice():
+def test_redundant_sensors_are_all_used():
     values = bridge_parameters(
         "copter", AvailableSensors(400.0, second_imu=True, second_gps=True, rangefinder=True)
     )
@@ -30,7 +30,7 @@ def test_what_is_fitted_twice_is_used_twice():
     assert "GPS2_TYPE" not in bridge_parameters("copter", BARE)
 
 
-def test_flow_and_vision_come_by_mavlink_where_there_are_any():
+def test_flow_and_vision_are_read_by_mavlink_if_available():
     values = bridge_parameters(
         "copter",
         AvailableSensors(
@@ -56,5 +56,5 @@ def test_an_estimator_that_reads_the_truth_is_refused():
         check_parameter_file(["# mine", "AHRS_EKF_TYPE 10"], "own.parm")
 
 
-def test_other_parameters_are_the_users():
+def test_other_parameters_may_be_set_by_the_user():
     check_parameter_file(["AHRS_EKF_TYPE,3 # as it is", "ATC_RAT_RLL_P 0.2", "", "odd"], "own.parm")

@@ -15,18 +15,18 @@ def frame(name, **values):
     return Frame(build_frame(layout, values), layout)
 
 
-def asked(raw):
+def parse_request(raw):
     (found,) = Parser().push(raw)
     assert isinstance(found, Frame)
     return found
 
 
-def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
+def test_the_replies_of_a_real_autopilot_complete_it(mavlink_bytes):
     preparation, t_us, requests = Preparation(EAST), 0, []
     for item in Parser().push(mavlink_bytes):
         t_us += 2 * REPEAT_US
         if (raw := preparation.due(t_us)) is not None:
-            requests.append(asked(raw).layout.name)
+            requests.append(parse_request(raw).layout.name)
         preparation.received(item)
     assert preparation.pending == ""
     assert preparation.due(10**12) is None
@@ -34,11 +34,11 @@ def test_what_a_real_autopilot_said_completes_it(mavlink_bytes):
     assert requests[-1] == "COMMAND_LONG"
 
 
-def test_a_board_is_asked_for_what_conditions_and_reports_look_at():
-    """It tells nothing by itself: `from: take-off` would never come."""
+def test_the_streams_for_conditions_and_reports_are_requested_from_a_board():
+    """A board streams nothing by itself: `from: take-off` would never occur."""
     preparation, numbers = Preparation(EAST, stream_requests()), []
     while preparation.pending.startswith("stream"):
-        numbers.append(asked(preparation.due(0)).number("param1"))
+        numbers.append(parse_request(preparation.due(0)).number("param1"))
         preparation.received(frame("COMMAND_ACK", command=511))
     assert numbers == [36, 33, 30, 193]  # outputs first: they drive the motors
 
@@ -57,14 +57,14 @@ def test_an_autopilot_on_another_estimator_is_refused():
         )
 
 
-def test_a_rejected_calibration_is_asked_for_again_and_the_compass_with_the_heading():
+def test_a_rejected_calibration_is_repeated_and_that_of_the_compass_has_the_heading():
     preparation = Preparation(EAST)
     for name, value in ((b"AHRS_EKF_TYPE", 3.0), (b"EAHRS_TYPE", 1.0)):
         preparation.received(frame("PARAM_VALUE", param_id=name, param_value=value))
     preparation.received(frame("COMMAND_ACK", command=241, result=1))
     assert preparation.pending == "accelerometer calibration"
     preparation.received(frame("COMMAND_ACK", command=241, result=0))
-    command = asked(preparation.due(0))
+    command = parse_request(preparation.due(0))
     assert command.number("command") == 42006
     assert command.number("param1") == pytest.approx(90.0)
     assert command.number("param3") == pytest.approx(47.4, abs=1e-5)

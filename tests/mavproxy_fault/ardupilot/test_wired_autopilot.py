@@ -1,4 +1,4 @@
-"""ArduPilot on a board: the whole command between a simulator and two serial lines."""
+"""ArduPilot on a board: the entire command between a simulator and two serial lines."""
 
 import os
 import pty
@@ -25,18 +25,18 @@ ARMED = 128
 
 
 class Board:
-    """What a board says on its lines: the recorded handshake, heartbeats, outputs, answers."""
+    """The output of a board: the recorded handshake, heartbeats, servo outputs, replies."""
 
     def __init__(self, sensor: int, mavlink: int) -> None:
         self._sensor, self._mavlink = sensor, mavlink
         self._parser = Parser()
         self.sensed = b""
-        self.asked: list[Frame] = []
-        # Not before the bridge has opened the line: what waits there then is thrown away.
+        self.requests: list[Frame] = []
+        # Only after the bridge has opened the line: earlier data would be discarded.
         self._greeting = HANDSHAKE.read_bytes()
 
     def turn(self, pwm_us: int) -> None:
-        """Say what it has to say, hear what there is."""
+        """Send pending output and read input."""
         if self._greeting:
             os.write(self._sensor, self._greeting)
             self._greeting = b""
@@ -48,7 +48,7 @@ class Board:
             if descriptor == self._sensor:
                 self.sensed += data
                 continue
-            self.asked += [item for item in self._parser.push(data) if isinstance(item, Frame)]
+            self.requests += [item for item in self._parser.push(data) if isinstance(item, Frame)]
 
     def _say(self, name: str, **values: object) -> None:
         os.write(self._mavlink, build_frame(message_layout(name), values))
@@ -74,10 +74,10 @@ def test_a_board_is_fed_over_its_lines_and_its_outputs_fly_the_vehicle() -> None
         simulator, board = Simulator(Inbox(link)), Board(sensor, mav)
         try:
             deadline_s = time.monotonic() + PATIENCE_S
-            # Each turn takes what is there: nobody waits for the other.
+            # Each turn processes available data: neither side waits for the other.
             while len(simulator.answers) < 30 or b"\xfa\x01\x21\x07" not in board.sensed:
                 assert time.monotonic() < deadline_s
-                if simulator.others:  # the bridge has spoken first
+                if simulator.others:  # the bridge has sent its first message
                     simulator.step()
                     board.turn(1700)
                 simulator.listen(0.002)
@@ -89,7 +89,7 @@ def test_a_board_is_fed_over_its_lines_and_its_outputs_fly_the_vehicle() -> None
     assert int(last.number("mode")) & ARMED
     (request,) = {
         (frame.number("command"), frame.number("param1"))
-        for frame in board.asked
+        for frame in board.requests
         if frame.layout.name == "COMMAND_LONG"
     }
     assert request == (511, 36)  # a stream of outputs, first of all
@@ -104,7 +104,7 @@ def test_a_board_is_fed_over_its_lines_and_its_outputs_fly_the_vehicle() -> None
         (["--binary", "true", "--mavlink", "udpin:127.0.0.1:0"], "--binary: starts SITL"),
     ],
 )
-def test_half_a_board_is_refused(words: list[str], reason: str) -> None:
+def test_a_board_with_one_connection_is_refused(words: list[str], reason: str) -> None:
     command = [sys.executable, "-m", "mavproxy_fault.cli", "ardupilot", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2

@@ -27,7 +27,7 @@ def test_a_client_receives_what_the_router_publishes() -> None:
         assert got.get(timeout=5) == ("mavfault/v1/test/fdi/main/stat", b'{"t_s": 1}')
 
 
-def test_a_late_subscriber_gets_the_history_that_was_kept() -> None:
+def test_a_late_subscriber_gets_the_stored_history() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
         for number in range(5):
             hub.put("fdi/events", b"%d" % number, history=3)
@@ -63,7 +63,7 @@ def test_a_wildcard_query_does_not_reach_live_control() -> None:
             client.query("**", timeout_s=0.3)
 
 
-def test_components_are_seen_while_they_live() -> None:
+def test_components_are_listed_while_they_live() -> None:
     with router() as hub, open_bus(hub.url, run="test") as client:
         hub.declare_alive("proxy")
         assert client.list_components() == ["mavfault/v1/test/alive/proxy"]
@@ -74,12 +74,12 @@ def test_without_a_router_the_error_names_the_address() -> None:
         open_bus("tcp/127.0.0.1:1")
 
 
-def test_a_taken_address_is_said_so() -> None:
+def test_an_address_in_use_is_reported() -> None:
     with router() as hub, pytest.raises(ConfigError, match="cannot be opened as the router"):
         open_bus(hub.url, router=True)
 
 
-def test_a_refusal_is_told_at_once_even_if_it_comes_from_another_thread() -> None:
+def test_a_refusal_is_returned_at_once_even_from_another_thread() -> None:
     def refuse(key: str, payload: bytes) -> object:
         outcome: Future[object] = Future()
         outcome.set_exception(ConfigError("no"))
@@ -93,7 +93,7 @@ def test_a_refusal_is_told_at_once_even_if_it_comes_from_another_thread() -> Non
         assert time.monotonic() - begun_s < 30.0
 
 
-def test_a_bug_is_told_without_its_text() -> None:
+def test_a_bug_is_reported_without_its_text() -> None:
     def fail(key: str, payload: bytes) -> object:
         raise RuntimeError("a secret")
 
@@ -105,7 +105,7 @@ def test_a_bug_is_told_without_its_text() -> None:
 
 
 @pytest.mark.parametrize("name", ["a/b", "@ctl", "", "a b", "$*", "*"])
-def test_a_name_that_no_key_can_hold_is_refused(name: str) -> None:
+def test_a_name_that_is_invalid_in_a_key_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="--run"):
         check_run_name(name)
 
@@ -116,7 +116,7 @@ def test_an_empty_address_is_not_the_default_one(monkeypatch: pytest.MonkeyPatch
         open_bus("", run="test", router=True)
 
 
-def test_users_of_zenohs_configuration_are_let_in_and_others_are_not(tmp_path: Path) -> None:
+def test_users_of_a_zenoh_configuration_are_admitted_and_others_are_not(tmp_path: Path) -> None:
     users = tmp_path / "users.txt"
     users.write_text("alice:wonder\n")
     files = {}
@@ -139,7 +139,7 @@ def test_users_of_zenohs_configuration_are_let_in_and_others_are_not(tmp_path: P
                 open_bus(hub.url, run="test", config_file=config).query("@ctl/x", timeout_s=1)
 
 
-def test_a_configuration_that_cannot_be_read_is_the_users_mistake(tmp_path: Path) -> None:
+def test_an_unreadable_configuration_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--zenoh-config"):
         open_bus(config_file=str(tmp_path / "none.json5"))
 
@@ -162,4 +162,4 @@ def test_a_default_address_that_is_another_programs_costs_the_bus_alone(
         begun_s = time.monotonic()
         with pytest.raises(ConfigError, match=held), open_run_bus(url, "test"):
             pass
-        assert time.monotonic() - begun_s < 10.0  # 20 s and more by Zenoh's own patience
+        assert time.monotonic() - begun_s < 10.0  # Zenoh's own timeout would be 20 s or more

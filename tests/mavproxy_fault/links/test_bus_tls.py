@@ -62,7 +62,7 @@ def written(path: Path, tls: dict[str, Any], access: dict[str, Any] | None = Non
     return str(path)
 
 
-def test_a_certificate_of_the_lab_is_let_in_and_a_strangers_or_none_is_refused(
+def test_a_certificate_of_the_lab_is_accepted_and_any_other_or_none_is_refused(
     tmp_path: Path, signed: Signed
 ) -> None:
     router = router_config(tmp_path, signed("router"))

@@ -1,4 +1,4 @@
-"""By default the bus lets in programs of its own user, and nobody else."""
+"""By default the bus admits only programs of its own user."""
 
 import json
 import threading
@@ -14,20 +14,22 @@ ANY_PORT = "tcp/127.0.0.1:0"
 
 
 @pytest.fixture
-def nobody(tmp_path: Path) -> str:
-    """A configuration that asks for nobody and is nobody."""
+def other_user(tmp_path: Path) -> str:
+    """A configuration without a password or user."""
     path = tmp_path / "open.json5"
     path.write_text("{}")
     return str(path)
 
 
-def test_programs_of_the_user_are_let_in_and_others_are_told_why_not(nobody: str) -> None:
+def test_programs_of_the_user_are_admitted_and_others_are_refused_with_a_reason(
+    other_user: str,
+) -> None:
     with open_bus(ANY_PORT, run="test", router=True) as hub:
         hub.serve_queries("@ctl/x", lambda key, payload: "in")
         with open_bus(hub.url, run="test") as own:
             assert own.query("@ctl/x") == [b'"in"']
         with pytest.raises(ConfigError, match="refused the connection"):
-            open_bus(hub.url, run="test", config_file=nobody)
+            open_bus(hub.url, run="test", config_file=other_user)
 
 
 def test_a_plain_zenoh_program_joins_with_the_file_of_the_user() -> None:
@@ -44,12 +46,12 @@ def test_a_plain_zenoh_program_joins_with_the_file_of_the_user() -> None:
 
 
 @pytest.mark.parametrize("by_variable", [False, True])
-def test_a_router_that_asks_for_nobody_is_joined(
-    nobody: str, by_variable: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_router_without_a_password_is_joined(
+    other_user: str, by_variable: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if by_variable:
-        monkeypatch.setenv("ZENOH_CONFIG", nobody)
-    given = "" if by_variable else nobody
+        monkeypatch.setenv("ZENOH_CONFIG", other_user)
+    given = "" if by_variable else other_user
     with open_bus(ANY_PORT, run="test", router=True, config_file=given) as hub:
         hub.serve_queries("@ctl/x", lambda key, payload: "in")
         monkeypatch.delenv("ZENOH_CONFIG", raising=False)
@@ -79,7 +81,7 @@ def test_only_the_user_can_read_the_password_and_it_is_made_once(
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
-def test_without_a_home_the_password_lies_among_temporary_files(
+def test_without_a_home_the_password_is_stored_in_the_temporary_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "/proc/no-such-home")

@@ -9,7 +9,7 @@ HEARTBEAT = message_layout("HEARTBEAT")
 
 
 class Script:
-    """A link that hands over what was written down."""
+    """A link that returns prepared chunks."""
 
     datagrams = False
 
@@ -32,7 +32,7 @@ def beat(seq: int) -> bytes:
     return build_frame(HEARTBEAT, {"type": 6}, seq=seq)
 
 
-def test_a_frame_cut_across_reads_comes_whole() -> None:
+def test_a_frame_split_across_reads_is_complete() -> None:
     assert frames([(0, beat(1)[:7])], [(0, beat(1)[7:] + beat(2))]) == [1, 2]
 
 
@@ -40,9 +40,9 @@ def test_streams_do_not_mix() -> None:
     assert frames([(0, beat(1)[:7]), (1, beat(2))], [(0, beat(1)[7:])]) == [2, 1]
 
 
-def test_half_a_frame_of_a_closed_stream_is_forgotten() -> None:
+def test_an_incomplete_frame_of_a_closed_stream_is_discarded() -> None:
     assert frames([(0, beat(1)[:7]), (0, b"")], [(0, beat(2))]) == [2]
 
 
-def test_bytes_that_are_no_frame_are_left_out() -> None:
+def test_junk_is_left_out() -> None:
     assert frames([(0, b"hello" + beat(1) + b"\xfd\x01")]) == [1]

@@ -9,7 +9,7 @@ from mavproxy_fault.links.spec import open_link
 
 
 @pytest.mark.parametrize("scheme", ["udpin", "tcpin"])
-def test_the_error_tells_who_holds_an_occupied_port(scheme: str) -> None:
+def test_the_error_names_the_process_that_owns_the_port(scheme: str) -> None:
     first = open_link(f"{scheme}:127.0.0.1:0")
     port = first.name.rsplit(":", 1)[1]
     try:
@@ -24,7 +24,7 @@ def test_the_error_tells_who_holds_an_occupied_port(scheme: str) -> None:
     )
 
 
-def test_the_holder_stays_unnamed_where_the_system_does_not_show_it(
+def test_the_owner_of_a_port_is_not_named_if_the_system_hides_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(open_hint, "PROC", tmp_path)

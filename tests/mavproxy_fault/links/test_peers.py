@@ -16,7 +16,7 @@ def peers(*allowed: str, lock: bool = False) -> Peers:
     return found
 
 
-def test_strangers_do_not_cut_off_a_vehicle_that_is_silent() -> None:
+def test_strangers_do_not_displace_a_silent_vehicle() -> None:
     it = peers()
     vehicle = address("10.0.0.1")
     it.register(vehicle, FRAME, 0.0)
@@ -46,7 +46,7 @@ def test_only_allowed_addresses_are_heard() -> None:
     assert set(it.by_address) == {address("10.0.0.9"), address("192.168.7.7")}
 
 
-def test_a_locked_link_hears_the_first_that_proves_itself_and_nobody_else() -> None:
+def test_a_locked_link_accepts_only_the_first_proven_peer() -> None:
     it = peers(lock=True)
     assert it.register(address("10.0.0.1"), b"x", 0.0)
     assert it.register(address("10.0.0.2"), FRAME, 0.1)

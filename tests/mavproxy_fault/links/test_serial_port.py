@@ -25,9 +25,7 @@ def test_a_serial_device_carries_bytes_both_ways() -> None:
     os.close(slave)
 
 
-def test_a_device_that_was_unplugged_is_opened_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unplugged_device_is_reopened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "REOPEN_S", 0.0)
     device = tmp_path / "tty"
     master, slave = os.openpty()
@@ -54,7 +52,7 @@ def test_a_device_that_was_unplugged_is_opened_again(
     os.close(slave)
 
 
-def test_a_device_that_goes_while_it_is_opened_is_opened_later(
+def test_a_device_unplugged_during_opening_is_opened_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_port, "REOPEN_S", 0.0)
@@ -72,7 +70,7 @@ def test_a_device_that_goes_while_it_is_opened_is_opened_later(
     def gone(*_: object) -> None:
         raise serial_port.TerminalError(
             5, "Input/output error"
-        )  # as the kernel says once its end is closed
+        )  # as the kernel reports once the other end is closed
 
     with monkeypatch.context() as meanwhile:
         meanwhile.setattr(termios, "tcsetattr", gone)

@@ -45,17 +45,17 @@ def test_an_output_sends_where_a_master_would_listen() -> None:
      "udpout:127.0.0.1:0", "carrier:127.0.0.1:1", "/dev/ttyACM0,fast", "/dev/ttyACM0,0",
      "nonsense"],
 )  # fmt: skip
-def test_a_wrong_string_is_refused_with_what_is_allowed(text: str) -> None:
+def test_an_invalid_connection_string_is_refused_with_the_allowed_forms(text: str) -> None:
     with pytest.raises(ConfigError, match="; allowed: "):
         parse_spec(text)
 
 
-def test_a_device_that_is_not_there_is_the_users_error() -> None:
+def test_a_missing_device_is_a_user_error() -> None:
     with pytest.raises(ConfigError, match=r"/dev/no-such-tty,57600: cannot be opened"):
         open_link("/dev/no-such-tty,57600")
 
 
-def test_an_address_in_use_is_the_users_error() -> None:
+def test_an_address_in_use_is_a_user_error() -> None:
     first = open_link("udpin:127.0.0.1:0")
     try:
         with pytest.raises(ConfigError, match="cannot be opened: Address already in use"):
@@ -65,7 +65,7 @@ def test_an_address_in_use_is_the_users_error() -> None:
 
 
 @pytest.mark.parametrize("kind", ["udpin", "tcpin", "udpout", "tcp"])
-def test_the_name_of_an_open_link_can_be_given_again(kind: str) -> None:
+def test_the_name_of_an_open_link_is_a_valid_connection_string(kind: str) -> None:
     try:
         link = open_link(f"{kind}:[::1]:{0 if kind.endswith('in') else 9}")
     except ConfigError as error:
@@ -74,7 +74,7 @@ def test_the_name_of_an_open_link_can_be_given_again(kind: str) -> None:
     assert parse_spec(link.name).host == "::1"
 
 
-def test_a_further_kind_of_link_is_found_in_the_file_of_its_name(
+def test_another_kind_of_link_is_found_in_the_module_of_its_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     opened = []

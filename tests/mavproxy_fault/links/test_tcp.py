@@ -29,7 +29,7 @@ def read_until(link: Link, done: Callable[[list[Chunk]], bool]) -> list[Chunk]:
     """Serve a link by its descriptors until `done`."""
     chunks: list[Chunk] = []
     while not done(chunks):
-        # Without a descriptor over all connections, what is pending goes on a few times a second.
+        # Without a common descriptor, pending writes continue a few times per second.
         one_for_all = hasattr(selectors.DefaultSelector, "fileno")
         ready, _, _ = select.select(link.filenos(), [], [], 5 if one_for_all else 0.1)
         assert ready or not one_for_all, chunks
@@ -44,7 +44,7 @@ def connect(server: TcpServer) -> socket.socket:
     return peer
 
 
-def test_a_server_tells_its_peers_apart_and_reports_their_end(server: TcpServer) -> None:
+def test_a_server_distinguishes_its_peers_and_reports_their_end(server: TcpServer) -> None:
     with connect(server) as one, connect(server) as two:
         one.sendall(b"first")
         assert read_until(server, bool) == [(0, b"first")]
@@ -57,7 +57,7 @@ def test_a_server_tells_its_peers_apart_and_reports_their_end(server: TcpServer)
     assert server.peer_count == 0
 
 
-def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog) -> None:
+def test_a_server_accepts_a_limited_number_of_peers_and_rejects_more(server, caplog) -> None:
     with contextlib.ExitStack() as opened:
         peers = [opened.enter_context(connect(server)) for _ in range(MAX_PEERS)]
         late = [
@@ -74,14 +74,14 @@ def test_a_server_takes_so_many_peers_and_turns_further_ones_away(server, caplog
         opened.enter_context(connect(server))
 
 
-def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
+def test_a_server_without_any_descriptor_sleeps_and_accepts_its_peer_later(
     server: TcpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     now_s = [0.0]
     monkeypatch.setattr(tcp.time, "monotonic", lambda: now_s[0])
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     with socket.create_connection(("127.0.0.1", server.port), timeout=5) as peer:
-        # Below what is held: the reserve that is closed for the peer's sake cannot be had again.
+        # Below the number in use: the reserve closed for the peer cannot be reopened.
         resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
         try:
             for _ in range(3):
@@ -97,7 +97,9 @@ def test_a_server_without_any_descriptor_sleeps_and_lets_its_peer_in_later(
     assert caplog.text.count("no descriptor for another peer") == 1
 
 
-def test_a_peer_that_does_not_read_stalls_nobody_and_gets_whole_chunks(server: TcpServer) -> None:
+def test_a_peer_that_does_not_read_stalls_no_other_and_gets_complete_chunks(
+    server: TcpServer,
+) -> None:
     chunk = bytes(range(256)) * 64
     with connect(server) as slow, connect(server) as quick:
         sent = 0
@@ -127,7 +129,7 @@ def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpSer
         server.write_all(chunks)
         assert one.recv(99) == two.recv(99) == b"onetwothree"
         assert server.counters.chunks_out == 6
-        # What would be dropped as a whole if it did not fit goes one by one.
+        # Data that would be dropped as one if it did not fit are sent one by one.
         large = [bytes(tcp.MAX_JOINED_BYTES)] * (QUEUE_LIMIT // tcp.MAX_JOINED_BYTES * 100)
         server.write_all(large)
         assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.MAX_JOINED_BYTES
@@ -162,15 +164,15 @@ def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPat
     client.close()
 
 
-def test_a_client_tells_of_a_connection_that_is_lost_but_of_no_attempt(server, caplog) -> None:
+def test_a_client_reports_a_lost_connection_but_no_failed_attempt(server, caplog) -> None:
     client = TcpClient("127.0.0.1", server.port)
     read_until(server, lambda _: server.peer_count == 1)
     client.read()
     server.close()
     read_until(client, lambda _: client.counters.errors >= 1)
     client.close()
-    told = [record.message for record in caplog.records]
-    assert told == [f"tcp:127.0.0.1:{server.port}: the connection was lost; reconnecting"]
+    messages = [record.message for record in caplog.records]
+    assert messages == [f"tcp:127.0.0.1:{server.port}: the connection was lost; reconnecting"]
 
 
 def test_a_client_that_the_system_connects_to_itself_tries_again(
@@ -181,7 +183,7 @@ def test_a_client_that_the_system_connects_to_itself_tries_again(
     prepare = tcp._prepare
 
     def prepare_at_port(sock: socket.socket) -> None:
-        """As the system now and then chooses it for a port in its own range."""
+        """The port that the system sometimes chooses for a connection in its own range."""
         prepare(sock)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(("127.0.0.1", port))
@@ -198,7 +200,7 @@ def test_a_client_that_the_system_connects_to_itself_tries_again(
         client.close()
 
 
-def test_a_client_without_a_descriptor_tells_once_and_connects_later(
+def test_a_client_without_a_descriptor_reports_it_once_and_connects_later(
     server: TcpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     now_s = [0.0]
@@ -226,7 +228,7 @@ def test_a_client_without_a_descriptor_tells_once_and_connects_later(
         client.close()
 
 
-def test_either_side_finds_out_that_the_other_was_switched_off(server: TcpServer) -> None:
+def test_either_side_detects_that_the_other_was_switched_off(server: TcpServer) -> None:
     client = TcpClient("127.0.0.1", server.port)
     try:
         read_until(server, lambda _: server.peer_count == 1)
@@ -262,15 +264,15 @@ def test_fast_peers_share_what_is_read_in_one_turn(server: TcpServer) -> None:
         read_until(server, lambda chunks: sum(len(data) for _, data in turn + chunks) == everything)
 
 
-def test_a_server_tells_that_nobody_is_left_but_of_none_who_only_knocked(server, caplog) -> None:
+def test_a_server_reports_its_last_peer_leaving_but_not_a_port_check(server, caplog) -> None:
     connect(server).close()
     assert read_until(server, bool) == [(0, b"")]
     with connect(server) as peer:
         peer.sendall(b"word")
         assert read_until(server, bool) == [(1, b"word")]
     assert read_until(server, bool) == [(1, b"")]
-    told = [record.message for record in caplog.records]
-    assert told == [f"{server.name}: the last peer closed its connection; no peer is left"]
+    messages = [record.message for record in caplog.records]
+    assert messages == [f"{server.name}: the last peer closed its connection; no peer is left"]
 
 
 def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
@@ -281,7 +283,7 @@ def test_what_is_written_while_connecting_arrives(server: TcpServer) -> None:
     client.close()
 
 
-def test_a_fast_peer_lets_others_have_their_turn() -> None:
+def test_a_fast_peer_does_not_starve_others() -> None:
     link = TcpServer("127.0.0.1", 0)
     with socket.create_connection(("127.0.0.1", link.port)) as peer:
         peer.setblocking(False)
@@ -293,7 +295,7 @@ def test_a_fast_peer_lets_others_have_their_turn() -> None:
     link.close()
 
 
-def test_a_lone_peer_that_always_speaks_keeps_nobody_at_the_door(
+def test_a_single_busy_peer_does_not_keep_others_from_connecting(
     server: TcpServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = [0.0]

@@ -53,11 +53,11 @@ def test_a_server_answers_every_peer_it_has_heard(
 
 
 def test_a_server_without_peers_counts_what_it_drops(server: UdpServer) -> None:
-    server.write(b"to nobody")
+    server.write(b"without peers")
     assert (server.counters.drops, server.counters.chunks_out) == (1, 0)
 
 
-def test_a_server_forgets_the_silent_but_never_the_latest(server: UdpServer) -> None:
+def test_a_server_drops_silent_peers_but_never_the_latest(server: UdpServer) -> None:
     server.register(b"old", b"", 0.0)
     server.register(b"newer", b"", 1.0)
     server.register(b"new", b"", PEER_EXPIRY_S + 0.5)
@@ -80,7 +80,7 @@ def test_a_client_survives_a_peer_that_comes_and_goes() -> None:
     link.write(b"one")
     assert peer.recv(99) == b"one"
     peer.close()
-    link.write(b"to nobody")
+    link.write(b"without peers")
     link.write(b"refused")
     assert link.read() == []
     assert link.counters.errors > 0
@@ -105,13 +105,13 @@ def test_links_count_chunks_and_bytes(server: UdpServer) -> None:
     client.close()
 
 
-def test_what_the_kernel_could_not_keep_is_counted(
+def test_datagrams_dropped_by_the_kernel_are_counted(
     server: UdpServer, sockets: list[socket.socket]
 ) -> None:
     server.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     for _ in range(100):
         sockets[0].sendto(bytes(1000), ("127.0.0.1", server.port))
-    came = 0
+    received = 0
     while chunks := server.read():
-        came += len(chunks)
-    assert server.lost_in_kernel == 100 - came > 0
+        received += len(chunks)
+    assert server.lost_in_kernel == 100 - received > 0

@@ -52,7 +52,7 @@ def values(sends: list[Send]) -> list[Mapping[str, object]]:
     return found
 
 
-def test_an_untouched_datagram_leaves_as_it_came() -> None:
+def test_an_untouched_datagram_leaves_unchanged() -> None:
     data = sensor(1.0) + b"noise" + heartbeat(component=51)
     assert Core(ROLES[:2]).received(SIM, data, WALL_US) == [Send(AUTOPILOT, data, WALL_US)]
 
@@ -76,7 +76,7 @@ def test_streams_of_one_link_do_not_mix() -> None:
     assert core.received(SIM, sensor(1.0)[30:], WALL_US, stream=0)[0].data == sensor(1.0)
 
 
-def test_a_stream_that_owes_the_rest_of_a_frame_is_not_waited_for_long() -> None:
+def test_an_incomplete_frame_of_a_stream_is_soon_abandoned() -> None:
     roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
     core = Core(roles)
     assert core.received(SIM, b"\xfd\xff\0\0" + heartbeat(), WALL_US) == []
@@ -86,12 +86,12 @@ def test_a_stream_that_owes_the_rest_of_a_frame_is_not_waited_for_long() -> None
     assert b"".join(send.data for send in core.due(due_us)) == b"\xfd\xff\0\0" + heartbeat()
 
 
-def test_a_foreign_byte_holds_no_frame_of_a_slow_stream_back_for_long() -> None:
+def test_a_foreign_byte_delays_frames_of_a_slow_stream_only_briefly() -> None:
     core = Core((LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1]))
     core.received(SIM, b"\xfd\xff", WALL_US)
     late_us = []
     for n in range(20):
-        came_us = WALL_US + n * 250_000  # four a second never let the stream fall silent
+        came_us = WALL_US + n * 250_000  # four per second: the stream is never silent
         left = core.received(SIM, heartbeat(seq=n), came_us)
         while not any(send.data == heartbeat(seq=n) for send in left):
             due_us = core.next_due_us
@@ -133,14 +133,14 @@ def test_no_byte_of_a_stream_waits_for_more_than_a_second(chunks: list[tuple[int
     assert left == came
 
 
-def test_a_stream_that_ends_leaves_nothing_behind() -> None:
+def test_a_stream_that_ends_leaves_no_bytes_behind() -> None:
     roles = (LinkRole("sim", "to-vehicle", datagrams=False), ROLES[1])
     core = Core(roles)
     core.received(SIM, sensor(1.0)[:30], WALL_US)
     assert [s.data for s in core.received(SIM, b"", WALL_US)] == [sensor(1.0)[:30]]
 
 
-def test_a_frame_for_one_component_goes_where_that_was_heard() -> None:
+def test_a_frame_for_one_component_goes_where_it_was_heard() -> None:
     core = Core(ROLES)
     core.received(AUTOPILOT, heartbeat(1, 1), WALL_US)
     core.received(SIM, heartbeat(1, 51), WALL_US)
@@ -151,7 +151,7 @@ def test_a_frame_for_one_component_goes_where_that_was_heard() -> None:
     assert [s.link for s in core.received(GCS, for_all, WALL_US)] == [SIM, AUTOPILOT]
 
 
-def test_a_target_never_heard_is_sought_everywhere() -> None:
+def test_a_frame_for_an_unknown_target_goes_everywhere() -> None:
     request = message("PARAM_REQUEST_LIST", system=255, target_system=77, target_component=1)
     assert [s.link for s in Core(ROLES).received(GCS, request, WALL_US)] == [SIM, AUTOPILOT]
 
@@ -196,7 +196,7 @@ def test_gaps_are_counted_per_component() -> None:
     assert core.gaps() == {(1, 51): 3}
 
 
-def test_who_numbers_the_frames_of_each_link_by_itself_has_no_gaps() -> None:
+def test_a_sender_that_numbers_each_link_separately_has_no_gaps() -> None:
     core = Core(ROLES)
     for seq in range(20):
         core.received(SIM, heartbeat(1, 1, seq), WALL_US)
@@ -222,7 +222,7 @@ def test_a_fault_changes_the_frame_and_writes_its_label_into_the_log() -> None:
     assert ended.t0_us == 10_000_000
 
 
-def test_a_delay_is_kept_on_the_wall_clock() -> None:
+def test_a_delay_is_applied_on_the_wall_clock() -> None:
     schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.25}]"
     core = core_with(schedule)
     sends = core.received(SIM, sensor(5.0), WALL_US)
@@ -234,7 +234,7 @@ def test_a_delay_is_kept_on_the_wall_clock() -> None:
 
 
 def leaping() -> bytes:
-    """One datagram in which a vehicle's clock begins, and leaps by 254 years."""
+    """One datagram in which a vehicle's clock starts and jumps by 254 years."""
     stamps = (10**15, (1 << 53) - 10**6, (1 << 53) - 10**6 + 4000)
     return b"".join(message("HIL_GPS", seq=n, time_usec=t) for n, t in enumerate(stamps))
 
@@ -249,7 +249,7 @@ def test_the_labels_that_the_first_stamp_ends_leave_with_it_whatever_follows() -
     assert len(tape.drain().sent) > 0
 
 
-def test_a_fragment_that_is_kept_back_leaves_though_the_clock_leaps() -> None:
+def test_a_buffered_fragment_leaves_despite_a_time_jump() -> None:
     tape = CaptureBuffer()
     core = core_with("faults: [{id: s, fault: bias, target: PSEUDORANGE.G12, value: 9}]", tape)
     core.received(AUTOPILOT, message("HIL_GPS", time_usec=10**15), WALL_US)
@@ -262,7 +262,7 @@ def test_a_fragment_that_is_kept_back_leaves_though_the_clock_leaps() -> None:
     assert 0 <= sends[0].due_us <= WALL_US + 3000
 
 
-def test_what_is_due_leaves_before_what_comes_later() -> None:
+def test_due_frames_leave_before_later_input() -> None:
     schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.001, for_s: 0.5}]"
     core = core_with(schedule)
     core.received(SIM, sensor(5.0), WALL_US)
@@ -270,7 +270,7 @@ def test_what_is_due_leaves_before_what_comes_later() -> None:
     assert [s.due_us for s in sends] == [WALL_US + 1_000, WALL_US + 2_000]
 
 
-def test_a_schedule_begun_on_the_wall_clock_begins_anew_with_the_first_stamp() -> None:
+def test_a_schedule_begun_on_the_wall_clock_restarts_with_the_first_stamp() -> None:
     schedule = "faults: [{id: d, fault: drop, target: HEARTBEAT, at_s: 2}]"
     core = core_with(schedule)
     assert core.received(SIM, heartbeat(), WALL_US)
@@ -308,7 +308,7 @@ def test_signatures_are_stripped_on_request() -> None:
     assert [s.data for s in core.received(SIM, frame.raw, WALL_US)] == [sensor(1.0)]
 
 
-def test_the_tape_holds_what_came_and_what_left() -> None:
+def test_the_capture_buffer_stores_received_and_sent_frames() -> None:
     tape = CaptureBuffer()
     core = Core(ROLES[:2], tape=tape)
     core.received(SIM, sensor(1.0) + b"noise", WALL_US)
@@ -320,8 +320,8 @@ def test_the_tape_holds_what_came_and_what_left() -> None:
     assert tape.drain().received == b""
 
 
-def test_a_command_reaches_the_vehicle_though_another_signs_as_the_proxy_does_on_its_link() -> None:
-    """A bridge beside an autopilot speaks as component 191, as the proxy's own frames do."""
+def test_a_command_reaches_the_vehicle_though_another_sender_has_the_proxys_component() -> None:
+    """A bridge beside an autopilot uses component 191, like the proxy's own frames."""
     core = core_with(
         "faults: [{fault: command, number: 218, params: [65, 2], afterwards: [65, 0], for_s: 1}]"
     )

@@ -54,7 +54,7 @@ def test_an_untouched_frame_is_the_same_object():
     assert out.due_us == 1_000_000
 
 
-def test_the_label_tells_what_was_done_not_what_was_planned():
+def test_the_label_reports_the_actual_not_the_planned_effect():
     it = engine(BIAS)
     run(it, 0.5)
     opened, closed = it.drain_labels()
@@ -75,7 +75,7 @@ def test_a_label_names_both_ways_of_a_fault_that_cut_both():
     assert (opened.direction, closed.direction) == ("to-vehicle", "both")
 
 
-def test_a_fault_that_meets_no_frame_writes_no_label():
+def test_a_fault_that_matches_no_frame_writes_no_label():
     it = engine("  - {fault: bias, target: HIL_GPS.alt, value: 5, at_s: 0.1, for_s: 0.2}")
     run(it, 0.5)
     assert it.finish(2_000_000) == []
@@ -149,7 +149,7 @@ def test_a_fault_repeats():
     assert [label.frames for label in it.drain_labels() if label.end_us] == [10, 10, 10]
 
 
-def test_a_jump_of_the_clock_does_not_make_a_repeating_fault_run_wild():
+def test_a_time_jump_does_not_trigger_all_missed_repetitions():
     it = engine("""
   - {fault: bias, target: HIL_SENSOR.xgyro, value: 1, for_s: 0.04, repeat: {every_s: 0.1}}
 """)
@@ -169,7 +169,7 @@ def test_a_fault_follows_the_end_of_another():
     assert [t for t, x, _ in run(it, 0.6) if x == 9] == [0.352, 0.356, 0.36, 0.364, 0.368]
 
 
-def test_bytes_that_are_no_frame_pass_an_outage_only_outside_it():
+def test_junk_passes_an_outage_only_outside_it():
     it = engine("  - {fault: drop, at_s: 1, for_s: 1}")
     it.start_at(0)
     assert [out.frame for out in it.junk(b"x", "to-vehicle", 500_000)] == [b"x"]
@@ -190,7 +190,7 @@ def test_a_live_fault_starts_when_armed_and_can_be_changed_and_cleared():
     assert not it.clear("live")
 
 
-def test_a_wrong_live_edit_changes_nothing():
+def test_an_invalid_live_edit_changes_nothing():
     it = engine(BIAS)
     it.start_at(0)
     with pytest.raises(ConfigError, match="did you mean bias"):
@@ -200,7 +200,7 @@ def test_a_wrong_live_edit_changes_nothing():
     assert it.ids() == ["step"]
 
 
-def test_entries_that_stay_in_a_new_schedule_go_on_undisturbed():
+def test_entries_kept_in_a_new_schedule_continue_undisturbed():
     text = "seed: 1\nfaults:\n  - {id: hold, fault: freeze, target: HIL_SENSOR.xgyro}\n"
     it = Engine(parse_schedule(text))
     run(it, 0.004)
@@ -208,7 +208,7 @@ def test_entries_that_stay_in_a_new_schedule_go_on_undisturbed():
     assert run(it, 0.004, 1_004_000, xgyro=0.9)[0][1] == 0.5
 
 
-def test_a_schedule_that_begins_anew_counts_its_times_from_now():
+def test_a_restarted_schedule_counts_its_times_from_now():
     it = engine(BIAS)
     run(it, 0.5)  # it is over
     it.replace(parse_schedule("faults:\n" + BIAS), anew=True)
@@ -217,7 +217,7 @@ def test_a_schedule_that_begins_anew_counts_its_times_from_now():
     assert [t for t, x, _ in again if x == 0.75] == [round(0.096 + 0.004 * i, 6) for i in range(50)]
 
 
-def test_a_saved_schedule_loaded_again_leaves_what_acts_alone():
+def test_a_saved_and_reloaded_schedule_does_not_disturb_active_faults():
     it = engine(BIAS)
     run(it, 0.15)
     it.arm({"id": "live", "fault": "freeze", "target": "HIL_SENSOR.ygyro"})
@@ -228,7 +228,7 @@ def test_a_saved_schedule_loaded_again_leaves_what_acts_alone():
     assert not any(label.end_us for label in it.drain_labels())
 
 
-def test_a_saved_schedule_that_is_to_begin_anew_counts_from_its_first_entry():
+def test_a_schedule_saved_for_a_restart_counts_from_its_first_entry():
     it = Engine(Schedule(1))
     run(it, 0.2)
     it.arm({"id": "a", "fault": "noise", "target": "HIL_SENSOR.ygyro", "value": 1})
@@ -276,7 +276,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_entry_does_not_change_th
     assert run(engine(noise), 0.1) == run(engine(other + noise), 0.1)
 
 
-def test_a_value_that_a_fault_cannot_take_is_refused():
+def test_an_invalid_value_of_a_fault_is_refused():
     it = engine("  - {id: lost, fault: drop, value: 0.5}")
     it.start_at(0)
     with pytest.raises(ConfigError, match="lost = 5"):
@@ -285,7 +285,7 @@ def test_a_value_that_a_fault_cannot_take_is_refused():
     assert it.apply(sensor(1), "to-vehicle", 1) == []
 
 
-def test_plant_parameters_and_satellites_take_streamed_and_changed_values():
+def test_plant_parameters_and_satellites_accept_streamed_and_changed_values():
     it = engine("""
   - {id: wind, fault: plant, target: PLANT.wind_n_mps, profile: {live: {timeout_s: 1}}}
   - {id: range, fault: bias, target: PSEUDORANGE.G12, value: 5, via: simulator}
@@ -293,14 +293,14 @@ def test_plant_parameters_and_satellites_take_streamed_and_changed_values():
     it.start_at(0)
     it.update("wind", 3)
     it.update("range", 8)
-    told = [plant_change(out.frame) for out in it.apply(sensor(1), "to-vehicle", 1) if out.back]
-    assert {change.name: change.value for change in told} == {
+    changes = [plant_change(out.frame) for out in it.apply(sensor(1), "to-vehicle", 1) if out.back]
+    assert {change.name: change.value for change in changes} == {
         "wind_n_mps": 3,
         "pseudorange_m[G12]": 8,
     }
 
 
-def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
+def test_a_value_changed_during_a_fault_gets_a_label() -> None:
     it = engine("  - {id: b, fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")
     said = []
     for number in range(100):  # a second of frames, a new value at each
@@ -313,7 +313,7 @@ def test_a_value_changed_while_the_fault_acts_is_told_by_a_label() -> None:
     assert (done.value, done.start_us, done.frames) == (100.5, said[0].start_us, 100)
 
 
-def test_foreign_bytes_after_a_stamp_far_ahead_cost_no_more_than_a_frame() -> None:
+def test_foreign_bytes_after_a_timestamp_far_ahead_cost_no_more_than_a_frame() -> None:
     it = engine("""
   - {id: again, fault: bias, target: HIL_SENSOR.xgyro, value: 1, for_s: 0.01,
      repeat: {every_s: 0.02}}
@@ -328,7 +328,7 @@ def test_foreign_bytes_after_a_stamp_far_ahead_cost_no_more_than_a_frame() -> No
 
 
 @pytest.mark.parametrize("seconds", [float("inf"), 1e300, 1e15])
-def test_a_time_that_no_clock_reaches_never_comes(seconds: float) -> None:
+def test_an_unreachable_time_never_comes(seconds: float) -> None:
     entry = parse_schedule("faults: [{id: a, fault: drop, target: HIL_SENSOR}]").faults[0]
     it = engine(BIAS)
     run(it, 0.1)
@@ -338,7 +338,7 @@ def test_a_time_that_no_clock_reaches_never_comes(seconds: float) -> None:
     assert it.active == ["b"]
 
 
-def test_injected_faults_that_ended_are_forgotten_after_a_while() -> None:
+def test_ended_injected_faults_are_removed_after_a_while() -> None:
     it = engine(BIAS)
     for n in range(100):
         it.arm({"id": f"live-{n}", "fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1,
@@ -349,10 +349,10 @@ def test_injected_faults_that_ended_are_forgotten_after_a_while() -> None:
     assert it.ids()[-1] == "live-99"
 
 
-def test_a_fault_that_fails_is_told_and_the_frame_passes(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failing_fault_is_reported_and_the_frame_passes(caplog: pytest.LogCaptureFixture) -> None:
     class Broken(Bias, frozen=True, kw_only=True):
         def after(self, *_: object) -> tuple[list[float], None]:
-            raise RuntimeError("a bug in somebody's fault")
+            raise RuntimeError("a bug in a plugin fault")
 
     entry = parse_schedule(f"faults: [{BIAS.strip()[2:]}]").faults[0]
     it = Engine(Schedule(1, (msgspec.structs.replace(
@@ -366,7 +366,7 @@ def test_a_fault_that_fails_is_told_and_the_frame_passes(caplog: pytest.LogCaptu
     assert len(caplog.records) == 1
 
 
-def test_a_fault_whose_clock_goes_far_back_does_not_overflow() -> None:
+def test_a_fault_does_not_overflow_when_its_clock_goes_far_back() -> None:
     it = engine("""
   - {id: float, fault: float, target: HIL_SENSOR.xgyro, settle_s: 0.05}
 """)
@@ -376,13 +376,13 @@ def test_a_fault_whose_clock_goes_far_back_does_not_overflow() -> None:
 
 
 def test_a_schedule_of_a_thousand_entries_costs_ten_times_one_of_a_hundred() -> None:
-    # All times have passed: every entry begins and ends within the edit.
+    # All times are in the past: every entry begins and ends within the edit.
     few, many = (loading_s(count) for count in (100, 1000))
-    assert many < 40 * few  # what looks through all entries for each of them takes 100 times more
+    assert many < 40 * few  # a linear search for each entry would take 100 times more
 
 
 def loading_s(count: int) -> float:
-    """The processor time of an edit that takes another schedule, the least of some."""
+    """The least of several processor times of an edit that loads another schedule."""
     engine = Engine(parse_schedule("faults: []"))
     engine.start_at(0)
     engine.advance_time(10**9)
@@ -402,7 +402,7 @@ def loading_s(count: int) -> float:
     return min(times)
 
 
-def test_entries_made_beforehand_are_those_that_the_edit_would_make() -> None:
+def test_entries_prepared_ahead_equal_those_of_the_edit() -> None:
     schedule = parse_schedule("""
 faults:
   - {id: over, fault: bias, target: ATTITUDE.roll, value: 1, at_s: 1, for_s: 1}

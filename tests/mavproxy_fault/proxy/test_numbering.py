@@ -1,4 +1,4 @@
-"""Frames that the proxy makes, as a ground station counts losses: pymavlink is the judge."""
+"""Sequence numbers of the proxy's own frames, checked by pymavlink's loss counter."""
 
 from collections.abc import Iterable
 
@@ -60,7 +60,7 @@ class Station:
             self.hears(self.core.received(GCS, raw, WALL_US + 100_000 * self.frames))
 
 
-def test_announcements_and_plant_frames_are_one_count() -> None:
+def test_announcements_and_plant_frames_share_sequence_numbers() -> None:
     station = Station(parse_schedule(PLANT), ("to-vehicle", "to-vehicle"), component=51)
     station.vehicle_speaks(40)
     assert station.names.count("TUNNEL") > 10
@@ -69,7 +69,7 @@ def test_announcements_and_plant_frames_are_one_count() -> None:
 
 
 @pytest.mark.parametrize("times", [1, 2, 20])
-def test_answers_in_the_vehicles_name_cost_one_round_of_the_count_at_most(times: int) -> None:
+def test_answers_in_the_vehicles_name_cost_at_most_256_lost_frames(times: int) -> None:
     station = Station(Schedule(1), ("from-vehicle", "to-vehicle"))
     station.vehicle_speaks(4)
     station.commands(times)
@@ -79,7 +79,7 @@ def test_answers_in_the_vehicles_name_cost_one_round_of_the_count_at_most(times:
     assert station.counter.mav_loss == 256 - times
 
 
-def test_answers_for_a_vehicle_that_is_silent_count_on() -> None:
+def test_answers_for_a_silent_vehicle_are_numbered_consecutively() -> None:
     station = Station(Schedule(1), ("from-vehicle", "to-vehicle"))
     station.commands(3)
     assert station.names.count("COMMAND_ACK") == 3

@@ -3,7 +3,7 @@ import random
 from mavproxy_fault.proxy.statistics import LatencyHistogram, format_endpoints
 
 
-def test_percentiles_are_right_to_a_tenth() -> None:
+def test_percentiles_are_accurate_to_a_tenth() -> None:
     rng = random.Random(1)
     latencies = LatencyHistogram()
     values = sorted(rng.lognormvariate(10, 1) for _ in range(10_000))

@@ -1,4 +1,4 @@
-"""One float by a rule for one: the short way of value faults against the general one."""
+"""The fast path of value faults for a single float, compared with the general path."""
 
 import struct
 
@@ -19,7 +19,7 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, build_frame
 
 SENSOR = message_layout("HIL_SENSOR")
-# Every float that an edge may come from: zeros of two signs, subnormal, the limits, no numbers.
+# All edge cases of a float: zeros of both signs, subnormal, the limits, NaN.
 EDGES = [0.0, -0.0, 1e-45, -1e-45, 1e-300, FLOAT_MAX, -FLOAT_MAX, 1e300, float("inf"), float("nan")]
 singles = st.binary(min_size=4, max_size=4) | st.sampled_from(EDGES[:7]).map(
     lambda x: struct.pack("<f", x)
@@ -38,7 +38,7 @@ def at_work(fault: str, value: float, *, short: bool) -> ActiveValueEntry:
 
 
 @given(singles, numbers, st.sampled_from(["bias", "scale", "constant", "saturate", "dead-band"]))
-def test_the_short_way_gives_the_bytes_and_counts_of_the_general_one(
+def test_the_fast_path_gives_the_bytes_and_counts_of_the_general_one(
     healthy: bytes, value: float, fault: str
 ) -> None:
     if not abs(value) <= FLOAT_MAX or fault not in ("bias", "scale", "constant"):
@@ -51,7 +51,7 @@ def test_the_short_way_gives_the_bytes_and_counts_of_the_general_one(
     outcomes = []
     for short in (True, False):
         running, draft = at_work(fault, value, short=short), Draft(frame)
-        for t_us in (5, 6):  # what the first has left, too
+        for t_us in (5, 6):  # with the state left by the first, too
             running.edit(draft, "from-vehicle", t_us)
         left = draft.sealed()
         label = running.close(9)
@@ -67,7 +67,7 @@ def test_a_live_value_acts_on_the_next_frame() -> None:
     assert draft.sealed().number("ygyro") == 3.0
 
 
-def test_a_rule_of_its_own_is_asked_whatever_it_derives_from() -> None:
+def test_an_overridden_rule_is_used_whatever_its_base_class() -> None:
     class Odd(Bias, frozen=True, kw_only=True):
         def after(self, before, key, t_s, state, rng):  # type: ignore[no-untyped-def]
             return [7.0], state
@@ -77,7 +77,7 @@ def test_a_rule_of_its_own_is_asked_whatever_it_derives_from() -> None:
     assert not Bias(value=(1.0, 2.0)).by_value
 
 
-def test_a_rule_that_fails_lets_the_frame_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_passes_if_a_rule_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     running = at_work("bias", 1.0, short=True)
     monkeypatch.setattr(running, "_of", lambda healthy, t_s: "text")
     frame = Frame(build_frame(SENSOR, {"id": 1}), SENSOR)
@@ -91,7 +91,7 @@ REMEMBERING = [name for name, kind in known_faults().items() if getattr(kind, "b
 
 
 @pytest.mark.parametrize("name", sorted(set(REMEMBERING) - {"bit-flip"}))
-def test_of_senders_that_somebody_makes_up_a_fault_remembers_the_first(name: str) -> None:
+def test_a_fault_stores_only_the_first_of_many_invented_senders(name: str) -> None:
     entry = {"fault": name, **known_faults()[name].example, "target": "HIL_SENSOR.xgyro"}
     engine = Engine(parse_schedule({"faults": [entry]}))
     for sender in range(2 * MOST_SENDERS):
@@ -104,7 +104,7 @@ def test_of_senders_that_somebody_makes_up_a_fault_remembers_the_first(name: str
 
 
 @pytest.mark.parametrize("fault", [Lag(value=60.0), Replay(value=60.0)])
-def test_values_of_the_past_cost_no_more_the_more_they_are(fault: Lag | Replay) -> None:
+def test_the_cost_of_past_values_does_not_grow_with_their_number(fault: Lag | Replay) -> None:
     state = None
     for n in range(MOST_ROWS + 9):  # the clock stands still
         _, state = fault.after([n], (1, 1), 0.0, state, None)
@@ -116,7 +116,7 @@ def test_values_of_the_past_cost_no_more_the_more_they_are(fault: Lag | Replay) 
     assert MOST_ROWS <= len(rows) < MOST_ROWS + 10
 
 
-def test_a_lag_lets_go_of_what_is_older() -> None:
+def test_a_lag_releases_older_values() -> None:
     lag, state = Lag(value=0.1), None
     for n in range(10_000):
         after, state = lag.after([n], (1, 1), n / 1000, state, None)

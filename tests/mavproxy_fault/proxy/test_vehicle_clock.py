@@ -12,7 +12,7 @@ def frame(name: str, system: int = 1, component: int = 1, **values: object) -> F
     )
 
 
-def test_stamps_are_read_in_microseconds_even_where_their_zeros_were_cut() -> None:
+def test_timestamps_are_read_in_microseconds_even_with_truncated_zeros() -> None:
     assert stamp_us(frame("HIL_SENSOR", time_usec=1_234_567)) == 1_234_567
     assert stamp_us(frame("ATTITUDE", time_boot_ms=70_000)) == 70_000_000
     assert stamp_us(frame("ATTITUDE", time_boot_ms=5)) == 5_000
@@ -30,7 +30,7 @@ def test_the_first_stamp_starts_the_timeline_and_frames_without_one_take_the_new
     assert clock.read(frame("HEARTBEAT", 255, type=2), 999_999) == 60_000_000
 
 
-def test_a_clock_near_the_timeline_is_taken_as_it_is() -> None:
+def test_a_clock_near_the_timeline_is_used_unchanged() -> None:
     clock = VehicleClock()
     clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=1_990), 0) == 1_990_000
@@ -53,14 +53,14 @@ def test_each_vehicle_has_its_own_clock() -> None:
     assert clock.read(frame("HEARTBEAT", 2, type=2), 0) == 61_000_000
 
 
-def test_time_goes_on_after_a_reboot() -> None:
+def test_time_continues_after_a_reboot() -> None:
     clock = VehicleClock()
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=1_000), 0) == 60_000_000
     assert clock.read(frame("ATTITUDE", time_boot_ms=3_000), 0) == 62_000_000
 
 
-def test_one_wrong_stamp_moves_nothing() -> None:
+def test_one_wrong_timestamp_changes_nothing() -> None:
     for wrong_ms in (80_001, 120_000, 4_000_000_000, 1_000):
         clock = VehicleClock()
         clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
@@ -69,7 +69,7 @@ def test_one_wrong_stamp_moves_nothing() -> None:
         assert clock.read(frame("ATTITUDE", time_boot_ms=wrong_ms), 30_000) == 60_020_000
 
 
-def test_a_leap_that_a_second_stamp_or_the_wall_clock_bears_out_is_followed() -> None:
+def test_a_time_jump_confirmed_by_a_second_timestamp_or_the_wall_clock_is_followed() -> None:
     clock = VehicleClock()
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=90_000), 10_000) == 60_000_000
@@ -78,7 +78,7 @@ def test_a_leap_that_a_second_stamp_or_the_wall_clock_bears_out_is_followed() ->
     assert clock.read(frame("ATTITUDE", time_boot_ms=120_000), after_a_break_us) == 120_000_000
 
 
-def test_a_stamp_that_no_clock_can_show_is_read_as_none() -> None:
+def test_an_impossible_timestamp_is_read_as_none() -> None:
     for stamp in (1 << 53, (1 << 63) - 1, 1 << 63, (1 << 64) - 1):
         clock = VehicleClock()
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 55) == 55
@@ -86,8 +86,8 @@ def test_a_stamp_that_no_clock_can_show_is_read_as_none() -> None:
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 65) == 1_000
 
 
-def test_microseconds_in_32_bits_are_no_clock() -> None:
-    """SERVO_OUTPUT_RAW begins anew every 72 minutes, while its sender's other stamps go on."""
+def test_microseconds_in_32_bits_are_not_a_clock() -> None:
+    """SERVO_OUTPUT_RAW wraps every 72 minutes, while its sender's other timestamps continue."""
     hours = 3 * 3600 * 1000
     outputs = frame("SERVO_OUTPUT_RAW", time_usec=(hours * 1000) % 2**32)
     assert stamp_us(outputs) == 0

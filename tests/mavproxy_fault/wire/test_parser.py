@@ -50,7 +50,7 @@ HEARTBEAT = build_frame(
 
 
 def unknown_frame(payload: bytes = b"payload", number: int = 0xABCDE) -> bytes:
-    """A well-formed frame of a message no dialect knows."""
+    """A well-formed frame of a message that is in no dialect."""
     body = bytes((len(payload), 0, 0, 7, 1, 1)) + number.to_bytes(3, "little") + payload
     crc = mavlink2.x25crc(body + b"\x55").crc
     return b"\xfd" + body + crc.to_bytes(2, "little")
@@ -65,7 +65,7 @@ def shape(items: list[Frame | Junk]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_each_kind_of_frame_is_recognised_and_kept_as_it_is(name: str) -> None:
+def test_each_kind_of_frame_is_recognised_and_kept_unchanged(name: str) -> None:
     (frame,) = Parser().push(FRAMES[name])
     assert isinstance(frame, Frame)
     assert frame.raw == FRAMES[name]
@@ -92,7 +92,7 @@ def test_a_length_too_large_does_not_swallow_the_next_frame() -> None:
     assert parser.incomplete == 0
 
 
-def test_an_unknown_message_passes_as_a_whole() -> None:
+def test_an_unknown_message_passes_in_one_piece() -> None:
     parser = Parser()
     items = parser.push(HEARTBEAT + unknown_frame() + HEARTBEAT)
     assert shape(items) == ["HEARTBEAT", "unknown", "HEARTBEAT"]
@@ -106,7 +106,7 @@ def test_an_unknown_message_with_a_frame_inside_does_not_hide_it() -> None:
     assert joined(items) == unknown_frame(HEARTBEAT)
 
 
-def test_a_start_byte_in_foreign_text_does_not_hide_the_frame_behind_it() -> None:
+def test_a_start_byte_in_foreign_text_does_not_hide_the_next_frame() -> None:
     for seed in range(200):
         noise = b"\xfd" + random.Random(seed).randbytes(30)
         parser = Parser()
@@ -114,7 +114,7 @@ def test_a_start_byte_in_foreign_text_does_not_hide_the_frame_behind_it() -> Non
         assert shape(items).count("HEARTBEAT") == 12, noise.hex()
 
 
-def test_an_unknown_flag_keeps_faults_away_but_passes() -> None:
+def test_a_frame_with_an_unknown_flag_passes_without_faults() -> None:
     raw = bytearray(HEARTBEAT[:-2])
     raw[2] = 0x02
     raw += mavlink2.x25crc(
@@ -140,14 +140,14 @@ def test_an_incomplete_frame_waits_in_a_stream_but_not_in_a_datagram() -> None:
     assert shape(parser.push(HEARTBEAT[:11], datagram=True)) == ["foreign"]
 
 
-def test_release_gives_up_an_incomplete_frame_and_finds_what_it_held_back() -> None:
+def test_release_abandons_an_incomplete_frame_and_finds_the_frames_in_it() -> None:
     parser = Parser()
     assert parser.push(b"\xfd\xff\0\0" + HEARTBEAT) == []
     assert shape(parser.release()) == ["foreign", "HEARTBEAT"]
     assert parser.incomplete == 0
 
 
-def test_a_beginning_that_is_given_up_leaves_the_next_one_waiting() -> None:
+def test_resync_keeps_the_next_incomplete_frame() -> None:
     parser = Parser()
     assert parser.push(b"\xfd\xff\0\0" + HEARTBEAT + FRAMES["v2"][:30]) == []
     assert parser.contains_frame
@@ -177,15 +177,15 @@ def test_any_chunking_loses_no_byte_and_finds_the_same_frames(
         items += parser.push(data[start:end])
     items += parser.release()
     assert joined(items) == data
-    whole = Parser()
-    expected = whole.push(data) + whole.release()
+    reference = Parser()
+    expected = reference.push(data) + reference.release()
     assert [i.raw for i in items if isinstance(i, Frame)] == [
         i.raw for i in expected if isinstance(i, Frame)
     ]
 
 
 @given(st.lists(PIECES, max_size=12))
-def test_pymavlink_finds_no_frame_that_we_miss_in_clean_traffic(pieces: list[bytes]) -> None:
+def test_pymavlink_finds_no_other_frame_in_clean_traffic(pieces: list[bytes]) -> None:
     clean = [p for p in pieces if p in FRAMES.values()]
     link = mavlink2.MAVLink(None)
     link.robust_parsing = True
@@ -194,10 +194,10 @@ def test_pymavlink_finds_no_frame_that_we_miss_in_clean_traffic(pieces: list[byt
     assert [item.raw for item in Parser().push(data)] == theirs
 
 
-def test_bytes_that_all_seem_to_begin_a_frame_cost_time_in_their_number(
+def test_bytes_that_all_look_like_a_frame_start_take_linear_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # Bytes can be found whose every start has a possible CRC: here all of them pass for such.
+    # Crafted input can have a possible CRC at every start; here every CRC is accepted.
     monkeypatch.setattr(parser, "_crc_is_possible", lambda body, crc: True)
     looked = []
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""Logs are read whole, whatever happened to their bytes; pymavlink is the judge."""
+"""Logs are read completely, however corrupted they are; pymavlink is the reference."""
 
 import random
 from pathlib import Path
@@ -43,7 +43,7 @@ def joined(records: list[tuple[int, bytes]]) -> bytes:
     return b"".join(tlog.log_record(t_us, raw) for t_us, raw in records)
 
 
-def test_columns_hold_stamp_sender_sequence_and_fields(tmp_path: Path) -> None:
+def test_columns_contain_timestamp_sender_sequence_and_fields(tmp_path: Path) -> None:
     path = written(tmp_path / "a.tlog", stamped([hil_sensor(0), hil_sensor(1), text(2, b"hi")]))
     columns = tlog.read_columns(path)
     sensor = columns["HIL_SENSOR"]
@@ -54,7 +54,7 @@ def test_columns_hold_stamp_sender_sequence_and_fields(tmp_path: Path) -> None:
     assert columns["STATUSTEXT"]["text"].tolist() == [b"hi"]
 
 
-def test_frames_come_back_in_order_as_they_were_written(tmp_path: Path) -> None:
+def test_frames_are_read_in_order_as_written(tmp_path: Path) -> None:
     records = stamped([hil_sensor(0), text(1, b"x"), hil_sensor(2)])
     path = written(tmp_path / "a.tlog", records)
     assert [(t_us, frame.raw) for t_us, frame in tlog.read_frames(path)] == records
@@ -89,7 +89,7 @@ def test_an_unknown_message_is_kept_as_a_record_without_layout(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("cut", [1, 8, 9, 20])
-def test_a_cut_tail_costs_only_the_last_frame(tmp_path: Path, cut: int) -> None:
+def test_a_truncated_end_costs_only_the_last_frame(tmp_path: Path, cut: int) -> None:
     data = joined(stamped([hil_sensor(i + 1) for i in range(10)]))
     path = written(tmp_path / "a.tlog", data[:-cut])
     assert len(tlog.read_columns(path)["HIL_SENSOR"]) == 9
@@ -104,65 +104,65 @@ def test_a_lost_byte_costs_at_most_one_frame(tmp_path: Path, lost: int) -> None:
     assert np.abs(log.frames["t_us"] - NOON_US).max() < 1_000_000
 
 
-def test_a_frame_whose_stamp_alone_is_damaged_takes_its_neighbours(tmp_path: Path) -> None:
+def test_a_frame_with_a_corrupted_timestamp_gets_that_of_its_neighbour(tmp_path: Path) -> None:
     records = stamped([hil_sensor(i) for i in range(6)])
     records[3] = (records[3][0] ^ 1 << 60, records[3][1])
     columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
     assert columns["HIL_SENSOR"]["t_us"].tolist()[3] == NOON_US + 8000
 
 
-def test_a_clock_that_jumps_and_stays_is_left_alone(tmp_path: Path) -> None:
+def test_a_lasting_time_jump_is_kept(tmp_path: Path) -> None:
     records = stamped([hil_sensor(i) for i in range(3)])
     records += stamped([hil_sensor(i + 3) for i in range(3)], NOON_US - 86_400_000_000)
     columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
     assert columns["HIL_SENSOR"]["t_us"].tolist() == [t_us for t_us, _ in records]
 
 
-def test_stamps_minutes_apart_are_left_alone(tmp_path: Path) -> None:
+def test_timestamps_minutes_apart_are_kept(tmp_path: Path) -> None:
     records = [(NOON_US + i * 120_000_000, hil_sensor(i)) for i in range(5)]
     columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
     assert columns["HIL_SENSOR"]["t_us"].tolist() == [t_us for t_us, _ in records]
 
 
-def test_a_damaged_first_stamp_is_the_next_ones(tmp_path: Path) -> None:
+def test_a_corrupted_first_timestamp_becomes_that_of_the_next(tmp_path: Path) -> None:
     records = stamped([hil_sensor(i) for i in range(4)])
     records[0] = (records[0][0] ^ 1 << 58, records[0][1])
     columns = tlog.read_columns(written(tmp_path / "a.tlog", records))
     assert columns["HIL_SENSOR"]["t_us"].tolist()[0] == records[1][0]
 
 
-def test_joined_logs_of_two_vehicles_are_read_whole(tmp_path: Path) -> None:
+def test_joined_logs_of_two_vehicles_are_read_completely(tmp_path: Path) -> None:
     first = joined(stamped([hil_sensor(i) for i in range(5)]))
     second = joined(stamped([hil_sensor(i, system=2) for i in range(5)], NOON_US * 2))
     columns = tlog.read_columns(written(tmp_path / "a.tlog", first + b"\x00\xfd" + second))
     assert np.bincount(columns["HIL_SENSOR"]["system"]).tolist() == [0, 5, 5]
 
 
-def test_blocks_hold_together_what_the_whole_log_holds(
+def test_all_blocks_together_equal_the_entire_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path / "a.tlog", stamped([hil_sensor(i) for i in range(20)]))
-    whole = tlog.read_columns(path)["HIL_SENSOR"]
+    complete = tlog.read_columns(path)["HIL_SENSOR"]
     monkeypatch.setattr(tlog, "BLOCK_FRAMES", 7)
     blocks = [block["HIL_SENSOR"] for block in tlog.read_blocks(path)]
     assert [len(block) for block in blocks] == [7, 7, 6]
-    assert np.array_equal(np.concatenate(blocks), whole)
-    assert np.array_equal(tlog.read_columns(path)["HIL_SENSOR"], whole)
+    assert np.array_equal(np.concatenate(blocks), complete)
+    assert np.array_equal(tlog.read_columns(path)["HIL_SENSOR"], complete)
 
 
-def test_only_the_messages_asked_for_come_back(tmp_path: Path) -> None:
+def test_only_the_requested_messages_are_returned(tmp_path: Path) -> None:
     path = written(tmp_path / "a.tlog", stamped([hil_sensor(0), text(1, b"x")]))
     assert list(tlog.read_columns(path, only={"STATUSTEXT"})) == ["STATUSTEXT"]
 
 
-def test_a_missing_and_an_empty_log_are_the_users_error(tmp_path: Path) -> None:
+def test_a_missing_or_empty_log_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         tlog.read_columns(tmp_path / "none.tlog")
     with pytest.raises(ConfigError, match="empty"):
         tlog.read_columns(written(tmp_path / "a.tlog", b""))
 
 
-def test_bytes_that_are_no_log_give_no_columns(tmp_path: Path) -> None:
+def test_bytes_that_are_not_a_log_give_no_columns(tmp_path: Path) -> None:
     path = written(tmp_path / "a.tlog", random.Random(1).randbytes(20_000))
     log = tlog.read_log(path)
     assert sum(len(rows) for rows in log.columns.values()) <= 1
@@ -189,20 +189,20 @@ def mutated(records: list[tuple[int, bytes]], seed: int, drop: bool) -> tuple[by
     data = bytearray()
     intact = 0
     for t_us, raw in records:
-        whole = bytearray(tlog.log_record(t_us, raw))
-        hit = [i for i in range(len(whole)) if rng.random() < 0.001]
+        complete = bytearray(tlog.log_record(t_us, raw))
+        hit = [i for i in range(len(complete)) if rng.random() < 0.001]
         intact += all(i < 8 for i in hit)
         for i in reversed(hit):
             if drop:
-                del whole[i]
+                del complete[i]
             else:
-                whole[i] ^= rng.randrange(1, 256)
-        data += whole
+                complete[i] ^= rng.randrange(1, 256)
+        data += complete
     return bytes(data), intact
 
 
 @pytest.mark.parametrize("drop", [False, True])
-def test_damage_of_one_byte_in_a_thousand_loses_next_to_no_intact_frame(
+def test_corruption_of_one_byte_in_a_thousand_loses_almost_no_intact_frame(
     tmp_path: Path, shared_data: Path, drop: bool
 ) -> None:
     source = shared_data / "px4_hil" / "hover_gps_jump_hil.tlog"

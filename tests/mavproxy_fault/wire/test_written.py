@@ -1,4 +1,4 @@
-"""Files with a hole at their end: only what was written is read."""
+"""Files with a hole at their end: only the written part is read."""
 
 from pathlib import Path
 
@@ -31,14 +31,14 @@ def test_the_end_is_where_the_last_data_are(tmp_path: Path) -> None:
     assert written_bytes(with_hole(tmp_path / "c", b"")) == 0
 
 
-def test_a_file_without_a_hole_is_taken_whole(tmp_path: Path) -> None:
+def test_a_file_without_a_hole_is_read_completely(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(bytes(10_000))
     assert written_bytes(tmp_path / "a") == 10_000
     (tmp_path / "b").touch()
     assert written_bytes(tmp_path / "b") == 0
 
 
-def test_a_log_in_reserved_space_is_read_as_far_as_it_was_written(tmp_path: Path) -> None:
+def test_a_log_in_preallocated_space_is_read_up_to_its_written_end(tmp_path: Path) -> None:
     frame = build_frame(message_layout("HEARTBEAT"), {"type": 2})
     path = with_hole(tmp_path / "a.tlog", tlog.log_record(1_000_000, frame))
     log = tlog.read_log(path)

@@ -21,7 +21,7 @@ def sent(one):
     return found
 
 
-def test_a_command_passes_as_it_is():
+def test_a_command_passes_unchanged():
     command = frame("COMMAND_LONG", command=400, param1=1)
     assert CompanionFeed().step(command, 0) == command.raw
 
@@ -45,7 +45,7 @@ def test_a_second_receiver_becomes_gps_input():
     assert round(found.number("vn"), 5) == -1.2
 
 
-def test_odometry_comes_in_the_frame_that_ardupilot_reads():
+def test_odometry_is_converted_to_the_frame_that_ardupilot_reads():
     odometry = frame("ODOMETRY", frame_id=1, child_frame_id=12, x=1.5)
     found = sent(odometry)
     assert found.number("frame_id") == 20
@@ -58,7 +58,7 @@ def test_odometry_comes_in_the_frame_that_ardupilot_reads():
     ("name", "field"),
     [("ODOMETRY", "pose_covariance"), ("VISION_POSITION_ESTIMATE", "covariance")],
 )
-def test_an_attitude_of_unknown_variance_is_no_number_that_forbids_arming(name, field):
+def test_an_unknown_attitude_variance_does_not_prevent_arming(name, field):
     covariance = [0.04] * 15 + [math.nan, 0.0, 0.0, math.nan, 0.0, math.nan]
     found = sent(frame(name, **{field: covariance}))
     assert [found.number(field, place) for place in (15, 18, 20)] == [0, 0, 0]

@@ -22,23 +22,23 @@ def test_a_line_is_what_sitl_parses_byte_for_byte():
     )
 
 
-def test_airspeed_is_told_only_where_it_is_measured():
+def test_airspeed_is_sent_only_if_it_is_measured():
     line = json.loads(state_line(STATE._replace(airspeed_mps=18.25)))
     assert line["airspeed"] == 18.25
     assert b"airspeed" not in state_line(STATE)
 
 
-def test_a_battery_is_told_only_where_there_is_one():
+def test_a_battery_is_sent_only_if_there_is_one():
     line = json.loads(state_line(STATE._replace(battery_va=(11.75, 14.5))))
     assert line["battery"] == {"voltage": 11.75, "current": 14.5}
     assert b"battery" not in state_line(STATE)
 
 
-def test_no_blank_stands_between_a_key_and_its_vector():
+def test_there_is_no_blank_between_a_key_and_its_vector():
     assert b" " not in state_line(STATE)
 
 
-def test_a_day_of_microseconds_keeps_every_one_of_them():
+def test_a_timestamp_of_a_day_keeps_its_microseconds():
     line = json.loads(state_line(STATE._replace(t_us=86_400_000_001)))
     assert round(line["timestamp"] * 1e6) == 86_400_000_001
 
@@ -63,5 +63,5 @@ def test_thirty_two_outputs_are_read_too():
 @pytest.mark.parametrize(
     "data", [b"", b"\x1a\x48", struct.pack("<HHI16H", 1, 0, 0, *[0] * 16), b"\x1a\x48" + bytes(39)]
 )
-def test_what_is_no_servo_packet_is_none(data):
+def test_bytes_that_are_not_a_servo_packet_give_none(data):
     assert read_servos(data) is None

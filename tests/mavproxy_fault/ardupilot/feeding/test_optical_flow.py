@@ -64,5 +64,5 @@ def test_two_frames_at_once_are_one():
 
 
 @pytest.mark.parametrize("broken", [{"integrated_x": math.nan}, {"integration_time_us": 0}])
-def test_what_is_no_number_is_no_flow(broken):
+def test_an_invalid_number_is_no_flow(broken):
     assert sent(FlowInput().step(flow(0.4, **broken), 0)).number("flow_x") == 0

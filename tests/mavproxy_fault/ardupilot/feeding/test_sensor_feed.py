@@ -44,7 +44,7 @@ def test_an_imu_sample_is_one_packet_and_one_line():
     assert line["position"] == [0, 0, 0]
 
 
-def test_a_sample_that_a_fault_withheld_is_no_packet_but_time_goes_on():
+def test_a_sample_dropped_by_a_fault_gives_no_packet_but_time_advances():
     readings = readings_of(sensor(zacc=-9.75))
     feed = SensorFeed(HOME)
     feed.step(readings, HOME, OUTPUTS)
@@ -54,20 +54,20 @@ def test_a_sample_that_a_fault_withheld_is_no_packet_but_time_goes_on():
     assert json.loads(fed.physics)["timestamp"] == 0.005
 
 
-def test_the_second_imu_goes_the_other_way():
+def test_the_second_imu_is_sent_by_json_physics():
     readings = readings_of(sensor(xgyro=0.5), sensor(id=1, xgyro=0.25))
     fed = SensorFeed(HOME).step(readings, HOME, OUTPUTS)
     assert struct.unpack_from("<f", fed.vectornav, 4 + 8) == (0.5,)
     assert json.loads(fed.physics)["imu"]["gyro"] == [0.25, 0, 0]
 
 
-def test_the_battery_of_the_link_stands_in_the_line():
+def test_the_battery_of_the_link_is_in_the_line():
     pack = frame("BATTERY_STATUS", voltages=(12_600, *(0xFFFF,) * 9), current_battery=1450)
     fed = SensorFeed(HOME).step(readings_of(sensor(), pack), HOME)
     assert json.loads(fed.physics)["battery"] == {"voltage": 12.6, "current": 14.5}
 
 
-def test_a_fix_becomes_a_packet_and_health_follows_it():
+def test_a_fix_becomes_a_packet_and_sets_the_health():
     fix = frame("HIL_GPS", lat=474_000_000, lon=85_000_000, alt=488_000, eph=50, epv=80, vn=150,
                 fix_type=3, satellites_visible=12)  # fmt: skip
     feed, readings = SensorFeed(HOME), readings_of(sensor(), fix)
@@ -85,19 +85,19 @@ def test_nothing_is_sent_that_is_not_configured():
 
 
 def test_an_imu_output_with_the_estimate_in_it_comes_before_any_fix():
-    # ArduPilot 4.5 asks for both in one
+    # ArduPilot 4.5 requests both in one output
     both = BinaryOutput(0x34, [0x072E, 0x0106, 0x0612])
     (raw,) = [SensorFeed(HOME).step(readings_of(sensor()), HOME, [both]).vectornav]
     assert len(raw) == 170
     assert struct.unpack_from("<3d", raw, 8 + 124 - 4) == (0, 0, 0)
 
 
-def test_a_second_receiver_is_not_the_sensors():
+def test_a_second_receiver_does_not_become_the_vectornav():
     readings = readings_of(sensor(), frame("HIL_GPS", id=1, fix_type=3))
     assert len(SensorFeed(HOME).step(readings, HOME, OUTPUTS).vectornav) == IMU_BYTES
 
 
-def test_the_place_is_told_in_metres_from_home():
+def test_the_position_is_sent_in_metres_from_home():
     # a degree of latitude is 111,319 m, of longitude at 47.4 degrees 0.67688 of it
     away = HOME._replace(lat_e7=474_001_000, lon_e7=85_001_000, alt_mm=498_000)
     fed = SensorFeed(HOME).step(readings_of(sensor()), away)

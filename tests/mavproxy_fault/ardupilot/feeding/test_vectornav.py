@@ -72,11 +72,11 @@ def test_the_crc_is_that_of_vectornav():
 
 def test_packets_have_the_lengths_that_the_drivers_wait_for():
     lengths = [len(output.packet(VALUES)) for output in OUTPUTS]
-    # sync, head, payload, CRC; those of 4.5 stand in its driver
+    # sync, header, payload, CRC; the lengths of 4.5 are from its driver
     assert lengths == [1 + 3 + 76 + 2, 1 + 7 + 94 + 2, 1 + 7 + 100 + 2, 170, 92]
 
 
-def test_outputs_are_sent_with_what_they_hold():
+def test_outputs_are_triggered_by_their_contents():
     paces = [output.pace for output in OUTPUTS]
     assert paces == ["imu", "estimate", "gnss", "imu", "gnss"]
 
@@ -108,7 +108,7 @@ def test_a_better_fix_than_3d_is_3d():
     assert gnss_values(FIX._replace(fix=6))["fix"] == (3,)
 
 
-def test_the_sensor_tells_no_attitude_of_its_own():
+def test_the_sensor_does_not_reveal_the_true_attitude():
     values = struct.unpack("<Q3f4f3fH3d3fff", ESTIMATE_OUTPUT.packet(VALUES)[8:-2])
     assert values[1:8] == (0, 0, 0, 0, 0, 0, 1)
     assert values[11] == 6  # tracking, with a fix
@@ -129,6 +129,6 @@ def test_before_any_fix_the_sensor_tracks_nothing():
         (0x05, [0x0001], "needs one for each group"),
     ],
 )
-def test_an_output_that_is_not_served_is_refused(groups, words, message):
+def test_an_unsupported_output_is_refused(groups, words, message):
     with pytest.raises(ConfigError, match=message):
         BinaryOutput(groups, words)

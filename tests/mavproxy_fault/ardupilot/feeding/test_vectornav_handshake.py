@@ -32,15 +32,15 @@ def test_nothing_streams_before_the_driver_has_configured_it(handshake_lines):
 
 @given(st.data())
 def test_any_chunking_gives_the_same_answers(handshake_lines, data):
-    whole = b"".join(handshake_lines)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=8)))
-    ends = [0, *cuts, len(whole)]
+    data_bytes = b"".join(handshake_lines)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(data_bytes)), max_size=8)))
+    ends = [0, *cuts, len(data_bytes)]
     handshake = Handshake()
-    answers = b"".join(handshake.received(whole[a:b]) for a, b in pairwise(ends))
-    assert answers == Handshake().received(whole)
+    answers = b"".join(handshake.received(data_bytes[a:b]) for a, b in pairwise(ends))
+    assert answers == Handshake().received(data_bytes)
 
 
-def test_a_damaged_line_is_not_answered():
+def test_a_corrupted_line_is_not_answered():
     assert Handshake().received(b"$VNASY,1*00\r\n") == b""
     assert Handshake().received(b"VNASY,1\r\n") == b""
     assert Handshake().received(b"\r\n") == b""
@@ -56,19 +56,19 @@ def test_a_pause_stops_the_stream():
     assert len(handshake.outputs) == 1
 
 
-def test_an_output_that_is_not_served_is_told():
+def test_an_unsupported_output_is_reported():
     with pytest.raises(ConfigError, match="field 3 of group 1"):
         Handshake().received(format_sentence(b"VNWRG,75,3,2,01,0008"))
 
 
-def test_numbers_that_are_none_are_not_answered():
+def test_invalid_numbers_are_not_answered():
     handshake = Handshake()
     for body in (b"VNRRG,x", b"VNWRG,75,3,2,zz,0721", b"VNWRG,x,3,2,01,0721"):
         assert handshake.received(format_sentence(body)) == b""
     assert not handshake.outputs
 
 
-def test_a_line_without_end_does_not_grow_for_ever():
+def test_an_endless_line_does_not_grow_without_bound():
     handshake = Handshake()
     for _ in range(100):
         handshake.received(b"x" * 1000)
