@@ -1,7 +1,7 @@
-"""What ten faults on one message cost a frame: python benchmarks/fault_cost.py
+"""Cost per frame of ten faults on one message: python benchmarks/fault_cost.py
 
-Processor time of the forwarding thread, the least of some stretches; system calls are within the
-compiled figure, none in the interpreted one.
+Processor time of the forwarding thread, the least of several batches; the compiled value includes
+system calls, the interpreted one has none.
 """
 
 import contextlib
@@ -67,7 +67,7 @@ def interpreted_us(text: str, frames: list[bytes]) -> float:
 
 
 def compiled_us(text: str, frames: list[bytes]) -> float:
-    """Microseconds per frame through the machine code, from socket to socket."""
+    """Microseconds per frame on the compiled path, from socket to socket."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
@@ -93,7 +93,7 @@ def compiled_us(text: str, frames: list[bytes]) -> float:
 def stretch_s(
     server: Server, frames: list[bytes], vehicle: socket.socket, station: socket.socket
 ) -> float:
-    """Seconds that the forwarding thread computed for some frames."""
+    """Processor seconds of the forwarding thread for a batch of frames."""
     forwarder = server._forwarder
     assert forwarder is not None
     spent_s = 0.0

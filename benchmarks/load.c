@@ -1,11 +1,11 @@
 /* Load on a MAVLink proxy: HIL_SENSOR frames in at one UDP port, out at another.
 
-   load IN_PORT OUT_PORT window WINDOW COUNT     closed loop, so many in flight
+   load IN_PORT OUT_PORT window WINDOW COUNT     closed loop, WINDOW frames in flight
    load IN_PORT OUT_PORT rate PER_SECOND COUNT   open loop at a steady rate
-   load IN_PORT OUT_PORT stamped PER_SECOND COUNT    the same, arrivals as the kernel stamps them
+   load IN_PORT OUT_PORT stamped PER_SECOND COUNT    the same, with kernel arrival timestamps
 
-   It never sleeps, so that its own waking is not measured; `stamped` is also blind to being held
-   off by the machine. Prints one line: sent received lost seconds p50_us p99_us p999_us (latency,
+   It never sleeps, so that its own wake-up is not measured; `stamped` also excludes its own
+   scheduling delays. Prints one line: sent received lost seconds p50_us p99_us p999_us (latency,
    send to receive). */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
@@ -41,7 +41,7 @@ static uint16_t crc(const uint8_t *data, size_t length)
     return sum;
 }
 
-/* Frame number n: time_usec counts in 100 us from 1 s and tells which one it is. */
+/* Frame number n: time_usec counts in 100 us from 1 s and identifies the frame. */
 static void make(uint8_t *frame, uint64_t n)
 {
     static const uint8_t head[10] = {0xFD, PAYLOAD, 0, 0, 0, 1, 51, ID, 0, 0};

@@ -2,13 +2,12 @@
 
     python benchmarks/proxy.py [--router PATH] [--rounds N] [--realtime]
 
-HIL_SENSOR frames, one per UDP datagram, go in at one port and come out at another (`load.c`,
-compiled here). Our proxy runs with ten active faults, one of which changes every frame, and with
-ten of which five do. The
-proxies take turns within each round, so that what else the machine does hits all of them alike;
-medians of the rounds are printed as a Markdown table. `--router` adds a mavlink-routerd;
-`--command NAME=COMMAND` any proxy, whose command gets `{master}` and `{out}` (or `{in_port}` and
-`{out_port}`).
+HIL_SENSOR frames, one per UDP datagram, are sent to one port and received at another (`load.c`,
+compiled here). mavproxy-fault runs with ten active faults, one of which changes every frame, and
+with ten of which five do. The proxies take turns within each round, so that other load on the
+machine affects them alike; medians of the rounds are printed as a Markdown table. `--router` adds
+a mavlink-routerd; `--command NAME=COMMAND` any proxy, whose command gets `{master}` and `{out}` (or
+`{in_port}` and `{out_port}`).
 """
 
 import argparse
@@ -27,8 +26,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 HERE = Path(__file__).parent
-OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --zenoh off --master udpin:{{master}} "
-OURS += "--to udpout:{out}"
+PROXY = f"{sys.executable} -m mavproxy_fault.cli proxy --zenoh off --master udpin:{{master}} "
+PROXY += "--to udpout:{out}"
 FAULTS = """\
 seed: 1
 faults:
@@ -61,7 +60,7 @@ faults:
   - {id: ten, fault: drift, target: HIGHRES_IMU.xgyro, value: 0.1}
 """
 DELAY = "faults: [{id: late, fault: delay, target: HIL_SENSOR, value: 0.0072}]\n"
-SETTLE_S = 2.0  # ours loads its live control in the first second
+SETTLE_S = 2.0  # mavproxy-fault loads live control in the first second
 CASES = (
     ("64 in flight", "window", 64, 100_000),
     ("lockstep", "window", 1, 20_000),
@@ -134,7 +133,7 @@ class Bench:
                 if self.measure(process, in_port, out_port, "rate", 100, 5).received == 5:
                     break
             else:
-                raise SystemExit(f"nothing comes through: {text}")
+                raise SystemExit(f"no frame passes: {text}")
             time.sleep(SETTLE_S)
             if self.realtime:
                 os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(10))
@@ -177,12 +176,12 @@ def commands(args: argparse.Namespace, bench: Bench) -> dict[str, str]:
     found = {"C forwarder": f"{bench.forwarder} {{in_port}} {{out_port}}"}
     if args.router:
         found["mavlink-router"] = f"{args.router} -t 0 -e {{out}} {{master}}"
-    found["ours, no fault"] = OURS
-    found["ours, ten faults"] = f"{OURS} --schedule {schedule}"
+    found["mavproxy-fault, no fault"] = PROXY
+    found["mavproxy-fault, ten faults"] = f"{PROXY} --schedule {schedule}"
     five = bench.folder / "five.yaml"
     five.write_text(FIVE_EACH)
-    found["ours, ten faults, five on each frame"] = f"{OURS} --schedule {five}"
-    found["ours, ten faults, --busy-poll"] = f"{OURS} --schedule {schedule} --busy-poll"
+    found["mavproxy-fault, ten faults, five on each frame"] = f"{PROXY} --schedule {five}"
+    found["mavproxy-fault, ten faults, --busy-poll"] = f"{PROXY} --schedule {schedule} --busy-poll"
     for text in args.command:
         name, _, command = text.partition("=")
         found[name] = command
@@ -193,7 +192,7 @@ def cold_row(bench: Bench) -> str:
     """Frames lost of 100,000 in the first second after the line `ready`."""
     lost = []
     for name, command in commands(argparse.Namespace(router=None, command=[]), bench).items():
-        if not name.startswith("ours"):
+        if not name.startswith("mavproxy-fault"):
             continue
         in_port, out_port = free_port(), free_port()
         text = command.format(master=f"127.0.0.1:{in_port}", out=f"127.0.0.1:{out_port}")
@@ -208,12 +207,12 @@ def cold_row(bench: Bench) -> str:
 
 
 def delay_row(bench: Bench) -> str:
-    """How late frames delayed by 7.2 ms come, at 200 a second, and how late frames at once."""
+    """Lateness of frames delayed by 7.2 ms, at 200 per second, and of frames without a delay."""
     schedule = bench.folder / "delay.yaml"
     schedule.write_text(DELAY)
     found = []
-    late = f"{OURS} --schedule {schedule}"
-    for command in (OURS, late, f"{late} --busy-poll"):
+    late = f"{PROXY} --schedule {schedule}"
+    for command in (PROXY, late, f"{late} --busy-poll"):
         with bench.running(command) as (process, in_port, out_port):
             bench.measure(process, in_port, out_port, "stamped", 200, 100)
             found.append(bench.measure(process, in_port, out_port, "stamped", 200, 1000))
@@ -226,10 +225,10 @@ def delay_row(bench: Bench) -> str:
 
 
 def start_row(bench: Bench) -> str:
-    """From the start of the process to its line `ready`, the machine code and .pyc files there."""
-    told = []
+    """Time from process start to its line `ready`, with compiled kernels and .pyc files."""
+    rows = []
     for name, command in commands(argparse.Namespace(router=None, command=[]), bench).items():
-        if name not in ("ours, no fault", "ours, ten faults"):
+        if name not in ("mavproxy-fault, no fault", "mavproxy-fault, ten faults"):
             continue
         times = []
         for _ in range(9):
@@ -241,8 +240,8 @@ def start_row(bench: Bench) -> str:
             times.append(time.perf_counter() - begun)
             process.send_signal(signal.SIGINT)
             process.communicate()
-        told.append(f"{name} {statistics.median(times):.2f} s ({min(times):.2f}-{max(times):.2f})")
-    return f"start to ready, median of 9: {'; '.join(told)}"
+        rows.append(f"{name} {statistics.median(times):.2f} s ({min(times):.2f}-{max(times):.2f})")
+    return f"start to ready, median of 9: {'; '.join(rows)}"
 
 
 def main() -> None:

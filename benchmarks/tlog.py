@@ -1,4 +1,4 @@
-"""How fast logs are read, and how much of a damaged log: ours, fasttlogparser and pymavlink.
+"""Speed and recovery of log readers: mavproxy-fault, fasttlogparser and pymavlink.
 
     python benchmarks/tlog.py [MEGABYTES]
 
@@ -27,7 +27,7 @@ LOGS = (
 )
 LEAST_MEMORY = 400_000_000  # bytes of data that the process reading block by block may hold
 PYMAVLINK_MB = 8  # it would take minutes for more
-READERS = ("ours", "fasttlogparser", "pymavlink")
+READERS = ("mavproxy-fault", "fasttlogparser", "pymavlink")
 
 
 def reset_peak() -> int:
@@ -46,7 +46,7 @@ def peak_now() -> int:
 
 def read(reader: str, path: str) -> dict[str, float]:
     """Read a log with one reader: frames, processor seconds and memory."""
-    if reader == "ours":
+    if reader == "mavproxy-fault":
         from mavproxy_fault.wire.tlog import read_columns
 
         read_columns(DATA / LOGS[2])  # loads the compiled code
@@ -154,18 +154,18 @@ def read_blocks(path: str) -> dict[str, float]:
 
 
 def recovery(folder: Path) -> None:
-    print("\n| damage | reader | frames | of the whole log |")
+    print("\n| corruption | reader | frames | of the entire log |")
     print("|---|---|---:|---:|")
     data = (DATA / LOGS[1]).read_bytes()
     path = folder / "log.tlog"
     path.write_bytes(data)
-    whole = measured("ours", path, 1)["frames"]
+    complete = measured("mavproxy-fault", path, 1)["frames"]
     for drop in (False, True):
         path.write_bytes(damaged(data, drop))
         for reader in READERS:
             found = measured(reader, path, 1)
             what = "1 byte in 1,000 " + ("lost" if drop else "changed")
-            share = f"{100 * found['frames'] / whole:.2f} %" if found else "fails"
+            share = f"{100 * found['frames'] / complete:.2f} %" if found else "fails"
             print(f"| {what} | {reader} | {found.get('frames', 0):,} | {share} |", flush=True)
 
 
