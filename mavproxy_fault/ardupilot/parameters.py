@@ -15,7 +15,7 @@ from mavproxy_fault.documents.errors import ConfigError
 VehicleKind = Literal["copter", "plane"]
 VEHICLE_KINDS: tuple[VehicleKind, ...] = ("copter", "plane")
 EAHRS_ALL = 15  # EAHRS_SENSORS: GPS, IMU, barometer, compass
-LOOP_HZ = {"copter": 400, "plane": 100}
+LOOP_HZ = {"copter": 400, "plane": 100}  # highest SCHED_LOOP_RATE that the bridge sets
 
 SENSORS = {
     "AHRS_EKF_TYPE": 3,

@@ -26,7 +26,7 @@ STREAM_INTERVALS_US = {  # requested from a board, which streams nothing by itse
 }
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
-REPEAT_US = 1_000_000
+REPEAT_US = 1_000_000  # chosen: prompt at start-up without flooding a board
 
 REQUIRED_PARAMETERS = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
 

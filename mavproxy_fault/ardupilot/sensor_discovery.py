@@ -10,8 +10,8 @@ from mavproxy_fault.ardupilot.parameters import AvailableSensors
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.frame import Frame
 
-DISCOVERY_US = 1_000_000
-SLOWEST_HZ, FASTEST_HZ = 50.0, 1000.0
+DISCOVERY_US = 1_000_000  # chosen: every sensor of a HIL simulator reports within a second
+SLOWEST_HZ, FASTEST_HZ = 50.0, 1000.0  # step rates accepted by the bridge
 VISION = "ODOMETRY", "VISION_POSITION_ESTIMATE"
 
 

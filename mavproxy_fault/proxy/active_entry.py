@@ -9,6 +9,7 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 BOTH_DIRECTIONS = "both"  # directions of one activation
-NEVER_US = 1 << 62
 VALUE_LABEL_INTERVAL_US = 200_000  # between two labels of new values: a slider moves faster
 
 

@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mavproxy_fault.proxy.announcements import label_announcement
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
-from mavproxy_fault.proxy.interfaces import CommandResponder, Direction, FaultEngine, LinkRole, Send
+from mavproxy_fault.proxy.interfaces import (
+    NEVER_US,
+    CommandResponder,
+    Direction,
+    FaultEngine,
+    LinkRole,
+    Send,
+)
 from mavproxy_fault.proxy.numbering import Numbering
 from mavproxy_fault.proxy.outgoing_batch import OutgoingBatch, join_datagrams, source_of
 from mavproxy_fault.proxy.resync_deadline import ResyncDeadline
@@ -42,8 +49,6 @@ from mavproxy_fault.wire.signing import Signing
 if TYPE_CHECKING:
     from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
-
-NEVER_US = 1 << 62
 
 
 @dataclass(slots=True)

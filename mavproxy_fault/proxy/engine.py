@@ -15,7 +15,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.proxy.active_entry import NEVER_US, ActiveEntry, add_seconds
+from mavproxy_fault.proxy.active_entry import ActiveEntry, add_seconds
+from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.proxy.value_entry import ActiveValueEntry, activate_entry
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
 from mavproxy_fault.schedule.saving import write_schedule

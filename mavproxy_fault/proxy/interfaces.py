@@ -9,6 +9,8 @@ if TYPE_CHECKING:  # a proxy without faults starts faster without them
     from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
 
+NEVER_US = 1 << 62  # later than any timestamp (below `sender_rules.MAX_STAMP_US`)
+
 Direction = Literal["to-vehicle", "from-vehicle"]
 
 

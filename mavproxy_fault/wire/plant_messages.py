@@ -18,7 +18,7 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
 PAYLOAD_TYPE = 33800  # TUNNEL.payload_type
-PAYLOAD_MAX = 128
+PAYLOAD_MAX = 128  # bytes of TUNNEL.payload
 SIMULATOR = (1, 51)  # system, component
 
 

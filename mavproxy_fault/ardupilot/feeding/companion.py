@@ -19,7 +19,7 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
 GPS_INPUT = message_layout("GPS_INPUT")
-WEEK_US = 604_800_000_000
+WEEK_US = 604_800_000_000  # of GPS time
 LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
 COVARIANCES = {"ODOMETRY": "pose_covariance", "VISION_POSITION_ESTIMATE": "covariance"}
 ATTITUDE_VARIANCES = 15, 18, 20  # of the upper triangle of a 6x6 matrix

@@ -16,10 +16,8 @@ from mavproxy_fault.wire.frame import Frame, build_frame
 OPTICAL_FLOW = message_layout("OPTICAL_FLOW")
 SCALER = -990  # FLOW_FXSCALER and FLOW_FYSCALER: thousandths added to a factor of 1
 SCALE = 1.0 + SCALER * 1e-3
-INT16_MAX = 0x7FFF  # of an int16
-DRIVER_TIMEOUT_US = (
-    500_000  # after this gap the driver treats a frame as the first and reads no flow
-)
+INT16_MAX = 0x7FFF
+DRIVER_TIMEOUT_US = 500_000  # after this gap the driver treats a frame as the first
 
 
 class FlowInput:

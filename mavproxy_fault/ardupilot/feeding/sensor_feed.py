@@ -30,7 +30,7 @@ from mavproxy_fault.ardupilot.hil_readings import (
 from mavproxy_fault.wire.frame import Frame
 
 GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, as HIL_GPS has no date
-ESTIMATE_PERIOD_US = 20_000
+ESTIMATE_PERIOD_US = 20_000  # chosen: 50 Hz is enough for a health check
 SPEED_SIGMA_MPS = 0.3  # not in HIL_GPS; typical of a consumer receiver
 M_PER_E7_DEG = 0.011131884502145034  # ArduPilot's scale of --home, Location.h
 DOP_PER_M = 1 / 2.5  # DOP of a receiver with a range error of 2.5 m
