@@ -1,1 +1,1 @@
-"""What the sensors said against what was true: detection, fusion, scores and reports."""
+"""Sensor data compared with the truth: fault detection, fusion, scores and reports."""

@@ -1,4 +1,4 @@
-"""Processes of our own, with queues and locks between them."""
+"""Contexts for child processes, with queues and locks between them."""
 
 import sys
 import threading
@@ -9,12 +9,12 @@ from mavproxy_fault.documents.errors import ConfigError
 
 
 def spawn_context() -> SpawnContext:
-    """What makes them, each a fresh interpreter: a fork would copy threads' locks.
+    """Return the context whose children are fresh interpreters; a fork would copy held locks.
 
     Raises
     ------
     ConfigError
-        If the system gives no semaphores; Linux keeps them in `/dev/shm`.
+        If the system has no semaphores; Linux keeps them in `/dev/shm`.
     """
     context = get_context("spawn")
     _check_semaphores(context)
@@ -22,9 +22,9 @@ def spawn_context() -> SpawnContext:
 
 
 def fork_context() -> ForkContext | None:
-    """What makes copies of this one, with all modules at once; None where that is not sound.
+    """Return the context whose children are forks, with all modules loaded; None where unsafe.
 
-    It would copy other threads' locks as they stand, and only Linux does it soundly.
+    A fork copies the locks that other threads hold, and is safe on Linux only.
 
     Raises
     ------
@@ -43,5 +43,5 @@ def _check_semaphores(context: BaseContext) -> None:
         context.Lock()
     except (ImportError, OSError) as error:
         raise ConfigError(
-            f"no processes besides this one: {error} (/dev/shm must exist and be writable)"
+            f"cannot start child processes: {error}; make sure that /dev/shm exists and is writable"
         ) from None

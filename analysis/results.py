@@ -1,7 +1,7 @@
-"""What the analysis says: one schema for Zenoh, `results.jsonl` and the reports.
+"""Results of the analysis: one schema for Zenoh, `results.jsonl` and the reports.
 
-JSON by msgspec, the struct's name under `type`; null stands for a number that is not finite. They
-hold nothing that could lead back to them, so the garbage collector need not look (`gc=False`).
+JSON by msgspec with the struct's name under `type`; null means a number that is not finite. Results
+hold no reference cycles, so the garbage collector ignores them (`gc=False`).
 """
 
 from collections.abc import Iterable, Iterator
@@ -9,13 +9,13 @@ from pathlib import Path
 
 import msgspec
 
-OR_SEPARATOR = "-or-"  # joins those whom a detector cannot tell apart
+OR_SEPARATOR = "-or-"  # joins hypotheses that a detector cannot distinguish
 
 
 class Stamped(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """What is said of one instant, by the one clock of labels, samples and faults: the vehicle's.
+    """A result at one instant of the vehicle's clock, which labels, samples and faults share.
 
-    Whoever shows a time subtracts the zero that suits: `t0_us` of the labels, or the first stamp.
+    To display a time, subtract `t0_us` of the labels or the first timestamp.
     """
 
     t_us: int
@@ -29,17 +29,16 @@ class Stamped(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The verdict of the detector on one GNSS epoch.
 
-    `hypothesis` is one of none, satellites, imu, clock, gps (without raw ranges: the receiver's own
-    position), GPS-or-imu (one of them, and then the position has no sigma), multiple-unknown,
-    untestable (then `reason` says why). `excluded` are the satellites left out of the solution at
-    this epoch. `residual_m`, `normalised` and `satellites` run in parallel. `mode` says what
-    predicts the epoch: inertial, free (no sound IMU), start (a first snapshot), position or
-    position-free (no raw ranges). The parity test asks the satellites alone; the slow test is the
-    one with memory, for ramps. `hpl_m` and `vpl_m` are the protection levels, which hold
-    while `level_assumes` does: satellites that are led away all together are beyond them, with an
-    IMU or without, until that is found. Of a RINEX
-    recording the sky is told too, parallel to `satellites`, and the dilution of precision by those
-    in use.
+    `hypothesis` is one of none, satellites, imu, clock, gps (the receiver's position, without raw
+    ranges), GPS-or-imu (not distinguishable; the position then has no sigma), multiple-unknown, or
+    untestable (for the `reason`). `excluded` are the satellites left out of the solution of this
+    epoch. `residual_m`, `normalised` and `satellites` are parallel. `mode` names the prediction:
+    inertial, free (no healthy IMU), start (first snapshot), position or position-free (no raw
+    ranges). The parity test uses the satellites alone; the slow test accumulates residuals to
+    detect ramps. `hpl_m` and `vpl_m` are the protection levels, valid under `level_assumes`: they
+    do not bound coordinated spoofing of all satellites, with or without an IMU, before it is
+    detected. Elevation, azimuth, C/N0 and signals, parallel to `satellites`, and the dilution of
+    precision of the satellites in use come with a RINEX recording only.
     """
 
     statistic: float | None
@@ -75,10 +74,10 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
 
 
 class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
-    """The verdict on another sensor against the inertial reference, or on the actuators.
+    """The verdict on another sensor, tested against the inertial reference, or on the actuators.
 
     `sensor` is one of baro, airspeed, mag, vision, range, gps-position, gps-velocity, imu,
-    actuators. `suspect` is who of them it is, where that is not the sensor itself.
+    actuators. `suspect` is the faulty part, if it is not the sensor itself.
     """
 
     sensor: str
@@ -86,7 +85,7 @@ class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=T
     threshold: float | None
     dof: int
     alarm: bool
-    isolated: bool = False  # not used any more, which outlasts the alarm
+    isolated: bool = False  # excluded from the solution; outlasts the alarm
     reason: str = ""
     suspect: str = ""
 
@@ -94,7 +93,7 @@ class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=T
 def pattern_alarm(
     t_us: int, sensor: str, reason: str, *, suspect: str = "", isolated: bool = True, dof: int = 0
 ) -> SensorDecision:
-    """An alarm by a pattern in the data, where no statistic is held against a threshold."""
+    """Build an alarm raised by a pattern in the data, without a statistic or threshold."""
     return SensorDecision(
         t_us=t_us,
         sensor=sensor,
@@ -109,7 +108,7 @@ def pattern_alarm(
 
 
 class AttitudeError(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
-    """Estimate minus truth at one instant, in degrees, wrapped; `angle` is the rotation between."""
+    """Estimate minus truth [deg], wrapped; `angle` is the angle of the rotation between them."""
 
     estimator: str
     roll: float
@@ -121,7 +120,7 @@ class AttitudeError(Stamped, frozen=True, kw_only=True, tag_field="type", tag=Tr
 class FusedState(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, gc=False):
     """The fused navigation solution of one epoch with one-sigma values and the factors in use.
 
-    `name` tells the solution ("fused") from the one without isolation computed beside it.
+    `name` is "fused", or names the comparison solution computed without fault isolation.
     """
 
     position_ecef_m: tuple[float, float, float]
@@ -135,27 +134,27 @@ class FusedState(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True,
     name: str = "fused"
 
 
-# Each carries its name under `type`: one decoder reads a file in which all of them stand.
+# Each has its name under `type`, so one decoder reads a file of all kinds.
 Result = Decision | SensorDecision | AttitudeError | FusedState
 
 
-# Made once: msgspec builds the code of a schema when an encoder is made.
+# Created once: msgspec compiles the schema when it creates an encoder.
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[Result] = msgspec.json.Decoder(Result)
 
 
 def encode(result: Result) -> bytes:
-    """One result as JSON."""
+    """Encode one result as JSON."""
     return _ENCODER.encode(result)
 
 
 def encode_lines(results: Iterable[Result]) -> bytes:
-    """Results as JSON, each with the end of its line."""
+    """Encode results as JSON lines."""
     return _ENCODER.encode_lines(results)
 
 
 def decode(line: bytes) -> Result:
-    """The result a line of JSON holds.
+    """Decode the result in a line of JSON.
 
     Raises
     ------
@@ -166,9 +165,9 @@ def decode(line: bytes) -> Result:
 
 
 def read_results(path: Path) -> Iterator[Result]:
-    """Results of a file in order; a last line that was cut short is left out."""
+    """Yield the results of a file in order; an incomplete last line is skipped."""
     with path.open("rb") as file:
         for line in file:
-            # A run that was killed may have cut the last line.
+            # A killed run may leave an incomplete last line.
             if line.endswith(b"\n"):
                 yield decode(line)

@@ -1,6 +1,5 @@
-"""Scenarios flown by a real autopilot, watched and recorded as any other run.
+"""Scenarios flown by an unmodified autopilot, monitored and recorded like any other run.
 
-A **program** is the autopilot in flight: its process and the links it is heard on. The **operator**
-flies it from the ground by **requests**, in the words that the autopilot knows: MAVLink for
-ArduPilot, MAVSDK for PX4.
+A **running autopilot** is the autopilot's process with its links. The **operator** flies it from
+the ground with **commands** in the autopilot's own protocol: MAVLink for ArduPilot, MAVSDK for PX4.
 """

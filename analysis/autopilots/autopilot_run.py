@@ -1,8 +1,7 @@
-"""`run --autopilot`: a scenario flown by a real autopilot, watched, recorded and reported.
+"""`run --autopilot`: fly a scenario with a real autopilot, monitor, record and report it.
 
-Simulator and proxy run here in one process, the monitor in one of its own; the autopilot's program
-is started and ended with the flight. The schedule counts from a moment of the flight, by default
-from leaving the ground.
+Simulator and proxy share this process, the monitor has its own; the autopilot's process starts and
+ends with the flight. The schedule's times count from a flight event, by default the take-off.
 """
 
 import argparse
@@ -60,7 +59,7 @@ from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
 RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
-CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot's program to come
+CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot to connect
 AUTOPILOTS = {"ardupilot": ardupilot_process, "px4": px4_process}
 LOAD_TOPIC = "@ctl/schedule/load"
 START_EVENTS = ("first-stamp", "arming", "take-off", "landing")
@@ -71,15 +70,15 @@ THREAD_PRIORITY = (
 
 @contextlib.contextmanager
 def real_time_priority() -> Iterator[None]:
-    """Run this thread at a real-time priority where that is allowed.
+    """Run this thread at a real-time priority where permitted.
 
-    PX4 started by root runs all its threads so: its logger would hold up the step that it waits
-    for. Threads and processes begun meanwhile do not inherit it.
+    PX4, if started by root, runs all its threads at real-time priorities: its logger would delay
+    this thread, and so the next step. Threads and processes started inside do not inherit it.
     """
-    gc.freeze()  # what is loaded stays; to look it through would hold up a step by 0.1 s
+    gc.freeze()  # a collection over all loaded modules would delay a step by 0.1 s
     with contextlib.ExitStack() as undo:
         undo.callback(gc.unfreeze)
-        # Not on every system, and not for every user.
+        # Some systems have no scheduler call, and some users no permission.
         with contextlib.suppress(AttributeError, PermissionError):
             before = os.sched_getscheduler(0), os.sched_getparam(0)
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -89,7 +88,7 @@ def real_time_priority() -> Iterator[None]:
 
 
 def _restore_priority(policy: int, priority: "os.sched_param") -> None:
-    """Give a real-time priority back; the flag about forks only a privileged thread may drop."""
+    """Restore the priority; only a privileged thread may clear the reset-on-fork flag."""
     try:
         os.sched_setscheduler(0, policy, priority)
     except PermissionError:
@@ -97,17 +96,17 @@ def _restore_priority(policy: int, priority: "os.sched_param") -> None:
 
 
 class FlightOverError(Exception):
-    """The operator has nothing more to do, or somebody wants the flight to end."""
+    """The operator has finished, or a user has stopped the flight."""
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly, report, and return the exit code: 1 too where the flight was not flown to its end."""
+    """Fly, report, and return the exit code: also 1 if the flight ended early."""
     name, _, vehicle = args.autopilot.partition(":")
     autopilot = AUTOPILOTS[name]
     if args.against_clean:
         raise ConfigError(
-            f"--against-clean: two flights of {name} differ without any fault, too; run both"
-            " schedules, and hold their logs against each other by report --against"
+            f"--against-clean: cannot be used with --autopilot, since two flights of {name} differ"
+            " even without a fault; run both schedules and compare the logs with report --against"
         )
     check_start_event(args.count_from)
     own = read_parameters(args.parameters)
@@ -117,9 +116,9 @@ def main(args: argparse.Namespace) -> int:
     if vehicle and binary != f"ardu{vehicle}":
         raise ConfigError(
             f"--autopilot {args.autopilot}: the scenario's vehicle is a "
-            f"{setup.scenario.vehicle.kind}, which {binary} flies"
+            f"{setup.scenario.vehicle.kind}; it needs {binary}"
         )
-    words = autopilot.command(args.binary or binary)
+    words = autopilot.launch_command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
@@ -127,13 +126,13 @@ def main(args: argparse.Namespace) -> int:
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
         flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
-        # At full speed nobody watches, and every message costs: only where somebody asks.
+        # At full speed, publishing only costs time: publish only if requested.
         if args.ui or args.zenoh != "auto":
             bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
             flown.attach_bus(stack.enter_context(bus))
         simulation = flown.flight.simulation
-        requests = stack.enter_context(autopilot.requests(simulation))
-        program = autopilot.started(words, simulation, folder, own)
+        requests = stack.enter_context(autopilot.open_commands(simulation))
+        program = autopilot.start_autopilot(words, simulation, folder, own)
         reason = flown.run_flight(
             program, requests, parse_speed(args.speed or ("1" if args.ui else "max"))
         )
@@ -155,39 +154,39 @@ def main(args: argparse.Namespace) -> int:
 
 
 def report_early_end(summary: dict[str, Any], reason: str) -> None:
-    """Put into a summary that the flight was not flown to its end: whatever was seen, it fails."""
+    """Add the failed check of an early end to a summary; its verdict becomes FAIL."""
     check = CriterionCheck(name="flown to the landing", limit="landed", value=reason, passed=False)
     summary["criteria"].append(msgspec.structs.asdict(check))
     summary["verdict"] = "FAIL"
 
 
 def check_vehicle(scenario: Scenario) -> None:
-    """Refuse what no autopilot flies here.
+    """Refuse scenarios that no supported autopilot can fly.
 
     Raises
     ------
     ConfigError
-        With what is wrong.
+        If the vehicle's kind is unsupported or the flight starts in the air.
     """
     if scenario.vehicle.kind not in DEFAULT_HEIGHTS_M:
         raise ConfigError(
-            f"vehicle.kind = {scenario.vehicle.kind} is not flown by an autopilot here; "
-            f"{' or '.join(DEFAULT_HEIGHTS_M)} is"
+            f"vehicle.kind = {scenario.vehicle.kind} cannot be flown by an autopilot; "
+            f"use {' or '.join(DEFAULT_HEIGHTS_M)}"
         )
     if scenario.start.height_m > 0.0:
         raise ConfigError(
-            f"start.height_m = {scenario.start.height_m:g} is in the air; an autopilot "
-            "takes off by itself, so leave it out"
+            f"start.height_m = {scenario.start.height_m:g} starts in the air; remove it, since an "
+            "autopilot takes off from the ground"
         )
 
 
 def check_start_event(moment: str) -> None:
-    """Refuse a moment that no flight has.
+    """Refuse a flight event that does not exist.
 
     Raises
     ------
     ConfigError
-        If it is none.
+        If it is unknown.
     """
     head, _, number = moment.partition(":")
     if moment not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
@@ -198,7 +197,7 @@ def check_start_event(moment: str) -> None:
 
 
 class AutopilotRun:
-    """One flight: what is recorded, and when the schedule begins."""
+    """One flight under an autopilot: connects its parts, records it, and starts the schedule."""
 
     def __init__(
         self,
@@ -208,7 +207,7 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: StopCheck,
     ) -> None:
-        # The faults come once the chosen moment is there, but for those that name one themselves.
+        # The other faults are loaded at the chosen flight event; these name their own.
         own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
         self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, own))
         self.results: list[Any] = []
@@ -224,13 +223,13 @@ class AutopilotRun:
         self._passage = new_passage(self.flight.core, self.flight.capture)
         self._unhurried = RealTimePacer()
         self._recorded_us = self._operator_us = 0
-        self._loaded: str | None = None  # the schedule as it began
+        self._loaded: str | None = None  # the schedule as it was loaded
         self._progress = Progress(time.monotonic())
         self._phase = ""
         self._onlookers: AutopilotBusSession | None = None
 
     def attach_bus(self, bus: Bus | None) -> None:
-        """Publish the flight on a bus, and let faults be armed from there."""
+        """Publish the flight on a bus, and accept fault control from it."""
         if bus is not None:
             self._onlookers = AutopilotBusSession(bus, self.flight, self._journal)
 
@@ -240,7 +239,7 @@ class AutopilotRun:
         requests: AutopilotCommands,
         speed: float,
     ) -> str:
-        """Fly to the landing; why it did not come to it, or nothing."""
+        """Fly to the landing; return the reason of an early end, or an empty string."""
         simulation = self.flight.simulation
         self._requests = requests
         self._operator = Operator(flight_plan(simulation), requests)
@@ -290,7 +289,7 @@ class AutopilotRun:
         return reason
 
     def summary(self, reason: str) -> dict[str, Any]:
-        """What `summary.json` tells of the autopilot; times are the vehicle's in seconds."""
+        """Return the section `autopilot` of `summary.json`; times are vehicle time [s]."""
         operator = self._operator
         return {
             "landed": operator.phase == "landed",
@@ -301,7 +300,7 @@ class AutopilotRun:
         }
 
     def edit_lines(self, folder: Path) -> list[str]:
-        """What was asked live, for people; not that the schedule began."""
+        """Describe the live edits, without the loading of the schedule."""
         edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
         return describe_edits(edits, self.flight.core.clock.t0_us or 0)
 
@@ -318,7 +317,7 @@ class AutopilotRun:
             self._onlookers.publish_results(results)
 
     def _commands(self) -> list[bytes]:
-        """Called before each step: what the operator sends, and what has to be written."""
+        """Return the operator's frames and write the logs when due; called before each step."""
         if self._onlookers is not None:
             self._onlookers.serve()
         t_us = self.flight.vehicle_us
@@ -328,7 +327,7 @@ class AutopilotRun:
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self.flight.simulation.truth.on_ground
-            # Before the first stamp there is no time.
+            # Before the first timestamp there is no vehicle time.
             started = self._start.finished
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
         if self._loaded is None and self._count_from in self._operator.events_us:
@@ -336,7 +335,7 @@ class AutopilotRun:
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
-        # Ctrl-C is looked at here as well: between two writes the logs are whole.
+        # Ctrl-C is handled here too: the logs are complete between two writes.
         if self.flight.t_us - self._recorded_us >= RECORD_PERIOD_US:
             self._record()
             if self._stop():
@@ -347,7 +346,7 @@ class AutopilotRun:
 
     def _begin_schedule(self, t_us: int) -> None:
         """Load the schedule, its times counted from now; the journal lets a replay do the same."""
-        # The schedule counts from the first stamp; this moment lies so much later.
+        # The schedule counts from the first timestamp; the event is this much later.
         late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [
             (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
@@ -365,7 +364,7 @@ class AutopilotRun:
             self._passage.count()
         sent = bytes(self.flight.capture.sent)
         self._recorder.write(self.flight.capture, labels, self._journal.drain())
-        # Somebody may watch: results must not wait for a full batch then.
+        # A live viewer must not wait for a full batch of results.
         self._add_results(self._monitor.feed(sent, now=self._onlookers is not None))
         if self._onlookers is not None:
             self._onlookers.publish_labels(labels)

@@ -1,4 +1,4 @@
-"""Those who watch an autopilot's flight on Zenoh, such as the page, and arm faults in it."""
+"""Publish an autopilot's flight on Zenoh, and accept fault control from the page."""
 
 import time
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from mavproxy_fault.wire.label import Label
 
 
 class AutopilotBusSession:
-    """One flight on the bus; what is asked for stands in its journal, so that a replay has it."""
+    """One flight on the bus; the edit log records every request, so that a replay repeats it."""
 
     def __init__(self, bus: Bus, flight: ProxiedFlight, journal: EditLog) -> None:
         self._flight = flight
@@ -22,9 +22,9 @@ class AutopilotBusSession:
         self._live.offer(bus)
 
     def serve(self) -> None:
-        """Carry out what was asked for, and show what changed; called at every step."""
+        """Carry out requests and publish changes; called at every step."""
         self._live.serve()
-        # By the wall clock: it paces the page, nothing of the flight.
+        # The wall clock only paces the page, not the flight.
         self._live.show(time.monotonic())
 
     def publish_results(self, results: Sequence[Any]) -> None:
@@ -32,9 +32,9 @@ class AutopilotBusSession:
         self._publisher.publish(list(results))
 
     def publish_labels(self, labels: Sequence[Label]) -> None:
-        """Publish how links and faults are doing."""
+        """Publish the state of links and faults."""
         self._live.publish(self._flight.stats(), labels)
 
     def close(self) -> None:
-        """Refuse what is asked from now on."""
+        """Refuse further requests."""
         self._live.close()

@@ -1,8 +1,8 @@
-"""The operator of a flight under a real autopilot: arms it, has it fly, lands it; no I/O.
+"""Scripted ground operator of a flight under an autopilot; no I/O.
 
-The operator waits until the estimator has had a position for a while, uploads the mission, arms,
-takes off, flies the mission or waits where it is, lands, and waits for the motors to stop. What is
-not answered is asked again each second of the vehicle's time.
+The operator waits for a settled position estimate, uploads the mission, arms, takes off, flies the
+mission or hovers, lands, and waits for the motors to stop. Commands without an answer are repeated
+every second of vehicle time.
 """
 
 from collections.abc import Sequence
@@ -20,33 +20,31 @@ COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
 RETRY_US = 1_000_000
-OPERATOR_PERIOD_US = 40_000  # of the vehicle's time between two looks of the operator
-# Streams that are recorded, and that nobody here reads
+OPERATOR_PERIOD_US = 40_000  # vehicle time between two steps of the operator
+# Streams that are recorded, but that the operator does not need
 IGNORED_STREAMS = frozenset(
     message_layout(name).id for name in ("ATTITUDE", "LOCAL_POSITION_NED", "VFR_HUD", "ALTITUDE")
 )
-# Of a position. PX4's detector of landings needs as long to see that a plane stands: armed before,
-# it takes it to fly, and banks it on the runway.
+# PX4's land detector needs as long to find that a plane is at rest: if armed earlier, PX4 believes
+# that it flies, and banks it on the runway.
 POSITION_SETTLED_US = 10_000_000
-CLIMB_DONE_SHARE = 0.9  # of the height, where the take-off is over
+CLIMB_DONE_SHARE = 0.9  # of the take-off height, at which the take-off is complete
 TAKEN_OFF_M = 1.0
 VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
-GROUNDED_LIMIT_S = (
-    30.0  # on the ground with motors on, after which nothing more will come of a flight
-)
+GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
 
 
 class AutopilotCommands(Protocol):
-    """What an autopilot is asked for, in its own words; each is asked until it is seen done."""
+    """Commands in an autopilot's own protocol; the operator repeats each until it took effect."""
 
     @property
     def awaiting_reply(self) -> bool:
-        """Whether somebody is at work on a request who lives on the wall clock."""
+        """Whether a command is in progress in a thread that runs on the wall clock."""
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
-        """Give it the mission."""
+        """Upload the mission."""
 
     def arm(self) -> None:
         """Start the motors."""
@@ -55,20 +53,20 @@ class AutopilotCommands(Protocol):
         """Climb to a height above the ground."""
 
     def fly_mission(self) -> None:
-        """Fly what was uploaded; asked once."""
+        """Start the uploaded mission; called once."""
 
     def land(self) -> None:
-        """Come down."""
+        """Land."""
 
     def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
 
     def pending(self) -> list[bytes]:
-        """What has to be sent now."""
+        """Return and clear the frames to send."""
 
 
 class Phase(StrEnum):
-    """Where the flight is."""
+    """The phase of the operator's script."""
 
     WAITING = "waiting for a position"
     UPLOADING = "uploading the mission"
@@ -79,7 +77,7 @@ class Phase(StrEnum):
     LANDED = "landed"
 
 
-PHASE_TIMEOUTS_S = {  # of the vehicle's time, for phases that the autopilot has to end
+PHASE_TIMEOUTS_S = {  # vehicle time, for phases that the autopilot has to end
     Phase.WAITING: 180.0,
     Phase.UPLOADING: 30.0,
     Phase.ARMING: 60.0,
@@ -89,17 +87,18 @@ PHASE_TIMEOUTS_S = {  # of the vehicle's time, for phases that the autopilot has
 
 
 class Operator:
-    """One flight from the ground.
+    """The operator of one flight.
 
     Attributes
     ----------
     phase : Phase
     moments_us : dict of str to int
-        When things happened: `first-stamp`, `arming`, `take-off`, `mission-item:N`, `landing`.
+        Vehicle time of the flight events `first-stamp`, `arming`, `take-off`, `mission-item:N` and
+        `landing`.
     texts : list of (int, str)
-        What the autopilot said, with its time [us].
+        Status texts of the autopilot with their time [us].
     gave_up : str
-        Why the flight did not go on; empty while it does.
+        Why the operator ended the flight; empty otherwise.
     """
 
     def __init__(self, plan: FlightPlan, requests: AutopilotCommands) -> None:
@@ -109,15 +108,15 @@ class Operator:
         self.failure = ""
         self._plan, self._requests = plan, requests
         self._t_us = self._since_us = self._again_us = self._hello_us = 0
-        self._positioned_us: int | None = None  # since when
+        self._positioned_us: int | None = None  # start of the position estimate
         self._armed = self._uploaded = self._started = False
         self._height_m = 0.0
-        self._aloft_us = 0  # when it last was in the air, or had not yet been
+        self._aloft_us = 0  # last time in the air or before the take-off
         self._seq = 0
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing more to do."""
+        """Whether the flight has landed or failed."""
         return self.phase is Phase.LANDED or bool(self.failure)
 
     def receive(self, frame: Frame) -> None:
@@ -131,12 +130,12 @@ class Operator:
             flown = VEHICLE_KINDS.get(int(frame.number("type")), "")
             if flown and self._plan.kind not in ("", flown):
                 self.failure = (
-                    f"the autopilot says it flies a {flown}, the scenario's vehicle is a "
+                    f"the autopilot reports a {flown}, but the scenario's vehicle is a "
                     f"{self._plan.kind}; give another --binary"
                 )
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
             flags = int(frame.number("flags"))
-            # PX4 sets the second flag of every vehicle on the ground
+            # PX4 sets the second flag for every vehicle on the ground
             constant = name == "EKF_STATUS_REPORT" and flags & CONSTANT_POSITION
             positioned = bool(flags & POSITION) and not constant
             if not positioned or self._positioned_us is None:
@@ -155,13 +154,13 @@ class Operator:
             self.texts.append((self._t_us, text.decode("utf-8", "replace")))
 
     def step(self, t_us: int, *, on_ground: bool = False, started: bool = True) -> list[bytes]:
-        """What to send at this time of the vehicle, which may truly lie on the ground.
+        """Advance to vehicle time `t_us` and return the frames to send.
 
-        Before the program has `started` all of its parts, it is not armed.
+        `on_ground` is the truth; the vehicle is not armed before the autopilot has `started`.
         """
         self._t_us, self._started = t_us, started
         if not started:
-            self._since_us = t_us  # patience is with the vehicle, not with a busy machine
+            self._since_us = t_us  # the timeouts do not cover the start of the autopilot
         self._note("first-stamp")
         if not on_ground or "take-off" not in self.events_us:
             self._aloft_us = t_us
@@ -176,16 +175,16 @@ class Operator:
         return frames
 
     def _go_on(self) -> None:
-        """The next phase, where this one has done its work or cannot."""
+        """Enter the next phase if this one is complete, or note its failure."""
         while self._done():
             self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
-        if self.phase is Phase.FLYING and not self._armed:  # a failsafe of its own has landed it
+        if self.phase is Phase.FLYING and not self._armed:  # its own failsafe has landed it
             self._enter(Phase.LANDED)
         waited_s = (self._t_us - self._since_us) * 1e-6
         lying_s = (self._t_us - self._aloft_us) * 1e-6
         if self.phase is Phase.CLIMBING and not self._armed:
             self.failure = f"disarmed while {self.phase}"
-        # Its estimator may be lost: an autopilot that has crashed would fly on for minutes.
+        # With a diverged estimator, a crashed autopilot would continue for minutes.
         elif lying_s > GROUNDED_LIMIT_S and not self.finished:
             self.failure = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
         elif waited_s > PHASE_TIMEOUTS_S.get(self.phase, float("inf")):
@@ -221,7 +220,7 @@ class Operator:
         return (self._t_us - self.events_us.get("take-off", self._t_us)) * 1e-6
 
     def _ask(self) -> None:
-        """Ask for what this phase needs."""
+        """Send the command of this phase."""
         plan, requests = self._plan, self._requests
         if self.phase is Phase.UPLOADING:
             requests.upload(plan.waypoints)
@@ -235,7 +234,7 @@ class Operator:
             requests.land()
 
     def _hello(self) -> bytes:
-        """A ground station's sign of life."""
+        """Return a ground-station HEARTBEAT."""
         self._seq = (self._seq + 1) & 0xFF
         values = {"type": TYPE_GCS, "autopilot": NO_AUTOPILOT, "mavlink_version": 3}
         return build_frame(
@@ -243,5 +242,5 @@ class Operator:
         )
 
     def _note(self, moment: str) -> None:
-        """Keep the first time of a moment."""
+        """Record the first time of a flight event."""
         self.events_us.setdefault(moment, self._t_us)

@@ -1,4 +1,4 @@
-"""What an autopilot is asked to fly: the scenario's mission as waypoints, or a hover; no I/O."""
+"""Flight plan of an autopilot: the scenario's mission as waypoints, or a hover; no I/O."""
 
 import math
 from dataclasses import dataclass
@@ -7,24 +7,24 @@ from simvehicle.guidance.route import PathTrack
 from simvehicle.guidance.waypoints import Waypoint, make_waypoint, path_waypoints
 from simvehicle.simulation.simulation import Simulation
 
-DEFAULT_HEIGHTS_M = {"multirotor": 10.0, "fixedwing": 50.0}  # where no mission names one
-APPROACH_LENGTH_M = 1000.0  # before the threshold a plane comes down straight from its height
+DEFAULT_HEIGHTS_M = {"multirotor": 10.0, "fixedwing": 50.0}  # without a mission
+APPROACH_LENGTH_M = 1000.0  # length of the straight descent to the runway threshold
 
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What is flown: up, along the corners (or nowhere), and after `duration_s` down; by what kind
-    of vehicle, where it is to be checked."""
+    """Take off, fly the waypoints (or hover), and land after `duration_s`; `kind` is the expected
+    vehicle, empty if not checked."""
 
     height_m: float
-    duration_s: float  # from leaving the ground
+    duration_s: float  # from take-off
     waypoints: tuple[Waypoint, ...] = ()
-    landing: tuple[Waypoint, ...] = ()  # a plane's way to the ground
+    landing: tuple[Waypoint, ...] = ()  # the landing approach of a plane
     kind: str = ""
 
 
 def flight_plan(simulation: Simulation) -> FlightPlan:
-    """The scenario's mission as corners of its path, or a hover where there is none."""
+    """Convert the scenario's mission to waypoints, or return a hover if there is none."""
     scenario = simulation.scenario
     kind = scenario.vehicle.kind
     height_m = DEFAULT_HEIGHTS_M[kind]
@@ -32,7 +32,7 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
     if not scenario.mission:
         return FlightPlan(height_m, scenario.duration_s, landing=landing, kind=kind)
     track = simulation.controller.track
-    assert isinstance(track, PathTrack)  # as a scenario with a mission has
+    assert isinstance(track, PathTrack)  # true for every scenario with a mission
     waypoints = path_waypoints(track.path, scenario.start, kind)
     if not landing:
         height_m = waypoints[0].height_m
@@ -40,7 +40,7 @@ def flight_plan(simulation: Simulation) -> FlightPlan:
 
 
 def landing_approach(simulation: Simulation, height_m: float) -> tuple[Waypoint, ...]:
-    """The way down to where the plane took off, and in the same direction."""
+    """Plan the approach to the place of the take-off, in the same direction."""
     start = simulation.scenario.start
     heading_rad = math.radians(start.heading_deg)
     north_m, east_m = (

@@ -1,7 +1,7 @@
-"""`run --autopilot` as a process: for whoever flies many flights.
+"""`run --autopilot` as a child process, for campaigns and searches.
 
-Each flight is a process group of its own with its own ports and folder, so that nothing of one
-reaches another; it ends with the worker that started it.
+Each flight is a process group with its own ports and folder, so flights do not affect each other;
+it ends with the worker that started it.
 """
 
 import ctypes
@@ -18,19 +18,19 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 EXIT_WRONG_INPUT = 2
 ERROR_LINES = 3
-RUN_FOLDER = "run"  # the run folder within a flight's own
+RUN_FOLDER = "run"  # the run folder inside the flight's folder
 
 
 def run_flight_process(
     subject: str, run: Sequence[str], schedule: dict[str, Any], folder: Path, *, kept: bool
 ) -> Path:
-    """Fly `mavproxy-fault run` with the words `run` and the faults of a schedule, its logs in
-    `folder`; with a report if `kept`. The run folder.
+    """Run `mavproxy-fault run` with the arguments `run` and a schedule, with logs in `folder` and a
+    report if `kept`; return the run folder.
 
     Raises
     ------
     ConfigError
-        If the command refuses the scenario or the autopilot, or leaves no result.
+        If the command refuses the scenario or the autopilot, or writes no summary.
     """
     folder.mkdir(parents=True, exist_ok=True)
     flown = folder / RUN_FOLDER
@@ -49,12 +49,12 @@ def run_flight_process(
         preexec_fn=_end_with_parent,
     )
     if done.returncode == EXIT_WRONG_INPUT or not (flown / "summary.json").is_file():
-        # Its last lines say why.
+        # The last lines of its output give the reason.
         last = done.stderr.strip().splitlines()[-ERROR_LINES:]
-        raise ConfigError(f"{subject}: no flight came of it; {' '.join(last)}")
+        raise ConfigError(f"{subject}: the flight failed; {' '.join(last)}")
     return flown
 
 
 def _end_with_parent() -> None:
-    """Have the kernel end the flight when its worker is killed."""
+    """Let the kernel end the flight when its worker is killed."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,10 +1,9 @@
-"""The proxy's core between the simulator's lockstep loop and an autopilot on a link.
+"""Pass frames between the simulator's lockstep loop and an autopilot through the proxy's core.
 
-The loop packs frames for the autopilot and reads what it says; here both pass through the core of
-a flight, so that faults act on them, as machine code where that can carry it out
-(`compiled.passage`). The core's wall clock is simulated time: a delay is one of
-the vehicle's time, however fast the flight is. Nobody waits for what a fault withholds: a step is
-answered by the autopilot's word on it, and where none of it reached the autopilot, by nothing.
+Faults act on the frames of both directions, in compiled code where it supports them
+(`compiled.passage`). The core's wall clock is simulated time: a delay is in vehicle time, however
+fast the flight is. The loop does not wait for what a fault withholds: if no frame of a step has
+reached the autopilot, no answer is expected.
 """
 
 import select
@@ -27,21 +26,21 @@ from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
-SendListener = Callable[[list[Send]], None]  # what leaves for monitor and ground station
-STAMP_BYTES = slice(10, 18)  # time_usec, of every message that steps are answered by
+SendListener = Callable[[list[Send]], None]  # receives the frames for monitor and ground station
+STAMP_BYTES = slice(10, 18)  # time_usec in every message that steps the autopilot
 STEP_REPLY = message_layout("HIL_ACTUATOR_CONTROLS")
 STEP_REPLY_ID = STEP_REPLY.id.to_bytes(3, "little")
 SIMULATOR_MESSAGES = {STEP_REPLY.id, message_layout("TUNNEL").id}
 
 
 class StepMessage(NamedTuple):
-    """What an autopilot answers a step by: a message of this number, shorter than this payload."""
+    """The message that steps an autopilot: its id, with a payload shorter than `below_bytes`."""
 
     number: int
     below_bytes: int
 
 
-PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR; the id is its last byte, and cut off where it is 0
+PX4_STEP = StepMessage(107, 65)  # HIL_SENSOR of instance 0: its last byte, the id, is cut off
 BRIDGE_STEP = StepMessage(115, 256)  # HIL_STATE_QUATERNION
 
 
@@ -51,40 +50,40 @@ def is_step_reply(data: bytes) -> bool:
 
 
 def is_single_step_reply(data: bytes) -> bool:
-    """Whether whole frames are one alone, an answer to a step."""
+    """Whether complete frames are a single one that answers a step."""
     return is_step_reply(data) and len(data) == HEADER_V2 + data[1] + CRC_LENGTH
 
 
 def is_lockstep_traffic(data: bytes) -> bool:
-    """Whether a frame is of the HIL link's own traffic, which no ground station needs."""
+    """Whether a frame belongs to the HIL lockstep, which no ground station needs."""
     return is_hil_frame(data) or is_step_reply(data)
 
 
 class AutopilotSender:
-    """The loop's packer: frames as they leave the proxy.
+    """The packer of the lockstep loop: returns frames as they leave the proxy.
 
     Parameters
     ----------
     flight : Flight
     packer : Hil
     hear : callable
-        Is given what leaves for monitor and ground station.
+        Receives the frames for monitor and ground station.
     commands : callable
-        What a ground station sends before the next step; asked while the autopilot works on one.
+        Returns a ground station's frames for the next step; called while the autopilot computes.
     telemetry : Link, optional
-        Where a ground station's frames leave; without it, where the step does.
+        Link for a ground station's frames; without it, they use the HIL link.
     step : StepMessage
     passage : Passage, optional
-        The core's compiled form; without it every frame goes the interpreted way.
+        The compiled form of the core; without it every frame takes the interpreted path.
 
     Attributes
     ----------
     step_us : int or None
-        The stamp that the autopilot answers, of the last frames.
+        The timestamp in the last frames that the autopilot answers.
     returned : list of Frame
-        What left for the simulator meanwhile: changes of the plant, and answers that were late.
+        Frames for the simulator in between: changes of the plant, and late answers.
     unheard : list of Send
-        What left elsewhere; it is heard while the autopilot works on the step.
+        Sends to other links, delivered while the autopilot computes the step.
     """
 
     def __init__(
@@ -105,12 +104,12 @@ class AutopilotSender:
         self._packer, self._commands = packer, commands
         self._telemetry, self._step, self._passage = telemetry, step, passage
         self._parser = Parser()
-        self._answers: list[bytes] = []  # the proxy's own word to the autopilot
-        self._orders: list[bytes] = []  # a ground station's, for the next step
-        self._left = False  # whether a step has left since they were asked for
+        self._answers: list[bytes] = []  # the proxy's own answers to the autopilot
+        self._orders: list[bytes] = []  # of a ground station, for the next step
+        self._left = False  # whether a step has left since the last call of `commands`
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
-        """The frames of a step, with faults."""
+        """Return the frames of a step after the faults."""
         out: list[bytes] = []
         self._left = True
         # The operator first: its commands belong to the state before this step.
@@ -122,7 +121,7 @@ class AutopilotSender:
     def send_packed(
         self, data: bytes, step_us: int | None, out: list[bytes] | None = None
     ) -> list[bytes]:
-        """What becomes of a step's frames, behind what leaves before them."""
+        """Pass a step's frames through the proxy, appended to the frames that precede them."""
         out = [] if out is None else out
         now_us, self.step_us = self.flight.now_us, None
         if (passed := self.pass_compiled(SIMULATOR, data, now_us)) is not None:
@@ -138,16 +137,16 @@ class AutopilotSender:
         return out
 
     def note_step(self, step_us: int) -> None:
-        """A step has left by another way, with this stamp."""
+        """Note that plain steps have sent a step with this timestamp."""
         self.step_us, self._left = step_us, True
 
     @property
     def has_pending(self) -> bool:
-        """Whether something is to leave before the next step, or has come back for the plant."""
+        """Whether frames wait to leave before the next step, or have returned for the plant."""
         return bool(self._answers or self._orders or self.returned)
 
     def _leave_orders(self, out: list[bytes]) -> None:
-        """One by one, for frames that come together leave together, and not all go the same way."""
+        """Send them one by one: frames of one datagram leave together, but on different links."""
         answers, orders = self._answers, self._orders
         self._answers, self._orders = [], []
         for raw in answers:
@@ -157,14 +156,14 @@ class AutopilotSender:
             self._sort(self.flight.core.received(GROUND, raw, self.flight.now_us), out)
 
     def work_between_steps(self) -> None:
-        """What need not be done before a step leaves: the logs, whoever listens, the operator."""
+        """Do what can wait until a step has left: logs, listeners, the operator."""
         self.deliver_all()
         if self._left:
             self._left = False
             self._orders = self._commands()
 
     def pass_frame(self, frame: Frame) -> list[Send]:
-        """What becomes of the autopilot's frame, by the core."""
+        """Pass the autopilot's frame through the interpreted core."""
         self._settle()
         return self.flight.core.received_frame(VEHICLE, frame, self.flight.now_us)
 
@@ -173,7 +172,7 @@ class AutopilotSender:
             self._passage.settle()
 
     def pass_compiled(self, link: int, data: bytes, now_us: int) -> Passed | None:
-        """What became of whole frames as machine code; None where the core has to take them."""
+        """Pass complete frames through compiled code; None if only the core can handle them."""
         return None if self._passage is None else self._passage.passed(link, data, now_us)
 
     def _sort(self, sends: list[Send], out: list[bytes]) -> None:
@@ -184,10 +183,10 @@ class AutopilotSender:
                 self.route_send(send, self.returned)
 
     def route_send(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
-        """What left for the simulator is returned to it, what goes back to the autopilot leaves
-        with the next step, the rest is to be heard.
+        """Route a send: to the simulator at once, to the autopilot with the next step, to others
+        later.
 
-        `origin` is the frame that came, which most often left as it was.
+        `origin` is the received frame, which usually leaves unchanged.
         """
         if send.link == VEHICLE:
             self._answers.append(send.data)
@@ -199,19 +198,19 @@ class AutopilotSender:
             returned.append(origin)
 
     def deliver_all(self) -> None:
-        """Let what has left be written down and heard."""
+        """Record the sends and deliver them to the listener."""
         self._settle()
         if self.undelivered:
             heard, self.undelivered = self.undelivered, []
             self._listener(heard)
 
     def _decoded(self, send: Send) -> list[Frame]:
-        """What left for the simulator and means something to it."""
+        """Decode the frames of a send that the simulator understands."""
         items = self._parser.push(send.data, datagram=True)
         return [item for item in items if isinstance(item, Frame) and item.id in SIMULATOR_MESSAGES]
 
     def _leave(self, data: bytes, out: list[bytes]) -> None:
-        """To the HIL link with the step, or at once to where telemetry comes from."""
+        """Send on the HIL link with the step, or at once on the telemetry link."""
         if self._telemetry is not None and not is_hil_frame(data):
             self._telemetry.write(data)
             return
@@ -220,7 +219,7 @@ class AutopilotSender:
             self._note_step(data)
 
     def _note_step(self, data: bytes) -> None:
-        """Keep the stamp of a step among frames of MAVLink 2."""
+        """Store the timestamp of a step found in MAVLink 2 frames."""
         number, below_bytes = self._step
         at, end = 0, len(data) - HEADER_V2
         while at < end:
@@ -230,29 +229,29 @@ class AutopilotSender:
 
 
 def frame_message_id(raw: bytes) -> int:
-    """The number of a frame's message."""
+    """Return the message id of a frame."""
     return int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
 
 
 def trusted_frame(raw: bytes) -> Frame:
-    """A frame that nobody has to verify: the packer's, or one that was verified."""
+    """Wrap a frame that needs no check: packed here, or verified before."""
     described = find_layout(frame_message_id(raw))
     assert described is not None
     return Frame(raw, described)
 
 
 class WaitableProcess(Protocol):
-    """What is asked of a program; `subprocess.Popen` is one."""
+    """The part of `subprocess.Popen` that is needed of an autopilot's process."""
 
     def poll(self) -> int | None:
-        """Its exit code, once it has ended."""
+        """Return the exit code once it has ended."""
 
     def wait(self, timeout: float) -> int:
-        """Its exit code; TimeoutExpired where it does not end in time."""
+        """Return the exit code; TimeoutExpired if it does not end in time."""
 
 
 class ConnectionDeadline:
-    """Gives up where no autopilot comes; one that came and went is the loop's to tell."""
+    """Raises an error if no autopilot connects; the loop handles one that disconnects."""
 
     def __init__(self, link: Link, process: WaitableProcess | None, seconds: float) -> None:
         self._came = False
@@ -260,26 +259,26 @@ class ConnectionDeadline:
         self._deadline = time.monotonic() + seconds
 
     def check(self) -> None:
-        """Raise ConfigError where nobody is there and nobody will come."""
+        """Raise ConfigError if the autopilot has ended or the deadline has passed."""
         if self._came:
             return
         self._came = bool(self._link.peer_count)
         if self._came:
             return
-        # A program that has ended will not come: no need to wait for the deadline.
+        # No need to wait for the deadline if its process has ended.
         code = None if self._process is None else self._process.poll()
         if code is not None:
-            raise ConfigError(f"autopilot.command: it ended with code {code}; it has to connect")
+            raise ConfigError(f"autopilot: ended with code {code} before it connected")
         if time.monotonic() > self._deadline:
             raise ConfigError(
-                f"autopilot: nobody came to {self._link.name} within {self._seconds:g} s"
+                f"autopilot: did not connect to {self._link.name} within {self._seconds:g} s"
             )
 
 
 class AutopilotReceiver:
-    """The loop's inbox: what the autopilot says, on the HIL link and on its telemetry.
+    """The inbox of the lockstep loop: the autopilot's frames on HIL and telemetry links.
 
-    An answer frees the step when it comes, whatever a fault does to it then.
+    An answer releases the next step when it arrives, whatever a fault does to it afterwards.
     """
 
     def __init__(
@@ -292,10 +291,10 @@ class AutopilotReceiver:
         self.link = links[0]
         self._outward, self._patience, self._lockstep = outward, patience, lockstep
         self._inboxes = [Inbox(link) for link in links]
-        self._given: list[Chunk] = []  # of the HIL link, read by somebody else
+        self._given: list[Chunk] = []  # of the HIL link, read by plain steps
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
-        """What came and left the proxy for the simulator."""
+        """Return received frames that have left the proxy for the simulator."""
         self._patience.check()
         outward = self._outward
         outward.work_between_steps()
@@ -306,21 +305,21 @@ class AutopilotReceiver:
             return found
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
         ready, _, _ = select.select(by_fd, (), (), wait_s)
-        # One link a call, the HIL link before the others: those wait until the step has left.
+        # One link per call, the HIL link first: the others wait until the step has left.
         for inbox in [by_fd[descriptor] for descriptor in ready[:1]]:
             self._read(inbox, inbox.link.read(), found)
         return found
 
     def push_bytes(self, stream: int, data: bytes) -> None:
-        """Take bytes of the HIL link that somebody else has read."""
+        """Take bytes of the HIL link that plain steps have read."""
         self._given.append((stream, data))
 
     def incomplete(self, stream: int) -> bool:
-        """Whether a stream of the HIL link owes the rest of a frame."""
+        """Whether a stream of the HIL link ends within a frame."""
         return self._inboxes[0].incomplete(stream)
 
     def read_telemetry(self) -> None:
-        """Read the links behind the HIL link; what is for the simulator is returned to it."""
+        """Read the links other than the HIL link, and return the simulator's frames to it."""
         for inbox in self._inboxes[1:]:
             self._read(inbox, inbox.link.read(), self._outward.returned)
 
@@ -339,14 +338,14 @@ class AutopilotReceiver:
                     outward.route_send(send, found, frame)
 
     def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
-        """Frames that came and left together: `data` is what they were before."""
+        """Handle frames that left together; `data` are the same frames before the faults."""
         if data == passed.data and passed.links >> SIMULATOR & 1 and is_single_step_reply(data):
-            found.append(Frame(data, STEP_REPLY))  # which frees the step where it is received
+            found.append(Frame(data, STEP_REPLY))  # the loop releases the step on receipt
             return
         at, now_us = 0, self._outward.flight.now_us
         for raw in split(passed.data):
             if is_step_reply(raw):
-                # As it came: a fault may have set another stamp.
+                # As received: a fault may have changed the timestamp.
                 self._answered(trusted_frame(data[at : at + len(raw)]))
             at += len(raw)
             if passed.links >> SIMULATOR & 1 and frame_message_id(raw) in SIMULATOR_MESSAGES:

@@ -1,4 +1,4 @@
-"""Waypoints as the items of a mission, each the fields of a MISSION_ITEM_INT; no I/O."""
+"""Convert waypoints to mission items, the fields of MISSION_ITEM_INT; no I/O."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ ItemFields = dict[str, float]
 
 
 def waypoint_items(waypoints: Sequence[Waypoint]) -> list[ItemFields]:
-    """The corners, and before each where the speed changes a word on that."""
+    """Return the items of a mission, with a speed command before each change of speed."""
     items, speed_mps = [], None
     for waypoint in waypoints:
         if waypoint.speed_mps != speed_mps:
@@ -22,13 +22,13 @@ def waypoint_items(waypoints: Sequence[Waypoint]) -> list[ItemFields]:
 
 
 def landing_items(waypoints: Sequence[Waypoint]) -> list[ItemFields]:
-    """The corners, the last of which is the ground to land on."""
+    """Return the items of a landing, the last of which is LAND."""
     items = [waypoint_item(waypoint) for waypoint in waypoints]
     return [*items[:-1], {**items[-1], "command": LAND}]
 
 
 def speed_item(speed_mps: float) -> ItemFields:
-    """How fast to go on; PX4 takes it in the frame of no place alone."""
+    """Return a DO_CHANGE_SPEED item; PX4 accepts it in MAV_FRAME_MISSION only."""
     return {
         "frame": FRAME_MISSION,
         "command": CHANGE_SPEED,
@@ -39,7 +39,7 @@ def speed_item(speed_mps: float) -> ItemFields:
 
 
 def waypoint_item(waypoint: Waypoint) -> ItemFields:
-    """A place to fly through."""
+    """Return a waypoint item."""
     return {
         "frame": GLOBAL_RELATIVE_INT,
         "command": WAYPOINT,

@@ -1,4 +1,4 @@
-"""Plain steps of a flight under an autopilot, and between them whatever else has to be done."""
+"""Plain steps of a flight under an autopilot, and the work between them."""
 
 import time
 from collections.abc import Callable
@@ -20,12 +20,12 @@ from simvehicle.vehicles.body import Controls, Truth
 
 
 class PlainFlight:
-    """The loop's plain steps behind the proxy; `outward` and `inward` take every other one."""
+    """Plain steps of the loop through the proxy; `outward` and `inward` handle all others."""
 
     def __init__(self, simulation: Simulation, hil: HilPacker, passage: Passage) -> None:
         self._steps = PlainSteps(simulation, hil)
         self._simulation, self._passage = simulation, passage
-        self._due_us: int | None = None  # when the core has something to send by itself
+        self._due_us: int | None = None  # time of the core's next own send
         words = np.zeros(s.WORDS, dtype=np.int64)
         words[s.SIMULATOR], words[s.VEHICLE] = SIMULATOR, VEHICLE
         self._stretch = s.Stretch(
@@ -35,11 +35,11 @@ class PlainFlight:
             loop=np.asarray(passage.loop),
             data=np.asarray(passage.data),
         )
-        # Without a step to fly: where machine code has to be made, no autopilot waits yet.
+        # Compile now, without a step to fly, while no autopilot waits.
         s.stretch(self._steps.arrays, self._stretch)
 
     def join(self, outward: AutopilotSender, inward: AutopilotReceiver, lockstep: Lockstep) -> bool:
-        """Take one's place between these; False where the link is none for plain steps."""
+        """Connect to these; False if the link does not support plain steps."""
         if not isinstance(inward.link, TcpServer):
             return False
         self._outward, self._inward, self._lockstep = outward, inward, lockstep
@@ -47,7 +47,7 @@ class PlainFlight:
         return True
 
     def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
-        """Fly on until a step needs the loop; see `lockstep_loop.Plain`."""
+        """Fly until a step needs the loop; see `lockstep_loop`."""
         if self._outward.step_us is None:
             return controls
         words, began = self._stretch.words, False
@@ -72,7 +72,7 @@ class PlainFlight:
         return self._steps.give_back() if began else controls
 
     def _open(self) -> bool:
-        """Whether nothing waits that the ordinary way has to see to before the next step."""
+        """Whether nothing waits that the interpreted path has to handle before the next step."""
         outward, inward, words = self._outward, self._inward, self._stretch.words
         peer = self._link.lone_peer()
         if peer is None or outward.has_pending or inward.incomplete(peer[1]):
@@ -84,7 +84,7 @@ class PlainFlight:
         return True
 
     def _account(self) -> None:
-        """Tell the lockstep and the link's counters what a stretch did."""
+        """Update the lockstep and the link's counters after a stretch."""
         words, now_s = self._stretch.words, time.monotonic()
         step_us, counters, steps = int(words[s.STEP_US]), self._link.counters, int(words[s.STEPS])
         self._lockstep.received(int(words[s.ANSWERED_US]), now_s)
@@ -97,7 +97,7 @@ class PlainFlight:
         words[s.BYTES_IN] = words[s.BYTES_OUT] = 0
 
     def _see_to(self, reason: int) -> bool:
-        """Do what a stretch ended for; whether a further one may follow."""
+        """Handle the reason for which a stretch ended; return whether another may follow."""
         words, outward = self._stretch.words, self._outward
         if reason == s.CAME:
             self._inward.push_bytes(self._stream, self._stretch.came[: words[s.GOT]].tobytes())
@@ -120,7 +120,7 @@ class PlainFlight:
 def plain_flight(
     simulation: Simulation, hil: HilPacker, passage: Passage | None
 ) -> PlainFlight | None:
-    """The plain steps of a flight, where it has any."""
+    """Create the plain steps of a flight, or None if it has none."""
     if passage is None or not can_be_plain(simulation):
         return None
     return PlainFlight(simulation, hil, passage)

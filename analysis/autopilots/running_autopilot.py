@@ -1,4 +1,4 @@
-"""An autopilot's program in flight: its process, where it is heard, and how it ended."""
+"""A running autopilot: its process, its links, how it ended, and the pace of its flight."""
 
 import contextlib
 import subprocess
@@ -12,20 +12,22 @@ from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.links.link import Link
 from simvehicle.app.pace import Pace
 
-MIN_WAIT_S = 0.02  # wall time by which the flight may be ahead of its pace
-STARTUP_SPEED = 4.0  # times real time: slower the flight waits for the start, faster it holds it up
+MIN_WAIT_S = 0.02  # shorter waits are skipped, since a sleep costs about as much
+STARTUP_SPEED = (
+    4.0  # times real time; fastest in benchmarks/autopilots.md: faster delays the start script
+)
 STARTUP_LIMIT_S = 60.0
-SHUTDOWN_TIMEOUT_S = 10.0  # for a program to close its logs
+SHUTDOWN_TIMEOUT_S = 10.0  # for the process to close its logs
 
 Process = subprocess.Popen[bytes]
 
 
 @dataclass(frozen=True, slots=True)
 class RunningAutopilot:
-    """What flies, the log of what it says on its console, and the message that steps it.
+    """The autopilot's process and links, its console log, and the message that steps it.
 
-    The first link is the HIL link, further ones are its telemetry. `startup_text` are words of the
-    console that end its start, while which it already answers.
+    The first link is the HIL link, further ones are telemetry. `startup_text` appears on the
+    console when its start is complete; it answers steps before that.
     """
 
     name: str
@@ -36,19 +38,18 @@ class RunningAutopilot:
     startup_text: str = ""
 
     def exit_details(self) -> str:
-        """How it ended where it was killed, else what it said last; for a message."""
+        """Describe for an error message how it was killed, or its last console line."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             if (code := self.process.wait(SHUTDOWN_TIMEOUT_S)) < 0:
                 return f"; {self.name} ended {describe_exit(code)}"
         lines = self.log.read_text(errors="replace").strip().splitlines()
-        return f"; {self.name} said: {lines[-1]}" if lines else ""
+        return f"; last output of {self.name}: {lines[-1]}" if lines else ""
 
 
 class StartupPacer:
-    """Keeps a flight to a pace until the program has started all of its parts.
+    """Limits the speed of a flight until the autopilot has started completely.
 
-    The program answers steps long before that, and at full speed it would have flown before, say,
-    its own log begins.
+    It answers steps long before that; at full speed it would take off before its own log begins.
     """
 
     def __init__(self, program: RunningAutopilot) -> None:
@@ -58,7 +59,7 @@ class StartupPacer:
         self._first_us = 0
 
     def wait_for_pace(self, t_us: int) -> None:
-        """Wait until the wall clock is as far as the pace asks."""
+        """Sleep while the flight is ahead of the start-up speed."""
         if self.finished:
             return
         if self._began_s is None:
@@ -70,22 +71,22 @@ class StartupPacer:
             return
         time.sleep(ahead_s)
         told = self._program.startup_text in self._program.log.read_text(errors="replace")
-        # Another version may use other words.
+        # Another version may print another text.
         self.finished = told or time.monotonic() - self._began_s > STARTUP_LIMIT_S
 
 
 class RealTimePacer:
-    """Keeps a flight to real time while an answer is awaited that runs on the wall clock.
+    """Limits a flight to real time while a command is in progress on the wall clock.
 
-    A flight stands before whatever else runs, the threads of its own operator too: on a busy
-    machine PX4 would have disarmed itself before it heard of the take-off.
+    The flight's thread has priority over all others, also over those of its operator: on a busy
+    machine PX4 would disarm itself before it received the take-off command.
     """
 
     def __init__(self) -> None:
         self._pace: Pace | None = None
 
     def wait_for_pace(self, t_us: int, *, awaiting: bool) -> None:
-        """Wait until the wall clock is as far as the flight since the question."""
+        """Sleep while the flight is ahead of real time since the command."""
         if not awaiting:
             self._pace = None
             return
@@ -97,7 +98,7 @@ class RealTimePacer:
 
 @contextlib.contextmanager
 def terminate_on_exit(process: Process, within_s: float = SHUTDOWN_TIMEOUT_S) -> Iterator[Process]:
-    """End a program in the end: kindly first, as it may want to write its log."""
+    """Terminate a process on exit, and kill it if it does not close its log in time."""
     try:
         yield process
     finally:

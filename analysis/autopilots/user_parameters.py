@@ -1,4 +1,4 @@
-"""A user's parameters for the autopilot of a run, over those that the run sets itself."""
+"""Parameter files of the user, which override the parameters that a run sets."""
 
 import math
 from pathlib import Path
@@ -9,12 +9,12 @@ QGC_COLUMNS = 5  # QGroundControl's: vehicle, component, name, value, type
 
 
 def read_parameters(file: str | None) -> dict[str, float]:
-    """Names and values, of a file as Mission Planner, MAVProxy or QGroundControl write it.
+    """Read names and values from a file of Mission Planner, MAVProxy or QGroundControl.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, or a line is no parameter.
+        If the file cannot be read, or a line is not a parameter.
     """
     if file is None:
         return {}
@@ -35,11 +35,11 @@ def read_parameters(file: str | None) -> dict[str, float]:
         except ValueError:
             value = math.nan
         if len(words) not in (2, QGC_COLUMNS) or not math.isfinite(value):
-            raise ConfigError(f"{file}:{number}: {line.strip()!r} is no parameter; NAME VALUE")
+            raise ConfigError(f"{file}:{number}: {line.strip()!r} is not NAME VALUE")
         found[name] = value
     return found
 
 
 def format_parameters(parameters: dict[str, float]) -> str:
-    """Lines of NAME VALUE, as ArduPilot reads them."""
+    """Format parameters as lines of NAME VALUE, as ArduPilot reads them."""
     return "".join(f"{name} {value:.9g}\n" for name, value in parameters.items())

@@ -1,8 +1,8 @@
-"""The smallest magnitude at which the outcome gets worse, by halving the interval.
+"""Find the smallest magnitude at which the outcome gets worse, by bisection.
 
-Eight flights at most: one at the upper end, one at the lower, six halvings, after which the
-interval is a sixty-fourth of the first. Outcomes need not grow with the magnitude everywhere; what
-is found is one place at which they get worse.
+At most eight flights: one at the upper end, one at the lower, and six halvings, which leave 1/64 of
+the interval. If the outcome is not monotonic in the magnitude, bisection finds one of the
+magnitudes at which it gets worse.
 """
 
 from collections.abc import Generator
@@ -15,9 +15,9 @@ HALVINGS = 6
 
 @dataclass(frozen=True)
 class CriticalMagnitude:
-    """`magnitude` is the smallest found that is worse, `harmless` the largest below it that is not.
+    """`magnitude` is the smallest with a bad outcome, `harmless` the largest below it without.
 
-    Without `magnitude` the whole interval is harmless; without `harmless` all of it is worse.
+    Without `magnitude` the entire interval is harmless; without `harmless` all of it is bad.
     """
 
     magnitude: float | None
@@ -26,13 +26,13 @@ class CriticalMagnitude:
 
 
 def bisect_magnitude(interval: Magnitudes) -> Generator[float, bool, CriticalMagnitude]:
-    """Yields magnitudes to fly and is sent whether each was worse."""
-    # The upper end first: where it does no harm, one flight answers the question.
+    """Yield the magnitudes to fly; the caller sends whether each outcome was bad."""
+    # The upper end first: if it is harmless, one flight is enough.
     if not (yield interval.high):
         return CriticalMagnitude(None, interval.high, 1)
     if (yield interval.low):
         return CriticalMagnitude(interval.low, None, 2)
-    # Shares of the way and not magnitudes: the spacing may be logarithmic.
+    # Shares of the interval, not magnitudes, since the spacing may be logarithmic.
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""`mavproxy-fault campaign`: fly cells, show what came of them, compare two, search around one."""
+"""`mavproxy-fault campaign`: fly test cells, compare two campaigns, or search around a cell."""
 
 import argparse
 import os
@@ -16,39 +16,39 @@ from analysis.campaign.results_store import ResultsStore
 from analysis.campaign.worker_pool import open_worker_pool
 from mavproxy_fault.documents.errors import ConfigError
 
-# Rough: they only say whether it takes minutes or days.
-SIMULATOR_SPEED = (
-    15.0  # simulated seconds a worker flies in one of wall time, before anything is known
-)
+# Rough values, to tell minutes from days.
+SIMULATOR_SPEED = 15.0  # simulated seconds per second of one worker
 LANE_SPEED = 20_000.0
-# Of an autopilot, with its start, take-off and landing: 26 s of PX4 took 13 s, of ArduCopter 27 s.
+# With start, take-off and landing: 26 s under PX4 took 13 s, under ArduCopter 27 s.
 AUTOPILOT_SPEED = 1.0
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly, compare two campaigns, or make a search of a cell; the exit code."""
+    """Fly a campaign, compare two, or write a search around a cell; return the exit code."""
     if args.file[0] == "compare":
         from analysis.campaign.results.campaign_comparison import compare_folders
 
         if len(args.file) != 3:
-            raise ConfigError("campaign compare: takes two folders, of before and after")
+            raise ConfigError("campaign compare: needs two campaign folders, BEFORE and AFTER")
         return compare_folders(*(Path(name) for name in args.file[1:]))
     if args.file[0] == "search":
         from analysis.campaign.results.cell_search import write_search
 
         if len(args.file) not in (2, 3):
-            raise ConfigError("campaign search: takes a campaign's folder, and a cell's key")
+            raise ConfigError(
+                "campaign search: needs a campaign folder and optionally a cell's key"
+            )
         path = write_search(Path(args.file[1]), args.file[2] if len(args.file) == 3 else None)
         print(f"mavproxy-fault search {path}")
         return 0
     if len(args.file) != 1:
-        raise ConfigError("campaign: takes one file; see docs/campaigns.md")
+        raise ConfigError("campaign: needs exactly one campaign file; see docs/campaigns.md")
     campaign = read_campaign(args.file[0])
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
     plan = CampaignPlan(campaign, keep)
-    # Before anything flies: with `--dry-run` this is the whole answer.
+    # With `--dry-run` this is the complete output.
     print(describe_size(plan, workers), flush=True)
     if args.dry_run:
         return 0
@@ -61,7 +61,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> None:
-    """Fly what is missing, then write and print what is known; also after Ctrl-C."""
+    """Fly the missing cells, then write and print the results, also after Ctrl-C."""
     campaign = plan.campaign
     ledger = ResultsStore(folder, campaign)
     fleet = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
@@ -77,14 +77,14 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
     finally:
         fleet.close()
         ledger.close()
-        # Nothing known, nothing to write: the first flight may have been refused.
+        # There may be no results if the first flight was refused.
         if ledger.results:
             write_report(folder, plan)
             print_outcomes(folder, plan)
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """`campaign-NAME-1` or the first number that is free."""
+    """Return `campaign-NAME-N` with the first free number."""
     number = 1
     while (parent / f"campaign-{name}-{number}").exists():
         number += 1
@@ -92,9 +92,9 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def describe_size(plan: CampaignPlan, workers: int) -> str:
-    """What is about to be flown, and how long that may take."""
+    """Describe the number of cells and flights, and the expected duration."""
     campaign: CampaignFile = plan.campaign
-    # Twins are flights too, but no cells.
+    # Reference flights are flights, but not cells.
     flights, cells = plan.max_flights + len(plan.reference_jobs()), plan.max_cells
     speed = LANE_SPEED if campaign.compiled else SIMULATOR_SPEED
     if any(map(campaign.autopilot, campaign.subject_names)):
@@ -103,12 +103,12 @@ def describe_size(plan: CampaignPlan, workers: int) -> str:
     most = "at most " if campaign.find == "critical" else ""
     return (
         f"{campaign.name}: {most}{cells} cells in {flights} flights of {plan.flight_s:g} s, "
-        f"some {format_duration(wall_s)} on {workers} workers"
+        f"about {format_duration(wall_s)} on {workers} workers"
     )
 
 
 def format_duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
+    """Format a duration in seconds, minutes or hours."""
     if seconds < 90.0:
         return f"{max(1, round(seconds))} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,4 +1,4 @@
-"""Campaign files (YAML): who is asked, in which flights, about which faults."""
+"""Campaign files (YAML): subjects under test, scenarios, and faults."""
 
 import math
 from itertools import product
@@ -19,7 +19,7 @@ from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
 
-MAGNITUDE = "value"  # the key of a fault that a magnitude sets, unless it says otherwise
+MAGNITUDE = "value"  # the key of a fault that a magnitude sets by default
 PHASES = ("hover", "turn", "climb", "descent", "level", "landing")
 
 
@@ -28,7 +28,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Magnitudes(_Section, frozen=True):
-    """Magnitudes from `low` to `high`; of a critical search, the interval that is searched."""
+    """Magnitudes from `low` to `high`; in a critical search, the interval to search."""
 
     low: float
     high: float
@@ -37,27 +37,27 @@ class Magnitudes(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise ValueError(f"low = {self.low} is not below high = {self.high}; low < high")
+            raise ValueError(f"low = {self.low} must be below high = {self.high}")
         # A logarithm needs a positive start.
         if self.spacing == "log" and self.low <= 0.0:
-            raise ValueError(f"low = {self.low} is not positive; above 0, or spacing: linear")
+            raise ValueError(f"low = {self.low} must be above 0; else use spacing: linear")
         if self.count < 2:
-            raise ValueError(f"count = {self.count} is too few; 2 or more")
+            raise ValueError(f"count = {self.count} must be 2 or more")
 
     def interpolate(self, share: float) -> float:
-        """The magnitude at a share (0 to 1) of the way, by the spacing."""
+        """Return the magnitude at a share (0 to 1) of the interval, by the spacing."""
         if self.spacing == "linear":
             return self.low + share * (self.high - self.low)
         return math.exp(math.log(self.low) + share * math.log(self.high / self.low))
 
     def spaced_values(self) -> list[float]:
-        """All of them, rounded to four digits."""
-        # Four digits: names and keys stay short, and the same after a restart.
+        """Return all magnitudes, rounded to four digits."""
+        # Four digits keep names and keys short, and the same after a restart.
         return [float(f"{self.interpolate(i / (self.count - 1)):.4g}") for i in range(self.count)]
 
 
 class FaultChoice(_Section, frozen=True):
-    """A fault or preset; `magnitudes` replace its key `sets`; `also` are its further keys."""
+    """A fault or preset; `magnitudes` replace its key `sets`; `also` holds further keys."""
 
     id: str | None = None
     fault: str | None = None
@@ -69,16 +69,16 @@ class FaultChoice(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if (self.fault is None) == (self.preset is None):
-            raise ValueError("exactly one of fault and preset is needed")
+            raise ValueError("needs exactly one of fault and preset")
 
     @property
     def name(self) -> str:
-        """Its name in results."""
+        """The name of the fault in results."""
         target = self.target if isinstance(self.target, str) else "+".join(self.target or [])
         return self.id or " ".join(filter(None, (self.fault or self.preset, target)))
 
     def magnitude_list(self) -> list[float | None]:
-        """The magnitudes of a grid; one that is None for a fault without."""
+        """Return the magnitudes of a grid; [None] for a fault without magnitudes."""
         if self.magnitudes is None:
             return [None]
         if isinstance(self.magnitudes, Magnitudes):
@@ -86,7 +86,7 @@ class FaultChoice(_Section, frozen=True):
         return list(self.magnitudes)
 
     def interval(self) -> Magnitudes:
-        """Where a critical magnitude is sought.
+        """Return the interval in which a critical magnitude is searched.
 
         Raises
         ------
@@ -96,27 +96,26 @@ class FaultChoice(_Section, frozen=True):
         if isinstance(self.magnitudes, Magnitudes):
             return self.magnitudes
         if not self.magnitudes:
-            # One magnitude only would be no interval.
-            raise ValueError(f"{self.name}: magnitudes are missing; {{low: , high: }}")
+            raise ValueError(f"{self.name}: magnitudes are missing; give {{low: , high: }}")
         low, high = min(self.magnitudes), max(self.magnitudes)
-        # Logarithmic where it can be: effects of faults span decades.
+        # Logarithmic if possible: effects of faults span decades.
         return Magnitudes(low=low, high=high, spacing="log" if low > 0.0 else "linear")
 
     def entry(self, magnitude: float | None, onset_s: float, duration_s: float) -> dict[str, Any]:
-        """The entry of a schedule."""
+        """Build the schedule entry of the fault."""
         entry: dict[str, Any] = {"id": self.name.replace(" ", "-"), **self.also}
         for key in ("fault", "preset", "target"):
             if getattr(self, key) is not None:
                 entry[key] = getattr(self, key)
         if magnitude is not None:
             entry[self.sets] = magnitude
-        # Last, so that no further key can move the fault.
+        # Last, so that `also` cannot move the fault.
         return {**entry, "at_s": onset_s, "for_s": duration_s}
 
 
 class SubjectChoice(_Section, frozen=True):
-    """An autopilot under test, as `mavproxy-fault run` takes it; the file of its `parameters` lies
-    beside the campaign's, and `arguments` are further ones."""
+    """An autopilot under test, as `mavproxy-fault run` takes it; `parameters` is a file relative to
+    the campaign file, `arguments` are further arguments of `run`."""
 
     name: str
     autopilot: str
@@ -125,7 +124,7 @@ class SubjectChoice(_Section, frozen=True):
     arguments: tuple[str, ...] = ()
 
     def options(self, folder: str | Path) -> list[str]:
-        """The words that `run` takes, for a campaign whose file lies in `folder`."""
+        """Return the arguments of `run`, for a campaign file in `folder`."""
         words = ["--autopilot", self.autopilot, "--binary", self.binary]
         if self.parameters:
             words += ["--parameters", str(Path(folder) / self.parameters)]
@@ -133,16 +132,16 @@ class SubjectChoice(_Section, frozen=True):
 
 
 class CompiledScenario(_Section, frozen=True):
-    """A flight of the search's compiled fixed wing; `compiled` holds keys of a search's file."""
+    """A flight of the search's compiled fixed wing; `compiled` holds keys of a test file."""
 
     name: str
     compiled: dict[str, Any]
 
 
 class CampaignFile(_Section, frozen=True):
-    """A whole campaign file; the number of cells is the product of its lists.
+    """A campaign file; the number of cells is the product of its lists.
 
-    `vary` are values of the scenarios, such as wind and start, by their paths.
+    `vary` lists values of scenario keys, such as wind and start, by their paths.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -162,47 +161,47 @@ class CampaignFile(_Section, frozen=True):
     def __post_init__(self) -> None:
         for name in ("subjects", "scenarios", "faults", "onsets", "durations_s", "seeds"):
             if not getattr(self, name):
-                raise ValueError(f"{name} is empty; at least one is needed")
+                raise ValueError(f"{name} is empty; give at least one")
         for onset in self.onsets:
             if isinstance(onset, str) and onset not in PHASES:
-                raise ValueError(f"onsets: {onset} is unknown; seconds or {', '.join(PHASES)}")
+                raise ValueError(f"onsets: {onset} is unknown; give seconds or {', '.join(PHASES)}")
         for path, values in self.vary.items():
             if not values:
-                raise ValueError(f"vary.{path} is empty; at least one value is needed")
+                raise ValueError(f"vary.{path} is empty; give at least one value")
         if self.vary and self.compiled:
-            raise ValueError("vary is for scenarios of files; a compiled one has its own keys")
-        # Names are keys of results: two faults of one name would be one.
+            raise ValueError("vary needs scenario files; compiled scenarios have their own keys")
+        # Names are keys of results, so two faults of one name would be merged.
         ids = [fault.name for fault in self.faults]
         for name in ids:
             if ids.count(name) > 1:
-                raise ValueError(f"faults: {name} stands twice; give them an id each")
+                raise ValueError(f"faults: {name} occurs twice; give each an id")
         if self.find == "critical":
             for fault in self.faults:
                 fault.interval()
 
     @property
     def compiled(self) -> bool:
-        """Whether the compiled kernels fly it."""
+        """Whether the compiled kernels fly the campaign."""
         return isinstance(self.scenarios[0], CompiledScenario)
 
     def autopilot(self, name: str) -> SubjectChoice | None:
-        """The autopilot of a subject's name; None for an estimator or the monitor."""
+        """Return the autopilot with this subject name; None for an estimator or the monitor."""
         chosen = [s for s in self.subjects if isinstance(s, SubjectChoice) and s.name == name]
         return chosen[0] if chosen else None
 
     @property
     def scenario_names(self) -> list[str]:
-        """The scenarios by name; what is varied stands behind, as `run --set` takes it."""
+        """The names of the scenarios, followed by varied values as `run --set` takes them."""
         if self.compiled:
             return [s.name for s in self.scenarios if isinstance(s, CompiledScenario)]
         varied = [[f"{path}={value:g}" for value in values] for path, values in self.vary.items()]
         return [" ".join(map(str, words)) for words in product(self.scenarios, *varied)]
 
     def scenario_arguments(self, name: str) -> list[str]:
-        """The words of `run` that fly a scenario by its name in results."""
+        """Return the arguments of `run` for a scenario by its name in results."""
         file = next(str(s) for s in self.scenarios if name == s or name.startswith(f"{s} "))
         words = [str(Path(self.folder) / file)]
-        # Neither a path in a scenario nor a number has a blank in it.
+        # Neither paths in a scenario nor numbers contain blanks.
         for change in name[len(file) :].split():
             words += ["--set", change]
         return words
@@ -213,29 +212,29 @@ class CampaignFile(_Section, frozen=True):
         return [s if isinstance(s, str) else s.name for s in self.subjects]
 
     def fault(self, name: str) -> FaultChoice:
-        """A fault by its name in results."""
+        """Return a fault by its name in results."""
         return next(fault for fault in self.faults if fault.name == name)
 
 
 def read_campaign(path: Path | str) -> CampaignFile:
-    """Read a campaign file; every fault is checked as a schedule's entry is.
+    """Read a campaign file, and check every fault like a schedule entry.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, or a key or value is wrong.
+        If the file cannot be read, or a key or value is wrong.
     """
     document = read_document(path)
     if not isinstance(document.data, dict):
-        raise ConfigError(f"{path}: holds no keys; a campaign file is a YAML mapping")
+        raise ConfigError(f"{path}: has no keys; a campaign file must be a YAML mapping")
     refuse_other_kinds(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
-    # Scenarios lie beside the campaign's file.
+    # Scenario paths are relative to the campaign file.
     data = {**document.data, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
-    # One way of flying in a campaign: the numbers of both would not compare.
+    # Results of compiled scenarios and of files cannot be compared.
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}
     if len(kinds) > 1:
-        raise ConfigError(f"{path}: scenarios mix compiled ones and files; one kind in a campaign")
+        raise ConfigError(f"{path}: scenarios mix compiled ones and files; use one kind only")
     for i, scenario in enumerate(campaign.scenarios):
         if isinstance(scenario, CompiledScenario):
             decode(document, TestFile, ("scenarios", i, "compiled"))
@@ -245,10 +244,10 @@ def read_campaign(path: Path | str) -> CampaignFile:
         if isinstance(subject, str) and subject not in known:
             check.wrong(("subjects", i), f"= {subject} is unknown; {suggest_known(subject, known)}")
         elif not isinstance(subject, str) and subject.parameters:
-            # Before the first flight: each would end for the same reason.
+            # Checked here, before each flight fails for the same reason.
             read_parameters(str(Path(campaign.folder) / subject.parameters))
     check.finish()
-    # As a schedule's entry, at the first magnitude: errors come before the first flight.
+    # Parsed at the first magnitude, so that errors show before the first flight.
     for i, fault in enumerate(campaign.faults):
         where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
         parse_entry(fault.entry(fault.magnitude_list()[0], 0.0, 1.0), where)

@@ -1,7 +1,7 @@
-"""What is to be flown: the cells of a campaign as threads of jobs.
+"""The plan of a campaign: its cells as sequences of jobs.
 
-A thread yields a job and is sent its results; that of a grid yields one, a bisection several. Cells
-whose results are known are not flown again.
+A sequence yields a job and is sent its results; a grid cell yields one job, a bisection several.
+Cells with stored results are not flown again.
 """
 
 from collections.abc import Generator, Iterator, Mapping
@@ -13,13 +13,13 @@ from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
 from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, file_key
 from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
 
-MAX_BATCH_CELLS = 2048  # cells of one batch, so that progress shows and a kill loses little
+MAX_BATCH_CELLS = 2048  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
 JobSequence = Generator[Job, list[CellResult], None]
 
 
 class CampaignPlan:
-    """A campaign's cells and how they are flown; `keep` is where logs go, if anywhere."""
+    """The cells and jobs of a campaign; `keep` is the folder for logs, None to discard them."""
 
     def __init__(self, campaign: CampaignFile, keep: Path | None = None) -> None:
         self.campaign = campaign
@@ -31,7 +31,7 @@ class CampaignPlan:
 
     @property
     def max_cells(self) -> int:
-        """How many cells there are; of a critical search, how many at most."""
+        """The number of cells; the largest possible one for a critical search."""
         campaign = self.campaign
         if campaign.find == "critical":
             per_fault = len(campaign.faults) * (HALVINGS + 2)
@@ -42,13 +42,13 @@ class CampaignPlan:
 
     @property
     def max_flights(self) -> int:
-        """How many flights those are, without the twins."""
-        # A flight that is shared answers for all its subjects.
+        """The number of flights, without the reference flights."""
+        # A shared flight serves all its subjects.
         return self.max_cells // len(self.subjects) * len(self._groups())
 
     @property
     def flight_s(self) -> float:
-        """The mean length of a flight in simulated seconds."""
+        """The mean duration of a flight in simulated seconds."""
         if self.campaign.compiled:
             lengths = [s.compiled.get("duration_s", 60.0) for s in self.campaign.scenarios]  # type: ignore[union-attr]
         else:
@@ -57,7 +57,7 @@ class CampaignPlan:
         return float(sum(lengths) / len(lengths))
 
     def _groups(self) -> list[list[str]]:
-        """Subjects that share their flights: those that the simulator's controller flies."""
+        """Group the subjects by flight: those flown by the simulator's controller share one."""
         if self.campaign.find == "critical" or self.campaign.compiled:
             return [[name] for name in self.subjects]
         groups: list[list[str]] = []
@@ -69,12 +69,12 @@ class CampaignPlan:
                 onboard.append(name)
         return [onboard, *groups] if onboard else groups
 
-    # -- twins -----------------------------------------------------------------------------------
+    # -- reference flights -----------------------------------------------------------------------
 
     def reference_jobs(self) -> dict[str, FlightJob]:
-        """The flights without a fault, by key."""
+        """Return the jobs of the reference flights, by key."""
         if self.campaign.compiled:
-            # Compiled batches fly their twin along.
+            # Each compiled batch contains its reference flight.
             return {}
         found = {}
         for group, scenario, seed in product(self._groups(), self.scenarios, self.campaign.seeds):
@@ -87,13 +87,13 @@ class CampaignPlan:
         return found
 
     def reference_key(self, cell: Cell) -> str:
-        """What a cell's twin is known by; subjects that share flights share it."""
-        # The first subject stands for all that share the flight.
+        """Return the key of a cell's reference flight; subjects that share flights share it."""
+        # The first subject represents all that share the flight.
         first = next(group[0] for group in self._groups() if cell.subject in group)
         return f"{first}|{cell.scenario}|{cell.seed}"
 
     def _folder(self, cell: Cell) -> str | None:
-        """Where the logs of a flight go."""
+        """Return the folder for the logs of a flight."""
         return None if self._keep is None else str(self._keep / file_key(*cell.key.split("|")))
 
     # -- cells -----------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ class CampaignPlan:
     def job_sequences(
         self, known: KnownResults, twins: Mapping[str, CampaignFlight]
     ) -> Iterator[JobSequence]:
-        """What is left to fly."""
+        """Yield the job sequences of cells without a stored result."""
         if self.campaign.find == "critical":
             for cell in self._series():
                 yield self._critical(cell, known, twins)
@@ -114,7 +114,7 @@ class CampaignPlan:
                     yield _single_job(self._job(missing, twins))
 
     def _series(self) -> Iterator[Cell]:
-        """A cell of each series, without a magnitude."""
+        """Yield one cell of each series, without a magnitude."""
         campaign = self.campaign
         for subject, scenario, fault, onset, duration_s, seed in product(
             self.subjects, self.scenarios, campaign.faults, campaign.onsets,
@@ -126,7 +126,7 @@ class CampaignPlan:
             )  # fmt: skip
 
     def _grid(self) -> Iterator[list[Cell]]:
-        """The cells of each flight."""
+        """Yield the cells of each flight."""
         for group in self._groups():
             for series in self._series():
                 if series.subject != group[0]:
@@ -135,9 +135,9 @@ class CampaignPlan:
                     yield [cell_at(series, magnitude, subject) for subject in group]
 
     def _lanes(self, known: KnownResults) -> Iterator[JobSequence]:
-        """Compiled batches: cells that differ in magnitude, onset and duration."""
+        """Yield compiled batches of cells that differ in magnitude, onset and duration."""
         cells = (cell for group in self._grid() for cell in group if cell.key not in known)
-        # `groupby` wants equals side by side.
+        # `groupby` needs sorted input.
         alike = sorted(cells, key=_batch_key)
         for _, batch in groupby(alike, key=_batch_key):
             listed = tuple(batch)
@@ -163,14 +163,14 @@ class CampaignPlan:
                 if result is None:
                     (result,) = yield self._job((cell,), twins)
                 if result.outcome == "aborted":
-                    # Without an answer the bisection cannot choose a side.
+                    # Without an outcome the bisection cannot choose a half.
                     return
                 magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
         except StopIteration:
             return
 
     def critical_magnitudes(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
-        """What the bisections that are over have found, by series."""
+        """Return the results of the completed bisections, by series."""
         found = {}
         for series in self._series():
             search = bisect_magnitude(self.campaign.fault(series.fault).interval())
@@ -180,14 +180,14 @@ class CampaignPlan:
                     result := known.get(cell_at(series, magnitude, series.subject).key)
                 ) is not None:
                     magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
-            # The generator's return value is what it found.
+            # The result is the generator's return value.
             except StopIteration as over:
                 found[series.series] = over.value
         return found
 
 
 def cell_at(series: Cell, magnitude: float | None, subject: str) -> Cell:
-    """The cell of a series with a magnitude."""
+    """Return the cell of a series with this magnitude and subject."""
     return Cell(
         subject=subject, scenario=series.scenario, fault=series.fault, magnitude=magnitude,
         onset=series.onset, duration_s=series.duration_s, seed=series.seed,

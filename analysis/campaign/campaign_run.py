@@ -1,4 +1,4 @@
-"""A campaign as it is flown: twins first, then every thread of jobs, each answer kept at once."""
+"""Fly a campaign: reference flights first, then all job sequences; store every answer at once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ ProgressCallback = Callable[[list[CellResult]], None]
 
 @dataclass
 class CampaignRun:
-    """Flies a plan with a fleet into a ledger; `progress` is shown each job's results."""
+    """Flies a plan with a worker pool into a results store; `progress` gets each job's results."""
 
     plan: CampaignPlan
     pool: WorkerPool
@@ -23,12 +23,12 @@ class CampaignRun:
     progress: ProgressCallback
 
     def run_all(self) -> None:
-        """Fly all that the ledger does not know yet.
+        """Fly all cells without a stored result.
 
         Raises
         ------
         ConfigError
-            If a twin cannot be flown: then nothing of the campaign can.
+            If a reference flight fails.
         """
         self._fly_references()
         todo = self.plan.job_sequences(self.store.results, self.store.reference_flights)
@@ -41,12 +41,12 @@ class CampaignRun:
                 return
             number, answer = self.pool.finished()
             thread = in_air.pop(number)
-            # Kept before anything else: a kill after this loses nothing.
+            # Stored before anything else, so that a kill loses nothing.
             self.store.add(answer.results, answer.flight)
             self.progress(answer.results)
             try:
                 job = thread.send(answer.results)
-            # The thread has its answer: its place is free for another.
+            # The sequence has ended: its slot is free for another.
             except StopIteration:
                 continue
             count += 1
@@ -54,7 +54,7 @@ class CampaignRun:
             self.pool.start(count, job)
 
     def _begin(self, thread: JobSequence, count: int, in_air: dict[int, JobSequence]) -> int:
-        """Start a thread's first job; how many were started (0 if all of it is known)."""
+        """Start the first job of a sequence; return the number started (0 if all are known)."""
         job = next(thread, None)
         if job is None:
             return 0
@@ -73,7 +73,7 @@ class CampaignRun:
         while waiting or in_air:
             while waiting and len(in_air) < self.pool.capacity:
                 key = waiting.pop(0)
-                # Negative, so that they cannot be mistaken for numbers of jobs.
+                # Negative, to differ from the numbers of other jobs.
                 number = -len(jobs) + len(waiting)
                 in_air[number] = key
                 self.pool.start(number, jobs[key])
@@ -82,18 +82,17 @@ class CampaignRun:
 
 
 def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
-    """The flight of an answer to a twin's job.
+    """Return the flight of a reference job's answer.
 
     Raises
     ------
     ConfigError
-        If there was none.
+        If the flight failed.
     """
     if answer.flight is None:
-        # Without its twin nothing can be judged.
+        # Without the reference flight, no outcome can be determined.
         first = answer.results[0]
         raise ConfigError(
-            f"{first.cell.scenario}: {first.cell.subject} cannot be flown without a fault: "
-            f"{first.note}"
+            f"{first.cell.scenario}: the reference flight of {first.cell.subject} failed: {first.note}"
         )
     return answer.flight

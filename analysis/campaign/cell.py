@@ -1,19 +1,19 @@
-"""A cell of a campaign and what became of it."""
+"""A test cell of a campaign, the evidence of its flight, and its result."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
-HEALTHY = "healthy"  # the fault of a twin
-MONITOR = "monitor"  # the subject that is the project's own detector
+HEALTHY = "healthy"  # the `fault` of a reference flight
+MONITOR = "monitor"  # the subject name of the project's own detector
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
-    """One question to a subject.
+    """One combination of subject, scenario and fault.
 
-    `magnitude` is in the field's unit, None for a fault or preset without one; `onset` is what the
-    file says, a time in seconds or a phase of flight by name.
+    `magnitude` is in the field's unit, None for a fault or preset without one; `onset` is a time in
+    seconds or the name of a phase of flight, as in the campaign file.
     """
 
     subject: str
@@ -26,13 +26,13 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def key(self) -> str:
-        """What tells it from all other cells."""
-        # Nine digits tell any two magnitudes of a bisection apart.
+        """The unique name of the cell."""
+        # Nine digits distinguish any two magnitudes of a bisection.
         return "|".join((*self.series, "" if self.magnitude is None else f"{self.magnitude:.9g}"))
 
     @property
     def series(self) -> tuple[str, ...]:
-        """What the cells that differ only in their magnitude have in common."""
+        """The part of the key shared by cells that differ only in their magnitude."""
         return (
             self.subject, self.scenario, self.fault, str(self.onset), f"{self.duration_s:g}",
             str(self.seed),
@@ -40,12 +40,13 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CellResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of a cell; times count from the start of the flight, delays from the onset.
+    """The result of a cell; times count from the start of the flight, delays from the onset.
 
     `outcome` is one of `outcomes.RANKS` or `aborted`, with the reason in `note`. Excursions are the
-    largest errors beyond those of the twin. `detected_by` names the first flag, alarm or text that
-    the twin does not show. `verdict` is what the project's monitor made of the fault in the same
-    flight (`docs/verdicts.md`), `blamed` whom it found, `verdict_s` when; empty where none ran.
+    largest errors beyond those of the reference flight. `detected_by` is the first flag, alarm or
+    text that the reference flight lacks. `verdict` is the monitor's verdict on the fault
+    (`docs/verdicts.md`), `blamed` the sensors it isolated, `verdict_s` its delay; empty if no
+    monitor ran.
     """
 
     cell: Cell
@@ -66,7 +67,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FlightMark(msgspec.Struct, frozen=True):
-    """Something that happened: `kind` is detected, failsafe, landed, lost or crashed."""
+    """An event of the flight; `kind` is detected, failsafe, landed, lost or crashed."""
 
     t_s: float
     kind: str
@@ -81,18 +82,18 @@ class EvidenceCurve(msgspec.Struct, frozen=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """What a flight showed of a subject: curves by name, and marks in order of time."""
+    """What a flight recorded of a subject: curves by name, and marks in order of time."""
 
     curves: dict[str, EvidenceCurve] = {}
     marks: list[FlightMark] = []
 
 
 ATTITUDE, POSITION = "attitude error, deg", "position error, m"
-PATH = ("north, m", "east, m", "up, m")  # curves of where the vehicle truly was
+PATH = ("north, m", "east, m", "up, m")  # curves of the true position
 
 
 class CellVerdict(msgspec.Struct, frozen=True):
-    """What the monitor made of a flight's fault: the word, whom it blamed, after how long."""
+    """The monitor's verdict on a fault, the sensors it isolated (`blamed`), and its delay."""
 
     word: str = ""
     blamed: str = ""
@@ -100,18 +101,18 @@ class CellVerdict(msgspec.Struct, frozen=True):
 
 
 def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
-    """The monitor's verdict from the `faults` of a summary; of a preset's parts the first found."""
+    """Take the verdict from the `faults` of a summary; of a preset's parts, the first detected."""
     if not faults:
         return CellVerdict()
     found = [fault for fault in faults if fault["delay_s"] is not None]
     first = min(found, key=lambda fault: fault["delay_s"]) if found else faults[0]
-    # Somebody may have been blamed several times.
+    # A sensor may have been isolated several times.
     blamed = dict.fromkeys([*first["isolated"], *(blame["who"] for blame in first["wrongly"])])
     return CellVerdict(first["verdict"], ", ".join(blamed), first["delay_s"])
 
 
 class CampaignFlight(msgspec.Struct, frozen=True):
-    """A flight that is over: evidence by subject, when each phase began, and how long it took."""
+    """A completed flight: evidence by subject, start of each phase [s], and duration."""
 
     evidence: dict[str, Evidence]
     phases: dict[str, float] = {}
@@ -122,6 +123,6 @@ class CampaignFlight(msgspec.Struct, frozen=True):
 
 
 def file_key(*parts: Any) -> str:
-    """A name for a file, made of parts."""
-    # Keys hold bars and slashes, which no file's name should.
+    """Build a file name from parts."""
+    # Keys contain bars and slashes, which file names must not.
     return "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in str(p)) for p in parts)

@@ -1,6 +1,7 @@
-"""What a fault did to a flight: the definitions, in one place (docs/campaigns.md explains them).
+"""Definitions of the outcomes of a test cell (explained in docs/campaigns.md).
 
-A flight with a fault is held against its twin, the same scenario, seed and subject without it.
+A flight with a fault is compared with its reference flight: the same scenario, seed and subject
+without the fault.
 """
 
 import math
@@ -22,16 +23,18 @@ from analysis.campaign.cell import (
 )
 
 RANKS = ("unaffected", "detected", "degraded", "failsafe", "landed", "lost", "crashed")
-ABORTED = "aborted"  # the flight could not be made; it says nothing of the subject
-SAME_EVENT_S = 1.0  # a mark of the twin within so much of one of the flight's is the same event
+ABORTED = "aborted"  # the flight failed to run, which says nothing about the subject
+SAME_EVENT_S = (
+    1.0  # chosen: marks of both flights this close in time are one event; telemetry comes at 1 Hz
+)
 Vector = NDArray[np.float64]
 
 
 class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """From where an excursion counts.
+    """Limits of the excursions.
 
     Beyond `attitude_deg` or `position_m` a flight is degraded, beyond `lost_deg` or `lost_m` it is
-    lost. `worse_from` is the outcome from which on a critical magnitude is sought.
+    lost. A critical magnitude is the smallest with the outcome `worse_from` or worse.
     """
 
     attitude_deg: float = 5.0
@@ -43,7 +46,7 @@ class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         for name in ("attitude_deg", "position_m", "lost_deg", "lost_m"):
             if getattr(self, name) <= 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)} is not positive; above 0")
+                raise ValueError(f"{name} = {getattr(self, name)} must be above 0")
         if self.worse_from not in RANKS[1:]:
             raise ValueError(
                 f"worse_from = {self.worse_from} is unknown; known: {', '.join(RANKS[1:])}"
@@ -55,24 +58,24 @@ class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def outcome_rank(outcome: str) -> int:
-    """0 for unaffected, more for worse; -1 for a flight that could not be made."""
+    """Return 0 for unaffected, more for worse outcomes, and -1 for aborted."""
     return RANKS.index(outcome) if outcome in RANKS else -1
 
 
 def classify_flight(
     cell: Cell, onset_s: float, flight: Evidence, twin: Evidence, limits: OutcomeLimits
 ) -> CellResult:
-    """The outcome of a cell from what its flight and its twin showed."""
+    """Determine the outcome of a cell from the evidence of its flight and its reference flight."""
     angle = error_excursion(flight, twin, ATTITUDE, onset_s)
     flown = PATH[0] in flight.curves
-    # By its place where that is known; an estimator moves nothing and is judged by its error.
+    # An autopilot by the vehicle's true path, an estimator by its position error.
     place = (
         path_excursion(flight, twin, onset_s)
         if flown
         else error_excursion(flight, twin, POSITION, onset_s)
     )
     excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
-    # What the healthy twin shows too is not the fault's doing.
+    # The fault did not cause marks that the reference flight has too.
     new = new_marks(flight.marks, twin.marks, onset_s)
     # Reversed, so that the earliest of each kind stays in the dictionary.
     first = {mark.kind: mark for mark in reversed(new)}
@@ -91,7 +94,7 @@ def classify_flight(
         excursion_m=excursion_m,
         detected_s=None if detected is None else detected.t_s - onset_s,
         detected_by="" if detected is None else detected.text,
-        # Recovered only when all that was beyond its limit is back.
+        # Recovered once all excursions are back within their limits.
         recovery_s=max(recoveries) if recoveries and None not in recoveries else None,  # type: ignore[type-var]
         failsafe="" if failsafe is None else failsafe.text,
         failsafe_s=None if failsafe is None else failsafe.t_s - onset_s,
@@ -101,35 +104,38 @@ def classify_flight(
 def outcome_of(
     excursion_deg: float, excursion_m: float, kinds: set[str], limits: OutcomeLimits
 ) -> str:
-    """The worst that happened."""
-    # Marks of a kind that is itself an outcome.
+    """Return the worst outcome that applies."""
+    # Marks whose kind is itself an outcome.
     happened = kinds & set(RANKS)
     if excursion_deg > limits.attitude_deg or excursion_m > limits.position_m:
         happened.add("degraded")
     if excursion_deg > limits.lost_deg or excursion_m > limits.lost_m:
         happened.add("lost")
-    # Nothing happened, or only what has no rank.
+    # Unaffected if nothing with a rank happened.
     return max(happened, key=outcome_rank, default="unaffected")
 
 
 def error_excursion(
     flight: Evidence, twin: Evidence, name: str, onset_s: float
 ) -> tuple[Vector, Vector]:
-    """Times (n,) [s] from the onset on, and the curve beyond the twin's (n,); empty without it."""
+    """Return times (n,) [s] since the onset, and the flight's curve minus the reference (n,).
+
+    Both are empty if a curve is missing.
+    """
     if name not in flight.curves or name not in twin.curves:
         return np.empty(0), np.empty(0)
     t_s, value = _arrays(flight.curves[name])
-    # The outcome counts from the onset on.
+    # The outcome counts from the onset.
     later = t_s >= onset_s
     t_s, value = t_s[later], value[later]
-    # The twin flies the same seed: what differs is the fault alone.
+    # The reference flight has the same seed, so any difference is due to the fault.
     healthy = np.interp(t_s, *_arrays(twin.curves[name]))
-    # An estimate that is no number is as wrong as can be.
+    # An estimate of NaN counts as infinitely wrong.
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)
 
 
 def path_excursion(flight: Evidence, twin: Evidence, onset_s: float) -> tuple[Vector, Vector]:
-    """Times (n,) [s], and how far the vehicle was from where its twin was at that time (n,) [m]."""
+    """Return times (n,) [s], and the vehicle's distance to the reference flight (n,) [m]."""
     axes = [error_excursion(flight, twin, name, onset_s) for name in PATH]
     return axes[0][0], np.linalg.norm([difference for _, difference in axes], axis=0)
 
@@ -139,22 +145,23 @@ def _arrays(curve: EvidenceCurve) -> tuple[Vector, Vector]:
 
 
 def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> float | None:
-    """Seconds from the fault's end until the excursion stays within the limit; None if never.
+    """Return the seconds from the fault's end until the excursion stays within the limit, or None.
 
-    `beyond` (n,) is the excursion in degrees or metres at the times `t_s` (n,), some of it outside.
+    `beyond` (n,) is the excursion in degrees or metres at the times `t_s` (n,); at least one value
+    exceeds `limit`.
     """
     outside = np.flatnonzero(beyond > limit)
-    # Still outside at the end.
+    # Still outside at the end of the flight.
     if outside[-1] == len(t_s) - 1:
         return None
-    # At least zero: it may have been back before the fault ended.
+    # At least zero: it may have returned before the fault ended.
     return max(0.0, float(t_s[outside[-1] + 1]) - ends_s)
 
 
 def new_marks(
     flight: Sequence[FlightMark], twin: Sequence[FlightMark], onset_s: float
 ) -> list[FlightMark]:
-    """The marks from the onset on that the twin does not show at the same time."""
+    """Return the marks since the onset that the reference flight lacks at the same time."""
 
     def known(mark: FlightMark) -> bool:
         return any(

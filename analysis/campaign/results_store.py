@@ -1,9 +1,9 @@
-"""What a campaign knows so far, in its folder; read again when it goes on after a kill.
+"""The results of a campaign in its folder, from which an interrupted campaign continues.
 
-campaign.json    the file, as it was read
-cells.jsonl      a result a line, flushed at once
+campaign.json    the campaign file as read
+cells.jsonl      one result per line, flushed at once
 curves.jsonl     the curves of each flight that has some
-twins.jsonl      the flights without a fault
+twins.jsonl      the fault-free reference flights
 """
 
 from io import FileIO
@@ -27,26 +27,26 @@ T = TypeVar("T")
 
 
 class CellEvidence(msgspec.Struct, frozen=True):
-    """The evidence of a cell by its key."""
+    """The evidence of a cell, with the cell's key."""
 
     key: str
     evidence: Evidence
 
 
 class ReferenceFlightRecord(msgspec.Struct, frozen=True):
-    """The flight without a fault, by its key."""
+    """A reference flight with its key."""
 
     key: str
     flown: CampaignFlight
 
 
 class ResultsStore:
-    """Open files of a campaign; `results` by key do not hold what was aborted.
+    """Open files of a campaign; `results` by key, without aborted cells.
 
     Raises
     ------
     ConfigError
-        If the folder holds another campaign.
+        If the folder contains another campaign.
     """
 
     def __init__(self, folder: Path, campaign: CampaignFile) -> None:
@@ -54,11 +54,11 @@ class ResultsStore:
         self.folder = folder
         written = msgspec.json.encode(campaign)
         known = folder / CAMPAIGN
-        # Bytes, not data: whatever differs makes it another campaign.
+        # Compared as bytes: any difference makes it another campaign.
         if known.exists() and known.read_bytes() != written:
-            raise ConfigError(f"--out {folder}: holds another campaign; name another folder")
+            raise ConfigError(f"--out {folder}: contains another campaign; choose another folder")
         known.write_bytes(written)
-        # Aborted cells are flown again: the reason may be gone.
+        # Aborted cells are repeated, since the reason may be gone.
         self.results = {
             result.cell.key: result
             for result in read_lines(folder / CELLS, CellResult)
@@ -74,7 +74,7 @@ class ResultsStore:
         self._encoder = msgspec.json.Encoder()
 
     def add(self, results: list[CellResult], flown: CampaignFlight | None) -> None:
-        """Keep the results of a job, and the curves of its flight."""
+        """Store the results of a job, and the curves of its flight."""
         self.results |= {result.cell.key: result for result in results}
         self._write(CELLS, results)
         if flown is not None:
@@ -84,12 +84,12 @@ class ResultsStore:
             )
 
     def add_reference(self, key: str, flown: CampaignFlight) -> None:
-        """Keep a flight without a fault."""
+        """Store a reference flight."""
         self.reference_flights[key] = flown
         self._write(REFERENCE_FLIGHTS, [ReferenceFlightRecord(key, flown)])
 
     def _write(self, name: str, items: list[Any]) -> None:
-        """One write for all, so that a kill leaves whole lines but the last."""
+        """Write all lines at once, so that a kill corrupts the last line at most."""
         self._files[name].write(self._encoder.encode_lines(items))
 
     def close(self) -> None:
@@ -99,36 +99,35 @@ class ResultsStore:
 
 
 def open_for_append(path: Path) -> FileIO:
-    """A file to append lines to, without the part of a line that a kill left at its end."""
-    # Read and append: the cut line goes, the rest stays.
+    """Open a file to append lines, and remove an incomplete last line."""
     file = FileIO(path, "a+")
     file.seek(0)
-    # -1 + 1 where there is no line: the file is emptied.
+    # -1 + 1 without a complete line: the file is emptied.
     file.truncate(file.read().rfind(b"\n") + 1)
     return file
 
 
 def read_lines(path: Path, kind: type[T]) -> list[T]:
-    """The whole lines of a file; none if there is no such file."""
+    """Decode the complete lines of a file; none if the file does not exist."""
     if not path.is_file():
         return []
     decoder = msgspec.json.Decoder(kind)
-    # A kill may have cut the last line.
+    # A kill may leave an incomplete last line.
     lines = path.read_bytes().splitlines(keepends=True)
     return [decoder.decode(line) for line in lines if line.endswith(b"\n")]
 
 
 def read_campaign_folder(folder: Path) -> tuple[CampaignFile, list[CellResult]]:
-    """A campaign and its results; of several of one cell the last.
+    """Read a campaign and its results; the last one of each cell.
 
     Raises
     ------
     ConfigError
-        If there is no campaign in the folder.
+        If the folder contains no campaign.
     """
     path = folder / CAMPAIGN
     if not path.is_file():
-        raise ConfigError(f"{folder}: holds no campaign; name the folder of one that was flown")
+        raise ConfigError(f"{folder}: contains no campaign; give the folder of a completed one")
     campaign = msgspec.json.decode(path.read_bytes(), type=CampaignFile)
     results = {result.cell.key: result for result in read_lines(folder / CELLS, CellResult)}
     return campaign, list(results.values())

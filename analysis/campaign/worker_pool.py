@@ -1,7 +1,7 @@
-"""Who flies: processes of this machine, or a Ray cluster.
+"""Worker pools that fly jobs: processes of this machine, or a Ray cluster.
 
-A flight that hangs is ended after its time limit, and one whose process dies is told; on a cluster
-a flight whose node dies is flown again by another.
+A hung flight is ended after its time limit, and a dead process gives an aborted result; on a
+cluster, a flight whose node dies is repeated on another node.
 """
 
 import queue
@@ -17,29 +17,23 @@ from analysis.processes import spawn_context
 from analysis.search.evaluation.pool import join_ray
 from mavproxy_fault.documents.errors import ConfigError
 
-QUEUED_PER_WORKER = 2  # jobs that wait for each worker, so that none is idle
+QUEUED_PER_WORKER = 2  # so that no worker is idle
 POLL_S = 1.0
 
 
 class WorkerPool(Protocol):
-    """Flies jobs, several at once; answers come in any order."""
+    """Flies several jobs at once; answers come in any order."""
 
     capacity: int
 
     def start(self, number: int, job: Job) -> None:
-        """Begin a job under a number of the caller's."""
+        """Start a job under the caller's number."""
 
     def finished(self) -> tuple[int, JobAnswer]:
-        """Wait for the next answer.
-
-        Raises
-        ------
-        ConfigError
-            If the campaign asks for what cannot be flown.
-        """
+        """Wait for the next answer; return its number and the answer."""
 
     def close(self) -> None:
-        """End all that is in the air."""
+        """End all unfinished flights."""
 
 
 class LocalWorkerPool:
@@ -58,7 +52,7 @@ class LocalWorkerPool:
         """Begin a job."""
         self._jobs[number] = job
         future = self._pool.schedule(run_job, args=[job], timeout=self._limit_s)
-        # Called by a thread of the pool: a queue takes it over to ours.
+        # Called in a thread of the pool: the queue passes it to this thread.
         future.add_done_callback(lambda done: self._done.put((number, done)))
 
     def finished(self) -> tuple[int, JobAnswer]:
@@ -67,7 +61,7 @@ class LocalWorkerPool:
         job = self._jobs.pop(number)
         try:
             return number, future.result()
-        # A hung flight is a result like any other, or the campaign would never end.
+        # A hung flight must give a result, or the campaign would never end.
         except TimeoutError:
             return number, aborted_answer(job, f"hung: not over after {self._limit_s:g} s")
         except ProcessExpired as dead:
@@ -82,19 +76,19 @@ class LocalWorkerPool:
 
 
 def _ignore_ctrl_c() -> None:
-    """Ctrl-C is the parent's, which ends its workers itself."""
+    """Ignore Ctrl-C in a worker: the parent handles it and ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class RayWorkerPool:
-    """A Ray cluster; flights whose node dies are flown again."""
+    """A Ray cluster; flights whose node dies are repeated."""
 
     def __init__(self, address: str, limit_s: float) -> None:
         self._ray, self._mine = join_ray(address)
         self._limit_s = limit_s
-        # At least one, whatever the cluster says of itself now.
+        # At least one, even if the cluster has no free CPU yet.
         self.capacity = QUEUED_PER_WORKER * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-        # Retries of deaths without end; what a flight itself raises comes back as its answer.
+        # Unlimited retries after node failures; errors of the flight itself return as its answer.
         self._answer: Any = self._ray.remote(max_retries=-1)(_run_job_safely)
         self._flying: dict[Any, tuple[int, Job, float]] = {}
 
@@ -105,14 +99,14 @@ class RayWorkerPool:
     def finished(self) -> tuple[int, JobAnswer]:
         """Wait for the next answer."""
         while True:
-            # With a time-out, to look for flights that hang.
+            # With a timeout, to check for hung flights.
             done, _ = self._ray.wait(list(self._flying), num_returns=1, timeout=POLL_S)
             if done:
                 number, _, _ = self._flying.pop(done[0])
                 found: JobAnswer = self._ray.get(done[0])
                 return number, found
             for reference, (number, job, started_s) in self._flying.items():
-                # Jobs wait for a free processor too, AHEAD of them for each.
+                # The time includes waiting for a free processor.
                 if time.monotonic() - started_s > QUEUED_PER_WORKER * self._limit_s:
                     self._ray.cancel(reference, force=True)
                     del self._flying[reference]
@@ -127,7 +121,7 @@ class RayWorkerPool:
 
 
 def _run_job_safely(job: Job) -> JobAnswer:
-    """The answer, also where the flight cannot be made."""
+    """Fly a job, and turn errors into an aborted answer."""
     try:
         return run_job(job)
     except ConfigError as error:
@@ -135,7 +129,7 @@ def _run_job_safely(job: Job) -> JobAnswer:
 
 
 def open_worker_pool(workers: int, ray_address: str | None, limit_s: float) -> WorkerPool:
-    """The fleet that the command line asks for."""
+    """Open the worker pool that the command line selects."""
     if ray_address is not None:
         return RayWorkerPool(ray_address, limit_s)
     return LocalWorkerPool(workers, limit_s)

@@ -1,1 +1,1 @@
-"""A whole fault test in one process: simulator, proxy, monitor and report."""
+"""A complete fault test in one command: simulator, proxy, monitor and report."""

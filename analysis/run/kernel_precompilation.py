@@ -1,8 +1,8 @@
-"""Part of the monitor's kernels compiled beside it, so that two cores share the first run's work.
+"""Compile part of the monitor's kernels in a second process, so that the first run uses two cores.
 
-The monitor compiles what it needs in the order in which it needs it. A second process begins at the
-other end: it plays attitude scores and sensor tests with made-up samples. The monitor then finds
-their machine code on the disk. Once done, that leaves a mark beside the machine code.
+The monitor compiles its kernels in the order of use. This process starts with those it needs last:
+it runs attitude scores and sensor tests on synthetic samples, and the monitor then loads the
+compiled code from disk. A marker file beside the compiled code shows that this was done.
 """
 
 from contextlib import suppress
@@ -15,17 +15,17 @@ from mavproxy_fault.numerics.code_cache import folder, installed_folder
 
 
 def pending_marker() -> Path | None:
-    """The mark that a rehearsal is to leave; None if it is there."""
+    """Return the marker file to create; None if all kernels are compiled."""
     mark = folder() / "rehearsed"
     return None if installed_folder() or mark.exists() else mark
 
 
 def precompile_kernels(config: MonitorConfig, mark: Path) -> None:
-    """Call the kernels of the sensors' tests and of attitude scores with the types they meet."""
+    """Call the kernels of sensor tests and attitude scores with the argument types of a run."""
     _compile_sensor_tests(config)
     _compile_stream_tests()
     _compile_attitude_scores(config)
-    with suppress(OSError):  # nothing can be kept here, and the next one begins anew
+    with suppress(OSError):  # a read-only cache: the next run compiles again
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
 
@@ -56,9 +56,9 @@ def _compile_attitude_scores(config: MonitorConfig) -> None:
     samples = [
         sample
         for t_us in range(0, 1_000_000, 4000)
-        # One second of samples is enough for every branch of the scores.
+        # One second of samples runs every branch of the scores.
         for sample in (
-            # Specific force at rest: gravity upwards, negative along the down axis.
+            # Specific force at rest points up: negative along the down axis.
             ImuSample(t_us, still, np.array([0.0, 0.0, -9.81]), config.attitude.imu),
             MagSample(t_us, np.array([0.2, 0.0, 0.4])),
             TruthSample(t_us, level, still, 47.0, 8.0, 500.0, still),

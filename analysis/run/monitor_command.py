@@ -1,4 +1,4 @@
-"""`monitor`: detection, fusion and scores on a live link, a log, or RINEX files."""
+"""`monitor`: fault detection, fusion and scores on a live link, a log, or RINEX files."""
 
 import argparse
 import contextlib
@@ -38,32 +38,32 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import read_schedule
 from mavproxy_fault.wire.label import Label, latest_labels, read_labels
 
-PART_ROWS = 500  # of a recording at once: a stop is looked for between two
-# NO VERDICT is no failure: nothing was asked, or nothing could be judged.
+PART_ROWS = 500  # rows of a recording between two checks for a stop request
+# NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 ResultSink = Callable[[list[Result]], None]
 
 
 def main(args: argparse.Namespace) -> int:
-    """Watch until the source ends, the time is over or Ctrl-C; the exit code of the verdict."""
+    """Monitor until the source ends, the time is over or Ctrl-C; return the verdict's exit code."""
     config, criteria = monitor_settings(args.scenario, args.sigma)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
     reference = None if args.truth is None else read_reference(args.truth)
     if args.rinex is not None:
-        config = msgspec.structs.replace(config, streams=False)  # a file has no link
+        config = msgspec.structs.replace(config, streams=False)  # a file has no link to test
         criteria = criteria if args.scenario else receiver_criteria(reference is not None)
     elif args.log is not None and Path(args.log).is_file() and is_autopilot_log(Path(args.log)):
         config = msgspec.structs.replace(config, link=False)
     if args.rinex is None and args.schedule is not None:
-        raise ConfigError("--schedule: is for --rinex; `replay` puts faults into a log")
-    # On a link the proxy writes the labels meanwhile: they are read at the end.
+        raise ConfigError("--schedule: needs --rinex; use `replay` to inject faults into a log")
+    # On a link, the proxy is still writing the labels: they are read at the end.
     if args.link is None:
-        read_optional_labels(args.labels)  # a wrong name is told before the work, not after
+        read_optional_labels(args.labels)  # report a wrong name before the work
     recorded = (
         None if args.rinex is None else read_rinex_block(args)
-    )  # refused before there is a folder
+    )  # may fail: before the folder is made
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     condition = LogCondition()
@@ -89,9 +89,9 @@ def main(args: argparse.Namespace) -> int:
             monitor_recording(recorded[0], monitor, deliver, stop)
         else:
             _monitor_source(args, monitor, deliver, stop, condition)
-    # Read at the end again: by now the proxy has written its labels.
+    # Read again at the end: by now the proxy has written its labels.
     labels = read_optional_labels(args.labels) if injected is None else latest_labels(injected)
-    if labels is None:  # nothing tells what was done, so no fault can have been missed
+    if labels is None:  # without labels, no fault can count as missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
     report_log_damage(summary, condition)
@@ -109,13 +109,13 @@ def main(args: argparse.Namespace) -> int:
 
 
 def open_results_bus(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
-    """Where results are published; nobody waits for a recording's, unless an address is given."""
+    """Open the bus for results; for recordings only if --zenoh is given."""
     choice = "off" if args.zenoh == "auto" and args.link is None else args.zenoh
     return open_run_bus(choice, "live", "monitor", args.zenoh_config)
 
 
 def monitor_settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
-    """The monitor's part of a scenario, or the defaults; with another noise model where given."""
+    """Return the monitor settings and criteria of a scenario or the defaults, and a noise model."""
     config, criteria = MonitorConfig(), Criteria()
     if scenario is not None:
         from analysis.run.run_setup import read_setup
@@ -131,10 +131,10 @@ def monitor_settings(scenario: str | None, sigma: str | None) -> tuple[MonitorCo
 
 
 def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) -> int:
-    """Fit the noise model of pseudoranges to a clean recording and write it."""
+    """Fit the noise model of pseudoranges to a fault-free recording and write it."""
     if args.link is not None:
-        # The fit goes over the samples more than once.
-        raise ConfigError("--calibrate: a link cannot be read twice; give --log or --rinex")
+        # The fit iterates over the samples.
+        raise ConfigError("--calibrate: cannot use a live link; give --log or --rinex")
     from analysis.detection.calibrate import (  # loads scipy's optimisers
         calibrate_sigma,
         write_sigma,
@@ -151,21 +151,23 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
 
 
 def read_optional_labels(path: str | None) -> list[Label] | None:
-    """The labels of a file, None without one. On a link the proxy writes them meanwhile.
+    """Read the labels of a file; None without a file.
 
     Raises
     ------
     ConfigError
-        If there are none in it.
+        If the file contains no labels.
     """
     return None if path is None else read_labels(Path(path))
 
 
 def report_log_damage(summary: dict[str, Any], condition: LogCondition) -> None:
-    """Put into a summary what a log has lost: one that is damaged passes no more."""
+    """Add the data lost in a log to a summary; a corrupted log cannot pass."""
     if condition.damage:
         evidence = "; ".join(condition.damage)
-        check = CriterionCheck(name="log is whole", limit="whole", value=evidence, passed=None)
+        check = CriterionCheck(
+            name="log is complete", limit="complete", value=evidence, passed=None
+        )
         summary["criteria"].append(msgspec.structs.asdict(check))
         if summary["verdict"] == "PASS":
             summary["verdict"] = "NO VERDICT"
@@ -182,7 +184,7 @@ def _monitor_source(
     stop: StopCheck,
     condition: LogCondition,
 ) -> None:
-    """Watch a link or a log to its end; what a log has lost goes into `condition`."""
+    """Monitor a link or a log to its end; `condition` collects the data lost in a log."""
     if args.link is not None:
         monitor_link(args.link, monitor, deliver, args.for_s, stop)
         return
@@ -194,10 +196,10 @@ def _monitor_source(
 
 
 def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop: StopCheck) -> None:
-    """Feed the monitor from a whole recording, some rows at a time: a day takes a minute."""
+    """Feed a complete recording to the monitor, some rows at a time: a day takes a minute."""
     sky, count = RecordedSky(block, monitor.detector), len(block.kind)
     spans_s = (block.t_us - block.t_us[0]) * 1e-6
-    with RunProgress(float(spans_s[-1]), "judging") as progress:
+    with RunProgress(float(spans_s[-1]), "monitoring") as progress:
         for begin in range(0, count, PART_ROWS):
             end = min(begin + PART_ROWS, count)
             deliver(sky.add_sky(monitor.push(block.between(begin, end))))
@@ -207,7 +209,7 @@ def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop:
 
 
 def read_blocks(args: argparse.Namespace) -> Iterator[Block]:
-    """The samples of the recording that was given."""
+    """Yield the samples of the given recording."""
     if args.log is not None:
         yield from read_log(args.log)
     else:
@@ -215,12 +217,12 @@ def read_blocks(args: argparse.Namespace) -> Iterator[Block]:
 
 
 def read_rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | None]:
-    """A RINEX recording with the faults of `--schedule` in it, and their labels."""
+    """Read a RINEX recording, inject the faults of `--schedule`, and return it with the labels."""
     obs, *nav = (Path(path) for path in args.rinex)
     if is_receiver_log(obs) and args.schedule is not None:
-        raise ConfigError(f"--schedule: {obs} is a receiver's log; faults go into RINEX files")
+        raise ConfigError(f"--schedule: {obs} is a receiver log; faults need a RINEX file")
     if not nav and not is_receiver_log(obs):
-        raise ConfigError(f"--rinex {obs}: has no navigation file beside it; give OBS NAV")
+        raise ConfigError(f"--rinex {obs}: navigation file is missing; give OBS NAV")
     lines = labels = None
     if args.schedule is not None:
         lines, labels = faulted_lines(obs, read_schedule(args.schedule), nav)
@@ -230,15 +232,15 @@ def read_rinex_block(args: argparse.Namespace) -> tuple[Block, list[Label] | Non
 def monitor_link(
     spec: str, monitor: Monitor, deliver: ResultSink, for_s: float | None, stop: StopCheck
 ) -> None:
-    """Feed the monitor from a link, until `for_s` seconds of the vehicle's time have passed."""
+    """Feed the monitor from a link until `for_s` seconds of vehicle time have passed."""
     link = open_link(spec)
     with LinkBuffer(link) as intake:
-        print(f"watching {link.name}", file=sys.stderr, flush=True)
-        # The vehicle's own time: a paused simulator does not use it up.
+        print(f"monitoring {link.name}", file=sys.stderr, flush=True)
+        # In vehicle time, which a paused simulator does not advance.
         while not stop() and (for_s is None or monitor.t_s < for_s):
             deliver(monitor.push_bytes(intake.drain(), datagrams=link.datagrams))
     if intake.drops:
-        print(f"{intake.drops} chunks came too fast and were not seen", file=sys.stderr)
+        print(f"{intake.drops} chunks were lost: the monitor was too slow", file=sys.stderr)
 
 
 def _report(
@@ -265,7 +267,7 @@ def _report(
         summary=summary,
         labels=labels,
         results=results,
-        # Autopilots' logs have no MAVLink columns.
+        # Autopilot logs have no MAVLink columns.
         columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
         title=title,
         **beside,

@@ -1,8 +1,8 @@
-"""The monitor in a process of its own, so that a run uses two cores.
+"""Run the monitor in its own process, so that a run uses two cores.
 
-Bytes go to it by a bounded queue, results come back by a pipe. The flight runs ahead while the
-monitor compiles its kernels, and the monitor catches up. Where machine code is at hand the first
-bytes have it loaded, before an autopilot needs both cores.
+A bounded queue carries bytes to it, a pipe returns results. The flight runs ahead while the monitor
+compiles its kernels, and the monitor catches up. If the kernels are already compiled, the first
+bytes load them, before an autopilot needs both cores.
 """
 
 import contextlib
@@ -24,9 +24,9 @@ from analysis.scoring.criteria import Criteria
 from mavproxy_fault.ardupilot.child_process import describe_exit, die_with_parent
 from mavproxy_fault.wire.label import Label
 
-FIRST_BYTES = 1 << 12  # then twice as many each time: a flight has time in its beginning
-BATCH_BYTES = 1 << 19  # some 4,000 frames: in small blocks the monitor does more than reckon
-MAX_QUEUED_BATCHES = 64  # 32 MB that the flight may be ahead
+FIRST_BYTES = 1 << 12  # doubled for each batch, so that kernels load early in the flight
+BATCH_BYTES = 1 << 19  # about 4,000 frames: small blocks have more overhead than computation
+MAX_QUEUED_BATCHES = 64  # 32 MB by which the flight may be ahead
 MonitorRequest = bytes | tuple[list[Label], Criteria, float]
 
 
@@ -36,15 +36,15 @@ def _run_monitor(
     config: MonitorConfig,
     records: bool,
 ) -> None:
-    """The process: bytes in, results out; a question is answered by the summary."""
-    # Without this a killed run would leave the monitor behind.
+    """Main function of the process: bytes in, results out; a tuple requests the summary."""
+    # Otherwise a killed run would leave the monitor running.
     die_with_parent()
-    gc.freeze()  # what is loaded stays; to look it through would copy a fork's pages
+    gc.freeze()  # a collection over all loaded modules would copy the pages of a fork
     from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
     while (order := orders.get()) is not None:
-        # Bytes are work, a tuple asks for the summary, None ends.
+        # Bytes are data, a tuple requests the summary, None ends the process.
         if isinstance(order, bytes) and records:
             answers.send(monitor.push_records(order))
         elif isinstance(order, bytes):
@@ -54,7 +54,7 @@ def _run_monitor(
 
 
 class MonitorDiedError(RuntimeError):
-    """The monitor's process ended before its work did."""
+    """The monitor's process ended early."""
 
 
 def _precompile(config: MonitorConfig, mark: Path) -> None:
@@ -64,7 +64,7 @@ def _precompile(config: MonitorConfig, mark: Path) -> None:
 
 @contextlib.contextmanager
 def _block_signals(*signals: signal.Signals) -> Iterator[None]:
-    """Signals are the parent's, who still wants a summary: what is started inherits the mask."""
+    """Block signals in processes started here: the parent handles them, and needs the summary."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows has no signals to mask
         yield
         return
@@ -76,9 +76,9 @@ def _block_signals(*signals: signal.Signals) -> Iterator[None]:
 
 
 class MonitorProcess:
-    """A monitor to feed; it works on what it was given while the caller makes more.
+    """A monitor that processes data in parallel to the caller.
 
-    It is fed frames, or with `records` whole records of a log, which it reads sooner.
+    It takes frames, or with `records` complete records of a log, which it reads faster.
     """
 
     def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
@@ -95,11 +95,11 @@ class MonitorProcess:
                 context.Process(target=_precompile, args=(config, mark), daemon=True).start()
             with _block_signals(signal.SIGTERM):
                 self._process.start()
-        # Only the child holds it then, so that its death is seen as the end of the pipe.
+        # Only the child keeps it open, so that its death ends the pipe.
         theirs.close()
         self.pid = self._process.pid or 0
         self._batch, self._enough = bytearray(), FIRST_BYTES
-        self.pending_batches = 0  # batches without their results yet
+        self.pending_batches = 0  # batches whose results have not come yet
 
     def __enter__(self) -> "MonitorProcess":
         return self
@@ -110,10 +110,10 @@ class MonitorProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # After an error nobody wants results: no waiting.
+        # After an error, do not wait for results.
         if kind is not None:
             self._process.kill()
-            # Or the queue's thread would wait for a reader that is gone.
+            # Otherwise the queue's thread would wait for a missing reader.
             self._orders.cancel_join_thread()
         else:
             self._orders.put(None)
@@ -122,18 +122,17 @@ class MonitorProcess:
         self._answers.close()
 
     def feed(self, data: bytes, *, now: bool = False) -> list[Result]:
-        """Hand on bytes, in batches unless `now`; the results that are there by then."""
+        """Send bytes to the process, in batches unless `now`; return the available results."""
         self._batch += data
         results: list[Result] = []
-        # Results are looked for with each batch: to ask costs more than to gather a step's bytes.
+        # Poll once per batch: a poll costs more than collecting the bytes of a step.
         if len(self._batch) < self._enough and not now:
             return results
         self._enough = min(2 * self._enough, BATCH_BYTES)
         if self._batch:
             batch = bytes(self._batch)
             self._batch.clear()
-            # Both queues are bounded: without taking results here, two full ones would wait for
-            # each other.
+            # Take results while the queue is full, or both bounded queues could deadlock.
             while not self._handed_on(batch):
                 results += self._receive()
             self.pending_batches += 1
@@ -142,14 +141,14 @@ class MonitorProcess:
         return results
 
     def results(self) -> list[Result]:
-        """The results of all that was fed; waits for them."""
+        """Wait for the results of all data, and return them."""
         results = self.feed(b"", now=True)
         while self.pending_batches:
             results += self._receive()
         return results
 
     def summary(self, labels: Sequence[Label], criteria: Criteria, wall_s: float) -> dict[str, Any]:
-        """The content of `summary.json`; after `results`."""
+        """Return the content of `summary.json`; call `results` first."""
         self._orders.put((list(labels), criteria, wall_s))
         summary: dict[str, Any] = self._answer()
         return summary
@@ -162,17 +161,17 @@ class MonitorProcess:
         return True
 
     def _receive(self) -> list[Result]:
-        """The oldest results owed."""
+        """Receive the results of the oldest pending batch."""
         results: list[Result] = self._answer()
         self.pending_batches -= 1
         return results
 
     def _answer(self) -> Any:
-        """What the process sent; MonitorDiedError if it is no more."""
+        """Receive from the process; MonitorDiedError if it has ended."""
         try:
             return self._answers.recv()
         except EOFError:
-            # Joined first: the exit code is known only then.
+            # The exit code is known only after `join`.
             self._process.join()
             how = describe_exit(self._process.exitcode or 0)
             raise MonitorDiedError(f"the monitor's process ended {how}") from None

@@ -1,7 +1,7 @@
-"""The simulator and the proxy's core in one flight: truth to frames to what left the proxy.
+"""Simulate a flight through the proxy's core: from truth to sensor frames to the proxy's output.
 
-No sockets, files or clocks: `advance` goes one step of simulated time, and the caller records,
-sends on and publishes what comes of it.
+No sockets, files or clocks: `advance` simulates one step, and the caller records, forwards and
+publishes the output.
 """
 
 import logging
@@ -38,7 +38,7 @@ LINKS = (
     LinkRole("vehicle", "from-vehicle"),
     LinkRole("ground station", "to-vehicle"),
 )
-# The component by which the simulator's HIL end signs its frames.
+# The component id of the simulator's HIL frames.
 HIL_COMPONENT = 51
 LOG = logging.getLogger(__name__)
 
@@ -51,9 +51,9 @@ class FlightOutput(NamedTuple):
 
 
 class ProxiedFlight:
-    """A scenario in flight; its wall clock is the scenario's own start time.
+    """A simulated flight through the proxy; its wall clock starts at the scenario's start time.
 
-    The scenario's mission is flown until a ground station commands something else.
+    The scenario's mission is flown until a ground station takes over.
     """
 
     def __init__(self, scenario: Scenario, schedule: Schedule) -> None:
@@ -65,7 +65,7 @@ class ProxiedFlight:
         self.control = LiveControl(self.engine)
         self.core = Core(LINKS, self.engine, tape=self.capture, control=self.control)
         self._labels: list[Label] = []
-        self._out = [0] * len(LINKS)  # datagrams that left on each link
+        self._out = [0] * len(LINKS)  # datagrams sent on each link
         self._hil = HilPacker(mav_type=mav_type_and_mix(self.simulation)[0])
         self._services, self._pilot = create_services(self.simulation)
         self._plant = PlantChanges(self.simulation, LOG.warning)
@@ -80,28 +80,28 @@ class ProxiedFlight:
 
     @property
     def now_us(self) -> int:
-        """Simulated time as Unix time, which the logs are stamped with."""
+        """Simulated time as Unix time, the timestamp of the logs."""
         return self._start_us + self.t_us
 
     @property
     def vehicle_us(self) -> int:
-        """The vehicle's own clock, which schedules and labels go by."""
+        """The vehicle's clock, which schedules and labels use."""
         return self.core.clock.t_us
 
     @property
     def finished(self) -> bool:
-        """Whether the scenario's duration has been flown."""
+        """Whether the scenario's duration has passed."""
         return self.t_us >= self.duration_s * 1e6
 
     def advance(self, commands: list[bytes]) -> FlightOutput:
-        """Fly to the next sample of the IMU, with what a ground station sent meanwhile."""
-        # Until somebody commands, the scenario's own controller flies.
+        """Simulate up to the next IMU sample, with the commands of a ground station."""
+        # Until a ground station commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.goal_active else None
         sends, commanded = self._sent_commands() if controls is None else ([], b"")
         if controls is None and self._commands is not None:
             controls = self._commands.last_received
         t_us, truth, readings = self.simulation.step(controls)
-        # Sensors before telemetry, commands last: always the same order, for the same bytes.
+        # Sensors, telemetry, commands: a fixed order, for reproducible bytes.
         for raw in self._hil.frames(t_us, truth, readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
         for raw in self._services.tick(t_us, truth, readings, throttle_command(self.simulation)):
@@ -109,11 +109,11 @@ class ProxiedFlight:
         for data in commands:
             sends += self.core.received(GROUND, data, self.now_us)
         sent = self._sort(sends)
-        # What was commanded, whatever became of it on the way: against that the vehicle is held.
+        # The monitor compares the vehicle's response with the commands before the faults.
         return sent._replace(monitor=commanded + sent.monitor)
 
     def _actuator_commands(self, schedule: Schedule) -> ActuatorCommands | None:
-        """The controller's commands go over the wire where a fault is one of the actuators."""
+        """Send the controller's commands as frames only if the schedule has an actuator fault."""
         targets = [target for entry in schedule.faults for target in entry.targets]
         if not any(ACTUATORS in target_visibility(target).channels for target in targets):
             return None
@@ -121,8 +121,8 @@ class ProxiedFlight:
         return ActuatorCommands(kind.actuators(vehicle), kind.mix(vehicle))
 
     def _sent_commands(self) -> tuple[list[Send], bytes]:
-        """What the commands for the next step become, and themselves; the vehicle's share of it is
-        carried out."""
+        """Send the actuator commands of the next step through the proxy and apply the result;
+        return the other sends and the commands as sent."""
         if self._commands is None:
             return [], b""
         raw = self._commands.frame(self.vehicle_us, self.simulation.commanded())
@@ -133,29 +133,30 @@ class ProxiedFlight:
         return [send for send in sends if send.link != SIMULATOR], raw
 
     def finish(self) -> FlightOutput:
-        """End the faults that still act."""
+        """End the active faults."""
         return self._sort(self.core.finish(self.now_us))
 
     def drain_labels(self) -> list[Label]:
-        """Labels since the last call, begun and ended ones, for the log."""
+        """Return the labels begun or ended since the last call, for the log."""
         labels = self.core.drain_labels()
         self._labels += labels
         return labels
 
     def completed_labels(self) -> list[Label]:
-        """What every fault really did, for the scores; after `drain_labels`."""
+        """Return the final label of every fault, for the scores; call `drain_labels` first."""
         return latest_labels(self._labels)
 
     def stats(self) -> list[dict[str, Any]]:
-        """What passed on every link."""
+        """Return the traffic counters of every link."""
         return [
             {**link_statistics(self.core, number), "chunks_out": out}
             for number, out in enumerate(self._out)
         ]
 
     def _sort(self, sends: list[Send]) -> FlightOutput:
-        """Hand commands to the vehicle; the HIL stream is the monitor's, the rest the ground's."""
-        # One datagram of all: the monitor needs no boundaries on its reliable pipe.
+        """Apply commands to the vehicle; the HIL stream goes to the monitor, the rest to the ground
+        station."""
+        # One datagram: the monitor needs no boundaries on its reliable pipe.
         sent = FlightOutput(
             b"".join(s.data for s in sends if s.link == MONITOR and is_hil_frame(s.data)), []
         )
@@ -171,14 +172,14 @@ class ProxiedFlight:
         return sent
 
     def _obey(self, link: int, data: bytes) -> list[Send]:
-        """What a frame for the vehicle or for the simulated plant leads to."""
+        """Apply a frame for the vehicle or the simulated plant; return the replies."""
         sends: list[Send] = []
-        # Each send is one datagram: no frame spans two of them.
+        # Each send is one datagram, so no frame spans two.
         for item in self._parser.push(data, datagram=True):
-            # The simulator's own frames come round by the router; they are no commands.
+            # The router returns the simulator's own frames, which are not commands.
             if not isinstance(item, Frame) or item.component == HIL_COMPONENT:
                 continue
-            # Only plant faults speak to the simulator.
+            # Only plant faults send frames to the simulator.
             if link == SIMULATOR:
                 self._plant.carry_out(item)
                 if self._commands is not None:
@@ -190,7 +191,7 @@ class ProxiedFlight:
 
 
 def recorder_session(scenario: str, seed: int, flight: ProxiedFlight) -> dict[str, Any]:
-    """What a replay of the run needs to know."""
+    """Return the session data that a replay of the run needs."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     return {
         "scenario": scenario,
@@ -201,6 +202,6 @@ def recorder_session(scenario: str, seed: int, flight: ProxiedFlight) -> dict[st
 
 
 def is_hil_frame(data: bytes) -> bool:
-    """Whether a datagram comes from the simulator's HIL end."""
-    # In MAVLink 2 the component is byte 6 of the header; HIL frames are never version 1.
+    """Whether a datagram is from the simulator's HIL interface."""
+    # Byte 6 of a MAVLink 2 header is the component id; HIL frames are never version 1.
     return data[0] == STX_V2 and data[6] == HIL_COMPONENT

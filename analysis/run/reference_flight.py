@@ -1,7 +1,6 @@
-"""The twin of a run: the same scenario and seed without the faults, flown beside it.
+"""The fault-free reference flight of a run: the same scenario and seed, flown in parallel.
 
-The same seed gives the same bytes, so whatever differs between the two flights is what the faults
-did.
+The same seed gives the same bytes, so any difference between the two flights is due to the faults.
 """
 
 import signal
@@ -25,25 +24,25 @@ NO_LIMIT_US = 1 << 62
 
 
 class ReferenceRun(NamedTuple):
-    """The process that flies the twin, and the time `until_us` it flies, which may change."""
+    """The process of the reference flight, and its end time `until_us`, which the run may set."""
 
     process: BaseProcess
     until_us: Any
 
     def wait_until(self, until_us: int) -> bool:
-        """Wait until it has come as far as the run did; whether it came there."""
+        """Wait until it has flown to a time; return whether it succeeded."""
         self.until_us.value = until_us
         self.process.join()
         if self.process.exitcode:
             code = self.process.exitcode
-            print(f"the twin without the faults ended with code {code}", file=sys.stderr)
+            print(f"the fault-free reference flight failed with code {code}", file=sys.stderr)
         return self.process.exitcode == 0
 
 
 def start_reference_flight(setup: RunSetup, folder: Path) -> ReferenceRun:
-    """Begin to fly the twin in a process of its own, into a folder inside the run's."""
+    """Start the reference flight in its own process, with its folder inside the run folder."""
     own = folder / REFERENCE_FOLDER
-    # Made here, before the process: a folder that cannot be made is the run's error.
+    # Created before the process starts, so that an error here is the run's.
     own.mkdir()
     spawned = spawn_context()
     until_us = spawned.Value("q", NO_LIMIT_US)
@@ -53,9 +52,9 @@ def start_reference_flight(setup: RunSetup, folder: Path) -> ReferenceRun:
 
 
 def run_reference_flight(setup: RunSetup, folder: Path, until_us: Any) -> None:
-    """Fly a scenario without its faults to the end, or until a time that the run tells; logs and
-    results go to the folder."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's, which ends this one
+    """Fly a scenario without faults to its end or to `until_us`; write logs and results to a
+    folder."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run handles Ctrl-C and ends this process
     schedule = msgspec.structs.replace(setup.schedule, faults=())
     flight, monitor = ProxiedFlight(setup.scenario, schedule), Monitor(setup.monitor)
     recorder = Recorder(folder, recorder_session(setup.scenario.name, schedule.seed, flight))
@@ -67,7 +66,7 @@ def run_reference_flight(setup: RunSetup, folder: Path, until_us: Any) -> None:
                 file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
                 recorder.write(flight.capture, flight.drain_labels())
                 batch.clear()
-        # The last portion, and what the faults' end still sends.
+        # The last batch, and frames sent at the end of the flight.
         batch += flight.finish().monitor
         file.write(monitor.push_bytes([bytes(batch)], datagrams=False))
     recorder.write(flight.capture, flight.drain_labels())

@@ -1,4 +1,4 @@
-"""`run`: a scenario flown through the proxy, watched, recorded and reported."""
+"""`run`: fly a scenario through the proxy, monitor, record and report it."""
 
 import argparse
 import contextlib
@@ -33,21 +33,23 @@ from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.pace import Pace, parse_speed
 
 RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
-MAX_PENDING_BATCHES = 10  # batches, two seconds of flight, that a watched monitor may be behind
+MAX_PENDING_BATCHES = (
+    10  # batches (two seconds of flight) that the monitor may lag behind a live page
+)
 MONITOR_WAIT_S = 0.02
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly, report, and return the exit code of the verdict."""
+    """Fly, report, and return the verdict's exit code."""
     setup = setup_from_args(args)
-    # A page can follow the true speed only; without one nobody waits.
+    # A live page needs real time; without one, fly as fast as possible.
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
-    # Started first, so that both processes compile side by side.
+    # Started first, so that both processes compile in parallel.
     twin = start_reference_flight(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
-        # Before the bus, which has threads.
+        # Before the bus, whose threads would prevent a fork.
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
         bus = stack.enter_context(
             open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
@@ -62,7 +64,7 @@ def main(args: argparse.Namespace) -> int:
 
         flight = ProxiedFlight(setup.scenario, setup.schedule)
         journal = EditLog(flight.core, flight.capture)
-        # From the first byte on, so that a replay joins live control at the same place.
+        # From the first byte, so that a replay starts live control at the same place.
         journal.note(JOIN, b"", journal.begin(flight.now_us))
         live = stack.enter_context(
             contextlib.closing(
@@ -77,17 +79,17 @@ def main(args: argparse.Namespace) -> int:
             folder, recorder_session(setup.scenario.name, setup.schedule.seed, flight)
         )
         run_flight(flight, monitor, recorder, pace, deliver, link, live, together=args.ui)
-        # Read while the monitor's process still works on its backlog.
+        # Read while the monitor's process completes its backlog.
         columns = read_columns(folder / "sent.tlog")
         deliver(monitor.results())
-        # The wall time ends with the last result, not with the report.
+        # The wall time excludes the report.
         wall_s = time.monotonic() - started_s
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     report_unmatched_faults(summary, setup.schedule, labels)
     summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []
-    # It flies beside the run, on the second core, and is mostly done by now.
+    # It runs in parallel on the second core, and is usually complete by now.
     if twin is not None and twin.wait_until(flight.now_us):
         t0_us = flight.core.clock.t0_us or 0
         curves = deviation_curves(folder, folder / REFERENCE_FOLDER, t0_us)
@@ -110,23 +112,23 @@ def run_flight(
     *,
     together: bool,
 ) -> None:
-    """Fly to the end of the scenario, or until Ctrl-C; the logs are closed then.
+    """Fly to the end of the scenario or until Ctrl-C, and close the logs.
 
-    With `together` the flight waits for a monitor that falls behind, because somebody watches.
+    With `together`, for a live page, the flight waits for a monitor that falls behind.
     """
     recorded_us = 0
     with RunProgress(flight.duration_s) as progress:
         battery = BatteryWarnings(progress.say)
         with stop_requests() as stop:
-            # A stop is looked for between two steps: logs stay whole.
+            # Stop only between two steps, so that logs stay complete.
             while not (flight.finished or stop()):
-                # A page that shows verdicts long after the flight would be of no use.
+                # A live page must not show verdicts long after the flight.
                 hold = together and monitor.pending_batches > MAX_PENDING_BATCHES
                 wait_s = MONITOR_WAIT_S if hold else pace.wait_s(flight.t_us, time.monotonic())
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
-                # By the wall clock: it paces the page, nothing of the flight.
+                # The wall clock only paces the page, not the flight.
                 live.show(time.monotonic())
                 if hold:
                     deliver(monitor.feed(b"", now=True))
@@ -142,20 +144,19 @@ def run_flight(
                     battery.update(flight.simulation.truth)
                     recorder.write(flight.capture, labels, live.edits())
                     live.publish(flight.stats(), labels)
-                    # Somebody may watch: results must not wait for a full batch.
+                    # A live viewer must not wait for a full batch.
                     if together or math.isfinite(pace.speed):
                         deliver(monitor.feed(b"", now=True))
                     acting = ", ".join(flight.engine.active) or "no fault"
                     progress.show(flight.t_us * 1e-6, acting)
-        # After the loop too: a stop ends the faults as the scenario's end does.
+        # A stop ends the faults just as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.capture, flight.drain_labels(), live.edits())
         recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
 def open_ground_link(spec: str, pace: Pace) -> Link | None:
-    """The ground station's link; at full speed there is none, nobody could watch."""
-    # At full speed a ground station would see minutes in a second.
+    """Open the ground station's link; None at full speed, which no ground station can follow."""
     if math.isinf(pace.speed) or spec == "off":
         return None
     return open_link(spec, bare_udp="udpout")
@@ -164,7 +165,7 @@ def open_ground_link(spec: str, pace: Pace) -> Link | None:
 def write_flight_report(
     folder: Path, summary: dict[str, Any], columns: Columns, curves: Sequence[Signal] = ()
 ) -> None:
-    """`report.html` from what stands in the folder, the columns of `sent.tlog`, further curves."""
+    """Write `report.html` from a run folder, the columns of `sent.tlog`, and further curves."""
     from analysis.report.run_report import write_run_report
 
     write_run_report(

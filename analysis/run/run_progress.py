@@ -1,4 +1,4 @@
-"""Progress on the terminal: time flown or judged, speed, and the faults that act."""
+"""Progress on the terminal: simulated or processed time, speed, and active faults."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ REDRAW_S = 0.2
 
 
 class RunProgress:
-    """A bar on a terminal; into a file or a pipe, a line every tenth of the way."""
+    """A bar on a terminal; in a file or a pipe, a line per tenth of the total."""
 
     def __init__(self, total_s: float, doing: str = "flying") -> None:
         self._total_s, self._doing = total_s, doing
@@ -47,13 +47,13 @@ class RunProgress:
         return time.monotonic() - self._start_s
 
     def say(self, text: str) -> None:
-        """A line of its own, above the bar."""
+        """Print a line above the bar."""
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def show(self, sim_s: float, beside: str = "") -> None:
-        """Draw how far it is, and what stands beside it, at most a few times a second."""
+        """Draw the progress and the text `beside` it, a few times per second at most."""
         now_s = self.elapsed_s
-        # Drawing takes longer than a step of the flight.
+        # Drawing takes longer than a simulation step.
         if now_s < self._next_s:
             return
         self._next_s = now_s + REDRAW_S
@@ -62,7 +62,7 @@ class RunProgress:
         if self._console.is_terminal:
             self._bar.update(self._task, completed=sim_s, status=status)
             return
-        # A line every tenth: a log of a CI's is not flooded.
+        # A line per tenth does not flood the log of a CI.
         tenth = int(10 * sim_s / self._total_s) if self._total_s else 0
         if tenth > self._tenth:
             self._tenth = tenth

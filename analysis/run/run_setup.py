@@ -1,4 +1,4 @@
-"""A scenario file, decoded for every part."""
+"""Read a scenario file and decode its sections for simulator, proxy and monitor."""
 
 import argparse
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 
 @dataclass(frozen=True, slots=True)
 class RunSetup:
-    """What a run needs; `scenario.seed` is the seed of simulator and faults alike."""
+    """The settings of a run; `scenario.seed` seeds both the simulator and the faults."""
 
     scenario: Scenario
     schedule: Schedule
@@ -40,22 +40,22 @@ def read_setup(
     seed: int | None = None,
     changes: Mapping[str, Any] | None = None,
 ) -> RunSetup:
-    """Read a scenario (None: the demo), with another schedule, seed or `changes` where given.
+    """Read a scenario (None: the demo), and replace its schedule, seed or values if given.
 
     `changes` are values of the scenario by their paths, as in `changed_scenario`.
 
     Raises
     ------
     ConfigError
-        If a section is wrong; nothing has been started then.
+        If a section is wrong; nothing has been started yet.
     """
     document = open_scenario(path)
     scenario = change_scenario(decode_scenario(document), changes or {})
     if seed is not None:
         if seed < 0:
-            raise ConfigError(f"--seed: {seed} is negative; 0 or more is allowed")
+            raise ConfigError(f"--seed: {seed} is negative; it must be 0 or more")
         scenario = msgspec.structs.replace(scenario, seed=seed)
-    # Wrong parameters are found here, before anything has started.
+    # Check the vehicle's parameters before anything starts.
     find_vehicle_kind(scenario.vehicle.kind).read(scenario.vehicle.parameters)
     faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
     _check_plant(scenario, faults)
@@ -72,13 +72,13 @@ def read_setup(
 
 
 def setup_from_args(args: argparse.Namespace) -> RunSetup:
-    """What the command line of `run` asks for; errors as `read_setup` has them."""
+    """Read the settings from the command line of `run`; errors as in `read_setup`."""
     changes = dict(map(parse_change, args.set))
     return read_setup(args.scenario, args.schedule, args.seed, changes)
 
 
 def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
-    """Refuse faults of what the simulated vehicle does not have: they would never act."""
+    """Refuse plant faults of parts that the simulated vehicle lacks: they would never act."""
     asked = [
         (entry.id, name)
         for entry in schedule.faults
@@ -98,14 +98,14 @@ def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
 
 
 def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:
-    """The field that a scenario gives its compass, None where it is the Earth's."""
+    """Return the magnetic field that a scenario sets; None for the Earth's field."""
     mag = scenario.sensors.mag
     first = mag[0] if isinstance(mag, list) and mag else mag
     return first.field_ned_gauss if isinstance(first, Magnetometer) else None
 
 
 def _criteria_for(criteria: Criteria, faults: Schedule) -> Criteria:
-    """What is asked of the scenario's own faults means nothing for those of another schedule."""
+    """Remove requirements on faults that another schedule does not contain."""
     ids = {entry.id for entry in faults.faults}
     asked = {
         name: tuple(id for id in getattr(criteria, name) if id in ids)
@@ -115,17 +115,17 @@ def _criteria_for(criteria: Criteria, faults: Schedule) -> Criteria:
 
 
 def _schedule(scenario: Scenario, document: Document) -> Schedule:
-    """The schedule that a scenario names, or the one written in it."""
+    """Read the schedule file that a scenario names, or its own schedule section."""
     section = scenario.schedule
     if isinstance(section, str):
         return read_schedule(Path(document.where).parent / section)
-    # A bare list is the faults alone, a mapping the whole schedule.
+    # A list holds only the faults, a mapping the complete schedule.
     data = section if isinstance(section, dict) else {"faults": section or []}
-    # Lines of errors must be those of the scenario's file.
+    # Error messages need line numbers of the scenario file.
     lines = _below(document.lines, () if isinstance(section, dict) else ("faults",))
     return parse_schedule(Document({"seed": scenario.seed, **data}, document.where, lines))
 
 
 def _below(lines: Lines, head: DocumentPath) -> Lines:
-    """The lines of the section `schedule`, by the paths of the schedule that it becomes."""
+    """Return line numbers of the section `schedule`, by paths within the schedule."""
     return {(*head, *at[1:]): line for at, line in lines.items() if at[:1] == ("schedule",)}

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end the work between two steps, so that all that is written stays whole."""
+"""End the work between two steps on Ctrl-C or SIGTERM, so that all files stay complete."""
 
 import contextlib
 import os
@@ -7,13 +7,13 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-StopCheck = Callable[[], bool]  # whether somebody wants the work to end
-STOPPING = b"\nstopping; once more ends at once\n"
+StopCheck = Callable[[], bool]  # whether the user has requested a stop
+STOPPING = b"\nstopping; press Ctrl-C again to end at once\n"
 
 
 @contextlib.contextmanager
 def stop_requests() -> Iterator[StopCheck]:
-    """Requests to stop are told by what this gives; one after the first interrupts the work."""
+    """Yield a function that reports a stop request; a second request interrupts the work."""
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
@@ -23,9 +23,9 @@ def stop_requests() -> Iterator[StopCheck]:
 
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()
-        # The old handlers are back: the second Ctrl-C interrupts at once.
+        # With the old handlers, a second Ctrl-C interrupts at once.
         restore()
-        # `print` from a signal handler may find the stream's lock taken.
+        # `print` in a signal handler could deadlock on the stream's lock.
         os.write(2, STOPPING)
 
     for number in before:

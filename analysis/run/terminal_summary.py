@@ -1,4 +1,4 @@
-"""A run's summary for people, on the terminal."""
+"""Print the summary of a run to the terminal."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,19 +9,21 @@ from rich.table import Table
 from rich.text import Text
 
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
-MANY_ALARMS_PER_HOUR = 20.0  # alarms an hour; noise as assumed brings at most 1 at 1 Hz, 8 at 10 Hz
+MANY_ALARMS_PER_HOUR = (
+    20.0  # noise as assumed causes at most 1 alarm per hour at 1 Hz, and 8 at 10 Hz
+)
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
-    console = Console(markup=False)  # users' and autopilots' words may hold brackets
+    console = Console(markup=False)  # texts of users and autopilots may contain brackets
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
         for line in verdict_remarks(summary["faults"]):
             console.print(f"                {line}", soft_wrap=True)
     for word in summary.get("never_acted", ()):
-        console.print(f"never acted     {word}: it met nothing that it names", style="yellow")
+        console.print(f"never acted     fault {word} matched no message", style="yellow")
     for line in summary.get("edited", ()):
         console.print(f"edited live     {line}", style="yellow", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
@@ -33,19 +35,20 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     _print_errors(console, summary)
     console.print(
         f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
-        f"alarms {summary['alarms']}, of them false {_known(summary['false_alarms'])}",
+        f"alarms {summary['alarms']}, false alarms {_known(summary['false_alarms'])}",
         soft_wrap=True,
     )
-    console.print(f"judged          {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
+    console.print(f"monitored       {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
     for reason, count in summary["untestable_reasons"].items():
-        console.print(f"untestable      {count} times: {reason}", soft_wrap=True)
+        epochs = "1 epoch" if count == 1 else f"{count} epochs"
+        console.print(f"untestable      {epochs}: {reason}", soft_wrap=True)
     for limit in _limits(summary):
-        console.print(f"cannot tell     {limit}", soft_wrap=True)
+        console.print(f"not observable  {limit}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():
-        who = ", ".join(row["blamed"]) or "nobody"
+        isolated = ", ".join(row["blamed"]) or "none"
         console.print(
             f"false alarms    {row['channel']}: {row['outside']} outside faults, {row['inside']}"
-            f" inside, {row['per_hour']:g} an hour; blamed: {who}, {row['seconds']:.1f} s"
+            f" inside, {row['per_hour']:g} per hour; isolated: {isolated}, {row['seconds']:.1f} s"
         )
     speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
     console.print(
@@ -54,8 +57,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     )
     for check in summary["criteria"]:
         if not check["passed"]:
-            # None: nothing to judge by.
-            word = "FAILED" if check["passed"] is False else "not judged"
+            # None: the data are insufficient.
+            word = "FAILED" if check["passed"] is False else "NO VERDICT"
             console.print(
                 f"criterion       {check['name']}: {check['value']}"
                 f" (limit {check['limit']}) {word}",
@@ -74,25 +77,26 @@ def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
         console.print(
             f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
             f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
-            f"{row['vertical_95_m']:.2f} m vertical; over its sigma {row['over_sigma_50']}, "
+            f"{row['vertical_95_m']:.2f} m vertical; error/sigma {row['over_sigma_50']}, "
             f"{row['over_sigma_95']}",
             soft_wrap=True,
         )
     for name, row in summary.get("integrity", {}).items():
         console.print(
-            f"level           {name}: {row['median_level_m']:.1f} m in the median, error above it"
-            f" in {row['misleading']} of {row['with_level']} epochs (most"
-            f" {row['largest_error_over_level']:.2f} of it); within {row['alert_limit_m']:.0f} m"
-            f" in {100 * row['available_share']:.1f} %, while {' or '.join(row['assumes'])}",
+            f"protection      {name} level {row['median_level_m']:.1f} m (median); error above it"
+            f" in {row['misleading']} of {row['with_level']} epochs (largest ratio"
+            f" {row['largest_error_over_level']:.2f}); below the alert limit of"
+            f" {row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} %, assuming"
+            f" {' or '.join(row['assumes'])}",
             soft_wrap=True,
         )
 
 
 def verdict_remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What the words of the verdicts leave open: reasons, and who was blamed wrongly and when."""
+    """Return the reasons of the verdicts, and the wrongly isolated sensors with their times."""
     lines = [f"{row['id']}: {row['reason']}" for row in rows if row["reason"]]
     lines += [
-        f"{row['id']}: {blame['who']} blamed wrongly from {blame['from_s']:.1f} s"
+        f"{row['id']}: {blame['who']} wrongly isolated from {blame['from_s']:.1f} s"
         f" for {blame['for_s']:.1f} s"
         for row in rows
         for blame in row["wrongly"]
@@ -105,7 +109,7 @@ def _coloured(word: str) -> Text:
 
 
 def _effect(row: Mapping[str, Any]) -> str:
-    """What a fault did to truth and estimate: greatest and lasting change."""
+    """Describe the effect of a fault on truth and estimate: largest and lasting change."""
     units = {"position_m": "m", "speed_mps": "m/s", "attitude_deg": "deg"}
     return ", ".join(
         f"{name} {extent['most']:.2f} {units[key]} at most, {extent['lasting']:.2f} lasting"
@@ -115,27 +119,27 @@ def _effect(row: Mapping[str, Any]) -> str:
 
 
 def _limits(summary: Mapping[str, Any]) -> list[str]:
-    """What the epochs of a run could not tell."""
+    """Describe the faults that the run could not observe."""
     found, epochs = [], summary["epochs"]
     if not {"gps-position", "satellites"} & set(summary["watched"]):
-        found.append("position and motion: no receiver came")
-    # With an IMU the first seconds have none yet: its attitude is being found.
+        found.append("position and velocity: no GNSS data")
+    # Not the first seconds of a run with an IMU, in which its attitude is initialised.
     if 2 * summary["epochs_without_imu"] > epochs:
-        found.append("without an IMU satellites that are carried off all together are believed")
-        # Nobody knows which alarms are false, and a plain antenna on the ground has a hundred.
+        found.append("coordinated spoofing of all satellites: no IMU to detect it")
+        # Without labels, a plain antenna on the ground gives a hundred alarms per hour.
         if (
             summary["false_alarms"] is None
             and summary["alarms"] * 3600.0 > MANY_ALARMS_PER_HOUR * summary["sim_s"]
         ):
             found.append(
-                "satellites that are at fault from a receiver noisier than assumed:"
-                " --calibrate fits the noise to a recording that is sound"
+                "faulty satellites from a receiver noisier than assumed:"
+                " fit the noise to a fault-free recording with --calibrate"
             )
     lost_s = summary.get("log", {}).get("lost_s", 0.0)
     if lost_s:
-        found.append(f"silences in {lost_s:.1f} s in which the log's writer lost records")
+        found.append(f"dropouts during {lost_s:.1f} s in which the logger lost records")
     if summary["unbounded_epochs"]:
-        found.append(f"{summary['unbounded_epochs']} of {epochs} positions, which nothing bounds")
+        found.append(f"{summary['unbounded_epochs']} of {epochs} positions: no protection level")
     return found
 
 
@@ -145,7 +149,7 @@ def _known(count: int | None) -> str:
 
 def _faults(rows: list[Mapping[str, Any]]) -> Table:
     table = Table(box=None, pad_edge=False)
-    for name in ("fault", "target", "from s", "to s", "frames", "delay s", "blamed", "verdict"):
+    for name in ("fault", "target", "from s", "to s", "frames", "delay s", "isolated", "verdict"):
         table.add_column(name, justify="right" if name[-2:] in (" s", "es") else "left")
     for row in rows:
         word = row["verdict"]

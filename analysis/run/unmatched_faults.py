@@ -1,4 +1,4 @@
-"""What of a schedule met nothing, told in a summary."""
+"""Report in a summary the scheduled faults that matched no message."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from mavproxy_fault.wire.label import Label
 def report_unmatched_faults(
     summary: dict[str, Any], schedule: Schedule, labels: Sequence[Label]
 ) -> None:
-    """Put into a summary what of a schedule met nothing; where all of it did nothing was tested."""
+    """Add faults that never acted to a summary; if no fault acted, PASS becomes NO VERDICT."""
     summary["never_acted"] = never_acted(schedule, {label.id for label in labels})
     if schedule.faults and not labels and summary["verdict"] == "PASS":
         summary["verdict"] = "NO VERDICT"

@@ -1,7 +1,7 @@
-"""What commands do to a scenario's vehicle, by small changes about its steady flight.
+"""Linearise the actuator response of a scenario's vehicle about steady flight.
 
-The vehicle is held in steady flight until its motors follow the commands; the motion that the last
-step begins is what they lead to. Everything is told in the channels of HIL_ACTUATOR_CONTROLS.
+The vehicle is held in steady flight until its motors have followed the commands; the acceleration
+of the last step is their effect. All values are in the channels of HIL_ACTUATOR_CONTROLS.
 """
 
 from collections.abc import Callable
@@ -35,13 +35,13 @@ from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import pack_surroundings
 
 Array = NDArray[np.float64]
-STEPS, STEP_S = 30, 5e-3  # six lags of a slow motor
-HEIGHT_M = 100.0  # nothing is touched there
+STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
+HEIGHT_M = 100.0  # free of ground contact
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS = 12
-FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # behind the angular accelerations
+FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations
 BODY_AXES = 6
-MIN_WING_HZ = 0.1  # m/s^2 for each m/s of air across; less is no wing
+MIN_WING_HZ = 0.1  # m/s^2 per m/s of cross flow; chosen: below it the vehicle has no wing
 
 
 class _TrimmedVehicle:
@@ -60,23 +60,23 @@ class _TrimmedVehicle:
         self.trim = self._trim(names)
 
     def motion(self, commands: Array, change: Array) -> Array:
-        """Angular acceleration and specific force (6,) that commands (n,) lead to, with the body's
+        """Return angular acceleration and specific force (6,) for commands (n,), with the body
         state changed by `change` (13,)."""
         motion: Array = self._motions(commands, change)[-1]
         return motion
 
     def lag_s(self, number: int) -> float:
-        """How long a command's effect lasts to come: the mean delay of a step."""
+        """Return the lag of an actuator [s]: the mean delay of its step response."""
         step, still = 0.0 * self.trim, np.zeros(RIGID_SIZE)
         step[number] = COMMAND_STEP
         rise = self._motions(self.trim + step, still) - self._motions(self.trim - step, still)
         whole = float(rise[-1] @ rise[-1])
-        if whole == 0.0:  # a rudder that is not there
+        if whole == 0.0:  # an actuator without effect
             return 0.0
         return float((1.0 - rise @ rise[-1] / whole).sum() * STEP_S)
 
     def _motions(self, commands: Array, change: Array) -> Array:
-        """The motion after each step (STEPS, 6) since the commands came."""
+        """Return the motion (STEPS, 6) after each step since the commands changed."""
         state = self._state.copy()
         held = state[:RIGID_SIZE] + change
         motions = np.empty((STEPS, BODY_AXES))
@@ -88,8 +88,8 @@ class _TrimmedVehicle:
         return motions
 
     def _trim(self, names: list[str]) -> Array:
-        """Commands (n,) of steady flight: surfaces in the middle, motors that carry the weight up
-        or the drag forward."""
+        """Return commands (n,) of steady flight: centred surfaces, and motors that balance weight
+        or drag."""
         motors = 1.0 - _surfaces(names)
         axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
         q = self._state[E0 : E0 + 4]
@@ -104,7 +104,7 @@ class _TrimmedVehicle:
 
 
 def vehicle_effects(scenario: Scenario) -> Effects:
-    """The effects of a scenario's vehicle."""
+    """Compute the actuator effects of a scenario's vehicle."""
     kind = find_vehicle_kind(scenario.vehicle.kind)
     vehicle = kind.read(scenario.vehicle.parameters)
     names = kind.actuators(vehicle)
@@ -131,7 +131,7 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         coefficients[:, RATE + i] = by_state(P + i, RATE_STEP_RPS)
     air = np.column_stack([by_state(U + i, SPEED_STEP_MPS) for i in range(3)])
     _express_by_force(coefficients, air)
-    # Of the force across, which tells the air's angle and no actuator, there is no axis.
+    # The lateral force is left out: it depends on the sideslip and on no actuator.
     rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
     coefficients, air = coefficients[rows], air[rows]
     powers, cruise_mps = np.zeros(TERMS), np.inf
@@ -144,33 +144,33 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         powers[CONSTANT] = 2.0
         powers[OUTPUT : OUTPUT + len(names)] = 2.0 * _surfaces(names)
         powers[RATE:FORCE] = 1.0
-        air[:ANGULAR, 0] = 0.0  # as the powers say it
-    # Actuators have their names from their kind, `motor 1` or `elevator`.
+        air[:ANGULAR, 0] = 0.0  # the powers include it
+    # Actuators are named by the vehicle kind, such as `motor 1` or `elevator`.
     return Effects(tuple(names[:COMMANDS]), mix, coefficients, air, lags_s, powers, cruise_mps)
 
 
 def _surfaces(names: list[str]) -> Array:
-    """1 for each actuator that is no motor (n,)."""
+    """Return 1 for each control surface and 0 for each motor (n,)."""
     motors = [name == "throttle" or name.startswith("motor") for name in names]
     return np.array([0.0 if motor else 1.0 for motor in motors])
 
 
 def _slope(motion: Callable[[Array], Array], size: int, entry: int, step: float) -> Array:
-    """How motion changes with one entry of a change (size,)."""
+    """Return the central difference of `motion` with respect to one entry of (size,)."""
     change = np.zeros(size)
     change[entry] = step
     return (motion(change) - motion(-change)) / (2.0 * step)
 
 
 def _express_by_force(coefficients: Array, air: Array) -> None:
-    """Tell what the air does by the force across that comes with it; (6, TERMS), (6, 3)."""
-    told = slice(0, FORCE_Y)
+    """Express the effect of the air by the lateral force; changes (6, TERMS), (6, 3) in place."""
+    rows = slice(0, FORCE_Y)
     for i, axis in enumerate((FORCE_Y, FORCE_Z)):
         pushed = air[axis, i + 1]
         if abs(pushed) > MIN_WING_HZ:
-            coefficients[told, FORCE + i] = air[told, i + 1] / pushed
-    across = coefficients[told, FORCE:AIRSPEED]
+            coefficients[rows, FORCE + i] = air[rows, i + 1] / pushed
+    across = coefficients[rows, FORCE:AIRSPEED]
     forces = slice(FORCE_Y, BODY_AXES)
-    # What a command or a rate does by way of the force is in the force's term already.
-    coefficients[told, :FORCE] -= across @ coefficients[forces, :FORCE]
-    air[told] -= across @ air[forces]
+    # The force's term already contains the effects of commands and rates through the force.
+    coefficients[rows, :FORCE] -= across @ coefficients[forces, :FORCE]
+    air[rows] -= across @ air[forces]

@@ -1,4 +1,4 @@
-"""An operator's requests as ArduPilot takes them: plain MAVLink; no I/O."""
+"""The operator's commands for ArduPilot as plain MAVLink; no I/O."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
 
 @dataclass(frozen=True, slots=True)
 class ArduPilotModes:
-    """Custom modes of a kind of ArduPilot; a plane's TAKEOFF mode needs no command to take off."""
+    """Custom modes of an ArduPilot vehicle; a plane's TAKEOFF mode needs no take-off command."""
 
     take_off: int
     auto: int
@@ -38,16 +38,16 @@ PLANE = ArduPilotModes(
 
 
 class ArduPilotCommands:
-    """Frames for an ArduPilot of system 1.
+    """Commands for an ArduPilot with system id 1.
 
     Parameters
     ----------
     modes : Modes
     landing : sequence of Waypoint
-        A plane's way to the ground, where its version has no mode that lands.
+        Landing approach of a plane whose version has no landing mode.
     """
 
-    awaiting_reply = False  # its answers are the vehicle's own
+    awaiting_reply = False  # its replies come in vehicle time
 
     def __init__(self, modes: ArduPilotModes, landing: Sequence[Waypoint] = ()) -> None:
         self._modes, self._landing = modes, landing
@@ -58,15 +58,15 @@ class ArduPilotCommands:
         self._pending: list[bytes] = []
 
     def pending(self) -> list[bytes]:
-        """What has to be sent now."""
+        """Return and clear the frames to send."""
         frames, self._pending = self._pending, []
         return frames
 
     def receive(self, frame: Frame) -> None:
-        """Send the mission's items, each when it is asked for; learn what is refused."""
+        """Answer requests for mission items, and note refused modes."""
         if frame.layout.name == "COMMAND_ACK" and frame.number("command") == SET_MODE:
             refused = frame.number("result") not in (ACCEPTED, IN_PROGRESS)
-            # Before 4.7 a plane has no AUTOLAND.
+            # ArduPlane before 4.7 has no AUTOLAND.
             self._cannot_land |= refused and self._requested_mode == self._modes.land
         elif frame.layout.name == "MISSION_ACK" and self._cannot_land:
             self._landing_uploaded = frame.number("type") == 0
@@ -75,17 +75,17 @@ class ArduPilotCommands:
             self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
-        """Offer the mission, whose first item is ArduPilot's own home; it asks for the items."""
+        """Announce the mission; its first item is ArduPilot's home position."""
         self._items = [waypoint_item(waypoints[0]), *waypoint_items(waypoints)]
         self._send(MISSION_COUNT, {"count": len(self._items)})
 
     def arm(self) -> None:
-        """Arm in the mode that takes off."""
+        """Arm in the take-off mode."""
         self._mode(self._modes.take_off)
         self._command(ARM, 1.0)
 
     def take_off(self, height_m: float) -> None:
-        """Climb; a plane's mode does so without a word."""
+        """Take off; a plane's take-off mode needs no command."""
         if self._modes.take_off_command:
             self._command(TAKE_OFF, 0, 0, 0, 0, 0, 0, height_m)
 
@@ -95,7 +95,7 @@ class ArduPilotCommands:
         self._command(START)
 
     def land(self) -> None:
-        """Change to the mode that lands, or fly the landing as a mission."""
+        """Switch to the landing mode, or fly the landing as a mission."""
         if not (self._cannot_land and self._landing):
             self._mode(self._modes.land)
         elif not self._landing_uploaded:

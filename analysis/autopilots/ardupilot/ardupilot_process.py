@@ -1,4 +1,4 @@
-"""ArduPilot in a run: the bridge, which starts the autopilot and ends it."""
+"""Start ArduPilot for a run through the bridge, which starts and ends the autopilot."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -19,19 +19,19 @@ from simvehicle.simulation.simulation import Simulation
 KINDS: dict[str, VehicleKind] = {
     "multirotor": "copter",
     "fixedwing": "plane",
-}  # of the bridge, by the scenario's
+}  # vehicle of the bridge by kind in the scenario
 BINARIES = {kind: f"ardu{name}" for kind, name in KINDS.items()}
 MODES = {"multirotor": COPTER, "fixedwing": PLANE}
 
 
 def launch_command(binary: str) -> list[str]:
-    """The words that start it; ConfigError where there is no such program."""
+    """Return the command line that starts it; ConfigError if the binary does not exist."""
     return check_command(binary)
 
 
 @contextlib.contextmanager
 def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
-    """How it is asked."""
+    """Open the commands for ArduPilot."""
     kind = simulation.scenario.vehicle.kind
     yield ArduPilotCommands(MODES[kind], flight_plan(simulation).landing)
 
@@ -40,7 +40,7 @@ def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
 def start_autopilot(
     words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
 ) -> Iterator[RunningAutopilot]:
-    """The bridge and its autopilot with the user's `own` parameters; both end with the flight."""
+    """Start the bridge and ArduPilot with the user's `own` parameters, for one flight."""
     path, kind = folder / "bridge.log", KINDS[simulation.scenario.vehicle.kind]
     files = []
     if own:
@@ -48,7 +48,7 @@ def start_autopilot(
         file.write_text(format_parameters(own))
         files = user_parameter_files(str(file))
     with path.open("w", buffering=1) as log, contextlib.ExitStack() as stack:
-        # In this process: a process of its own would cost each step two changes between them.
+        # In this process: a separate one would cost two context switches per step.
         bridged = BridgedAutopilot(
             words, kind, folder / "autopilot", files, lambda line: print(line, file=log)
         )

@@ -1,2 +1,1 @@
-"""PX4 in a run: how its program is started, with which parameters, and requests as MAVSDK makes
-them."""
+"""PX4 in a run: its process, its parameters, and commands by MAVSDK."""

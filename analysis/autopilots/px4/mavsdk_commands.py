@@ -1,8 +1,8 @@
-"""An operator's requests as MAVSDK makes them: MAVSDK's home in a run, used for PX4.
+"""The operator's commands by MAVSDK, used for PX4.
 
-MAVSDK has no socket here: bytes of the autopilot are handed to it, and what it wants sent leaves
-with the next step, through the proxy as any ground station's. Its own threads and time-outs run on
-wall time; a request that is under way or was granted is not made again.
+MAVSDK has no socket here: it receives the autopilot's bytes from the run, and its own bytes leave
+with the next step through the proxy, like those of any ground station. Its threads and timeouts run
+on wall time; a command that is in progress or has succeeded is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,26 +22,26 @@ from simvehicle.guidance.waypoints import Waypoint
 
 RESULT_SUCCESS = "SUCCESS"
 SET_MODE = {"command": 176, "target_system": 1, "target_component": 1, "param1": 1}  # MAV_CMD_
-MANUAL_MODE = {**SET_MODE, "param2": 1}  # PX4's main mode, and below it a sub-mode of it
+MANUAL_MODE = {**SET_MODE, "param2": 1}  # PX4's main mode; HOLD_MODE adds a sub-mode
 HOLD_MODE = {**SET_MODE, "param2": 4, "param3": 3}
-MANUAL_REPEATS = 3  # the height controller starts anew after a second without it
-ResultCallback = Callable[[Any, Any], None]  # MAVSDK's callback: a result and what was handed along
+MANUAL_REPEATS = 3  # seconds; the height controller restarts after one without it
+ResultCallback = Callable[[Any, Any], None]  # MAVSDK's callback: a result and user data
 
 
 class MavsdkCommands:
-    """One MAVSDK and the vehicle it finds; `close` ends its threads.
+    """One MAVSDK instance and the vehicle it finds; `close` ends its threads.
 
     Parameters
     ----------
     landing : sequence of Waypoint
-        A plane's way to the ground; empty for what lands where it is.
+        Landing approach of a plane; empty for a vehicle that lands vertically.
     """
 
     def __init__(self, landing: Sequence[Waypoint]) -> None:
-        log_subscribe(lambda *_: True)  # what happens is told by the operator
+        log_subscribe(lambda *_: True)  # silence MAVSDK: the operator reports progress
         station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         self._mavsdk = Mavsdk(station)
-        # MAVSDK sends from a thread of its own; the flight takes it along with its next step.
+        # MAVSDK sends from its own thread; the bytes leave with the next step.
         self._outgoing: SimpleQueue[bytes] = SimpleQueue()
         self._mavsdk.subscribe_raw_bytes_to_be_sent(self._outgoing.put)
         self._mavsdk.add_any_connection("raw://")
@@ -51,24 +51,24 @@ class MavsdkCommands:
         self._mission: Any = None
         self._in_progress: set[str] = set()
         self._succeeded: set[str] = set()
-        self._searching = False  # no vehicle was found yet when something was to be asked
+        self._searching = False  # no vehicle was found yet for a command
 
     @property
     def awaiting_reply(self) -> bool:
-        """Whether MAVSDK is at a request, or still to find the vehicle for one."""
+        """Whether a command is in progress in MAVSDK, or waits for it to find the vehicle."""
         return self._searching or bool(self._in_progress)
 
     def close(self) -> None:
-        """End MAVSDK."""
+        """Stop MAVSDK."""
         self._mavsdk.destroy()
 
     def receive(self, frame: Frame) -> None:
-        """Hand a frame on, unless it is of a stream: these it asks nothing of."""
+        """Pass a frame to MAVSDK, unless it belongs to a stream, which no command needs."""
         if frame.layout.name not in STREAMS_HZ:
             self._mavsdk.pass_received_raw_bytes(frame.raw)
 
     def pending(self) -> list[bytes]:
-        """What MAVSDK has to send."""
+        """Return and clear the frames that MAVSDK wants to send."""
         found = []
         while True:
             try:
@@ -81,10 +81,10 @@ class MavsdkCommands:
         self._upload("mission", waypoint_items(waypoints))
 
     def arm(self) -> None:
-        """Arm; a plane after it was taken out of its automatic mode and back.
+        """Arm; a plane is first switched to manual mode and back.
 
-        PX4's height controller runs in that mode from the start, from before the estimator knew
-        the height of the field, and would lead the plane up from sea level after its take-off.
+        In its automatic mode, PX4's height controller runs from before the estimator knew the
+        elevation of the field, and would start the climb from sea level.
         """
         if self._modes_before_arming:
             mode = self._modes_before_arming.pop(0)
@@ -97,7 +97,7 @@ class MavsdkCommands:
         self._request("arm", lambda done: self._action.arm_async(done))
 
     def take_off(self, height_m: float) -> None:
-        """Take off, to the height that PX4 was started with: MAVSDK would block to set it."""
+        """Take off to PX4's `MIS_TAKEOFF_ALT`: setting a height in MAVSDK would block."""
         self._request("take_off", lambda done: self._action.takeoff_async(done))
 
     def fly_mission(self) -> None:
@@ -105,7 +105,7 @@ class MavsdkCommands:
         self._request("start", lambda done: self._mission.start_mission_async(done))
 
     def land(self) -> None:
-        """Land, a plane by a mission: PX4 takes the ground below it for sea level else."""
+        """Land; a plane by a mission, since PX4's land mode assumes a field at sea level."""
         if not self._landing:
             self._request("land", lambda done: self._action.land_async(done))
         elif "landing" not in self._succeeded:
@@ -118,7 +118,7 @@ class MavsdkCommands:
         self._request(name, lambda done: self._mission.upload_mission_async(raw, done))
 
     def _request(self, name: str, ask: Callable[[ResultCallback], None]) -> None:
-        """Ask, unless MAVSDK has not found the vehicle or is at it already."""
+        """Send a command, unless no vehicle was found yet or it is already in progress."""
         if self._action is None:
             systems = [system for system in self._mavsdk.get_systems() if system.has_autopilot()]
             self._searching = not systems
@@ -130,7 +130,7 @@ class MavsdkCommands:
             ask(self._done(name))
 
     def _done(self, name: str) -> ResultCallback:
-        """Called by MAVSDK in the end; what was refused may be asked for again."""
+        """Return MAVSDK's callback for a command; a refused command may be repeated."""
 
         def answered(result: Any, _: Any) -> None:
             if result.name == RESULT_SUCCESS:
@@ -141,7 +141,7 @@ class MavsdkCommands:
 
 
 def _raw_items(items: Sequence[ItemFields]) -> list[MissionItem]:
-    """Items as MAVSDK takes them."""
+    """Convert items to MAVSDK's type."""
     return [
         MissionItem(seq=seq, current=int(seq == 0), autocontinue=1, **item)
         for seq, item in enumerate(items)

@@ -1,4 +1,4 @@
-"""The parameters with which PX4 flies a scenario's vehicle; no I/O."""
+"""PX4 parameters for a scenario's vehicle; no I/O."""
 
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
@@ -6,7 +6,7 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 AIRFRAMES = {"multirotor": "none_iris", "fixedwing": "gazebo-classic_plane"}
 MOTOR_FUNCTION = 101  # PWM_MAIN_FUNC of the first motor
 RC_DISABLED = 4  # COM_RC_IN_MODE
-PLANE_PARAMETERS = {  # faster than PX4's own
+PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
     "FW_AIRSPD_MIN": 18,
     "FW_AIRSPD_TRIM": 25,
     "FW_AIRSPD_MAX": 35,
@@ -16,14 +16,14 @@ PLANE_PARAMETERS = {  # faster than PX4's own
     "TRIM_PITCH": 0,
     "RWTO_ROT_AIRSPD": 22,
     "NAV_LOITER_RAD": 150,
-    "FW_LND_USETER": 0,  # the ground is where the mission says, with or without a range finder
+    "FW_LND_USETER": 0,  # the mission gives the ground height, with or without a range finder
 }
 MIN_OFFSET_PA = 1e-3
 ACCEPTANCE_RADIUS_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 
 
 def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
-    """Every parameter that a run sets; a take-off ends at `height_m`."""
+    """Return all parameters that a run sets; a take-off ends at `height_m`."""
     found: dict[str, float] = {
         "MAV_SYS_ID": 1,
         "COM_RC_IN_MODE": RC_DISABLED,
@@ -31,18 +31,18 @@ def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
     }
     offset_pa = simulation.pitot_offset_pa()
     if offset_pa is not None:
-        # As an operator calibrates it: a plane that seems to move takes off from a loiter. For PX4
-        # zero is not calibrated.
+        # The calibration of an operator: PX4 would take a plane with an offset for flying, and
+        # loiter at once. For PX4, zero means not calibrated.
         found["SENS_DPRES_OFF"] = offset_pa or MIN_OFFSET_PA
     vehicle = simulation.vehicle
     if not isinstance(vehicle, Multirotor):
         return found | PLANE_PARAMETERS
-    # By default a waypoint 10 m away counts as reached: small shapes lose their corners.
+    # The default radius of 10 m would cut the corners of small shapes.
     return found | {"NAV_ACC_RAD": ACCEPTANCE_RADIUS_M} | rotor_parameters(vehicle)
 
 
 def rotor_parameters(vehicle: Multirotor) -> dict[str, float]:
-    """Places and turning directions of the rotors, in the simulator's order."""
+    """Return positions and spin directions of the rotors, in the simulator's order."""
     motor = vehicle.parameters.motor
     found: dict[str, float] = {"CA_ROTOR_COUNT": len(vehicle.parameters.rotors)}
     for number, rotor in enumerate(vehicle.parameters.rotors):

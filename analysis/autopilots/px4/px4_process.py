@@ -1,7 +1,7 @@
-"""PX4 in a run: its SITL program, unmodified, started on links and parameters of the run's own.
+"""Start an unmodified PX4 SITL binary with the links and parameters of a run.
 
-PX4's start script reads the airframe from PX4_SIM_MODEL and parameters from PX4_PARAM_*, and looks
-for `px4-rc.mavlink`, its streams, along the PATH [1]_. So the run's folder comes first there.
+PX4's start script reads the airframe from PX4_SIM_MODEL and parameters from PX4_PARAM_*, and finds
+`px4-rc.mavlink`, its streams, through the PATH [1]_. So the run's folder comes first in it.
 
 References
 ----------
@@ -30,9 +30,9 @@ from simvehicle.simulation.simulation import Simulation
 
 BINARIES = dict.fromkeys(AIRFRAMES, "px4")
 LOOPBACK = "127.0.0.1"
-FIRST_PORT = 4560  # TCP, where instance 0 looks for its simulator
+FIRST_PORT = 4560  # TCP port at which instance 0 expects its simulator
 MAX_INSTANCES = 100
-STARTUP_TEXT = "Startup script returned"  # the logger is started by its last lines
+STARTUP_TEXT = "Startup script returned"  # its last lines start the logger
 STREAMS_HZ = {
     "SYS_STATUS": 2,
     "EXTENDED_SYS_STATE": 2,
@@ -49,18 +49,18 @@ STREAMS_HZ = {
 
 
 def launch_command(binary: str) -> list[str]:
-    """The words that start it.
+    """Return the command line that starts PX4.
 
     Raises
     ------
     ConfigError
-        If there is no such program, or it stands without its start scripts.
+        If the binary or its start scripts are missing.
     """
     words = shlex.split(binary)
     found = shutil.which(words[0]) if words else None
     scripts = Path(found).resolve().parent.parent / "etc" if found else None
     if found is None or scripts is None or not (scripts / "init.d-posix" / "rcS").is_file():
-        wrong = "is no program" if found is None else f"stands without {scripts}/init.d-posix/rcS"
+        wrong = "not found" if found is None else f"has no {scripts}/init.d-posix/rcS"
         raise ConfigError(
             f"--binary: {binary!r} {wrong}; give PX4's SITL binary, which "
             "`make px4_sitl_default` leaves in build/px4_sitl_default/bin/px4"
@@ -70,7 +70,7 @@ def launch_command(binary: str) -> list[str]:
 
 @contextlib.contextmanager
 def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
-    """How it is asked; MAVSDK is slow to import."""
+    """Open the commands for PX4; MAVSDK is slow to import."""
     from analysis.autopilots.px4.mavsdk_commands import MavsdkCommands
 
     with contextlib.closing(MavsdkCommands(flight_plan(simulation).landing)) as found:
@@ -81,7 +81,7 @@ def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
 def start_autopilot(
     words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
 ) -> Iterator[RunningAutopilot]:
-    """PX4 in a folder of its own, with the user's `own` parameters; it ends with the flight."""
+    """Start PX4 in its own folder, with the user's `own` parameters; it ends with the flight."""
     place = (folder / "autopilot").resolve()
     place.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
@@ -98,7 +98,7 @@ def start_autopilot(
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                process_group=0,  # Ctrl-C is the run's
+                process_group=0,  # Ctrl-C must reach the run only
                 preexec_fn=die_with_parent,
             )
         stack.enter_context(terminate_on_exit(process))
@@ -106,32 +106,32 @@ def start_autopilot(
 
 
 def open_free_instance() -> tuple[int, TcpServer]:
-    """The first number whose port is free, and the server there.
+    """Open a server on the port of the first free instance; return the instance and the server.
 
     Raises
     ------
     ConfigError
-        If none is.
+        If no port is free.
     """
     for instance in range(MAX_INSTANCES):
         with contextlib.suppress(OSError):
-            # Opened at once and kept: a port that is only looked at may be taken in between.
+            # Kept open: a port that is only probed may be taken in between.
             return instance, TcpServer(LOOPBACK, FIRST_PORT + instance)
     raise ConfigError(
         f"--autopilot px4: no TCP port from {FIRST_PORT} to {FIRST_PORT + MAX_INSTANCES - 1} is "
-        "free; end a simulator"
+        "free; close another simulator"
     )
 
 
 def free_udp_port() -> int:
-    """A port that PX4 may bind."""
+    """Return a UDP port that PX4 can bind."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
 
 
 def stream_script(local: int, remote: int) -> str:
-    """The start script of PX4's one MAVLink instance: the streams a run records."""
+    """Write the start script of PX4's MAVLink instance, with the streams that a run records."""
     lines = [f"mavlink start -x -u {local} -o {remote} -t {LOOPBACK} -r 1000000 -m custom"]
     lines += [f"mavlink stream -u {local} -s {name} -r {hz}" for name, hz in STREAMS_HZ.items()]
     return "\n".join(lines) + "\n"
@@ -140,9 +140,8 @@ def stream_script(local: int, remote: int) -> str:
 def process_environment(
     simulation: Simulation, place: Path, own: dict[str, float]
 ) -> dict[str, str]:
-    """PX4's variables, with `own` parameters over those of the run; those of the user's shell that
-    name another simulator are left out."""
-    # What the user exported for another simulator would start that one.
+    """Return PX4's environment; `own` parameters override those of the run."""
+    # Without the PX4_* variables of the user's shell: they may select another simulator.
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
     kept["PATH"] = f"{place}{os.pathsep}{kept.get('PATH', os.defpath)}"
     kept["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]

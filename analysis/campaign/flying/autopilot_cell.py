@@ -1,4 +1,4 @@
-"""A cell flown by a real autopilot: one `mavproxy-fault run --autopilot`, and its run folder."""
+"""Fly a cell with a real autopilot: one `mavproxy-fault run --autopilot` and its run folder."""
 
 import json
 import shutil
@@ -12,7 +12,7 @@ from analysis.campaign.cell import CampaignFlight, monitor_verdict
 from analysis.campaign.flying.autopilot_evidence import collect_evidence
 from mavproxy_fault.documents.errors import ConfigError
 
-MAX_TRIES = 3  # on a busy machine an operator's time-outs may end a flight before its fault
+MAX_TRIES = 3  # on a busy machine the operator's timeouts may end a flight before its fault
 
 
 def run_autopilot_cell(
@@ -23,25 +23,25 @@ def run_autopilot_cell(
     *,
     kept: bool,
 ) -> CampaignFlight:
-    """Fly a cell; arguments and errors as `run_flight_process` has them.
+    """Fly a cell; arguments and errors as in `run_flight_process`.
 
     Raises
     ------
     ConfigError
-        If no flight came of it in several tries: no take-off, or a fault that never acted.
+        If no try had a take-off and a fault that acted.
     """
     started_s = time.monotonic()
     for _ in range(MAX_TRIES):
         flown = run_flight_process(subject, run, schedule, folder, kept=kept)
         summary = json.loads((flown / "summary.json").read_text())
         took_off = "take-off" in summary["autopilot"]["moments_s"]
-        # Nothing can be said of a fault that never was, and a twin that never flew is none.
+        # A flight counts only if it took off and its fault acted.
         if took_off and (summary["faults"] or not schedule["faults"]):
             evidence, flown_s = collect_evidence(flown)
             wall_s = time.monotonic() - started_s
             verdict = monitor_verdict(summary["faults"])
             return CampaignFlight({subject: evidence}, {}, flown_s, wall_s, str(flown), verdict)
         shutil.rmtree(flown)
-    what = "the fault never acted" if took_off else "it never left the ground"
+    what = "the fault never acted" if took_off else "the vehicle did not take off"
     why = summary["autopilot"]["ended_early"]
-    raise ConfigError(f"{subject}: {what}, {MAX_TRIES} times; {why}")
+    raise ConfigError(f"{subject}: {what} in {MAX_TRIES} tries; {why}")

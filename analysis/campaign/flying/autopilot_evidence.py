@@ -1,6 +1,6 @@
-"""What a flight with an autopilot showed, from its run folder.
+"""Evidence of a flight under an autopilot, from its run folder.
 
-Times count from leaving the ground, as the schedule's do: take-offs are not alike to the second.
+Times count from take-off, as in the schedule, since the time until take-off varies by seconds.
 """
 
 import json
@@ -22,17 +22,19 @@ WARNING = 4  # MAV_SEVERITY
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 TRACK_HZ = 10.0
 AIRBORNE_M, GROUND_M = 1.0, 0.3
-CRASH_MPS = 3.0  # a descent this fast at the ground is a crash
+CRASH_MPS = (
+    3.0  # chosen: a descent this fast at the ground is a crash; PX4 and ArduPilot land below 1 m/s
+)
 LOST_TILT_DEG = 75.0
 LogRows = NDArray[Any]
 
 
 def collect_evidence(folder: Path) -> tuple[Evidence, float]:
-    """Curves and marks of a flight that left the ground, and how long it was in the air [s]."""
+    """Return curves and marks of a flight that took off, and its duration since take-off [s]."""
     summary = json.loads((folder / "summary.json").read_text())["autopilot"]
     columns = read_columns(folder / "sent.tlog")
     truth = columns["HIL_STATE_QUATERNION"]
-    # The log is stamped with another clock; the truth's own stamps tell how far they are apart.
+    # The log has another clock; the truth's own timestamps give the offset.
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
     off_ground_s = summary["moments_s"]["take-off"]
 
@@ -53,16 +55,15 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
 
 
 def belongs_to_flight(mark: FlightMark, landing_s: float) -> bool:
-    """Whether a mark is of the flight: from leaving the ground until it was told to land.
+    """Whether a mark counts: between take-off and the landing command, or lost or crashed.
 
-    Its modes and flags on the way down come when it touches the ground, which two flights never do
-    at the same moment; only a bad end of it counts.
+    Modes and flags during the landing depend on the touchdown, whose time varies between flights.
     """
     return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", "crashed"))
 
 
 def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve]:
-    """The autopilot's attitude against the truth, as the monitor scored it."""
+    """Return the autopilot's attitude error, as scored by the monitor."""
     errors = [
         result
         for result in read_results(folder / "results.jsonl")
@@ -78,9 +79,9 @@ def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve
 
 
 def path_curves(truth: LogRows, since: Any) -> dict[str, EvidenceCurve]:
-    """The true path in metres north, east and up of the first place; `truth` are the rows (n,) of
-    HIL_STATE_QUATERNION."""
-    # About 10 Hz: thousands of flights are kept.
+    """Return the true path [m] north, east and up of the first position; `truth` are the rows (n,)
+    of HIL_STATE_QUATERNION."""
+    # About 10 Hz, since thousands of flights are stored.
     every = max(1, round(_rate_hz(truth) / TRACK_HZ))
     t_s = since(truth["t_us"])[::every]
     flown = t_s >= 0.0
@@ -104,7 +105,7 @@ def _rate_hz(rows: LogRows) -> float:
 
 
 def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
-    """A mark for each change of the flight mode."""
+    """Return a mark for each change of the flight mode."""
     rows = columns["HEARTBEAT"]
     rows = rows[rows["autopilot"] != NO_AUTOPILOT]
     marks, before = [], None
@@ -117,7 +118,7 @@ def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
 
 
 def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
-    """A mark for each warning of the autopilot, and for a change of the estimator's flags."""
+    """Return a mark for each warning of the autopilot and each change of its estimator flags."""
     marks = []
     if "STATUSTEXT" in columns:
         rows = columns["STATUSTEXT"]
@@ -127,7 +128,7 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
             marks.append(FlightMark(round(t_s, 3), "detected", words))
     for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
         if name in columns:
-            # Flags are compared with the ones before; their first value is no change.
+            # Each value is compared with the previous one.
             rows = columns[name]
             changed = np.flatnonzero(np.diff(rows["flags"].astype(np.int64))) + 1
             for t_s, flags in zip(
@@ -138,9 +139,9 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
 
 
 def ground_marks(truth: LogRows, since: Any, landed: bool) -> list[FlightMark]:
-    """Landed, crashed, or out of control, by the truth, rows (n,) of HIL_STATE_QUATERNION."""
+    """Return marks for landed, crashed or lost; `truth` are rows (n,) of HIL_STATE_QUATERNION."""
     t_s = since(truth["t_us"])
-    # Above the first place; whatever the ground does there.
+    # Above the first position, on level ground.
     height_m = (truth["alt"] - truth["alt"][0]) * 1e-3
     w, x, y, z = truth["attitude_quaternion"].T
     # The angle between the body's and the true vertical.
@@ -152,11 +153,11 @@ def ground_marks(truth: LogRows, since: Any, landed: bool) -> list[FlightMark]:
         marks.append(
             FlightMark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
         )
-    # Down again only after having been up.
+    # On the ground again, after having been airborne.
     down = np.flatnonzero((np.arange(len(t_s)) > (up[0] if len(up) else 0)) & (height_m < GROUND_M))
     if len(up) and len(down):
         at = down[0]
-        # The second before touching the ground: contact itself stops the fall.
+        # In the second before touchdown, since the contact itself stops the descent.
         window = slice(max(0, at - round(_rate_hz(truth))), at + 1)
         speed_mps = float(truth["vz"][window].max()) * 1e-2
         kind = "crashed" if speed_mps > CRASH_MPS else "landed"

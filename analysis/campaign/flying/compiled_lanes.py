@@ -1,7 +1,7 @@
-"""Cells flown by the search's compiled kernels, thousands at once.
+"""Fly cells with the compiled kernels of the search, thousands at once.
 
-The kernels keep no curves: the excursion is how far the largest error of the whole flight lies
-beyond that of the twin, which flies in the same batch with the same noise.
+The kernels record no curves: the excursion is the largest error of the entire flight minus that of
+the reference flight, which is part of the same batch and has the same noise.
 """
 
 import time
@@ -18,21 +18,21 @@ from analysis.search.lanes import rows
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 
-NEVER_S = 1e9  # an onset after the end of every flight
-ANGLE_COLUMN = 3  # place of the whole angle among the errors
+NEVER_S = 1e9  # onset of the reference flight, after the end of every flight
+ANGLE_COLUMN = 3  # column of the total angle in the errors
 
 
 def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]:
-    """The outcomes of cells that share subject, scenario, fault and seed.
+    """Return the outcomes of cells that share subject, scenario, fault and seed.
 
     Raises
     ------
     ConfigError
-        If the kernels do not have the fault or the subject.
+        If the kernels do not support the fault or the subject.
     """
     started_s = time.monotonic()
     batch = Batch(lane_test_file(campaign, cells[0]))
-    # The twin first: its fault never begins.
+    # The reference flight first: its fault never begins.
     at_s = [NEVER_S, *(float(cell.onset) for cell in cells)]
     count = len(at_s)
     values = {name: np.full(count, value) for name, value in batch.space.fixed.items()}
@@ -40,11 +40,11 @@ def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     values["faults[0].for_s"] = np.array([1.0, *(cell.duration_s for cell in cells)])
     if cells[0].magnitude is not None:
         values["faults[0].value"] = np.array([0.0, *(cell.magnitude for cell in cells)], float)
-    # With the same noise in every lane: what differs from the twin is then the fault's doing.
+    # With the same noise in every lane, only the fault makes a difference to the reference flight.
     outcome = batch.evaluate_values(values, cells[0].seed, 0, 1, alike=True)
     largest_deg = outcome.largest_deg[:, ANGLE_COLUMN]
     excursion_deg = largest_deg[1:] - largest_deg[0]
-    # The batch took its time as one; every cell gets its share.
+    # Every cell gets an equal share of the batch's time.
     wall_s = (time.monotonic() - started_s) / len(cells)
     found = []
     for cell, beyond, limit in zip(cells, excursion_deg, outcome.broken_limit[1:], strict=True):
@@ -63,7 +63,7 @@ def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
 
 
 def lane_test_file(campaign: CampaignFile, cell: Cell) -> TestFile:
-    """The search's test that flies a cell's kind."""
+    """Build the search's test file for cells like this one."""
     scenario = next(
         s for s in campaign.scenarios if isinstance(s, CompiledScenario) and s.name == cell.scenario
     )

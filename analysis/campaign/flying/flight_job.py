@@ -1,4 +1,4 @@
-"""Jobs: what one worker does at a time, and the answers that come back."""
+"""Jobs of the workers, and their answers."""
 
 import shutil
 import tempfile
@@ -18,10 +18,10 @@ from simvehicle.scenario.changed_scenario import parse_change
 
 @dataclass(frozen=True)
 class FlightJob:
-    """One flight, the answer to cells that differ only in their subject.
+    """One flight, for cells that differ only in their subject.
 
-    `reference` is the flight without the fault; None if this is the twin. `keep` is the folder for
-    its logs, if they are wanted.
+    `reference` is the fault-free reference flight, None if this is the reference; `keep` is the
+    folder for the logs, None to discard them.
     """
 
     campaign: CampaignFile
@@ -40,7 +40,7 @@ class LaneJob:
 
 @dataclass(frozen=True)
 class JobAnswer:
-    """What became of a job: results of its cells, and what the flight showed."""
+    """The results of a job's cells, and the flight with its evidence."""
 
     results: list[CellResult]
     flight: CampaignFlight | None = None
@@ -50,15 +50,15 @@ Job = FlightJob | LaneJob
 
 
 def run_job(job: Job) -> JobAnswer:
-    """Fly a job, in whatever process.
+    """Fly a job in this process.
 
     Raises
     ------
     ConfigError
-        If the file asks for a flight that cannot be made.
+        If the flight fails because of the campaign file.
     """
     if isinstance(job, LaneJob):
-        # Imported here: whoever flies in the simulator needs none of the search's kernels.
+        # Imported here: flights in the simulator do not need the search's kernels.
         from analysis.campaign.flying.compiled_lanes import run_lanes
 
         return JobAnswer(run_lanes(job.campaign, job.cells))
@@ -85,32 +85,32 @@ def run_job(job: Job) -> JobAnswer:
         )
         for cell in job.cells
     ]
-    # Written and then removed: what a flight was worth is known only in the end.
+    # Logs are removed afterwards, once the outcome is known.
     if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
         shutil.rmtree(job.keep)
     return JobAnswer(results, flown)
 
 
 def _interesting(results: list[CellResult]) -> bool:
-    """Whether a fault did something to a subject."""
+    """Whether an outcome is worse than detected."""
     return any(outcome_rank(result.outcome) > outcome_rank("detected") for result in results)
 
 
 def aborted_answer(job: Job, reason: str) -> JobAnswer:
-    """The answer of a job that could not be flown."""
+    """Build the answer of a job whose flight failed."""
     return JobAnswer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
 
 
 def onset_time_s(cell: Cell, twin: CampaignFlight | None) -> float | None:
-    """When the fault sets in; None if the flight never comes to that phase."""
+    """Return the onset of the fault [s]; None if the reference flight lacks the phase."""
     if not isinstance(cell.onset, str):
         return float(cell.onset)
-    # By the twin: the fault may keep the flight itself from ever coming to that phase.
+    # In the reference flight, since the fault may keep its own flight from reaching the phase.
     return None if twin is None else twin.phases.get(cell.onset)
 
 
 def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
-    """Fly the cells' scenario, with their fault unless this is the twin."""
+    """Fly the cells' scenario, with their fault unless this is the reference flight."""
     cell, campaign = job.cells[0], job.campaign
     entries = []
     if cell.fault != HEALTHY:
@@ -133,16 +133,16 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
 
 
 def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> RunSetup:
-    """A scenario by its name in results; errors as `read_setup` has them."""
+    """Read a scenario by its name in results; errors as in `read_setup`."""
     file, *changes = campaign.scenario_arguments(scenario)
-    # Every other word is the option's name.
+    # Every other argument is the option's name.
     return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])))
 
 
 def cell_setup(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> RunSetup:
-    """The scenario with the cell's seed and the estimators under test."""
+    """Read the scenario with the cell's seed and the estimators under test."""
     setup = setup_by_name(campaign, cell.scenario, cell.seed)
-    # The monitor runs in any case; it is no estimator of attitude.
+    # The monitor always runs and is not an attitude estimator.
     estimators = tuple(name for name in subjects if name != MONITOR)
     attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)
     monitor = msgspec.structs.replace(setup.monitor, attitude=attitude)

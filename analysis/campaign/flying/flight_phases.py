@@ -1,25 +1,25 @@
-"""When each phase of a flight begins, by the truth: where a fault may be told to set in."""
+"""Find the beginning of each phase of a flight from the truth; faults can start at a phase."""
 
 import numpy as np
 
 from analysis.scoring.attitude_scores import PHASES, flight_phases
 from simvehicle.vehicles.body import Truth
 
-FIRST_PHASE_S = 5.0  # no phase counts before: estimators need some seconds
-MIN_PHASE_S = 1.0  # a phase begins once it has lasted so long
+FIRST_PHASE_S = 5.0  # no phase counts before, since estimators need some seconds to settle
+MIN_PHASE_S = 1.0  # chosen: a phase counts once it has lasted this long, not for a transient
 AIRBORNE_M = 1.0
 LANDING_M = 10.0  # a descent below this height is a landing
 
 
 class PhaseTracker:
-    """The first time of each phase: hover, turn, climb, descent, level, landing."""
+    """Records the first time of each phase: hover, turn, climb, descent, level, landing."""
 
     def __init__(self) -> None:
         self.begin_s: dict[str, float] = {}
         self._phase, self._since_s = "", 0.0
 
     def track(self, t_s: float, truth: Truth) -> None:
-        """Look at the truth some time later."""
+        """Update the phase with the truth at `t_s`."""
         phase = phase_of(truth)
         if phase != self._phase:
             self._phase, self._since_s = phase, t_s
@@ -28,12 +28,12 @@ class PhaseTracker:
 
 
 def phase_of(truth: Truth) -> str:
-    """The phase at one instant."""
+    """Return the phase of flight at one instant."""
     number = flight_phases(np.array([truth.q_nb]), np.array([truth.v_ned_mps]))[0]
     phase = PHASES[int(number)]
     airborne = truth.height_agl_m > AIRBORNE_M
     if phase == "ground" and airborne:
-        return "hover"  # as slow as on the ground, but up in the air
+        return "hover"  # slow, but airborne
     if phase == "descent" and truth.height_agl_m < LANDING_M:
         return "landing"
     return phase

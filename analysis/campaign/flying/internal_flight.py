@@ -1,7 +1,7 @@
-"""One flight in the simulator, through the proxy, watched by the monitor and by estimators.
+"""Fly a cell in the simulator, through the proxy, with the monitor and the estimators under test.
 
-The simulator's controller flies by the truth, so that the flight is the same for every subject:
-all of them share it.
+The simulator's controller uses the truth, so the flight does not depend on the subject, and all
+subjects share it.
 """
 
 import time
@@ -34,7 +34,7 @@ from mavproxy_fault.wire.label import Label
 from simvehicle.scenario.scenario_file import Scenario
 
 TRACK_US = 100_000
-BATCH_BYTES = 32_768  # the monitor is fastest on many frames at once
+BATCH_BYTES = 32_768  # the monitor is fastest on large batches
 WIDEST_DEG = 180.0
 Vector = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def run_simulated_flight(
     subjects: Sequence[str],
     keep: Path | None = None,
 ) -> CampaignFlight:
-    """Fly to the scenario's end; evidence by subject. `keep` is the folder for the logs."""
+    """Fly a scenario and collect the evidence by subject; `keep` is the folder for the logs."""
     started_s = time.monotonic()
     flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
     phases, results = PhaseTracker(), list[Result]()
@@ -82,7 +82,7 @@ def run_simulated_flight(
 
 
 def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:
-    """The flight's tlogs and labels, as `run` leaves them."""
+    """Write the flight's tlogs and labels, as `run` does."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
     recorder.write(flight.capture, labels)
@@ -94,18 +94,18 @@ def _seconds(result: Result, t0_us: int) -> float:
 
 
 def estimator_evidence(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
-    """An estimator's attitude error by seconds from `t0_us`; it flags nothing."""
+    """Return an estimator's attitude error over seconds since `t0_us`; it has no marks."""
     errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
     curve = EvidenceCurve(
         [_seconds(e, t0_us) for e in errors],
-        # An estimate that is no number any more counts as wrong as can be.
+        # An estimate of NaN counts as the largest possible error.
         [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
     )
     return Evidence({ATTITUDE: curve})
 
 
 def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence:
-    """The monitor's position error by the true track (n, 4) [us, m ECEF], and its alarms."""
+    """Return the monitor's position error and alarms; `track` (n, 4) is the truth [us, m ECEF]."""
     decisions = [r for r in results if isinstance(r, Decision)]
     fixes = [d for d in decisions if d.position_ecef_m is not None]
     curves = {}

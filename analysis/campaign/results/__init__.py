@@ -1,1 +1,1 @@
-"""What a campaign found, for people and for programs: table, page, files, comparison, data set."""
+"""Results of a campaign for people and programs: table, page, files, comparison, data set."""

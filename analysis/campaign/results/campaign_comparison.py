@@ -1,8 +1,8 @@
-"""Two campaigns held against each other: what got worse, and is that more than chance?
+"""Compare two campaigns: what got worse, and is that significant?
 
-Cells are paired by their key. Of a subject and fault, the pairs whose outcome differs are counted:
-without a change, worse and better are equally likely, so their numbers are binomial with one half
-(the sign test). Faults are many, so their probabilities are corrected by Holm's method [1]_.
+Cells are paired by their key. For each subject and fault, the pairs whose outcome differs are
+counted: without a change, worse and better are equally likely (sign test). Since many faults are
+tested, the p-values are corrected by Holm's method [1]_.
 
 References
 ----------
@@ -24,19 +24,19 @@ from analysis.campaign.outcomes import ABORTED, outcome_rank
 from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.documents.errors import ConfigError
 
-# Beside the single faults: many small changes of one sign show only in the sum.
+# Tested in addition to the single faults, to find many small changes of one sign.
 ALL_FAULTS = "all faults"
-# The usual level of a significance test, after the correction for many faults.
+# Family-wise error probability of a comparison, after the correction for many faults.
 SIGNIFICANCE_LEVEL = 0.05
-SAME_SHARE = 0.2  # excursions this near, or nearer than SAME, are alike
-SAME_EXCURSION = 0.5  # degrees or metres
+SAME_SHARE = 0.2  # chosen: smaller relative changes of an excursion count as equal
+SAME_EXCURSION = 0.5  # degrees or metres; chosen: smaller changes count as equal
 
 
 class FaultChange(NamedTuple):
-    """A subject and fault in both campaigns.
+    """The change of a subject and fault between two campaigns.
 
-    `worse` and `better` count pairs that differ; `examples` are the worst of the worse ones;
-    `p_value` is the probability of as many worse ones by chance, corrected for all faults.
+    `worse` and `better` count pairs that differ; `examples` are the worst regressions; `p_value` is
+    the probability of at least as many regressions by chance, corrected for all faults.
     """
 
     subject: str
@@ -49,12 +49,12 @@ class FaultChange(NamedTuple):
 
     @property
     def regressed(self) -> bool:
-        """Whether it got worse by more than chance."""
+        """Whether it got significantly worse."""
         return self.p_value < SIGNIFICANCE_LEVEL and self.worse > self.better
 
 
 def compare_folders(before: Path, after: Path) -> int:
-    """Print what changed; 1 if something got worse, 0 if not.
+    """Print what changed; return 1 if something got significantly worse, else 0.
 
     Raises
     ------
@@ -65,10 +65,12 @@ def compare_folders(before: Path, after: Path) -> int:
         {result.cell.key: result for result in read_campaign_folder(folder)[1]}
         for folder in (before, after)
     )
-    # No common cell is a mistake of the user's, not "nothing changed".
+    # No common cell is a mistake of the user, not "nothing changed".
     found = compare_results(old, new)
     if not found:
-        raise ConfigError(f"{before} and {after}: have no cell in common; fly the same file twice")
+        raise ConfigError(
+            f"{before} and {after}: no common cells; fly the same campaign file twice"
+        )
     console = Console(markup=False)
     console.print(_table(found))
     for change in found:
@@ -85,21 +87,21 @@ def compare_folders(before: Path, after: Path) -> int:
 def compare_results(
     old: Mapping[str, CellResult], new: Mapping[str, CellResult]
 ) -> list[FaultChange]:
-    """Every subject and fault that both have, those that got worse first."""
+    """Compare all common subjects and faults; regressions come first."""
     groups: dict[tuple[str, str], list[tuple[CellResult, CellResult]]] = defaultdict(list)
     for key, was in old.items():
         is_now = new.get(key)
-        # An aborted cell says nothing of the subject: neither side can be worse by it.
+        # An aborted cell says nothing about the subject.
         if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
             groups[was.cell.subject, was.cell.fault].append((was, is_now))
             groups[was.cell.subject, ALL_FAULTS].append((was, is_now))
     faults = [subject for subject, fault in groups if fault != ALL_FAULTS]
     for subject in set(faults):
-        # Of a single fault the sum says the same again, and would count as a second test.
+        # With a single fault, the sum would be the same test again.
         if faults.count(subject) == 1:
             del groups[subject, ALL_FAULTS]
     found = [_change(names, pairs) for names, pairs in groups.items()]
-    # All probabilities at once: the correction depends on how many there are.
+    # All at once: the correction depends on the number of tests.
     corrected = holm_correction([change.p_value for change in found])
     found = [c._replace(p_value=p) for c, p in zip(found, corrected, strict=True)]
     return sorted(found, key=lambda change: (change.p_value, -change.worse))
@@ -110,9 +112,9 @@ def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult
     worse = [(was, is_now) for s, was, is_now in signs if s > 0]
     better = sum(s < 0 for s, _, _ in signs)
     differ = len(worse) + better
-    # One-sided: better is no reason to fail. Without a difference there is nothing to test.
+    # One-sided, since an improvement must not fail. Without a difference there is nothing to test.
     p = binomtest(len(worse), differ, 0.5, alternative="greater").pvalue if differ else 1.0
-    # The largest fall first, of which the table shows three.
+    # The largest regressions first; three are shown.
     worse.sort(
         key=lambda pair: outcome_rank(pair[1].outcome) - outcome_rank(pair[0].outcome), reverse=True
     )
@@ -120,17 +122,17 @@ def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult
 
 
 def compare_pair(was: CellResult, is_now: CellResult) -> int:
-    """1 if worse, -1 if better: by the outcome, within the same one by the excursion."""
+    """Return 1 if worse, -1 if better: by outcome, and for equal outcomes by excursion."""
     step = outcome_rank(is_now.outcome) - outcome_rank(was.outcome)
     if step:
         return 1 if step > 0 else -1
-    # Angles first: where they agree within the tolerance, the positions decide.
+    # Angles first; if they are equal within the tolerance, positions decide.
     for before, after in (
         (was.excursion_deg, is_now.excursion_deg),
         (was.excursion_m, is_now.excursion_m),
     ):
         if before is not None and after is not None:
-            # Small excursions vary by noise, large ones by their size: the wider of both bounds.
+            # Small excursions vary by noise, large ones in proportion: use the larger tolerance.
             size = max(SAME_EXCURSION, SAME_SHARE * abs(before))
             if abs(after - before) > size:
                 return 1 if after > before else -1
@@ -138,11 +140,11 @@ def compare_pair(was: CellResult, is_now: CellResult) -> int:
 
 
 def holm_correction(p_values: Sequence[float]) -> list[float]:
-    """Probabilities corrected for their number, in the same order."""
+    """Return p-values corrected for multiple tests, in the same order."""
     order = sorted(range(len(p_values)), key=lambda i: p_values[i])
     corrected, largest = [0.0] * len(p_values), 0.0
     for position, i in enumerate(order):
-        # Never below an earlier one: Holm's probabilities must not decrease.
+        # Holm's corrected p-values must not decrease.
         largest = max(largest, (len(p_values) - position) * p_values[i])
         corrected[i] = min(1.0, largest)
     return corrected

@@ -1,6 +1,6 @@
-"""A campaign's one HTML file: heat map, reaction times, the worst cells, and their curves.
+"""The HTML page of a campaign: heat map, reaction times, worst cells, and curves, in one file.
 
-The file needs no network. Names come from the campaign's file: they are escaped where they stand.
+The page needs no network. Names come from the campaign file and are escaped.
 """
 
 import json
@@ -26,9 +26,9 @@ from analysis.campaign.results.outcome_grid import (
 )
 from analysis.campaign.results_store import CellEvidence
 
-MAX_LISTED = 5000  # results whose numbers stand in the page: the worst
-MAX_CURVE_POINTS = 200  # of one curve
-WORST_ROWS = 12  # rows of the table of the worst
+MAX_LISTED = 5000  # results in the page, the worst ones
+MAX_CURVE_POINTS = 200  # of one curve; enough for a plot of 1100 pixels
+WORST_ROWS = 12  # of the table of the worst cells
 MAX_PARETO_ROWS = 20
 
 
@@ -39,11 +39,11 @@ def render_campaign_page(
     twins: dict[str, Evidence],
     reload_s: float | None = None,
 ) -> str:
-    """The whole file; `twins` are the evidence without a fault, by `subject|scenario|seed`.
+    """Return the HTML; `twins` is the evidence of reference flights by `subject|scenario|seed`.
 
-    With `reload_s` the campaign still flies: the page tells how far it is, and loads itself again.
+    With `reload_s` the campaign is running: the page shows its progress and reloads itself.
     """
-    # The worst are listed: a campaign of the kernels has more results than a browser can hold.
+    # Only the worst: compiled campaigns have more results than a browser can hold.
     listed = sorted(results, key=severity_key, reverse=True)[:MAX_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
     grid = outcome_grid(results, plan.campaign)
@@ -53,16 +53,16 @@ def render_campaign_page(
         "limits": msgspec.to_builtins(plan.campaign.limits),
         "rows": [_row(row, numbers) for row in grid],
         "results": [_result_model(result, plan.campaign) for result in listed],
-        # Curves only of results that are listed.
+        # Curves of the listed results only.
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
         },
         "twins": {key: _curves(evidence) for key, evidence in twins.items()},
     }
-    # `</script>` within a string would end the block.
+    # `</script>` inside a string would end the block.
     text = json.dumps(model, allow_nan=False).replace("<", "\\u003c")
     name = escape(plan.campaign.name)
-    # The style and the plots are those of the reports.
+    # Style and plots are shared with the reports.
     shared = files("analysis.report.page") / "assets"
     own = files("analysis.campaign.results") / "assets"
     styles = (shared / "uPlot.min.css", shared / "page.css", own / "campaign.css")
@@ -75,8 +75,8 @@ def render_campaign_page(
             f"<body><header><h1>{name}</h1></header><main>",
             "" if reload_s is None else _progress_html(len(results), plan.max_cells),
             _facts_html(results),
-            '<p class="note">A cell holds one magnitude of a fault and shows the worst outcome of '
-            "its flights. Hover for the numbers, click for the flights and their curves.</p>",
+            '<p class="note">Each cell is one magnitude of a fault and shows the worst outcome of '
+            "its flights. Hover for numbers, click for the flights and their curves.</p>",
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
             _reactions_html(grid),
             _pareto_html(grid, plan.campaign.limits),
@@ -105,17 +105,17 @@ def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
 
 
 def _result_model(result: CellResult, campaign: CampaignFile) -> dict[str, object]:
-    """What the page tells of one result."""
+    """Return the page's model of one result."""
     fields = msgspec.structs.asdict(result)
     cell = msgspec.structs.asdict(fields.pop("cell"))
-    # Four digits: the page is for reading, `cells.csv` holds the numbers.
+    # Four digits for display; `cells.csv` has the full values.
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
     return {**cell, **rounded, "again": rerun_command(result, campaign)}
 
 
 def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
-    """The command that flies a cell again, to watch; empty for a compiled one."""
-    # A compiled cell has no scenario file that `run` could fly.
+    """Return the command that repeats a cell with the live page; empty for a compiled one."""
+    # A compiled cell has no scenario file for `run`.
     if campaign.compiled:
         return ""
     cell = result.cell
@@ -126,56 +126,54 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is not None:
         words += autopilot.options(campaign.folder)
-    # Somebody wants to watch.
     words.append("--ui")
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
 
 
 def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
-    """Times and values by name, every so many of them."""
+    """Return thinned times and values by name."""
     return {name: [*_thinned(curve)] for name, curve in evidence.curves.items()}
 
 
 def _thinned(curve: EvidenceCurve) -> tuple[list[float], list[float]]:
-    """Times and, of each stretch, the largest value: the page shows errors."""
-    # Rounded up, so that no curve exceeds its points.
+    """Return times and the largest value of each section, so that no error peak is lost."""
+    # Rounded up, so that no curve exceeds the maximum number of points.
     step = max(1, -(-len(curve.t_s) // MAX_CURVE_POINTS))
     starts = range(0, len(curve.t_s), step)
     return (
         [round(curve.t_s[i], 2) for i in starts],
-        # The largest, so that no peak is thinned away.
         [round(max(curve.value[i : i + step]), 3) for i in starts],
     )
 
 
 def _progress_html(flown: int, cells: int) -> str:
-    """How far a campaign is that still flies."""
+    """Return the progress bar of a running campaign."""
     return (
         f'<p role="status"><progress max="{cells}" value="{flown}" aria-label="Cells flown">'
-        f"</progress> {flown} of {cells} cells are flown; the page follows by itself.</p>"
+        f"</progress> {flown} of {cells} cells completed; the page reloads itself.</p>"
     )
 
 
 def _facts_html(results: Sequence[CellResult]) -> str:
     counts = Counter(result.outcome for result in results)
     facts = [(str(len(results)), "cells")]
-    # In the order of their rank; an aborted flight has none.
+    # In order of rank; aborted has none.
     facts += [(str(counts[name]), name) for name in (*RANKS, "aborted") if counts[name]]
     share = failsafe_share(results)
     if share is not None:
-        facts.append((f"{100 * share:.0f} %", "of the bad flights had a failsafe"))
+        facts.append((f"{100 * share:.0f} %", "of the failsafe-or-worse flights had a failsafe"))
     shown = "".join(f"<div><b>{value}</b><span>{name}</span></div>" for value, name in facts)
     return f'<div class="facts">{shown}</div>'
 
 
 def _reactions_html(grid: Sequence[GridRow]) -> str:
-    """How soon each subject notices each fault, and how long it takes to recover."""
+    """Return the table of detection delays and recovery times by subject and fault."""
     rows = []
     for row in grid:
         found = [result for cell in row.cells for result in cell.results]
         delays = [r.detected_s for r in found if r.detected_s is not None]
         recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
-        # Recovery is a question only where something had got worse.
+        # Only degraded or worse flights can recover.
         degraded = sum(outcome_rank(r.outcome) >= outcome_rank("degraded") for r in found)
         rows.append(
             (
@@ -192,7 +190,7 @@ def _reactions_html(grid: Sequence[GridRow]) -> str:
 
 
 def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
-    """Which faults do most of the harm: bad cells, most first, and their share so far."""
+    """Return the table of the faults with the most bad cells, and their cumulative share."""
     bad = {
         (row.subject, row.fault): sum(
             limits.is_worse(result.outcome) for cell in row.cells for result in cell.results
@@ -202,15 +200,12 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
     total, so_far = sum(bad.values()), 0
     rows = []
     for (subject, fault), count in sorted(bad.items(), key=lambda item: -item[1]):
-        # What did no harm has no place among the worst.
         if count == 0:
             break
         so_far += count
         rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
-    head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "with those above")
-    return "<h2>Where the harm comes from (Pareto)</h2>" + _table(
-        "Pareto", head, rows[:MAX_PARETO_ROWS]
-    )
+    head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "cumulative")
+    return "<h2>Most harmful faults (Pareto)</h2>" + _table("Pareto", head, rows[:MAX_PARETO_ROWS])
 
 
 def _worst_html(results: Sequence[CellResult]) -> str:
@@ -231,10 +226,10 @@ def _worst_html(results: Sequence[CellResult]) -> str:
             )
         )
     head = (
-        "outcome", "subject", "fault", "magnitude", "onset", "beyond, deg", "beyond, m", "note",
-        "monitor",
+        "outcome", "subject", "fault", "magnitude", "onset", "excursion, deg", "excursion, m",
+        "note", "monitor",
     )  # fmt: skip
-    return "<h2>The worst</h2>" + _table("The worst", head, rows)
+    return "<h2>Worst cells</h2>" + _table("Worst cells", head, rows)
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,4 +1,4 @@
-"""A campaign's progress on the terminal: cells done, time left, the worst so far."""
+"""Progress of a campaign on the terminal: completed cells, time left, worst outcome so far."""
 
 import sys
 from types import TracebackType
@@ -11,7 +11,7 @@ from analysis.campaign.outcomes import outcome_rank
 
 
 class CampaignProgress:
-    """A bar on a terminal; nothing elsewhere."""
+    """A progress bar on a terminal; no output elsewhere."""
 
     def __init__(self, cells: int, known: int) -> None:
         self._bar = Progress(
@@ -21,10 +21,10 @@ class CampaignProgress:
             TextColumn("{task.fields[worst]}", markup=False),
             console=Console(stderr=True),
             transient=True,
-            # Into a file or a pipe nothing is drawn.
+            # Nothing is drawn into a file or a pipe.
             disable=not sys.stderr.isatty(),
         )
-        # Cells known from an earlier call count as done.
+        # Cells with stored results count as completed.
         self._task = self._bar.add_task("", total=cells, completed=known, worst="")
         self._worst: CellResult | None = None
 
@@ -41,7 +41,7 @@ class CampaignProgress:
         self._bar.stop()
 
     def show(self, results: list[CellResult]) -> None:
-        """Count some cells."""
+        """Add completed cells."""
         for result in results:
             if self._worst is None or outcome_rank(result.outcome) > outcome_rank(
                 self._worst.outcome

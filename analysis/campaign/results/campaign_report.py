@@ -1,4 +1,4 @@
-"""A campaign's files: HTML page, JSON, CSV and JUnit."""
+"""Write the files of a campaign: HTML page, JSON, CSV and JUnit."""
 
 import csv
 import json
@@ -25,7 +25,7 @@ from analysis.campaign.results_store import (
 )
 from mavproxy_fault.documents.atomic_file import write_atomic
 
-MAX_CURVES = 300  # flights whose curves stand in the page: the worst
+MAX_CURVES = 300  # flights with curves in the page, the worst ones
 
 
 def write_report(folder: Path, plan: CampaignPlan) -> None:
@@ -36,7 +36,7 @@ def write_report(folder: Path, plan: CampaignPlan) -> None:
     )
     (folder / "summary.md").write_text(render_markdown(campaign, results), encoding="utf-8")
     write_csv(folder / "cells.csv", results)
-    # A campaign of the kernels has more cells than any reader of JUnit wants.
+    # A compiled campaign has too many cells for JUnit readers.
     if not campaign.compiled:
         write_junit(folder / "junit.xml", campaign.name, results, campaign.limits)
 
@@ -44,13 +44,13 @@ def write_report(folder: Path, plan: CampaignPlan) -> None:
 def write_page(
     folder: Path, plan: CampaignPlan, reload_s: float | None = None
 ) -> tuple[CampaignFile, list[CellResult]]:
-    """Write `campaign.html`, which loads itself again every `reload_s`; campaign and results."""
+    """Write `campaign.html`, which reloads itself every `reload_s`; return campaign and results."""
     campaign, results = read_campaign_folder(folder)
-    # Curves are long: only those of the worst flights stand in the page.
+    # Curves are large, so the page has those of the worst flights only.
     shown = {r.cell.key for r in sorted(results, key=severity_key, reverse=True)[:MAX_CURVES]}
     curves = [item for item in read_lines(folder / CURVES, CellEvidence) if item.key in shown]
     twins = {
-        # The page looks twins up by subject, scenario and seed; the ledger keys them by flight.
+        # The page needs subject, scenario and seed as key; the results store has one per flight.
         f"{subject}|{key.partition('|')[2]}": evidence
         for key, flown in (
             (twin.key, twin.flown)
@@ -59,13 +59,13 @@ def write_page(
         for subject, evidence in flown.evidence.items()
     }
     text = render_campaign_page(plan, results, curves, twins, reload_s)
-    # A browser may load it at any moment.
+    # Replaced as one, since a browser may load it at any time.
     write_atomic(folder / "campaign.html", text)
     return campaign, results
 
 
 def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
-    """Counts for scripts, by subject and fault; critical magnitudes where they were sought."""
+    """Return outcome counts by subject and fault, and the critical magnitudes if searched."""
     found: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
@@ -87,24 +87,24 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
 
 
 def write_csv(path: Path, results: list[CellResult]) -> None:
-    """A row for each cell."""
+    """Write one row per cell."""
     rows = [flatten_result(result) for result in results]
     with path.open("w", newline="") as file:
-        # The columns of the first row are those of all: every cell has the same fields.
+        # All rows have the same columns.
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
 
 
 def flatten_result(result: CellResult) -> dict[str, object]:
-    """A result without the struct within."""
+    """Return a result as one dict, with the fields of its cell."""
     fields = msgspec.structs.asdict(result)
     cell = fields.pop("cell")
     return {**msgspec.structs.asdict(cell), **fields}
 
 
 def write_junit(path: Path, name: str, results: list[CellResult], limits: OutcomeLimits) -> None:
-    """One test case for each cell; it fails where the outcome is worse than it may be."""
+    """Write one test case per cell; it fails if the outcome is `worse_from` or worse."""
     suite = ElementTree.Element("testsuite", name=name, tests=str(len(results)))
     failures = errors = 0
     for result in results:
@@ -116,7 +116,7 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Outcom
             name=cell.key,
             time=f"{result.wall_s:.3f}",
         )
-        # JUnit tells an error of the test from a failure of what is tested.
+        # JUnit distinguishes an error of the test from a failure of the subject.
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
@@ -130,7 +130,7 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Outcom
 
 
 def describe_excursions(result: CellResult) -> str:
-    """How far the errors went beyond the twin's."""
+    """Describe the excursions beyond the reference flight."""
     angle = None if result.excursion_deg is None else f"{result.excursion_deg:.3g} degrees"
     place = None if result.excursion_m is None else f"{result.excursion_m:.3g} m"
-    return " and ".join(filter(None, (angle, place))) + " beyond the flight without the fault"
+    return " and ".join(filter(None, (angle, place))) + " beyond the reference flight"

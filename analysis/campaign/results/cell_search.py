@@ -1,4 +1,4 @@
-"""A cell of a campaign as a search's test file: what is worst in its neighbourhood?"""
+"""Convert a cell of a campaign to a test file that searches for the worst case around it."""
 
 import os
 from pathlib import Path
@@ -11,22 +11,22 @@ from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 
-MAGNITUDE_FACTOR = 3.0  # magnitudes from a third of the cell's to three times as much
+MAGNITUDE_FACTOR = 3.0  # chosen: search from a third of the cell's magnitude to three times as much
 
 
 def write_search(folder: Path, key: str | None) -> Path:
-    """Write the test file of a cell (None: the worst) into the campaign's folder; its path.
+    """Write the test file of a cell (None: the worst) to the campaign's folder; return its path.
 
     Raises
     ------
     ConfigError
-        If there is no such cell, or a search cannot vary its fault.
+        If the cell does not exist, or a search cannot vary its fault.
     """
     campaign, results = read_campaign_folder(folder)
     cells = {result.cell.key: result for result in results}
     if key is not None and key not in cells:
         known = next(iter(cells), "none at all")
-        raise ConfigError(f"{key}: no cell of {folder}; one of its JUnit names, such as {known}")
+        raise ConfigError(f"{key}: not a cell of {folder}; give a JUnit name, such as {known}")
     result = max(results, key=severity_key) if key is None else cells[key]
     path = folder / f"search-{file_key(*result.cell.key.split('|'))}.yaml"
     path.write_text(write_yaml(search_test_file(campaign, result, folder)))
@@ -34,14 +34,16 @@ def write_search(folder: Path, key: str | None) -> Path:
 
 
 def search_test_file(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[str, Any]:
-    """The test file around a cell: magnitude, onset and duration become ranges."""
+    """Build the test file around a cell: magnitude, onset and duration become ranges."""
     cell = result.cell
     fault = campaign.fault(cell.fault)
     if fault.preset is not None or fault.sets != MAGNITUDE or not isinstance(fault.target, str):
-        raise ConfigError(f"{cell.fault}: a search varies the value of a fault on one target")
+        raise ConfigError(
+            f"{cell.fault}: a search can only vary the value of a fault on one target"
+        )
     entry: dict[str, Any] = {"fault": fault.fault, "target": fault.target}
     if cell.magnitude is not None:
-        # Sorted, since a negative magnitude turns the interval around.
+        # Sorted, since a negative magnitude reverses the interval.
         ends = (cell.magnitude / MAGNITUDE_FACTOR, cell.magnitude * MAGNITUDE_FACTOR)
         entry["value"] = sorted(float(f"{end:.4g}") for end in ends)
     onset_s, lasts_s = result.onset_s, cell.duration_s
@@ -59,24 +61,24 @@ def search_test_file(campaign: CampaignFile, result: CellResult, folder: Path) -
 
 
 def _flight(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
-    """What flies: the kernels' keys, or the scenario with what was varied."""
+    """Return the scenario keys: those of a compiled scenario, or a file with its varied values."""
     for scenario in campaign.scenarios:
         if isinstance(scenario, CompiledScenario) and scenario.name == name:
             return dict(scenario.compiled)
     file, *changes = campaign.scenario_arguments(name)
-    # A path's value as an interval without length stands still.
+    # An interval of length zero keeps a value fixed.
     fixed = {path: float(value) for path, _, value in (c.partition("=") for c in changes[1::2])}
     vary = {path: [value, value] for path, value in fixed.items()}
     return {"scenario": os.path.relpath(file, folder), "vary": vary}
 
 
 def _subject(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
-    """Who is asked: an estimator, or an autopilot as `run` starts it."""
+    """Return the subject keys: an estimator, or an autopilot as `run` starts it."""
     autopilot = campaign.autopilot(name)
     if autopilot is None:
         return {"estimator": name}
     if autopilot.arguments:
-        raise ConfigError(f"{name}: a search takes no further arguments of an autopilot")
+        raise ConfigError(f"{name}: a search does not support `arguments` of an autopilot")
     choice = {"kind": autopilot.autopilot, "binary": autopilot.binary}
     if autopilot.parameters:
         parameters = Path(campaign.folder) / autopilot.parameters

@@ -1,11 +1,11 @@
-"""A campaign's flights as a labelled data set for people who train or compare detectors.
+"""Export a campaign's flights as a labelled data set to train or compare detectors.
 
-    README.md               the data card: what it is, versions, seeds, licence, columns
-    cells.parquet           a row for each cell: fault, magnitude, onset, outcome, file
+    README.md               the data card: content, versions, seeds, licence, columns
+    cells.parquet           a row for each cell: fault, magnitude, onset, outcome, flight
     flights/KEY/MESSAGE.received.parquet, MESSAGE.sent.parquet, labels.parquet
 
-`received` is what the sensors said, `sent` what was left after the faults; the truth is the message
-HIL_STATE_QUATERNION, an autopilot's estimate ATTITUDE and its like.
+`received` is before the faults, `sent` after them; HIL_STATE_QUATERNION is the truth, ATTITUDE and
+similar messages are an autopilot's estimates.
 """
 
 from importlib.resources import files
@@ -30,17 +30,17 @@ FLIGHTS = "flights"
 
 
 def export_data_set(folder: Path, out: Path) -> None:
-    """Write the data set of a campaign whose flights were kept.
+    """Write the data set of a campaign with kept flights.
 
     Raises
     ------
     ConfigError
-        If they were not.
+        If no flight was kept.
     """
     campaign, results = read_campaign_folder(folder)
     kept = _kept_flights(folder / FLIGHTS)
     if not kept:
-        raise ConfigError(f"{folder}: no flight was kept; fly with --dataset, or with keep: all")
+        raise ConfigError(f"{folder}: has no kept flights; fly with --dataset or keep: all")
     (out / FLIGHTS).mkdir(parents=True, exist_ok=True)
     for name, path in kept.items():
         write_flight(path, out / FLIGHTS / name)
@@ -63,33 +63,33 @@ def export_data_set(folder: Path, out: Path) -> None:
 
 
 def _kept_flights(flights: Path) -> dict[str, Path]:
-    """Where the logs of each kept flight lie, by the flight's name."""
-    # An autopilot's flight is a run with a folder of its own, beside the schedule it was given.
+    """Return the log folder of each kept flight, by the flight's name."""
+    # An autopilot's flight has a run folder of its own, beside its schedule.
     runs = {log.parent.parent.name: log.parent for log in flights.glob(f"*/{RUN_FOLDER}/{SENT}")}
     return runs | {log.parent.name: log.parent for log in flights.glob(f"*/{SENT}")}
 
 
 def _flight(result: Any, kept: dict[str, Path]) -> str:
-    """The folder of a cell's flight: its own, or that of the subject which shares it."""
+    """Return the folder name of a cell's flight, which subjects may share."""
     _, _, rest = result.cell.key.partition("|")
-    # Subjects that share a flight differ in the first part of the key alone.
+    # Subjects that share a flight differ only in the first part of the key.
     suffix = "-" + file_key(*rest.split("|"))
     own = file_key(*result.cell.key.split("|"))
     return own if own in kept else next((name for name in kept if name.endswith(suffix)), "")
 
 
 def write_flight(folder: Path, out: Path) -> None:
-    """The messages of a flight before and after the faults, and its labels."""
+    """Write the messages of a flight before and after the faults, and its labels."""
     out.mkdir(exist_ok=True)
     for side in (RECEIVED, SENT):
         for message, rows in read_columns(folder / side).items():
             table = pa.table({name: _column(rows[name]) for name in rows.dtype.names or ()})
             pq.write_table(table, out / f"{message}.{Path(side).stem}.parquet")
     labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
-    # Without an order of its own, so that a data set has the same columns for every fault.
+    # Fixed keys, so that the columns are the same for every fault.
     keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
     applied = [{key: label.get(key) for key in keys} for label in labels]
-    # A schema, since a flight without faults has no rows to infer one from.
+    # An explicit schema, since a flight without faults has no rows to infer it from.
     schema = pa.schema(
         [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
          ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),
@@ -99,5 +99,5 @@ def write_flight(folder: Path, out: Path) -> None:
 
 
 def _column(values: Any) -> Any:
-    """One column; arrays within a message become lists."""
+    """Convert one column; array fields become lists."""
     return pa.array(values.tolist() if values.ndim > 1 else values)

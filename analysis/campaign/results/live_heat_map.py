@@ -1,4 +1,4 @@
-"""The campaign's page while it flies: written anew now and then, so that it can be watched."""
+"""The page of a running campaign, rewritten from time to time."""
 
 import time
 from collections.abc import Callable
@@ -8,14 +8,14 @@ from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult
 from analysis.campaign.results.campaign_report import write_page
 
-RELOAD_S = 5.0  # between two looks of the open page
-WRITE_TIME_SHARE = 0.05  # of the time that writing may take
+RELOAD_S = 5.0  # between two reloads of an open page
+WRITE_TIME_SHARE = 0.05  # largest share of the time spent on writing the page
 
 
 class LiveHeatMap:
-    """`campaign.html` as results come in; an open one loads itself again.
+    """Writes `campaign.html` as results come in; an open page reloads itself.
 
-    `clock` gives seconds that only grow.
+    `clock` returns monotonic seconds.
     """
 
     def __init__(
@@ -25,11 +25,11 @@ class LiveHeatMap:
         self._next_s = clock()
 
     def show(self, results: list[CellResult]) -> None:
-        """Write the page if it is time; the ledger has these results already."""
+        """Write the page when due; the results store already has these results."""
         begin_s = self._clock()
         if begin_s < self._next_s or not results:
             return
         write_page(self._folder, self._plan, reload_s=RELOAD_S)
         took_s = self._clock() - begin_s
-        # A page of many flights takes its time, which the flights are to have.
+        # Writing a large page must not slow the flights down.
         self._next_s = self._clock() + max(RELOAD_S, took_s / WRITE_TIME_SHARE)

@@ -1,7 +1,7 @@
-"""Results as a grid: a row for each subject and fault, a column for each magnitude.
+"""Arrange results as a grid: a row for each subject and fault, a column for each magnitude.
 
-Cells of a row and column differ in scenario, onset, duration and seed; the worst of them stands
-for all, with how many there are of each outcome.
+Flights of one grid cell differ in scenario, onset, duration and seed; the grid cell shows the worst
+outcome and the number of each outcome.
 """
 
 from collections import Counter, defaultdict
@@ -15,24 +15,24 @@ from analysis.campaign.outcomes import outcome_rank
 
 
 class GridCell(NamedTuple):
-    """Results of one magnitude of a fault; the worst first."""
+    """Results of one magnitude of a fault, worst first."""
 
     magnitude: float | None
     results: tuple[CellResult, ...]
 
     @property
     def worst(self) -> CellResult:
-        """What stands for all."""
+        """The worst result, which the grid cell shows."""
         return self.results[0]
 
     @property
     def outcomes(self) -> Counter[str]:
-        """How many there are of each outcome."""
+        """The number of each outcome."""
         return Counter(result.outcome for result in self.results)
 
 
 class GridRow(NamedTuple):
-    """A subject and a fault, its cells by magnitude."""
+    """The cells of a subject and a fault by magnitude."""
 
     subject: str
     fault: str
@@ -40,7 +40,7 @@ class GridRow(NamedTuple):
 
 
 def outcome_grid(results: Sequence[CellResult], campaign: CampaignFile) -> list[GridRow]:
-    """The rows in the order of the file."""
+    """Return the rows in the order of the campaign file."""
     found: dict[tuple[str, str], dict[float | None, list[CellResult]]] = defaultdict(
         lambda: defaultdict(list)
     )
@@ -60,15 +60,17 @@ def _cell(magnitude: float | None, results: list[CellResult]) -> GridCell:
 
 
 def severity_key(result: CellResult) -> tuple[int, float]:
-    """Orders results: by outcome, then by how far the errors went."""
-    # Degrees and metres added: only to order results of the same outcome.
+    """Return a sort key: outcome first, then the size of the excursions."""
+    # Degrees plus metres is enough to order results of the same outcome.
     return outcome_rank(result.outcome), (result.excursion_deg or 0.0) + (result.excursion_m or 0.0)
 
 
 def failsafe_share(results: Sequence[CellResult]) -> float | None:
-    """Of an autopilot's bad flights, the share in which a failsafe acted; None for an estimator."""
-    # From the rank of a failsafe on: nothing milder calls for one.
+    """Return the share of an autopilot's failsafe-or-worse flights in which a failsafe acted.
+
+    None for an estimator.
+    """
     bad = [r for r in results if outcome_rank(r.outcome) >= outcome_rank("failsafe")]
-    # An estimator alone neither lands nor crashes, and has no failsafe.
+    # An estimator neither lands nor crashes, and has no failsafe.
     flown = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
     return sum(bool(r.failsafe) for r in bad) / len(bad) if flown else None

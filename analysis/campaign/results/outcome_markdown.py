@@ -1,4 +1,4 @@
-"""A campaign's outcomes as a Markdown table, for a CI's step summary."""
+"""Render a campaign's outcomes as a Markdown table, for the step summary of a CI."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,9 @@ from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
 
 
 def render_markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
-    """One row for each subject and fault, one cell for each magnitude."""
+    """Return a table with one row per subject and fault, and one cell per magnitude."""
     rows = outcome_grid(results, campaign)
-    # Rows of different length: Markdown wants them filled up.
+    # Markdown needs rows of equal length.
     width = max((len(row.cells) for row in rows), default=0)
     lines = [
         f"### {campaign.name}: {len(results)} cells",

@@ -1,4 +1,4 @@
-"""A campaign's outcomes on the terminal."""
+"""Print a campaign's outcomes to the terminal."""
 
 from itertools import groupby
 from pathlib import Path
@@ -18,21 +18,21 @@ COLOURS = {
 
 
 def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
-    """One row for each subject and fault."""
+    """Print one row per subject and fault, then critical magnitudes and aborted cells."""
     _, results = read_campaign_folder(folder)
     console = Console(markup=False)
     table = Table(box=None, pad_edge=False)
-    for name in ("subject", "fault", "worst outcome from each magnitude on"):
+    for name in ("subject", "fault", "worst outcome from each magnitude"):
         table.add_column(name)
     for row in outcome_grid(results, plan.campaign):
-        # Only where the outcome changes, from the smallest magnitude on.
+        # Only the magnitudes at which the outcome changes.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
         table.add_row(row.subject, row.fault, Text("  ").join(map(_text, steps)))
     console.print(table)
     if plan.campaign.find == "critical":
         console.print(_criticals(plan, {result.cell.key: result for result in results}))
     aborted = [result for result in results if result.outcome == "aborted"]
-    # Five are enough to see why; the rest stands in the files.
+    # Five are enough to see the reason; the files have all.
     for result in aborted[:5]:
         console.print(f"aborted: {result.cell.key}: {result.note}", soft_wrap=True)
     console.print(f"{len(results)} cells, {len(aborted)} aborted")
@@ -43,13 +43,13 @@ def _text(cell: GridCell) -> Text:
     name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
     outcome = cell.worst.outcome
     count = cell.outcomes[outcome]
-    # A share only where there are several flights in the cell.
+    # A share only if the cell has several flights.
     share = f" {count}/{len(cell.results)}" if len(cell.results) > 1 else ""
     return Text.assemble(name, (f"{outcome}{share}", COLOURS[outcome]))
 
 
 def _criticals(plan: CampaignPlan, known: dict[str, object]) -> Table:
-    table = Table(box=None, pad_edge=False, title="smallest magnitude that is worse")
+    table = Table(box=None, pad_edge=False, title="critical magnitudes")
     for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
         table.add_column(name)
     for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]

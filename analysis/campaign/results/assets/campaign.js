@@ -1,5 +1,5 @@
 "use strict";
-// A campaign's heat map: a table for each subject; a click lists a cell's flights and their curves.
+// Heat map of a campaign: one table per subject; a click lists a cell's flights and their curves.
 
 const model = JSON.parse(document.getElementById("model").textContent);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -12,7 +12,7 @@ function element(name, text, parent, style) {
   return made;
 }
 
-// A box for a table that may be wider than the screen; arrow keys move it.
+// A scrollable box for a table that may be wider than the screen.
 function wide(parent, label) {
   const box = element("div", undefined, parent);
   Object.assign(box, { className: "wide", tabIndex: 0, role: "group", ariaLabel: label });
@@ -25,19 +25,19 @@ function chosen(node, selector) {
 }
 
 function numbers(result) {
-  const told = [
-    ["excursion_deg", "deg beyond the twin"], ["excursion_m", "m beyond the twin"],
+  const texts = [
+    ["excursion_deg", "deg beyond the reference flight"], ["excursion_m", "m beyond the reference flight"],
     ["detected_s", "s until detected"], ["failsafe_s", "s until the failsafe"],
     ["recovery_s", "s to recover"],
   ];
-  return told.filter(([key]) => result[key] !== null)
+  return texts.filter(([key]) => result[key] !== null)
     .map(([key, text]) => `${result[key]} ${text}`).join(", ");
 }
 
 function monitored(result) {
-  const blamed = result.blamed ? `: ${result.blamed}` : "";
+  const isolated = result.blamed ? `: ${result.blamed}` : "";
   const after = result.verdict_s === null ? "" : ` after ${result.verdict_s} s`;
-  return result.verdict + blamed + after;
+  return result.verdict + isolated + after;
 }
 
 function legend() {
@@ -94,26 +94,26 @@ function detail(row, cell) {
     line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, plots); });
     if (i === 0) { line.classList.add("chosen"); curves(number, plots); }
   });
-  if (!cell.results.length) element("p", "Its flights are in cells.csv.", place);
+  if (!cell.results.length) element("p", "The page does not list these flights; see cells.csv.", place);
 }
 
 function curves(number, place) {
   place.replaceChildren();
-  const result = model.results[number], flown = model.curves[number];
+  const result = model.results[number], faulty = model.curves[number];
   if (result.again) {
-    const line = element("p", "Fly it again: ", place);
+    const line = element("p", "Repeat this flight: ", place);
     element("code", result.again, line);
   }
-  if (!flown) { element("p", "The page holds no curves of this flight.", place); return; }
-  const twin = model.twins[`${result.subject}|${result.scenario}|${result.seed}`] || {};
-  for (const [name, [t, value]] of Object.entries(flown)) {
-    const healthy = twin[name] ? joined(t, ...twin[name]) : t.map(() => null);
+  if (!faulty) { element("p", "The page has no curves of this flight.", place); return; }
+  const reference = model.twins[`${result.subject}|${result.scenario}|${result.seed}`] || {};
+  for (const [name, [t, value]] of Object.entries(faulty)) {
+    const healthy = reference[name] ? joined(t, ...reference[name]) : t.map(() => null);
     element("h3", name, place);
     const window = { hooks: { drawClear: [(u) => shade(u, result)] } };
     new uPlot({
       width: Math.min(1100, place.clientWidth || 1100), height: 240, scales: { x: { time: false } },
       series: [{ label: "s" }, { label: "with the fault", stroke: colour("--s1"), width: 1.6 },
-        { label: "without", stroke: colour("--s0"), width: 1.4 }],
+        { label: "reference", stroke: colour("--s0"), width: 1.4 }],
       axes: [{ stroke: colour("--faint"), grid: { stroke: colour("--grid") } },
         { stroke: colour("--faint"), grid: { stroke: colour("--grid") } }],
       plugins: [window],
@@ -122,7 +122,7 @@ function curves(number, place) {
 }
 
 function joined(t, times, values) {
-  // The twin's values at the flight's times.
+  // The reference flight's values at the flight's times.
   let i = 0;
   return t.map((now) => {
     while (i + 1 < times.length && times[i + 1] <= now) i++;
@@ -139,7 +139,7 @@ function shade(u, result) {
 
 legend();
 heatMap();
-// The cell that was looked at before the page loaded itself again, or that a link names.
+// Select the cell that was open before a reload, or that a link names.
 const cells = [...document.querySelectorAll(".heat td")], wanted = decodeURIComponent(location.hash.slice(1));
 (cells.find((one) => one.dataset.cell === wanted) || cells[0])?.click();
 if (model.reload_s) setTimeout(() => location.reload(), model.reload_s * 1000);
