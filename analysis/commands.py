@@ -194,9 +194,9 @@ def add_search(commands: Any) -> None:
 
 def _search(args: argparse.Namespace) -> int:
     if args.interactive:
-        from analysis.search_page.search_server import main as look
+        from analysis.search_page.search_server import main as inspect_tests
 
-        return look(args)
+        return inspect_tests(args)
     from analysis.search.search_command import main
 
     return main(args)
@@ -255,7 +255,7 @@ def add_report(commands: Any) -> None:
         "--data",
         default="2",  # text, as it is a number or a word
         metavar="MB|beside",
-        help="fields for the page's search: MB megabytes in the page (2), or all in a folder beside it",
+        help="fields for the page's search: MB megabytes in the page (2), or all beside it",
     )
     parser.set_defaults(main=_report)
 
@@ -273,7 +273,7 @@ def add_ui(commands: Any) -> None:
     parser.add_argument("--port", type=int, help="TCP port (default: 8350, or a free one if taken)")
     parser.add_argument(
         "--allow-commands", action="store_true",
-        help="allow the page to command the vehicle (arm, take off, ...); the proxy must allow it too",
+        help="allow the page to command the vehicle (arm, take off, ...), if the proxy does too",
     )  # fmt: skip
     parser.add_argument(
         "--sequences", metavar="DIR", help="folder for the test sequences of the page"

@@ -109,7 +109,7 @@ def main(args: argparse.Namespace) -> int:
             " even without a fault; run both schedules and compare the logs with report --against"
         )
     check_start_event(args.count_from)
-    own = read_parameters(args.parameters)
+    overrides = read_parameters(args.parameters)
     setup = setup_from_args(args)
     check_vehicle(setup.scenario)
     binary = autopilot.BINARIES[setup.scenario.vehicle.kind]
@@ -118,34 +118,34 @@ def main(args: argparse.Namespace) -> int:
             f"--autopilot {args.autopilot}: the scenario's vehicle is a "
             f"{setup.scenario.vehicle.kind}; it needs {binary}"
         )
-    words = autopilot.launch_command(args.binary or binary)
+    arguments = autopilot.launch_command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))
         file = stack.enter_context(ResultFile(folder))
         stop = stack.enter_context(stop_requests())
-        flown = AutopilotRun(setup, folder, args.count_from, monitor, stop)
+        run = AutopilotRun(setup, folder, args.count_from, monitor, stop)
         # At full speed, publishing only costs time: publish only if requested.
         if args.ui or args.zenoh != "auto":
             bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
-            flown.attach_bus(stack.enter_context(bus))
-        simulation = flown.flight.simulation
-        requests = stack.enter_context(autopilot.open_commands(simulation))
-        program = autopilot.start_autopilot(words, simulation, folder, own)
-        reason = flown.run_flight(
-            program, requests, parse_speed(args.speed or ("1" if args.ui else "max"))
+            run.attach_bus(stack.enter_context(bus))
+        simulation = run.flight.simulation
+        commands = stack.enter_context(autopilot.open_commands(simulation))
+        launch = autopilot.start_autopilot(arguments, simulation, folder, overrides)
+        reason = run.run_flight(
+            launch, commands, parse_speed(args.speed or ("1" if args.ui else "max"))
         )
         columns = read_columns(folder / "sent.tlog")
-        file.write(flown.results + monitor.results())
+        file.write(run.results + monitor.results())
         wall_s = time.monotonic() - started_s
-        labels = flown.flight.completed_labels()
+        labels = run.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
     report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
         report_early_end(summary, reason)
-    summary["autopilot"] = flown.summary(reason)
-    summary["edited"] = flown.edit_lines(folder)
+    summary["autopilot"] = run.summary(reason)
+    summary["edited"] = run.edit_lines(folder)
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns)
@@ -155,7 +155,7 @@ def main(args: argparse.Namespace) -> int:
 
 def report_early_end(summary: dict[str, Any], reason: str) -> None:
     """Add the failed check of an early end to a summary; its verdict becomes FAIL."""
-    check = CriterionCheck(name="flown to the landing", limit="landed", value=reason, passed=False)
+    check = CriterionCheck(name="flight completed", limit="landed", value=reason, passed=False)
     summary["criteria"].append(msgspec.structs.asdict(check))
     summary["verdict"] = "FAIL"
 
@@ -180,7 +180,7 @@ def check_vehicle(scenario: Scenario) -> None:
         )
 
 
-def check_start_event(moment: str) -> None:
+def check_start_event(event: str) -> None:
     """Refuse a flight event that does not exist.
 
     Raises
@@ -188,10 +188,10 @@ def check_start_event(moment: str) -> None:
     ConfigError
         If it is unknown.
     """
-    head, _, number = moment.partition(":")
-    if moment not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
+    head, _, number = event.partition(":")
+    if event not in START_EVENTS and not (head == "mission-item" and number.isdigit()):
         raise ConfigError(
-            f"--from {moment}: is no moment of a flight; known: {', '.join(START_EVENTS)}, "
+            f"--from {event}: is not a flight event; known: {', '.join(START_EVENTS)}, "
             "mission-item:N"
         )
 
@@ -208,79 +208,79 @@ class AutopilotRun:
         stop: StopCheck,
     ) -> None:
         # The other faults are loaded at the chosen flight event; these name their own.
-        own = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
-        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, own))
+        event_entries = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
+        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, event_entries))
         self.results: list[Any] = []
         self._schedule = setup.schedule
         self._count_from, self._stop = count_from, stop
         self._monitor = monitor
-        self._journal = EditLog(self.flight.core, self.flight.capture)
-        self._journal.note(JOIN, b"", self._journal.begin(self.flight.now_us))
+        self._edit_log = EditLog(self.flight.core, self.flight.capture)
+        self._edit_log.note(JOIN, b"", self._edit_log.begin(self.flight.now_us))
         self._recorder = Recorder(
             folder, recorder_session(setup.scenario.name, setup.schedule.seed, self.flight)
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.capture)
-        self._unhurried = RealTimePacer()
+        self._real_time_pacer = RealTimePacer()
         self._recorded_us = self._operator_us = 0
-        self._loaded: str | None = None  # the schedule as it was loaded
+        self._loaded_schedule: str | None = None  # the schedule as it was loaded
         self._progress = Progress(time.monotonic())
         self._phase = ""
-        self._onlookers: AutopilotBusSession | None = None
+        self._bus_session: AutopilotBusSession | None = None
 
     def attach_bus(self, bus: Bus | None) -> None:
         """Publish the flight on a bus, and accept fault control from it."""
         if bus is not None:
-            self._onlookers = AutopilotBusSession(bus, self.flight, self._journal)
+            self._bus_session = AutopilotBusSession(bus, self.flight, self._edit_log)
 
     def run_flight(
         self,
-        program: AbstractContextManager[RunningAutopilot],
-        requests: AutopilotCommands,
+        launch: AbstractContextManager[RunningAutopilot],
+        commands: AutopilotCommands,
         speed: float,
     ) -> str:
         """Fly to the landing; return the reason of an early end, or an empty string."""
         simulation = self.flight.simulation
-        self._requests = requests
-        self._operator = Operator(flight_plan(simulation), requests)
+        self._autopilot_commands = commands
+        self._operator = Operator(flight_plan(simulation), commands)
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(mav_type=mav_type)
         plain = plain_flight(simulation, hil, self._passage)
-        with program as flying:
-            self._start = StartupPacer(flying)
-            patience = ConnectionDeadline(flying.links[0], flying.process, CONNECT_TIMEOUT_S)
+        with launch as running:
+            self._startup_pacer = StartupPacer(running)
+            deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
             lockstep = Lockstep()
-            outward = AutopilotSender(
+            sender = AutopilotSender(
                 self.flight,
                 hil,
                 self._deliver,
-                self._commands,
-                flying.links[-1],
-                flying.step_message,
+                self._step_operator,
+                running.links[-1],
+                running.step_message,
                 self._passage,
             )
-            inward = AutopilotReceiver(outward, flying.links, patience, lockstep)
+            receiver = AutopilotReceiver(sender, running.links, deadline, lockstep)
             loop = LockstepLoop(
                 simulation,
-                outward,
-                inward,
+                sender,
+                receiver,
                 mix,
                 speed,
                 self._progress,
                 lockstep,
-                plain if plain and plain.join(outward, inward, lockstep) else None,
+                plain if plain and plain.join(sender, receiver, lockstep) else None,
             )
             reason = ""
             try:
                 with real_time_priority():
                     loop.run()
-            except FlightOverError as over:
-                reason = str(over)
-            except (PeerGoneError, AutopilotSilentError) as gone:
-                reason = f"{gone} at {loop.t_us * 1e-6:.1f} s{flying.exit_details()}"
-            except ConfigError as wrong:
-                reason = f"{wrong}{flying.exit_details()}"
-        outward.deliver_all()
+            except FlightOverError as ended:
+                reason = str(ended)
+            except (PeerGoneError, AutopilotSilentError) as lost:
+                reason = f"{lost} at {loop.t_us * 1e-6:.1f} s{running.exit_details()}"
+            except ConfigError as refused:
+                reason = f"{refused}{running.exit_details()}"
+        sender.deliver_all()
         self._close()
         if reason and simulation.truth.battery_remaining <= 0.0:
             reason += "; the simulated battery was empty"
@@ -301,7 +301,9 @@ class AutopilotRun:
 
     def edit_lines(self, folder: Path) -> list[str]:
         """Describe the live edits, without the loading of the schedule."""
-        edits = [edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded]
+        edits = [
+            edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded_schedule
+        ]
         return describe_edits(edits, self.flight.core.clock.t0_us or 0)
 
     def _deliver(self, sends: list[Send]) -> None:
@@ -313,24 +315,24 @@ class AutopilotRun:
 
     def _add_results(self, results: list[Any]) -> None:
         self.results += results
-        if self._onlookers is not None:
-            self._onlookers.publish_results(results)
+        if self._bus_session is not None:
+            self._bus_session.publish_results(results)
 
-    def _commands(self) -> list[bytes]:
+    def _step_operator(self) -> list[bytes]:
         """Return the operator's frames and write the logs when due; called before each step."""
-        if self._onlookers is not None:
-            self._onlookers.serve()
+        if self._bus_session is not None:
+            self._bus_session.serve()
         t_us = self.flight.vehicle_us
-        self._start.wait_for_pace(t_us)
-        self._unhurried.wait_for_pace(t_us, awaiting=self._requests.awaiting_reply)
+        self._startup_pacer.wait_for_pace(t_us)
+        self._real_time_pacer.wait_for_pace(t_us, awaiting=self._autopilot_commands.awaiting_reply)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self.flight.simulation.truth.on_ground
             # Before the first timestamp there is no vehicle time.
-            started = self._start.finished
+            started = self._startup_pacer.finished
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
-        if self._loaded is None and self._count_from in self._operator.events_us:
+        if self._loaded_schedule is None and self._count_from in self._operator.events_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
@@ -345,17 +347,17 @@ class AutopilotRun:
         return frames
 
     def _begin_schedule(self, t_us: int) -> None:
-        """Load the schedule, its times counted from now; the journal lets a replay do the same."""
+        """Load the schedule, its times counted from now; the edit log lets a replay repeat it."""
         # The schedule counts from the first timestamp; the event is this much later.
-        late_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
+        offset_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [
-            (entry, 0.0 if "from" in entry.written else late_s) for entry in self._schedule.faults
+            (entry, 0.0 if "from" in entry.written else offset_s) for entry in self._schedule.faults
         ]
-        self._loaded = write_schedule(self._schedule.seed, entries)
-        text = self._loaded.encode()
-        at_us = self._journal.begin(self.flight.now_us)
+        self._loaded_schedule = write_schedule(self._schedule.seed, entries)
+        text = self._loaded_schedule.encode()
+        at_us = self._edit_log.begin(self.flight.now_us)
         self.flight.control.answer(LOAD_TOPIC, text, at_us)
-        self._journal.note(LOAD_TOPIC, text, at_us)
+        self._edit_log.note(LOAD_TOPIC, text, at_us)
 
     def _record(self) -> None:
         self._recorded_us = self.flight.t_us
@@ -363,16 +365,16 @@ class AutopilotRun:
         if self._passage is not None:
             self._passage.count()
         sent = bytes(self.flight.capture.sent)
-        self._recorder.write(self.flight.capture, labels, self._journal.drain())
+        self._recorder.write(self.flight.capture, labels, self._edit_log.drain())
         # A live viewer must not wait for a full batch of results.
-        self._add_results(self._monitor.feed(sent, now=self._onlookers is not None))
-        if self._onlookers is not None:
-            self._onlookers.publish_labels(labels)
+        self._add_results(self._monitor.feed(sent, now=self._bus_session is not None))
+        if self._bus_session is not None:
+            self._bus_session.publish_labels(labels)
 
     def _close(self) -> None:
         self._deliver(self.flight.core.finish(self.flight.now_us))
         self._record()
-        if self._onlookers is not None:
-            self._onlookers.close()
+        if self._bus_session is not None:
+            self._bus_session.close()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
         self._progress.end(self.flight.t_us, time.monotonic())

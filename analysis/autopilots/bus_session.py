@@ -15,9 +15,9 @@ from mavproxy_fault.wire.label import Label
 class AutopilotBusSession:
     """One flight on the bus; the edit log records every request, so that a replay repeats it."""
 
-    def __init__(self, bus: Bus, flight: ProxiedFlight, journal: EditLog) -> None:
+    def __init__(self, bus: Bus, flight: ProxiedFlight, edit_log: EditLog) -> None:
         self._flight = flight
-        self._live = LiveSession(flight.control, lambda: journal.begin(flight.now_us), journal)
+        self._live = LiveSession(flight.control, lambda: edit_log.begin(flight.now_us), edit_log)
         self._publisher = Publisher(bus)
         self._live.offer(bus)
 

@@ -101,17 +101,17 @@ class Operator:
         Why the operator ended the flight; empty otherwise.
     """
 
-    def __init__(self, plan: FlightPlan, requests: AutopilotCommands) -> None:
+    def __init__(self, plan: FlightPlan, commands: AutopilotCommands) -> None:
         self.phase = Phase.WAITING
         self.events_us: dict[str, int] = {}
         self.texts: list[tuple[int, str]] = []
         self.failure = ""
-        self._plan, self._requests = plan, requests
-        self._t_us = self._since_us = self._again_us = self._hello_us = 0
-        self._positioned_us: int | None = None  # start of the position estimate
+        self._plan, self._commands = plan, commands
+        self._t_us = self._phase_since_us = self._retry_us = self._heartbeat_us = 0
+        self._position_since_us: int | None = None  # start of the position estimate
         self._armed = self._uploaded = self._started = False
         self._height_m = 0.0
-        self._aloft_us = 0  # last time in the air or before the take-off
+        self._airborne_us = 0  # last time in the air or before the take-off
         self._seq = 0
 
     @property
@@ -121,33 +121,33 @@ class Operator:
 
     def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
-        self._requests.receive(frame)
+        self._commands.receive(frame)
         name = frame.layout.name
         if name == "HEARTBEAT" and frame.component == 1:
             self._armed = bool(int(frame.number("base_mode")) & ARMED_FLAG)
             if self._armed:
-                self._note("arming")
-            flown = VEHICLE_KINDS.get(int(frame.number("type")), "")
-            if flown and self._plan.kind not in ("", flown):
+                self._note_event("arming")
+            kind = VEHICLE_KINDS.get(int(frame.number("type")), "")
+            if kind and self._plan.kind not in ("", kind):
                 self.failure = (
-                    f"the autopilot reports a {flown}, but the scenario's vehicle is a "
+                    f"the autopilot reports a {kind}, but the scenario's vehicle is a "
                     f"{self._plan.kind}; give another --binary"
                 )
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
             flags = int(frame.number("flags"))
             # PX4 sets the second flag for every vehicle on the ground
             constant = name == "EKF_STATUS_REPORT" and flags & CONSTANT_POSITION
-            positioned = bool(flags & POSITION) and not constant
-            if not positioned or self._positioned_us is None:
-                self._positioned_us = self._t_us if positioned else None
+            has_position = bool(flags & POSITION) and not constant
+            if not has_position or self._position_since_us is None:
+                self._position_since_us = self._t_us if has_position else None
         elif name == "GLOBAL_POSITION_INT":
             self._height_m = frame.number("relative_alt") * 1e-3
             if self._armed and self._height_m > TAKEN_OFF_M:
-                self._note("take-off")
+                self._note_event("take-off")
         elif name == "MISSION_ACK":
             self._uploaded = frame.number("type") == 0
         elif name == "MISSION_ITEM_REACHED":
-            self._note(f"mission-item:{int(frame.number('seq'))}")
+            self._note_event(f"mission-item:{int(frame.number('seq'))}")
         elif name == "STATUSTEXT" and frame.component == 1:
             text = frame.read("text")
             assert isinstance(text, bytes)
@@ -160,40 +160,40 @@ class Operator:
         """
         self._t_us, self._started = t_us, started
         if not started:
-            self._since_us = t_us  # the timeouts do not cover the start of the autopilot
-        self._note("first-stamp")
+            self._phase_since_us = t_us  # the timeouts do not cover the start of the autopilot
+        self._note_event("first-stamp")
         if not on_ground or "take-off" not in self.events_us:
-            self._aloft_us = t_us
-        self._go_on()
-        if t_us >= self._again_us and not self.finished:
-            self._again_us = t_us + RETRY_US
-            self._ask()
-        frames = self._requests.pending()
-        if t_us >= self._hello_us:
-            self._hello_us = t_us + RETRY_US
-            frames.append(self._hello())
+            self._airborne_us = t_us
+        self._advance_phase()
+        if t_us >= self._retry_us and not self.finished:
+            self._retry_us = t_us + RETRY_US
+            self._send_command()
+        frames = self._commands.pending()
+        if t_us >= self._heartbeat_us:
+            self._heartbeat_us = t_us + RETRY_US
+            frames.append(self._heartbeat())
         return frames
 
-    def _go_on(self) -> None:
+    def _advance_phase(self) -> None:
         """Enter the next phase if this one is complete, or note its failure."""
-        while self._done():
+        while self._phase_complete():
             self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
         if self.phase is Phase.FLYING and not self._armed:  # its own failsafe has landed it
             self._enter(Phase.LANDED)
-        waited_s = (self._t_us - self._since_us) * 1e-6
-        lying_s = (self._t_us - self._aloft_us) * 1e-6
+        waited_s = (self._t_us - self._phase_since_us) * 1e-6
+        grounded_s = (self._t_us - self._airborne_us) * 1e-6
         if self.phase is Phase.CLIMBING and not self._armed:
             self.failure = f"disarmed while {self.phase}"
         # With a diverged estimator, a crashed autopilot would continue for minutes.
-        elif lying_s > GROUNDED_LIMIT_S and not self.finished:
+        elif grounded_s > GROUNDED_LIMIT_S and not self.finished:
             self.failure = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
         elif waited_s > PHASE_TIMEOUTS_S.get(self.phase, float("inf")):
             self.failure = f"still {self.phase} after {waited_s:.0f} s"
 
-    def _done(self) -> bool:
+    def _phase_complete(self) -> bool:
         match self.phase:
             case Phase.WAITING:
-                since_us = self._positioned_us
+                since_us = self._position_since_us
                 settled = since_us is not None and self._t_us - since_us >= POSITION_SETTLED_US
                 return settled and self._started
             case Phase.UPLOADING:
@@ -203,7 +203,7 @@ class Operator:
             case Phase.CLIMBING:
                 return self._height_m > CLIMB_DONE_SHARE * self._plan.height_m
             case Phase.FLYING:
-                return self._flown_s() >= self._plan.duration_s
+                return self._airborne_s() >= self._plan.duration_s
             case Phase.LANDING:
                 return not self._armed
             case _:
@@ -211,29 +211,29 @@ class Operator:
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
-        self._since_us = self._t_us
-        self._again_us = 0
+        self._phase_since_us = self._t_us
+        self._retry_us = 0
         if phase in (Phase.LANDING, Phase.LANDED):
-            self._note(str(phase))
+            self._note_event(str(phase))
 
-    def _flown_s(self) -> float:
+    def _airborne_s(self) -> float:
         return (self._t_us - self.events_us.get("take-off", self._t_us)) * 1e-6
 
-    def _ask(self) -> None:
+    def _send_command(self) -> None:
         """Send the command of this phase."""
-        plan, requests = self._plan, self._requests
+        plan, commands = self._plan, self._commands
         if self.phase is Phase.UPLOADING:
-            requests.upload(plan.waypoints)
+            commands.upload(plan.waypoints)
         elif self.phase is Phase.ARMING:
-            requests.arm()
+            commands.arm()
         elif self.phase is Phase.CLIMBING and self._height_m < TAKEN_OFF_M:
-            requests.take_off(plan.height_m)
-        elif self.phase is Phase.FLYING and plan.waypoints and self._t_us == self._since_us:
-            requests.fly_mission()
+            commands.take_off(plan.height_m)
+        elif self.phase is Phase.FLYING and plan.waypoints and self._t_us == self._phase_since_us:
+            commands.fly_mission()
         elif self.phase is Phase.LANDING:
-            requests.land()
+            commands.land()
 
-    def _hello(self) -> bytes:
+    def _heartbeat(self) -> bytes:
         """Return a ground-station HEARTBEAT."""
         self._seq = (self._seq + 1) & 0xFF
         values = {"type": TYPE_GCS, "autopilot": NO_AUTOPILOT, "mavlink_version": 3}
@@ -241,6 +241,6 @@ class Operator:
             HEARTBEAT, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT
         )
 
-    def _note(self, moment: str) -> None:
+    def _note_event(self, event: str) -> None:
         """Record the first time of a flight event."""
-        self.events_us.setdefault(moment, self._t_us)
+        self.events_us.setdefault(event, self._t_us)

@@ -48,5 +48,5 @@ def landing_approach(simulation: Simulation, height_m: float) -> tuple[Waypoint,
         -APPROACH_LENGTH_M * math.sin(heading_rad),
     )
     speed_mps = simulation.vehicle.parameters.cruise_mps
-    places = ((north_m, east_m, height_m), (0.0, 0.0, 0.0))
-    return tuple(make_waypoint(start, place, speed_mps) for place in places)
+    points = ((north_m, east_m, height_m), (0.0, 0.0, 0.0))
+    return tuple(make_waypoint(start, point, speed_mps) for point in points)

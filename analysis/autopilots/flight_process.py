@@ -33,26 +33,26 @@ def run_flight_process(
         If the command refuses the scenario or the autopilot, or writes no summary.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    flown = folder / RUN_FOLDER
+    run_folder = folder / RUN_FOLDER
     faults = folder / "schedule.yaml"
     faults.write_text(write_yaml(schedule))
-    words = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
-    words += ["--out", str(flown), "--zenoh", "off"]
+    arguments = ["run", *run, "--schedule", str(faults), "--seed", str(schedule["seed"])]
+    arguments += ["--out", str(run_folder), "--zenoh", "off"]
     if not kept:
-        words += ["--no-report"]
+        arguments += ["--no-report"]
     done = subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", *words],
+        [sys.executable, "-m", "mavproxy_fault.cli", *arguments],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
         preexec_fn=_end_with_parent,
     )
-    if done.returncode == EXIT_WRONG_INPUT or not (flown / "summary.json").is_file():
+    if done.returncode == EXIT_WRONG_INPUT or not (run_folder / "summary.json").is_file():
         # The last lines of its output give the reason.
         last = done.stderr.strip().splitlines()[-ERROR_LINES:]
         raise ConfigError(f"{subject}: the flight failed; {' '.join(last)}")
-    return flown
+    return run_folder
 
 
 def _end_with_parent() -> None:

@@ -66,7 +66,7 @@ class AutopilotSender:
     ----------
     flight : Flight
     packer : Hil
-    hear : callable
+    listener : callable
         Receives the frames for monitor and ground station.
     commands : callable
         Returns a ground station's frames for the next step; called while the autopilot computes.
@@ -90,7 +90,7 @@ class AutopilotSender:
         self,
         flight: ProxiedFlight,
         packer: HilPacker,
-        hear: SendListener,
+        listener: SendListener,
         commands: Callable[[], list[bytes]] = list,
         telemetry: Link | None = None,
         step: StepMessage = PX4_STEP,
@@ -100,21 +100,21 @@ class AutopilotSender:
         self.step_us: int | None = None
         self.returned: list[Frame] = []
         self.undelivered: list[Send] = []
-        self.flight, self._listener = flight, hear
+        self.flight, self._listener = flight, listener
         self._packer, self._commands = packer, commands
         self._telemetry, self._step, self._passage = telemetry, step, passage
         self._parser = Parser()
-        self._answers: list[bytes] = []  # the proxy's own answers to the autopilot
-        self._orders: list[bytes] = []  # of a ground station, for the next step
-        self._left = False  # whether a step has left since the last call of `commands`
+        self._proxy_answers: list[bytes] = []  # the proxy's own answers to the autopilot
+        self._pending_commands: list[bytes] = []  # of a ground station, for the next step
+        self._step_sent = False  # whether a step has left since the last call of `commands`
 
     def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
         """Return the frames of a step after the faults."""
         out: list[bytes] = []
-        self._left = True
+        self._step_sent = True
         # The operator first: its commands belong to the state before this step.
-        if self._answers or self._orders:
-            self._leave_orders(out)
+        if self._proxy_answers or self._pending_commands:
+            self._send_pending(out)
         data = b"".join(self._packer.frames(t_us, truth, readings))
         return self.send_packed(data, self._packer.step_us, out)
 
@@ -133,41 +133,43 @@ class AutopilotSender:
                     self._note_step(passed.data)
             return out
         for raw in split(data):
-            self._sort(self.flight.core.received_frame(SIMULATOR, trusted_frame(raw), now_us), out)
+            self._route_all(
+                self.flight.core.received_frame(SIMULATOR, trusted_frame(raw), now_us), out
+            )
         return out
 
     def note_step(self, step_us: int) -> None:
         """Note that plain steps have sent a step with this timestamp."""
-        self.step_us, self._left = step_us, True
+        self.step_us, self._step_sent = step_us, True
 
     @property
     def has_pending(self) -> bool:
         """Whether frames wait to leave before the next step, or have returned for the plant."""
-        return bool(self._answers or self._orders or self.returned)
+        return bool(self._proxy_answers or self._pending_commands or self.returned)
 
-    def _leave_orders(self, out: list[bytes]) -> None:
+    def _send_pending(self, out: list[bytes]) -> None:
         """Send them one by one: frames of one datagram leave together, but on different links."""
-        answers, orders = self._answers, self._orders
-        self._answers, self._orders = [], []
+        answers, pending = self._proxy_answers, self._pending_commands
+        self._proxy_answers, self._pending_commands = [], []
         for raw in answers:
-            self._leave(raw, out)
-        self._settle()
-        for raw in orders:
-            self._sort(self.flight.core.received(GROUND, raw, self.flight.now_us), out)
+            self._send_out(raw, out)
+        self._flush_passage()
+        for raw in pending:
+            self._route_all(self.flight.core.received(GROUND, raw, self.flight.now_us), out)
 
     def work_between_steps(self) -> None:
         """Do what can wait until a step has left: logs, listeners, the operator."""
         self.deliver_all()
-        if self._left:
-            self._left = False
-            self._orders = self._commands()
+        if self._step_sent:
+            self._step_sent = False
+            self._pending_commands = self._commands()
 
     def pass_frame(self, frame: Frame) -> list[Send]:
         """Pass the autopilot's frame through the interpreted core."""
-        self._settle()
+        self._flush_passage()
         return self.flight.core.received_frame(VEHICLE, frame, self.flight.now_us)
 
-    def _settle(self) -> None:
+    def _flush_passage(self) -> None:
         if self._passage is not None:
             self._passage.settle()
 
@@ -175,10 +177,10 @@ class AutopilotSender:
         """Pass complete frames through compiled code; None if only the core can handle them."""
         return None if self._passage is None else self._passage.passed(link, data, now_us)
 
-    def _sort(self, sends: list[Send], out: list[bytes]) -> None:
+    def _route_all(self, sends: list[Send], out: list[bytes]) -> None:
         for send in sends:
             if send.link == VEHICLE:
-                self._leave(send.data, out)
+                self._send_out(send.data, out)
             else:
                 self.route_send(send, self.returned)
 
@@ -189,7 +191,7 @@ class AutopilotSender:
         `origin` is the received frame, which usually leaves unchanged.
         """
         if send.link == VEHICLE:
-            self._answers.append(send.data)
+            self._proxy_answers.append(send.data)
         elif send.link != SIMULATOR:
             self.undelivered.append(send)
         elif origin is None or send.data is not origin.raw:
@@ -199,17 +201,17 @@ class AutopilotSender:
 
     def deliver_all(self) -> None:
         """Record the sends and deliver them to the listener."""
-        self._settle()
+        self._flush_passage()
         if self.undelivered:
-            heard, self.undelivered = self.undelivered, []
-            self._listener(heard)
+            sends, self.undelivered = self.undelivered, []
+            self._listener(sends)
 
     def _decoded(self, send: Send) -> list[Frame]:
         """Decode the frames of a send that the simulator understands."""
         items = self._parser.push(send.data, datagram=True)
         return [item for item in items if isinstance(item, Frame) and item.id in SIMULATOR_MESSAGES]
 
-    def _leave(self, data: bytes, out: list[bytes]) -> None:
+    def _send_out(self, data: bytes, out: list[bytes]) -> None:
         """Send on the HIL link with the step, or at once on the telemetry link."""
         if self._telemetry is not None and not is_hil_frame(data):
             self._telemetry.write(data)
@@ -235,9 +237,9 @@ def frame_message_id(raw: bytes) -> int:
 
 def trusted_frame(raw: bytes) -> Frame:
     """Wrap a frame that needs no check: packed here, or verified before."""
-    described = find_layout(frame_message_id(raw))
-    assert described is not None
-    return Frame(raw, described)
+    message_layout = find_layout(frame_message_id(raw))
+    assert message_layout is not None
+    return Frame(raw, message_layout)
 
 
 class WaitableProcess(Protocol):
@@ -254,16 +256,16 @@ class ConnectionDeadline:
     """Raises an error if no autopilot connects; the loop handles one that disconnects."""
 
     def __init__(self, link: Link, process: WaitableProcess | None, seconds: float) -> None:
-        self._came = False
+        self._connected = False
         self._link, self._process, self._seconds = link, process, seconds
         self._deadline = time.monotonic() + seconds
 
     def check(self) -> None:
         """Raise ConfigError if the autopilot has ended or the deadline has passed."""
-        if self._came:
+        if self._connected:
             return
-        self._came = bool(self._link.peer_count)
-        if self._came:
+        self._connected = bool(self._link.peer_count)
+        if self._connected:
             return
         # No need to wait for the deadline if its process has ended.
         code = None if self._process is None else self._process.poll()
@@ -283,24 +285,24 @@ class AutopilotReceiver:
 
     def __init__(
         self,
-        outward: AutopilotSender,
+        sender: AutopilotSender,
         links: Sequence[Link],
-        patience: ConnectionDeadline,
+        deadline: ConnectionDeadline,
         lockstep: Lockstep,
     ) -> None:
         self.link = links[0]
-        self._outward, self._patience, self._lockstep = outward, patience, lockstep
+        self._sender, self._connection_deadline, self._lockstep = sender, deadline, lockstep
         self._inboxes = [Inbox(link) for link in links]
-        self._given: list[Chunk] = []  # of the HIL link, read by plain steps
+        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by plain steps
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """Return received frames that have left the proxy for the simulator."""
-        self._patience.check()
-        outward = self._outward
-        outward.work_between_steps()
-        found, outward.returned = outward.returned, []
-        if self._given:
-            given, self._given = self._given, []
+        self._connection_deadline.check()
+        sender = self._sender
+        sender.work_between_steps()
+        found, sender.returned = sender.returned, []
+        if self._pushed_chunks:
+            given, self._pushed_chunks = self._pushed_chunks, []
             self._read(self._inboxes[0], given, found)
             return found
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
@@ -312,7 +314,7 @@ class AutopilotReceiver:
 
     def push_bytes(self, stream: int, data: bytes) -> None:
         """Take bytes of the HIL link that plain steps have read."""
-        self._given.append((stream, data))
+        self._pushed_chunks.append((stream, data))
 
     def incomplete(self, stream: int) -> bool:
         """Whether a stream of the HIL link ends within a frame."""
@@ -321,32 +323,32 @@ class AutopilotReceiver:
     def read_telemetry(self) -> None:
         """Read the links other than the HIL link, and return the simulator's frames to it."""
         for inbox in self._inboxes[1:]:
-            self._read(inbox, inbox.link.read(), self._outward.returned)
+            self._read(inbox, inbox.link.read(), self._sender.returned)
 
     def _read(self, inbox: Inbox, chunks: Sequence[Chunk], found: list[Frame]) -> None:
-        outward = self._outward
+        sender = self._sender
         for stream, data in chunks:
             passed = None
             if data and not inbox.incomplete(stream):
-                passed = outward.pass_compiled(VEHICLE, data, outward.flight.now_us)
+                passed = sender.pass_compiled(VEHICLE, data, sender.flight.now_us)
             if passed is not None:
-                self._take(data, passed, found)
+                self._handle_passed(data, passed, found)
                 continue
             for frame in inbox.parsed(stream, data):
-                self._answered(frame)
-                for send in outward.pass_frame(frame):
-                    outward.route_send(send, found, frame)
+                self._note_answer(frame)
+                for send in sender.pass_frame(frame):
+                    sender.route_send(send, found, frame)
 
-    def _take(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
+    def _handle_passed(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
         """Handle frames that left together; `data` are the same frames before the faults."""
         if data == passed.data and passed.links >> SIMULATOR & 1 and is_single_step_reply(data):
             found.append(Frame(data, STEP_REPLY))  # the loop releases the step on receipt
             return
-        at, now_us = 0, self._outward.flight.now_us
+        at, now_us = 0, self._sender.flight.now_us
         for raw in split(passed.data):
             if is_step_reply(raw):
                 # As received: a fault may have changed the timestamp.
-                self._answered(trusted_frame(data[at : at + len(raw)]))
+                self._note_answer(trusted_frame(data[at : at + len(raw)]))
             at += len(raw)
             if passed.links >> SIMULATOR & 1 and frame_message_id(raw) in SIMULATOR_MESSAGES:
                 found.append(trusted_frame(raw))
@@ -355,8 +357,8 @@ class AutopilotReceiver:
                 and frame_message_id(raw) not in IGNORED_STREAMS
                 and not is_lockstep_traffic(raw)
             ):
-                self._outward.undelivered.append(Send(GROUND, raw, now_us))
+                self._sender.undelivered.append(Send(GROUND, raw, now_us))
 
-    def _answered(self, frame: Frame) -> None:
+    def _note_answer(self, frame: Frame) -> None:
         if frame.layout is STEP_REPLY:
             self._lockstep.received(int(frame.number("time_usec")), time.monotonic())

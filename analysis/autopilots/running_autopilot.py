@@ -52,9 +52,9 @@ class StartupPacer:
     It answers steps long before that; at full speed it would take off before its own log begins.
     """
 
-    def __init__(self, program: RunningAutopilot) -> None:
-        self._program = program
-        self.finished = not program.startup_text
+    def __init__(self, autopilot: RunningAutopilot) -> None:
+        self._autopilot = autopilot
+        self.finished = not autopilot.startup_text
         self._began_s: float | None = None
         self._first_us = 0
 
@@ -70,9 +70,9 @@ class StartupPacer:
         if ahead_s < MIN_WAIT_S:
             return
         time.sleep(ahead_s)
-        told = self._program.startup_text in self._program.log.read_text(errors="replace")
+        started = self._autopilot.startup_text in self._autopilot.log.read_text(errors="replace")
         # Another version may print another text.
-        self.finished = told or time.monotonic() - self._began_s > STARTUP_LIMIT_S
+        self.finished = started or time.monotonic() - self._began_s > STARTUP_LIMIT_S
 
 
 class RealTimePacer:

@@ -24,20 +24,20 @@ def read_parameters(file: str | None) -> dict[str, float]:
         raise ConfigError(
             f"--parameters: {file} cannot be read ({error}); give a parameter file"
         ) from None
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if not words:
+        columns = line.partition("#")[0].replace(",", " ").split()
+        if not columns:
             continue
-        name, text = words[2:4] if len(words) == QGC_COLUMNS else (*words, "")[:2]
+        name, text = columns[2:4] if len(columns) == QGC_COLUMNS else (*columns, "")[:2]
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if len(words) not in (2, QGC_COLUMNS) or not math.isfinite(value):
+        if len(columns) not in (2, QGC_COLUMNS) or not math.isfinite(value):
             raise ConfigError(f"{file}:{number}: {line.strip()!r} is not NAME VALUE")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def format_parameters(parameters: dict[str, float]) -> str:

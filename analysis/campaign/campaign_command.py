@@ -63,22 +63,22 @@ def main(args: argparse.Namespace) -> int:
 def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> None:
     """Fly the missing cells, then write and print the results, also after Ctrl-C."""
     campaign = plan.campaign
-    ledger = ResultsStore(folder, campaign)
-    fleet = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
+    store = ResultsStore(folder, campaign)
+    pool = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
     try:
-        with CampaignProgress(plan.max_cells, len(ledger.results)) as progress:
+        with CampaignProgress(plan.max_cells, len(store.results)) as progress:
             heat_map = LiveHeatMap(folder, plan)
 
             def show(results: list[CellResult]) -> None:
                 progress.show(results)
                 heat_map.show(results)
 
-            CampaignRun(plan, fleet, ledger, show).run_all()
+            CampaignRun(plan, pool, store, show).run_all()
     finally:
-        fleet.close()
-        ledger.close()
+        pool.close()
+        store.close()
         # There may be no results if the first flight was refused.
-        if ledger.results:
+        if store.results:
             write_report(folder, plan)
             print_outcomes(folder, plan)
 

@@ -125,10 +125,10 @@ class SubjectChoice(_Section, frozen=True):
 
     def options(self, folder: str | Path) -> list[str]:
         """Return the arguments of `run`, for a campaign file in `folder`."""
-        words = ["--autopilot", self.autopilot, "--binary", self.binary]
+        arguments = ["--autopilot", self.autopilot, "--binary", self.binary]
         if self.parameters:
-            words += ["--parameters", str(Path(folder) / self.parameters)]
-        return [*words, *self.arguments]
+            arguments += ["--parameters", str(Path(folder) / self.parameters)]
+        return [*arguments, *self.arguments]
 
 
 class CompiledScenario(_Section, frozen=True):
@@ -195,16 +195,16 @@ class CampaignFile(_Section, frozen=True):
         if self.compiled:
             return [s.name for s in self.scenarios if isinstance(s, CompiledScenario)]
         varied = [[f"{path}={value:g}" for value in values] for path, values in self.vary.items()]
-        return [" ".join(map(str, words)) for words in product(self.scenarios, *varied)]
+        return [" ".join(map(str, arguments)) for arguments in product(self.scenarios, *varied)]
 
     def scenario_arguments(self, name: str) -> list[str]:
         """Return the arguments of `run` for a scenario by its name in results."""
         file = next(str(s) for s in self.scenarios if name == s or name.startswith(f"{s} "))
-        words = [str(Path(self.folder) / file)]
+        arguments = [str(Path(self.folder) / file)]
         # Neither paths in a scenario nor numbers contain blanks.
         for change in name[len(file) :].split():
-            words += ["--set", change]
-        return words
+            arguments += ["--set", change]
+        return arguments
 
     @property
     def subject_names(self) -> list[str]:

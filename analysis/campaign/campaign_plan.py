@@ -76,15 +76,15 @@ class CampaignPlan:
         if self.campaign.compiled:
             # Each compiled batch contains its reference flight.
             return {}
-        found = {}
+        jobs = {}
         for group, scenario, seed in product(self._groups(), self.scenarios, self.campaign.seeds):
             cells = tuple(
                 Cell(subject=name, scenario=scenario, fault=HEALTHY, seed=seed) for name in group
             )
-            found[self.reference_key(cells[0])] = FlightJob(
+            jobs[self.reference_key(cells[0])] = FlightJob(
                 self.campaign, cells, None, self._folder(cells[0])
             )
-        return found
+        return jobs
 
     def reference_key(self, cell: Cell) -> str:
         """Return the key of a cell's reference flight; subjects that share flights share it."""
@@ -99,19 +99,19 @@ class CampaignPlan:
     # -- cells -----------------------------------------------------------------------------------
 
     def job_sequences(
-        self, known: KnownResults, twins: Mapping[str, CampaignFlight]
+        self, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> Iterator[JobSequence]:
         """Yield the job sequences of cells without a stored result."""
         if self.campaign.find == "critical":
             for cell in self._series():
-                yield self._critical(cell, known, twins)
+                yield self._critical(cell, known, references)
         elif self.campaign.compiled:
             yield from self._lanes(known)
         else:
             for cells in self._grid():
                 missing = tuple(cell for cell in cells if cell.key not in known)
                 if missing:
-                    yield _single_job(self._job(missing, twins))
+                    yield _single_job(self._job(missing, references))
 
     def _series(self) -> Iterator[Cell]:
         """Yield one cell of each series, without a magnitude."""
@@ -138,20 +138,20 @@ class CampaignPlan:
         """Yield compiled batches of cells that differ in magnitude, onset and duration."""
         cells = (cell for group in self._grid() for cell in group if cell.key not in known)
         # `groupby` needs sorted input.
-        alike = sorted(cells, key=_batch_key)
-        for _, batch in groupby(alike, key=_batch_key):
+        ordered = sorted(cells, key=_batch_key)
+        for _, batch in groupby(ordered, key=_batch_key):
             listed = tuple(batch)
             for start in range(0, len(listed), MAX_BATCH_CELLS):
                 yield _single_job(LaneJob(self.campaign, listed[start : start + MAX_BATCH_CELLS]))
 
-    def _job(self, cells: tuple[Cell, ...], twins: Mapping[str, CampaignFlight]) -> Job:
+    def _job(self, cells: tuple[Cell, ...], references: Mapping[str, CampaignFlight]) -> Job:
         if self.campaign.compiled:
             return LaneJob(self.campaign, cells)
-        twin = twins[self.reference_key(cells[0])]
-        return FlightJob(self.campaign, cells, twin, self._folder(cells[0]))
+        reference = references[self.reference_key(cells[0])]
+        return FlightJob(self.campaign, cells, reference, self._folder(cells[0]))
 
     def _critical(
-        self, series: Cell, known: KnownResults, twins: Mapping[str, CampaignFlight]
+        self, series: Cell, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> JobSequence:
         """Bisect one series; an aborted flight ends it."""
         search = bisect_magnitude(self.campaign.fault(series.fault).interval())
@@ -161,7 +161,7 @@ class CampaignPlan:
                 cell = cell_at(series, magnitude, series.subject)
                 result = known.get(cell.key)
                 if result is None:
-                    (result,) = yield self._job((cell,), twins)
+                    (result,) = yield self._job((cell,), references)
                 if result.outcome == "aborted":
                     # Without an outcome the bisection cannot choose a half.
                     return
@@ -171,7 +171,7 @@ class CampaignPlan:
 
     def critical_magnitudes(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
         """Return the results of the completed bisections, by series."""
-        found = {}
+        results = {}
         for series in self._series():
             search = bisect_magnitude(self.campaign.fault(series.fault).interval())
             try:
@@ -182,8 +182,8 @@ class CampaignPlan:
                     magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
             # The result is the generator's return value.
             except StopIteration as over:
-                found[series.series] = over.value
-        return found
+                results[series.series] = over.value
+        return results
 
 
 def cell_at(series: Cell, magnitude: float | None, subject: str) -> Cell:

@@ -31,34 +31,37 @@ class CampaignRun:
             If a reference flight fails.
         """
         self._fly_references()
-        todo = self.plan.job_sequences(self.store.results, self.store.reference_flights)
-        in_air: dict[int, JobSequence] = {}
+        sequences = self.plan.job_sequences(self.store.results, self.store.reference_flights)
+        running: dict[int, JobSequence] = {}
         count = 0
         while True:
-            while len(in_air) < self.pool.capacity and (thread := next(todo, None)) is not None:
-                count += self._begin(thread, count, in_air)
-            if not in_air:
+            while (
+                len(running) < self.pool.capacity
+                and (sequence := next(sequences, None)) is not None
+            ):
+                count += self._begin(sequence, count, running)
+            if not running:
                 return
             number, answer = self.pool.finished()
-            thread = in_air.pop(number)
+            sequence = running.pop(number)
             # Stored before anything else, so that a kill loses nothing.
             self.store.add(answer.results, answer.flight)
             self.progress(answer.results)
             try:
-                job = thread.send(answer.results)
+                job = sequence.send(answer.results)
             # The sequence has ended: its slot is free for another.
             except StopIteration:
                 continue
             count += 1
-            in_air[count] = thread
+            running[count] = sequence
             self.pool.start(count, job)
 
-    def _begin(self, thread: JobSequence, count: int, in_air: dict[int, JobSequence]) -> int:
+    def _begin(self, sequence: JobSequence, count: int, running: dict[int, JobSequence]) -> int:
         """Start the first job of a sequence; return the number started (0 if all are known)."""
-        job = next(thread, None)
+        job = next(sequence, None)
         if job is None:
             return 0
-        in_air[count + 1] = thread
+        running[count + 1] = sequence
         self.pool.start(count + 1, job)
         return 1
 
@@ -69,16 +72,16 @@ class CampaignRun:
             if k not in self.store.reference_flights
         }
         waiting = list(jobs)
-        in_air: dict[int, str] = {}
-        while waiting or in_air:
-            while waiting and len(in_air) < self.pool.capacity:
+        running: dict[int, str] = {}
+        while waiting or running:
+            while waiting and len(running) < self.pool.capacity:
                 key = waiting.pop(0)
                 # Negative, to differ from the numbers of other jobs.
                 number = -len(jobs) + len(waiting)
-                in_air[number] = key
+                running[number] = key
                 self.pool.start(number, jobs[key])
             number, answer = self.pool.finished()
-            self.store.add_reference(in_air.pop(number), reference_flight_of(answer))
+            self.store.add_reference(running.pop(number), reference_flight_of(answer))
 
 
 def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
@@ -93,6 +96,6 @@ def reference_flight_of(answer: JobAnswer) -> CampaignFlight:
         # Without the reference flight, no outcome can be determined.
         first = answer.results[0]
         raise ConfigError(
-            f"{first.cell.scenario}: the reference flight of {first.cell.subject} failed: {first.note}"
+            f"{first.cell.scenario}: reference flight of {first.cell.subject} failed: {first.note}"
         )
     return answer.flight

@@ -104,11 +104,13 @@ def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
     """Take the verdict from the `faults` of a summary; of a preset's parts, the first detected."""
     if not faults:
         return CellVerdict()
-    found = [fault for fault in faults if fault["delay_s"] is not None]
-    first = min(found, key=lambda fault: fault["delay_s"]) if found else faults[0]
+    detected = [fault for fault in faults if fault["delay_s"] is not None]
+    first = min(detected, key=lambda fault: fault["delay_s"]) if detected else faults[0]
     # A sensor may have been isolated several times.
-    blamed = dict.fromkeys([*first["isolated"], *(blame["who"] for blame in first["wrongly"])])
-    return CellVerdict(first["verdict"], ", ".join(blamed), first["delay_s"])
+    isolated = dict.fromkeys(
+        [*first["isolated"], *(isolation["who"] for isolation in first["wrongly"])]
+    )
+    return CellVerdict(first["verdict"], ", ".join(isolated), first["delay_s"])
 
 
 class CampaignFlight(msgspec.Struct, frozen=True):

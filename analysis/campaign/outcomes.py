@@ -63,27 +63,29 @@ def outcome_rank(outcome: str) -> int:
 
 
 def classify_flight(
-    cell: Cell, onset_s: float, flight: Evidence, twin: Evidence, limits: OutcomeLimits
+    cell: Cell, onset_s: float, flight: Evidence, reference: Evidence, limits: OutcomeLimits
 ) -> CellResult:
     """Determine the outcome of a cell from the evidence of its flight and its reference flight."""
-    angle = error_excursion(flight, twin, ATTITUDE, onset_s)
-    flown = PATH[0] in flight.curves
+    angle = error_excursion(flight, reference, ATTITUDE, onset_s)
+    has_path = PATH[0] in flight.curves
     # An autopilot by the vehicle's true path, an estimator by its position error.
-    place = (
-        path_excursion(flight, twin, onset_s)
-        if flown
-        else error_excursion(flight, twin, POSITION, onset_s)
+    position = (
+        path_excursion(flight, reference, onset_s)
+        if has_path
+        else error_excursion(flight, reference, POSITION, onset_s)
     )
-    excursion_deg, excursion_m = (float(c[1].max()) if len(c[1]) else None for c in (angle, place))
+    excursion_deg, excursion_m = (
+        float(c[1].max()) if len(c[1]) else None for c in (angle, position)
+    )
     # The fault did not cause marks that the reference flight has too.
-    new = new_marks(flight.marks, twin.marks, onset_s)
+    new = new_marks(flight.marks, reference.marks, onset_s)
     # Reversed, so that the earliest of each kind stays in the dictionary.
     first = {mark.kind: mark for mark in reversed(new)}
     detected, failsafe = first.get("detected"), first.get("failsafe")
     ends_s = onset_s + cell.duration_s
     recoveries = [
         recovery_s(*curve, limit, ends_s)
-        for curve, limit in ((angle, limits.attitude_deg), (place, limits.position_m))
+        for curve, limit in ((angle, limits.attitude_deg), (position, limits.position_m))
         if len(curve[1]) and curve[1].max() > limit
     ]
     return CellResult(
@@ -116,27 +118,27 @@ def outcome_of(
 
 
 def error_excursion(
-    flight: Evidence, twin: Evidence, name: str, onset_s: float
+    flight: Evidence, reference: Evidence, name: str, onset_s: float
 ) -> tuple[Vector, Vector]:
     """Return times (n,) [s] since the onset, and the flight's curve minus the reference (n,).
 
     Both are empty if a curve is missing.
     """
-    if name not in flight.curves or name not in twin.curves:
+    if name not in flight.curves or name not in reference.curves:
         return np.empty(0), np.empty(0)
     t_s, value = _arrays(flight.curves[name])
     # The outcome counts from the onset.
     later = t_s >= onset_s
     t_s, value = t_s[later], value[later]
     # The reference flight has the same seed, so any difference is due to the fault.
-    healthy = np.interp(t_s, *_arrays(twin.curves[name]))
+    healthy = np.interp(t_s, *_arrays(reference.curves[name]))
     # An estimate of NaN counts as infinitely wrong.
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)
 
 
-def path_excursion(flight: Evidence, twin: Evidence, onset_s: float) -> tuple[Vector, Vector]:
+def path_excursion(flight: Evidence, reference: Evidence, onset_s: float) -> tuple[Vector, Vector]:
     """Return times (n,) [s], and the vehicle's distance to the reference flight (n,) [m]."""
-    axes = [error_excursion(flight, twin, name, onset_s) for name in PATH]
+    axes = [error_excursion(flight, reference, name, onset_s) for name in PATH]
     return axes[0][0], np.linalg.norm([difference for _, difference in axes], axis=0)
 
 
@@ -159,15 +161,15 @@ def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> floa
 
 
 def new_marks(
-    flight: Sequence[FlightMark], twin: Sequence[FlightMark], onset_s: float
+    flight: Sequence[FlightMark], reference: Sequence[FlightMark], onset_s: float
 ) -> list[FlightMark]:
     """Return the marks since the onset that the reference flight lacks at the same time."""
 
-    def known(mark: FlightMark) -> bool:
+    def in_reference(mark: FlightMark) -> bool:
         return any(
             (other.kind, other.text) == (mark.kind, mark.text)
             and abs(other.t_s - mark.t_s) <= SAME_EVENT_S
-            for other in twin
+            for other in reference
         )
 
-    return [mark for mark in flight if mark.t_s >= onset_s and not known(mark)]
+    return [mark for mark in flight if mark.t_s >= onset_s and not in_reference(mark)]

@@ -53,11 +53,11 @@ class ResultsStore:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         written = msgspec.json.encode(campaign)
-        known = folder / CAMPAIGN
+        path = folder / CAMPAIGN
         # Compared as bytes: any difference makes it another campaign.
-        if known.exists() and known.read_bytes() != written:
+        if path.exists() and path.read_bytes() != written:
             raise ConfigError(f"--out {folder}: contains another campaign; choose another folder")
-        known.write_bytes(written)
+        path.write_bytes(written)
         # Aborted cells are repeated, since the reason may be gone.
         self.results = {
             result.cell.key: result
@@ -65,8 +65,8 @@ class ResultsStore:
             if result.outcome != ABORTED
         }
         self.reference_flights = {
-            twin.key: twin.flown
-            for twin in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
+            record.key: record.flown
+            for record in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
         }
         self._files = {
             name: open_for_append(folder / name) for name in (CELLS, CURVES, REFERENCE_FLIGHTS)

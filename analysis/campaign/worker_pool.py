@@ -84,39 +84,39 @@ class RayWorkerPool:
     """A Ray cluster; flights whose node dies are repeated."""
 
     def __init__(self, address: str, limit_s: float) -> None:
-        self._ray, self._mine = join_ray(address)
+        self._ray, self._owns_cluster = join_ray(address)
         self._limit_s = limit_s
         # At least one, even if the cluster has no free CPU yet.
         self.capacity = QUEUED_PER_WORKER * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         # Unlimited retries after node failures; errors of the flight itself return as its answer.
         self._answer: Any = self._ray.remote(max_retries=-1)(_run_job_safely)
-        self._flying: dict[Any, tuple[int, Job, float]] = {}
+        self._running: dict[Any, tuple[int, Job, float]] = {}
 
     def start(self, number: int, job: Job) -> None:
         """Begin a job."""
-        self._flying[self._answer.remote(job)] = (number, job, time.monotonic())
+        self._running[self._answer.remote(job)] = (number, job, time.monotonic())
 
     def finished(self) -> tuple[int, JobAnswer]:
         """Wait for the next answer."""
         while True:
             # With a timeout, to check for hung flights.
-            done, _ = self._ray.wait(list(self._flying), num_returns=1, timeout=POLL_S)
+            done, _ = self._ray.wait(list(self._running), num_returns=1, timeout=POLL_S)
             if done:
-                number, _, _ = self._flying.pop(done[0])
-                found: JobAnswer = self._ray.get(done[0])
-                return number, found
-            for reference, (number, job, started_s) in self._flying.items():
+                number, _, _ = self._running.pop(done[0])
+                answer: JobAnswer = self._ray.get(done[0])
+                return number, answer
+            for reference, (number, job, started_s) in self._running.items():
                 # The time includes waiting for a free processor.
                 if time.monotonic() - started_s > QUEUED_PER_WORKER * self._limit_s:
                     self._ray.cancel(reference, force=True)
-                    del self._flying[reference]
+                    del self._running[reference]
                     return number, aborted_answer(job, f"hung: not over after {self._limit_s:g} s")
 
     def close(self) -> None:
         """Leave the cluster."""
-        for reference in self._flying:
+        for reference in self._running:
             self._ray.cancel(reference, force=True)
-        if self._mine:
+        if self._owns_cluster:
             self._ray.shutdown()
 
 

@@ -61,7 +61,7 @@ def main(args: argparse.Namespace) -> int:
     # On a link, the proxy is still writing the labels: they are read at the end.
     if args.link is None:
         read_optional_labels(args.labels)  # report a wrong name before the work
-    recorded = (
+    recording = (
         None if args.rinex is None else read_rinex_block(args)
     )  # may fail: before the folder is made
     folder = make_folder(args.out, "monitor") if args.out else None
@@ -84,9 +84,9 @@ def main(args: argparse.Namespace) -> int:
                 watch.show(results)
 
         stop = stack.enter_context(stop_requests())
-        injected = None if recorded is None else recorded[1]
-        if recorded is not None:
-            monitor_recording(recorded[0], monitor, deliver, stop)
+        injected = None if recording is None else recording[1]
+        if recording is not None:
+            monitor_recording(recording[0], monitor, deliver, stop)
         else:
             _monitor_source(args, monitor, deliver, stop, condition)
     # Read again at the end: by now the proxy has written its labels.
@@ -256,11 +256,11 @@ def _report(
     from mavproxy_fault.wire.tlog import read_columns
 
     results = list(read_results(folder / "results.jsonl"))
-    beside: dict[str, Any] = {}
+    extras: dict[str, Any] = {}
     if args.rinex:
         from analysis.report.receiver_files import receiver_files
 
-        beside = receiver_files(folder, results, labels, reference, integrity)
+        extras = receiver_files(folder, results, labels, reference, integrity)
     title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write_run_report(
         folder,
@@ -270,5 +270,5 @@ def _report(
         # Autopilot logs have no MAVLink columns.
         columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
         title=title,
-        **beside,
+        **extras,
     )

@@ -31,7 +31,7 @@ MonitorRequest = bytes | tuple[list[Label], Criteria, float]
 
 
 def _run_monitor(
-    orders: "Queue[MonitorRequest | None]",
+    requests: "Queue[MonitorRequest | None]",
     answers: Connection,
     config: MonitorConfig,
     records: bool,
@@ -43,14 +43,14 @@ def _run_monitor(
     from analysis.monitor.monitor import Monitor
 
     monitor = Monitor(config)
-    while (order := orders.get()) is not None:
+    while (request := requests.get()) is not None:
         # Bytes are data, a tuple requests the summary, None ends the process.
-        if isinstance(order, bytes) and records:
-            answers.send(monitor.push_records(order))
-        elif isinstance(order, bytes):
-            answers.send(monitor.push_bytes([order], datagrams=False))
+        if isinstance(request, bytes) and records:
+            answers.send(monitor.push_records(request))
+        elif isinstance(request, bytes):
+            answers.send(monitor.push_bytes([request], datagrams=False))
         else:
-            answers.send(monitor.summary(*order))
+            answers.send(monitor.summary(*request))
 
 
 class MonitorDiedError(RuntimeError):
@@ -83,10 +83,10 @@ class MonitorProcess:
 
     def __init__(self, config: MonitorConfig, *, records: bool = False) -> None:
         context = fork_context() or spawn_context()
-        self._orders: Queue[MonitorRequest | None] = context.Queue(MAX_QUEUED_BATCHES)
-        self._answers, theirs = context.Pipe(duplex=False)
+        self._requests: Queue[MonitorRequest | None] = context.Queue(MAX_QUEUED_BATCHES)
+        self._answers, child_end = context.Pipe(duplex=False)
         self._process = context.Process(
-            target=_run_monitor, args=(self._orders, theirs, config, records), daemon=True
+            target=_run_monitor, args=(self._requests, child_end, config, records), daemon=True
         )
         # Only the first run after an installation compiles.
         mark = kernel_precompilation.pending_marker()
@@ -96,9 +96,9 @@ class MonitorProcess:
             with _block_signals(signal.SIGTERM):
                 self._process.start()
         # Only the child keeps it open, so that its death ends the pipe.
-        theirs.close()
+        child_end.close()
         self.pid = self._process.pid or 0
-        self._batch, self._enough = bytearray(), FIRST_BYTES
+        self._batch, self._batch_size = bytearray(), FIRST_BYTES
         self.pending_batches = 0  # batches whose results have not come yet
 
     def __enter__(self) -> "MonitorProcess":
@@ -114,10 +114,10 @@ class MonitorProcess:
         if kind is not None:
             self._process.kill()
             # Otherwise the queue's thread would wait for a missing reader.
-            self._orders.cancel_join_thread()
+            self._requests.cancel_join_thread()
         else:
-            self._orders.put(None)
-        self._orders.close()
+            self._requests.put(None)
+        self._requests.close()
         self._process.join()
         self._answers.close()
 
@@ -126,14 +126,14 @@ class MonitorProcess:
         self._batch += data
         results: list[Result] = []
         # Poll once per batch: a poll costs more than collecting the bytes of a step.
-        if len(self._batch) < self._enough and not now:
+        if len(self._batch) < self._batch_size and not now:
             return results
-        self._enough = min(2 * self._enough, BATCH_BYTES)
+        self._batch_size = min(2 * self._batch_size, BATCH_BYTES)
         if self._batch:
             batch = bytes(self._batch)
             self._batch.clear()
             # Take results while the queue is full, or both bounded queues could deadlock.
-            while not self._handed_on(batch):
+            while not self._enqueued(batch):
                 results += self._receive()
             self.pending_batches += 1
         while self.pending_batches and self._answers.poll():
@@ -149,13 +149,13 @@ class MonitorProcess:
 
     def summary(self, labels: Sequence[Label], criteria: Criteria, wall_s: float) -> dict[str, Any]:
         """Return the content of `summary.json`; call `results` first."""
-        self._orders.put((list(labels), criteria, wall_s))
+        self._requests.put((list(labels), criteria, wall_s))
         summary: dict[str, Any] = self._answer()
         return summary
 
-    def _handed_on(self, batch: bytes) -> bool:
+    def _enqueued(self, batch: bytes) -> bool:
         try:
-            self._orders.put_nowait(batch)
+            self._requests.put_nowait(batch)
         except queue.Full:
             return False
         return True
@@ -173,5 +173,5 @@ class MonitorProcess:
         except EOFError:
             # The exit code is known only after `join`.
             self._process.join()
-            how = describe_exit(self._process.exitcode or 0)
-            raise MonitorDiedError(f"the monitor's process ended {how}") from None
+            exit_text = describe_exit(self._process.exitcode or 0)
+            raise MonitorDiedError(f"the monitor's process ended {exit_text}") from None

@@ -97,7 +97,7 @@ class ProxiedFlight:
         """Simulate up to the next IMU sample, with the commands of a ground station."""
         # Until a ground station commands, the scenario's own controller flies.
         controls = self._pilot.controls() if self._pilot.flight.goal_active else None
-        sends, commanded = self._sent_commands() if controls is None else ([], b"")
+        sends, commanded = self._send_actuator_commands() if controls is None else ([], b"")
         if controls is None and self._commands is not None:
             controls = self._commands.last_received
         t_us, truth, readings = self.simulation.step(controls)
@@ -108,7 +108,7 @@ class ProxiedFlight:
             sends += self.core.received(VEHICLE, raw, self.now_us)
         for data in commands:
             sends += self.core.received(GROUND, data, self.now_us)
-        sent = self._sort(sends)
+        sent = self._split_sends(sends)
         # The monitor compares the vehicle's response with the commands before the faults.
         return sent._replace(monitor=commanded + sent.monitor)
 
@@ -120,7 +120,7 @@ class ProxiedFlight:
         kind, vehicle = self.simulation.kind, self.simulation.vehicle
         return ActuatorCommands(kind.actuators(vehicle), kind.mix(vehicle))
 
-    def _sent_commands(self) -> tuple[list[Send], bytes]:
+    def _send_actuator_commands(self) -> tuple[list[Send], bytes]:
         """Send the actuator commands of the next step through the proxy and apply the result;
         return the other sends and the commands as sent."""
         if self._commands is None:
@@ -129,12 +129,12 @@ class ProxiedFlight:
         sends = self.core.received(VEHICLE, raw, self.now_us)
         for link, data, _ in sends:
             if link == SIMULATOR:
-                self._obey(link, data)
+                self._apply_frame(link, data)
         return [send for send in sends if send.link != SIMULATOR], raw
 
     def finish(self) -> FlightOutput:
         """End the active faults."""
-        return self._sort(self.core.finish(self.now_us))
+        return self._split_sends(self.core.finish(self.now_us))
 
     def drain_labels(self) -> list[Label]:
         """Return the labels begun or ended since the last call, for the log."""
@@ -153,7 +153,7 @@ class ProxiedFlight:
             for number, out in enumerate(self._out)
         ]
 
-    def _sort(self, sends: list[Send]) -> FlightOutput:
+    def _split_sends(self, sends: list[Send]) -> FlightOutput:
         """Apply commands to the vehicle; the HIL stream goes to the monitor, the rest to the ground
         station."""
         # One datagram: the monitor needs no boundaries on its reliable pipe.
@@ -167,11 +167,11 @@ class ProxiedFlight:
             if link == GROUND and not is_hil_frame(data):
                 sent.ground.append(data)
             elif link in (VEHICLE, SIMULATOR):
-                answers += self._obey(link, data)
+                answers += self._apply_frame(link, data)
         sent.ground.extend(s.data for s in answers if s.link == GROUND)
         return sent
 
-    def _obey(self, link: int, data: bytes) -> list[Send]:
+    def _apply_frame(self, link: int, data: bytes) -> list[Send]:
         """Apply a frame for the vehicle or the simulated plant; return the replies."""
         sends: list[Send] = []
         # Each send is one datagram, so no frame spans two.

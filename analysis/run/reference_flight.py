@@ -41,12 +41,14 @@ class ReferenceRun(NamedTuple):
 
 def start_reference_flight(setup: RunSetup, folder: Path) -> ReferenceRun:
     """Start the reference flight in its own process, with its folder inside the run folder."""
-    own = folder / REFERENCE_FOLDER
+    reference_folder = folder / REFERENCE_FOLDER
     # Created before the process starts, so that an error here is the run's.
-    own.mkdir()
-    spawned = spawn_context()
-    until_us = spawned.Value("q", NO_LIMIT_US)
-    process = spawned.Process(target=run_reference_flight, args=(setup, own, until_us), daemon=True)
+    reference_folder.mkdir()
+    context = spawn_context()
+    until_us = context.Value("q", NO_LIMIT_US)
+    process = context.Process(
+        target=run_reference_flight, args=(setup, reference_folder, until_us), daemon=True
+    )
     process.start()
     return ReferenceRun(process, until_us)
 

@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
     # Started first, so that both processes compile in parallel.
-    twin = start_reference_flight(setup, folder) if args.against_clean else None
+    reference = start_reference_flight(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:
         # Before the bus, whose threads would prevent a fork.
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
@@ -63,12 +63,12 @@ def main(args: argparse.Namespace) -> int:
                 publisher.publish(results)
 
         flight = ProxiedFlight(setup.scenario, setup.schedule)
-        journal = EditLog(flight.core, flight.capture)
+        edit_log = EditLog(flight.core, flight.capture)
         # From the first byte, so that a replay starts live control at the same place.
-        journal.note(JOIN, b"", journal.begin(flight.now_us))
+        edit_log.note(JOIN, b"", edit_log.begin(flight.now_us))
         live = stack.enter_context(
             contextlib.closing(
-                LiveSession(flight.control, lambda: journal.begin(flight.now_us), journal)
+                LiveSession(flight.control, lambda: edit_log.begin(flight.now_us), edit_log)
             )
         )
         if bus is not None:
@@ -90,7 +90,7 @@ def main(args: argparse.Namespace) -> int:
     summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []
     # It runs in parallel on the second core, and is usually complete by now.
-    if twin is not None and twin.wait_until(flight.now_us):
+    if reference is not None and reference.wait_until(flight.now_us):
         t0_us = flight.core.clock.t0_us or 0
         curves = deviation_curves(folder, folder / REFERENCE_FOLDER, t0_us)
         summary["effects"] = measure_effects(curves, labels, t0_us)
@@ -123,14 +123,16 @@ def run_flight(
             # Stop only between two steps, so that logs stay complete.
             while not (flight.finished or stop()):
                 # A live page must not show verdicts long after the flight.
-                hold = together and monitor.pending_batches > MAX_PENDING_BATCHES
-                wait_s = MONITOR_WAIT_S if hold else pace.wait_s(flight.t_us, time.monotonic())
+                monitor_lags = together and monitor.pending_batches > MAX_PENDING_BATCHES
+                wait_s = (
+                    MONITOR_WAIT_S if monitor_lags else pace.wait_s(flight.t_us, time.monotonic())
+                )
                 if wait_s > 0.0:
                     time.sleep(wait_s)
                 live.serve()
                 # The wall clock only paces the page, not the flight.
                 live.show(time.monotonic())
-                if hold:
+                if monitor_lags:
                     deliver(monitor.feed(b"", now=True))
                     continue
                 sent = flight.advance([data for _, data in ground.read()] if ground else [])
@@ -147,8 +149,8 @@ def run_flight(
                     # A live viewer must not wait for a full batch.
                     if together or math.isfinite(pace.speed):
                         deliver(monitor.feed(b"", now=True))
-                    acting = ", ".join(flight.engine.active) or "no fault"
-                    progress.show(flight.t_us * 1e-6, acting)
+                    active = ", ".join(flight.engine.active) or "no fault"
+                    progress.show(flight.t_us * 1e-6, active)
         # A stop ends the faults just as the scenario's end does.
         deliver(monitor.feed(flight.finish().monitor, now=True))
         recorder.write(flight.capture, flight.drain_labels(), live.edits())

@@ -79,22 +79,22 @@ def setup_from_args(args: argparse.Namespace) -> RunSetup:
 
 def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
     """Refuse plant faults of parts that the simulated vehicle lacks: they would never act."""
-    asked = [
+    plant_faults = [
         (entry.id, name)
         for entry in schedule.faults
         if isinstance(entry.fault, SimulatorFault)
         for name in entry.fault.names
     ]
-    simulation = Simulation(scenario) if asked else None
-    flaws = []
-    for id, name in asked:
+    simulation = Simulation(scenario) if plant_faults else None
+    errors = []
+    for id, name in plant_faults:
         assert simulation is not None
         try:
             simulation.check_plant(name)
         except ConfigError as error:
-            flaws.append(f"fault {id}: {error}")
-    if flaws:
-        raise ConfigError("\n".join(flaws))
+            errors.append(f"fault {id}: {error}")
+    if errors:
+        raise ConfigError("\n".join(errors))
 
 
 def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:
@@ -107,11 +107,11 @@ def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:
 def _criteria_for(criteria: Criteria, faults: Schedule) -> Criteria:
     """Remove requirements on faults that another schedule does not contain."""
     ids = {entry.id for entry in faults.faults}
-    asked = {
+    requirements = {
         name: tuple(id for id in getattr(criteria, name) if id in ids)
         for name in ("must_detect", "must_isolate")
     }
-    return msgspec.structs.replace(criteria, **asked)
+    return msgspec.structs.replace(criteria, **requirements)
 
 
 def _schedule(scenario: Scenario, document: Document) -> Schedule:

@@ -14,23 +14,23 @@ STOPPING = b"\nstopping; press Ctrl-C again to end at once\n"
 @contextlib.contextmanager
 def stop_requests() -> Iterator[StopCheck]:
     """Yield a function that reports a stop request; a second request interrupts the work."""
-    asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    requested = threading.Event()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def restore() -> None:
-        for number, action in before.items():
+        for number, action in handlers.items():
             signal.signal(number, action)
 
-    def ask(number: int, frame: FrameType | None) -> None:
-        asked.set()
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        requested.set()
         # With the old handlers, a second Ctrl-C interrupts at once.
         restore()
         # `print` in a signal handler could deadlock on the stream's lock.
         os.write(2, STOPPING)
 
-    for number in before:
-        signal.signal(number, ask)
+    for number in handlers:
+        signal.signal(number, on_signal)
     try:
-        yield asked.is_set
+        yield requested.is_set
     finally:
         restore()

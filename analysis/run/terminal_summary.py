@@ -22,8 +22,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         console.print(_faults(summary["faults"]))
         for line in verdict_remarks(summary["faults"]):
             console.print(f"                {line}", soft_wrap=True)
-    for word in summary.get("never_acted", ()):
-        console.print(f"never acted     fault {word} matched no message", style="yellow")
+    for fault in summary.get("never_acted", ()):
+        console.print(f"never acted     fault {fault} matched no message", style="yellow")
     for line in summary.get("edited", ()):
         console.print(f"edited live     {line}", style="yellow", soft_wrap=True)
     attitude = summary["attitude_rmse_deg"]
@@ -96,16 +96,16 @@ def verdict_remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the reasons of the verdicts, and the wrongly isolated sensors with their times."""
     lines = [f"{row['id']}: {row['reason']}" for row in rows if row["reason"]]
     lines += [
-        f"{row['id']}: {blame['who']} wrongly isolated from {blame['from_s']:.1f} s"
-        f" for {blame['for_s']:.1f} s"
+        f"{row['id']}: {isolation['who']} wrongly isolated from {isolation['from_s']:.1f} s"
+        f" for {isolation['for_s']:.1f} s"
         for row in rows
-        for blame in row["wrongly"]
+        for isolation in row["wrongly"]
     ]
     return lines
 
 
-def _coloured(word: str) -> Text:
-    return Text(word, COLOURS.get(word, "yellow"))
+def _coloured(verdict: str) -> Text:
+    return Text(verdict, COLOURS.get(verdict, "yellow"))
 
 
 def _effect(row: Mapping[str, Any]) -> str:

@@ -49,13 +49,13 @@ class _TrimmedVehicle:
 
     def __init__(self, vehicle: Any, names: list[str]) -> None:
         self._vehicle = vehicle
-        self._still = np.zeros(3)
+        self._zero = np.zeros(3)
         gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
-        self._around = pack_surroundings(self._still, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
+        self._around = pack_surroundings(self._zero, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
         speed_mps = vehicle.parameters.cruise_mps
-        place = np.array([0.0, 0.0, -HEIGHT_M])
+        position = np.array([0.0, 0.0, -HEIGHT_M])
         self._state = vehicle.cruise(
-            place, 0.0, self._still, speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
+            position, 0.0, self._zero, speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
         )
         self.trim = self._trim(names)
 
@@ -67,23 +67,23 @@ class _TrimmedVehicle:
 
     def lag_s(self, number: int) -> float:
         """Return the lag of an actuator [s]: the mean delay of its step response."""
-        step, still = 0.0 * self.trim, np.zeros(RIGID_SIZE)
+        step, zero = 0.0 * self.trim, np.zeros(RIGID_SIZE)
         step[number] = COMMAND_STEP
-        rise = self._motions(self.trim + step, still) - self._motions(self.trim - step, still)
-        whole = float(rise[-1] @ rise[-1])
-        if whole == 0.0:  # an actuator without effect
+        rise = self._motions(self.trim + step, zero) - self._motions(self.trim - step, zero)
+        total = float(rise[-1] @ rise[-1])
+        if total == 0.0:  # an actuator without effect
             return 0.0
-        return float((1.0 - rise @ rise[-1] / whole).sum() * STEP_S)
+        return float((1.0 - rise @ rise[-1] / total).sum() * STEP_S)
 
     def _motions(self, commands: Array, change: Array) -> Array:
         """Return the motion (STEPS, 6) after each step since the commands changed."""
         state = self._state.copy()
-        held = state[:RIGID_SIZE] + change
+        body = state[:RIGID_SIZE] + change
         motions = np.empty((STEPS, BODY_AXES))
         for row in motions:
-            state[:RIGID_SIZE] = held
+            state[:RIGID_SIZE] = body
             state, load = self._vehicle.advance(state, commands, self._around, 1, STEP_S)
-            row[:ANGULAR] = (state[P:RIGID_SIZE] - held[P:RIGID_SIZE]) / STEP_S
+            row[:ANGULAR] = (state[P:RIGID_SIZE] - body[P:RIGID_SIZE]) / STEP_S
             row[ANGULAR:] = load[:3]
         return motions
 
@@ -93,13 +93,13 @@ class _TrimmedVehicle:
         motors = 1.0 - _surfaces(names)
         axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
         q = self._state[E0 : E0 + 4]
-        carried_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
+        needed_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             force = self.motion(middle * motors, np.zeros(RIGID_SIZE))[ANGULAR:]
-            carries = sign * force[axis] > carried_mps2
-            low, high = (low, middle) if carries else (middle, high)
+            sufficient = sign * force[axis] > needed_mps2
+            low, high = (low, middle) if sufficient else (middle, high)
         return high * motors
 
 
@@ -108,22 +108,22 @@ def vehicle_effects(scenario: Scenario) -> Effects:
     kind = find_vehicle_kind(scenario.vehicle.kind)
     vehicle = kind.read(scenario.vehicle.parameters)
     names = kind.actuators(vehicle)
-    held = _TrimmedVehicle(vehicle, names)
+    trimmed = _TrimmedVehicle(vehicle, names)
 
     def by_state(entry: int, step: float) -> Array:
-        return _slope(lambda change: held.motion(held.trim, change), RIGID_SIZE, entry, step)
+        return _slope(lambda change: trimmed.motion(trimmed.trim, change), RIGID_SIZE, entry, step)
 
     def by_command(number: int, step: float) -> Array:
         at_rest = np.zeros(RIGID_SIZE)
         return _slope(
-            lambda change: held.motion(held.trim + change, at_rest), len(names), number, step
+            lambda change: trimmed.motion(trimmed.trim + change, at_rest), len(names), number, step
         )
 
     coefficients, mix = np.zeros((BODY_AXES, TERMS)), np.zeros((COMMANDS, COMMANDS))
     lags_s = np.zeros(COMMANDS)
     for i, name in enumerate(names[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
-        lags_s[i] = held.lag_s(i)
+        lags_s[i] = trimmed.lag_s(i)
         channels = [pair for pair in ACTUATOR_CHANNELS.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
@@ -166,9 +166,9 @@ def _express_by_force(coefficients: Array, air: Array) -> None:
     """Express the effect of the air by the lateral force; changes (6, TERMS), (6, 3) in place."""
     rows = slice(0, FORCE_Y)
     for i, axis in enumerate((FORCE_Y, FORCE_Z)):
-        pushed = air[axis, i + 1]
-        if abs(pushed) > MIN_WING_HZ:
-            coefficients[rows, FORCE + i] = air[rows, i + 1] / pushed
+        lateral_force = air[axis, i + 1]
+        if abs(lateral_force) > MIN_WING_HZ:
+            coefficients[rows, FORCE + i] = air[rows, i + 1] / lateral_force
     across = coefficients[rows, FORCE:AIRSPEED]
     forces = slice(FORCE_Y, BODY_AXES)
     # The force's term already contains the effects of commands and rates through the force.

@@ -23,7 +23,7 @@ def test_a_result_survives_json() -> None:
     assert decode(encode(decision(1.0))) == decision(1.0)
 
 
-def test_the_kind_of_a_result_is_in_its_json() -> None:
+def test_the_type_of_a_result_is_in_its_json() -> None:
     sensor = SensorDecision(
         t_us=0, sensor="baro", statistic=math.inf, threshold=1, dof=1, alarm=True
     )
@@ -31,7 +31,7 @@ def test_the_kind_of_a_result_is_in_its_json() -> None:
     assert decode(encode(sensor)).statistic is None  # type: ignore[union-attr]
 
 
-def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
+def test_an_incomplete_line_is_skipped(tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
     file.write_bytes(encode(decision(1.0)) + b"\n" + encode(decision(2.0))[:20])
     assert list(read_results(file)) == [decision(1.0)]

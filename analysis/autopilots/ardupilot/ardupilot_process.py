@@ -38,19 +38,19 @@ def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
 
 @contextlib.contextmanager
 def start_autopilot(
-    words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
+    arguments: Sequence[str], simulation: Simulation, folder: Path, overrides: dict[str, float]
 ) -> Iterator[RunningAutopilot]:
-    """Start the bridge and ArduPilot with the user's `own` parameters, for one flight."""
+    """Start the bridge and ArduPilot with the user's `overrides` parameters, for one flight."""
     path, kind = folder / "bridge.log", KINDS[simulation.scenario.vehicle.kind]
     files = []
-    if own:
+    if overrides:
         file = folder / "own.parm"
-        file.write_text(format_parameters(own))
+        file.write_text(format_parameters(overrides))
         files = user_parameter_files(str(file))
     with path.open("w", buffering=1) as log, contextlib.ExitStack() as stack:
         # In this process: a separate one would cost two context switches per step.
-        bridged = BridgedAutopilot(
-            words, kind, folder / "autopilot", files, lambda line: print(line, file=log)
+        bridge = BridgedAutopilot(
+            arguments, kind, folder / "autopilot", files, lambda line: print(line, file=log)
         )
-        stack.callback(bridged.close)
-        yield RunningAutopilot("ArduPilot", bridged, [bridged], path, BRIDGE_STEP)
+        stack.callback(bridge.close)
+        yield RunningAutopilot("ArduPilot", bridge, [bridge], path, BRIDGE_STEP)

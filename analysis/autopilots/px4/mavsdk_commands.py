@@ -69,12 +69,12 @@ class MavsdkCommands:
 
     def pending(self) -> list[bytes]:
         """Return and clear the frames that MAVSDK wants to send."""
-        found = []
+        frames = []
         while True:
             try:
-                found.append(self._outgoing.get_nowait())
+                frames.append(self._outgoing.get_nowait())
             except Empty:
-                return found
+                return frames
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
         """Upload the mission."""
@@ -117,7 +117,7 @@ class MavsdkCommands:
         raw = _raw_items(items)
         self._request(name, lambda done: self._mission.upload_mission_async(raw, done))
 
-    def _request(self, name: str, ask: Callable[[ResultCallback], None]) -> None:
+    def _request(self, name: str, start: Callable[[ResultCallback], None]) -> None:
         """Send a command, unless no vehicle was found yet or it is already in progress."""
         if self._action is None:
             systems = [system for system in self._mavsdk.get_systems() if system.has_autopilot()]
@@ -127,17 +127,17 @@ class MavsdkCommands:
             self._action, self._mission = Action(systems[0]), MissionRaw(systems[0])
         if name not in self._in_progress | self._succeeded:
             self._in_progress.add(name)
-            ask(self._done(name))
+            start(self._result_callback(name))
 
-    def _done(self, name: str) -> ResultCallback:
+    def _result_callback(self, name: str) -> ResultCallback:
         """Return MAVSDK's callback for a command; a refused command may be repeated."""
 
-        def answered(result: Any, _: Any) -> None:
+        def on_result(result: Any, _: Any) -> None:
             if result.name == RESULT_SUCCESS:
                 self._succeeded.add(name)
             self._in_progress.discard(name)
 
-        return answered
+        return on_result
 
 
 def _raw_items(items: Sequence[ItemFields]) -> list[MissionItem]:

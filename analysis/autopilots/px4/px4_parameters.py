@@ -24,7 +24,7 @@ ACCEPTANCE_RADIUS_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 
 def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
     """Return all parameters that a run sets; a take-off ends at `height_m`."""
-    found: dict[str, float] = {
+    values: dict[str, float] = {
         "MAV_SYS_ID": 1,
         "COM_RC_IN_MODE": RC_DISABLED,
         "MIS_TAKEOFF_ALT": height_m,
@@ -33,22 +33,24 @@ def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
     if offset_pa is not None:
         # The calibration of an operator: PX4 would take a plane with an offset for flying, and
         # loiter at once. For PX4, zero means not calibrated.
-        found["SENS_DPRES_OFF"] = offset_pa or MIN_OFFSET_PA
+        values["SENS_DPRES_OFF"] = offset_pa or MIN_OFFSET_PA
     vehicle = simulation.vehicle
     if not isinstance(vehicle, Multirotor):
-        return found | PLANE_PARAMETERS
+        return values | PLANE_PARAMETERS
     # The default radius of 10 m would cut the corners of small shapes.
-    return found | {"NAV_ACC_RAD": ACCEPTANCE_RADIUS_M} | rotor_parameters(vehicle)
+    return values | {"NAV_ACC_RAD": ACCEPTANCE_RADIUS_M} | rotor_parameters(vehicle)
 
 
 def rotor_parameters(vehicle: Multirotor) -> dict[str, float]:
     """Return positions and spin directions of the rotors, in the simulator's order."""
     motor = vehicle.parameters.motor
-    found: dict[str, float] = {"CA_ROTOR_COUNT": len(vehicle.parameters.rotors)}
+    values: dict[str, float] = {"CA_ROTOR_COUNT": len(vehicle.parameters.rotors)}
     for number, rotor in enumerate(vehicle.parameters.rotors):
-        found[f"CA_ROTOR{number}_PX"] = rotor.x_m
-        found[f"CA_ROTOR{number}_PY"] = rotor.y_m
-        along = motor.torque_per_thrust_m if rotor.turns == "ccw" else -motor.torque_per_thrust_m
-        found[f"CA_ROTOR{number}_KM"] = along
-        found[f"PWM_MAIN_FUNC{number + 1}"] = MOTOR_FUNCTION + number
-    return found
+        values[f"CA_ROTOR{number}_PX"] = rotor.x_m
+        values[f"CA_ROTOR{number}_PY"] = rotor.y_m
+        moment_ratio = (
+            motor.torque_per_thrust_m if rotor.turns == "ccw" else -motor.torque_per_thrust_m
+        )
+        values[f"CA_ROTOR{number}_KM"] = moment_ratio
+        values[f"PWM_MAIN_FUNC{number + 1}"] = MOTOR_FUNCTION + number
+    return values

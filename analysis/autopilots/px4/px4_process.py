@@ -56,16 +56,16 @@ def launch_command(binary: str) -> list[str]:
     ConfigError
         If the binary or its start scripts are missing.
     """
-    words = shlex.split(binary)
-    found = shutil.which(words[0]) if words else None
-    scripts = Path(found).resolve().parent.parent / "etc" if found else None
-    if found is None or scripts is None or not (scripts / "init.d-posix" / "rcS").is_file():
-        wrong = "not found" if found is None else f"has no {scripts}/init.d-posix/rcS"
+    arguments = shlex.split(binary)
+    path = shutil.which(arguments[0]) if arguments else None
+    scripts = Path(path).resolve().parent.parent / "etc" if path else None
+    if path is None or scripts is None or not (scripts / "init.d-posix" / "rcS").is_file():
+        problem = "not found" if path is None else f"has no {scripts}/init.d-posix/rcS"
         raise ConfigError(
-            f"--binary: {binary!r} {wrong}; give PX4's SITL binary, which "
+            f"--binary: {binary!r} {problem}; give PX4's SITL binary, which "
             "`make px4_sitl_default` leaves in build/px4_sitl_default/bin/px4"
         )
-    return [str(Path(found).resolve()), *words[1:], "-d", str(scripts)]
+    return [str(Path(path).resolve()), *arguments[1:], "-d", str(scripts)]
 
 
 @contextlib.contextmanager
@@ -73,28 +73,28 @@ def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
     """Open the commands for PX4; MAVSDK is slow to import."""
     from analysis.autopilots.px4.mavsdk_commands import MavsdkCommands
 
-    with contextlib.closing(MavsdkCommands(flight_plan(simulation).landing)) as found:
-        yield found
+    with contextlib.closing(MavsdkCommands(flight_plan(simulation).landing)) as commands:
+        yield commands
 
 
 @contextlib.contextmanager
 def start_autopilot(
-    words: Sequence[str], simulation: Simulation, folder: Path, own: dict[str, float]
+    arguments: Sequence[str], simulation: Simulation, folder: Path, overrides: dict[str, float]
 ) -> Iterator[RunningAutopilot]:
-    """Start PX4 in its own folder, with the user's `own` parameters; it ends with the flight."""
-    place = (folder / "autopilot").resolve()
-    place.mkdir(parents=True, exist_ok=True)
+    """Start PX4 in its own folder, with parameter `overrides`; it ends with the flight."""
+    work_folder = (folder / "autopilot").resolve()
+    work_folder.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         instance, hil = open_free_instance()
         stack.callback(hil.close)
         telemetry = stack.enter_context(contextlib.closing(UdpServer(LOOPBACK, 0)))
-        (place / "px4-rc.mavlink").write_text(stream_script(free_udp_port(), telemetry.port))
-        path = place / "px4.log"
+        (work_folder / "px4-rc.mavlink").write_text(stream_script(free_udp_port(), telemetry.port))
+        path = work_folder / "px4.log"
         with path.open("wb") as log:
             process = subprocess.Popen(
-                [*words, "-i", str(instance), "-w", str(place)],
-                env=process_environment(simulation, place, own),
-                cwd=place,
+                [*arguments, "-i", str(instance), "-w", str(work_folder)],
+                env=process_environment(simulation, work_folder, overrides),
+                cwd=work_folder,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -138,12 +138,12 @@ def stream_script(local: int, remote: int) -> str:
 
 
 def process_environment(
-    simulation: Simulation, place: Path, own: dict[str, float]
+    simulation: Simulation, folder: Path, overrides: dict[str, float]
 ) -> dict[str, str]:
-    """Return PX4's environment; `own` parameters override those of the run."""
+    """Return PX4's environment; `overrides` parameters override those of the run."""
     # Without the PX4_* variables of the user's shell: they may select another simulator.
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
-    kept["PATH"] = f"{place}{os.pathsep}{kept.get('PATH', os.defpath)}"
-    kept["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]
-    values = run_parameters(simulation, flight_plan(simulation).height_m) | own
-    return kept | {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in values.items()}
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
+    variables["PATH"] = f"{folder}{os.pathsep}{variables.get('PATH', os.defpath)}"
+    variables["PX4_SIM_MODEL"] = AIRFRAMES[simulation.scenario.vehicle.kind]
+    values = run_parameters(simulation, flight_plan(simulation).height_m) | overrides
+    return variables | {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in values.items()}

@@ -32,16 +32,18 @@ def run_autopilot_cell(
     """
     started_s = time.monotonic()
     for _ in range(MAX_TRIES):
-        flown = run_flight_process(subject, run, schedule, folder, kept=kept)
-        summary = json.loads((flown / "summary.json").read_text())
+        run_folder = run_flight_process(subject, run, schedule, folder, kept=kept)
+        summary = json.loads((run_folder / "summary.json").read_text())
         took_off = "take-off" in summary["autopilot"]["moments_s"]
         # A flight counts only if it took off and its fault acted.
         if took_off and (summary["faults"] or not schedule["faults"]):
-            evidence, flown_s = collect_evidence(flown)
+            evidence, flight_s = collect_evidence(run_folder)
             wall_s = time.monotonic() - started_s
             verdict = monitor_verdict(summary["faults"])
-            return CampaignFlight({subject: evidence}, {}, flown_s, wall_s, str(flown), verdict)
-        shutil.rmtree(flown)
-    what = "the fault never acted" if took_off else "the vehicle did not take off"
-    why = summary["autopilot"]["ended_early"]
-    raise ConfigError(f"{subject}: {what} in {MAX_TRIES} tries; {why}")
+            return CampaignFlight(
+                {subject: evidence}, {}, flight_s, wall_s, str(run_folder), verdict
+            )
+        shutil.rmtree(run_folder)
+    problem = "the fault never acted" if took_off else "the vehicle did not take off"
+    reason = summary["autopilot"]["ended_early"]
+    raise ConfigError(f"{subject}: {problem} in {MAX_TRIES} tries; {reason}")

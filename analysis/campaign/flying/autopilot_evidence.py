@@ -84,18 +84,18 @@ def path_curves(truth: LogRows, since: Any) -> dict[str, EvidenceCurve]:
     # About 10 Hz, since thousands of flights are stored.
     every = max(1, round(_rate_hz(truth) / TRACK_HZ))
     t_s = since(truth["t_us"])[::every]
-    flown = t_s >= 0.0
+    airborne = t_s >= 0.0
     lat, lon = (np.radians(truth[name][::every] * 1e-7) for name in ("lat", "lon"))
     meridian_m, normal_m = curvature_radii(float(lat[0]))
-    places = (
+    axes = (
         (lat - lat[0]) * meridian_m,
         (lon - lon[0]) * normal_m * np.cos(lat[0]),
         (truth["alt"][::every] - truth["alt"][0]) * 1e-3,
     )
-    times = t_s[flown].round(3).tolist()
+    times = t_s[airborne].round(3).tolist()
     return {
-        name: EvidenceCurve(times, place[flown].round(3).tolist())
-        for name, place in zip(PATH, places, strict=True)
+        name: EvidenceCurve(times, values[airborne].round(3).tolist())
+        for name, values in zip(PATH, axes, strict=True)
     }
 
 
@@ -108,12 +108,12 @@ def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
     """Return a mark for each change of the flight mode."""
     rows = columns["HEARTBEAT"]
     rows = rows[rows["autopilot"] != NO_AUTOPILOT]
-    marks, before = [], None
+    marks, previous = [], None
     for t_s, row in zip(since(rows["t_us"]).tolist(), rows, strict=True):
         name = mode_name(int(row["autopilot"]), int(row["type"]), int(row["custom_mode"]))
-        if before is not None and name != before:
+        if previous is not None and name != previous:
             marks.append(FlightMark(round(t_s, 3), "failsafe", name))
-        before = name
+        previous = name
     return marks
 
 
@@ -124,8 +124,8 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
         rows = columns["STATUSTEXT"]
         rows = rows[(rows["severity"] <= WARNING) & (rows["component"] == 1)]
         for t_s, text in zip(since(rows["t_us"]).tolist(), rows["text"], strict=True):
-            words = bytes(text).split(b"\0")[0].decode("utf-8", "replace")
-            marks.append(FlightMark(round(t_s, 3), "detected", words))
+            message = bytes(text).split(b"\0")[0].decode("utf-8", "replace")
+            marks.append(FlightMark(round(t_s, 3), "detected", message))
     for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
         if name in columns:
             # Each value is compared with the previous one.
@@ -147,16 +147,18 @@ def ground_marks(truth: LogRows, since: Any, landed: bool) -> list[FlightMark]:
     # The angle between the body's and the true vertical.
     tilt_deg = np.degrees(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
     marks = []
-    up = np.flatnonzero((t_s > 0.0) & (height_m > AIRBORNE_M))
-    lost = up[tilt_deg[up] > LOST_TILT_DEG]
+    airborne = np.flatnonzero((t_s > 0.0) & (height_m > AIRBORNE_M))
+    lost = airborne[tilt_deg[airborne] > LOST_TILT_DEG]
     if len(lost):
         marks.append(
             FlightMark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
         )
     # On the ground again, after having been airborne.
-    down = np.flatnonzero((np.arange(len(t_s)) > (up[0] if len(up) else 0)) & (height_m < GROUND_M))
-    if len(up) and len(down):
-        at = down[0]
+    grounded = np.flatnonzero(
+        (np.arange(len(t_s)) > (airborne[0] if len(airborne) else 0)) & (height_m < GROUND_M)
+    )
+    if len(airborne) and len(grounded):
+        at = grounded[0]
         # In the second before touchdown, since the contact itself stops the descent.
         window = slice(max(0, at - round(_rate_hz(truth))), at + 1)
         speed_mps = float(truth["vz"][window].max()) * 1e-2

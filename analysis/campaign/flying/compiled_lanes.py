@@ -46,10 +46,10 @@ def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
     excursion_deg = largest_deg[1:] - largest_deg[0]
     # Every cell gets an equal share of the batch's time.
     wall_s = (time.monotonic() - started_s) / len(cells)
-    found = []
+    results = []
     for cell, beyond, limit in zip(cells, excursion_deg, outcome.broken_limit[1:], strict=True):
         kinds = {"crashed"} if limit > 0 else set()
-        found.append(
+        results.append(
             CellResult(
                 cell=cell,
                 outcome=outcome_of(float(beyond), 0.0, kinds, campaign.limits),
@@ -59,7 +59,7 @@ def run_lanes(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResult]
                 wall_s=wall_s,
             )
         )
-    return found
+    return results
 
 
 def lane_test_file(campaign: CampaignFile, cell: Cell) -> TestFile:

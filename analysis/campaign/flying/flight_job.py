@@ -66,29 +66,29 @@ def run_job(job: Job) -> JobAnswer:
     onset_s = onset_time_s(first, job.reference)
     if onset_s is None:
         return aborted_answer(job, f"the flight has no {first.onset}")
-    flown = run_cell_flight(job, onset_s)
+    flight = run_cell_flight(job, onset_s)
     if job.reference is None:
-        return JobAnswer([], flown)
+        return JobAnswer([], flight)
     results = [
         msgspec.structs.replace(
             classify_flight(
                 cell,
                 onset_s,
-                flown.evidence[cell.subject],
+                flight.evidence[cell.subject],
                 job.reference.evidence.get(cell.subject, Evidence()),
                 job.campaign.limits,
             ),
-            verdict=flown.verdict.word,
-            blamed=flown.verdict.blamed,
-            verdict_s=flown.verdict.delay_s,
-            wall_s=flown.wall_s,
+            verdict=flight.verdict.word,
+            blamed=flight.verdict.blamed,
+            verdict_s=flight.verdict.delay_s,
+            wall_s=flight.wall_s,
         )
         for cell in job.cells
     ]
     # Logs are removed afterwards, once the outcome is known.
     if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
         shutil.rmtree(job.keep)
-    return JobAnswer(results, flown)
+    return JobAnswer(results, flight)
 
 
 def _interesting(results: list[CellResult]) -> bool:
@@ -101,12 +101,12 @@ def aborted_answer(job: Job, reason: str) -> JobAnswer:
     return JobAnswer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
 
 
-def onset_time_s(cell: Cell, twin: CampaignFlight | None) -> float | None:
+def onset_time_s(cell: Cell, reference: CampaignFlight | None) -> float | None:
     """Return the onset of the fault [s]; None if the reference flight lacks the phase."""
     if not isinstance(cell.onset, str):
         return float(cell.onset)
     # In the reference flight, since the fault may keep its own flight from reaching the phase.
-    return None if twin is None else twin.phases.get(cell.onset)
+    return None if reference is None else reference.phases.get(cell.onset)
 
 
 def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:

@@ -60,13 +60,13 @@ def run_simulated_flight(
                 results += monitor.push_bytes([bytes(batch)], datagrams=False)
                 batch.clear()
             truth = flight.simulation.truth
-            place = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
-            track.append((flight.vehicle_us, *place))
+            position_ecef_m = ecef_from_geodetic(truth.lat_rad, truth.lon_rad, truth.height_m)
+            track.append((flight.vehicle_us, *position_ecef_m))
             phases.track(flight.t_us * 1e-6, truth)
     batch += flight.finish().monitor
     results += monitor.push_bytes([bytes(batch)], datagrams=False)
     t0_us = flight.core.clock.t0_us or 0
-    found = {
+    evidence = {
         name: monitor_evidence(results, np.array(track), t0_us)
         if name == MONITOR
         else estimator_evidence(results, name, t0_us)
@@ -78,7 +78,7 @@ def run_simulated_flight(
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
     wall_s = time.monotonic() - started_s
     verdict = monitor_verdict(summary["faults"])
-    return CampaignFlight(found, phases.begin_s, scenario.duration_s, wall_s, verdict=verdict)
+    return CampaignFlight(evidence, phases.begin_s, scenario.duration_s, wall_s, verdict=verdict)
 
 
 def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:

@@ -66,21 +66,21 @@ def compare_folders(before: Path, after: Path) -> int:
         for folder in (before, after)
     )
     # No common cell is a mistake of the user, not "nothing changed".
-    found = compare_results(old, new)
-    if not found:
+    changes = compare_results(old, new)
+    if not changes:
         raise ConfigError(
             f"{before} and {after}: no common cells; fly the same campaign file twice"
         )
     console = Console(markup=False)
-    console.print(_table(found))
-    for change in found:
+    console.print(_table(changes))
+    for change in changes:
         if change.regressed:
-            for was, is_now in change.examples:
+            for earlier, later in change.examples:
                 console.print(
-                    f"{is_now.cell.key}: {was.outcome} -> {is_now.outcome}", soft_wrap=True
+                    f"{later.cell.key}: {earlier.outcome} -> {later.outcome}", soft_wrap=True
                 )
-    regressed = [change for change in found if change.regressed]
-    console.print(f"{len(regressed)} of {len(found)} got worse")
+    regressed = [change for change in changes if change.regressed]
+    console.print(f"{len(regressed)} of {len(changes)} got worse")
     return int(bool(regressed))
 
 
@@ -89,27 +89,27 @@ def compare_results(
 ) -> list[FaultChange]:
     """Compare all common subjects and faults; regressions come first."""
     groups: dict[tuple[str, str], list[tuple[CellResult, CellResult]]] = defaultdict(list)
-    for key, was in old.items():
-        is_now = new.get(key)
+    for key, earlier in old.items():
+        later = new.get(key)
         # An aborted cell says nothing about the subject.
-        if is_now is not None and ABORTED not in (was.outcome, is_now.outcome):
-            groups[was.cell.subject, was.cell.fault].append((was, is_now))
-            groups[was.cell.subject, ALL_FAULTS].append((was, is_now))
+        if later is not None and ABORTED not in (earlier.outcome, later.outcome):
+            groups[earlier.cell.subject, earlier.cell.fault].append((earlier, later))
+            groups[earlier.cell.subject, ALL_FAULTS].append((earlier, later))
     faults = [subject for subject, fault in groups if fault != ALL_FAULTS]
     for subject in set(faults):
         # With a single fault, the sum would be the same test again.
         if faults.count(subject) == 1:
             del groups[subject, ALL_FAULTS]
-    found = [_change(names, pairs) for names, pairs in groups.items()]
+    changes = [_change(names, pairs) for names, pairs in groups.items()]
     # All at once: the correction depends on the number of tests.
-    corrected = holm_correction([change.p_value for change in found])
-    found = [c._replace(p_value=p) for c, p in zip(found, corrected, strict=True)]
-    return sorted(found, key=lambda change: (change.p_value, -change.worse))
+    corrected = holm_correction([change.p_value for change in changes])
+    changes = [c._replace(p_value=p) for c, p in zip(changes, corrected, strict=True)]
+    return sorted(changes, key=lambda change: (change.p_value, -change.worse))
 
 
 def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult]]) -> FaultChange:
-    signs = [(compare_pair(was, is_now), was, is_now) for was, is_now in pairs]
-    worse = [(was, is_now) for s, was, is_now in signs if s > 0]
+    signs = [(compare_pair(earlier, later), earlier, later) for earlier, later in pairs]
+    worse = [(earlier, later) for s, earlier, later in signs if s > 0]
     better = sum(s < 0 for s, _, _ in signs)
     differ = len(worse) + better
     # One-sided, since an improvement must not fail. Without a difference there is nothing to test.
@@ -121,15 +121,15 @@ def _change(names: tuple[str, str], pairs: Sequence[tuple[CellResult, CellResult
     return FaultChange(*names, len(pairs), len(worse), better, float(p), tuple(worse[:3]))
 
 
-def compare_pair(was: CellResult, is_now: CellResult) -> int:
+def compare_pair(earlier: CellResult, later: CellResult) -> int:
     """Return 1 if worse, -1 if better: by outcome, and for equal outcomes by excursion."""
-    step = outcome_rank(is_now.outcome) - outcome_rank(was.outcome)
+    step = outcome_rank(later.outcome) - outcome_rank(earlier.outcome)
     if step:
         return 1 if step > 0 else -1
     # Angles first; if they are equal within the tolerance, positions decide.
     for before, after in (
-        (was.excursion_deg, is_now.excursion_deg),
-        (was.excursion_m, is_now.excursion_m),
+        (earlier.excursion_deg, later.excursion_deg),
+        (earlier.excursion_m, later.excursion_m),
     ):
         if before is not None and after is not None:
             # Small excursions vary by noise, large ones in proportion: use the larger tolerance.
@@ -150,12 +150,12 @@ def holm_correction(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _table(found: Sequence[FaultChange]) -> Table:
+def _table(changes: Sequence[FaultChange]) -> Table:
     table = Table(box=None, pad_edge=False)
     for name in ("subject", "fault", "pairs", "worse", "better", "p", ""):
         table.add_column(name)
-    for change in found:
-        word = Text("worse" if change.regressed else "", "red")
+    for change in changes:
+        mark = Text("worse" if change.regressed else "", "red")
         numbers = (str(change.pairs), str(change.worse), str(change.better))
-        table.add_row(change.subject, change.fault, *numbers, f"{change.p_value:.3g}", word)
+        table.add_row(change.subject, change.fault, *numbers, f"{change.p_value:.3g}", mark)
     return table

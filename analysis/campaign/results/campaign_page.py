@@ -36,10 +36,10 @@ def render_campaign_page(
     plan: CampaignPlan,
     results: Sequence[CellResult],
     curves: Sequence[CellEvidence],
-    twins: dict[str, Evidence],
+    references: dict[str, Evidence],
     reload_s: float | None = None,
 ) -> str:
-    """Return the HTML; `twins` is the evidence of reference flights by `subject|scenario|seed`.
+    """Return the HTML; `references`: evidence of reference flights by `subject|scenario|seed`.
 
     With `reload_s` the campaign is running: the page shows its progress and reloads itself.
     """
@@ -57,7 +57,7 @@ def render_campaign_page(
         "curves": {
             numbers[item.key]: _curves(item.evidence) for item in curves if item.key in numbers
         },
-        "twins": {key: _curves(evidence) for key, evidence in twins.items()},
+        "twins": {key: _curves(evidence) for key, evidence in references.items()},
     }
     # `</script>` inside a string would end the block.
     text = json.dumps(model, allow_nan=False).replace("<", "\\u003c")
@@ -122,12 +122,12 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
     schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
     autopilot = campaign.autopilot(cell.subject)
-    words = ["mavproxy-fault", "run", *campaign.scenario_arguments(cell.scenario)]
-    words += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
+    arguments = ["mavproxy-fault", "run", *campaign.scenario_arguments(cell.scenario)]
+    arguments += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is not None:
-        words += autopilot.options(campaign.folder)
-    words.append("--ui")
-    return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(words)}"
+        arguments += autopilot.options(campaign.folder)
+    arguments.append("--ui")
+    return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(arguments)}"
 
 
 def _curves(evidence: Evidence) -> dict[str, list[list[float]]]:
@@ -146,11 +146,11 @@ def _thinned(curve: EvidenceCurve) -> tuple[list[float], list[float]]:
     )
 
 
-def _progress_html(flown: int, cells: int) -> str:
+def _progress_html(completed: int, cells: int) -> str:
     """Return the progress bar of a running campaign."""
     return (
-        f'<p role="status"><progress max="{cells}" value="{flown}" aria-label="Cells flown">'
-        f"</progress> {flown} of {cells} cells completed; the page reloads itself.</p>"
+        f'<p role="status"><progress max="{cells}" value="{completed}" aria-label="Progress">'
+        f"</progress> {completed} of {cells} cells completed; the page reloads itself.</p>"
     )
 
 
@@ -170,16 +170,16 @@ def _reactions_html(grid: Sequence[GridRow]) -> str:
     """Return the table of detection delays and recovery times by subject and fault."""
     rows = []
     for row in grid:
-        found = [result for cell in row.cells for result in cell.results]
-        delays = [r.detected_s for r in found if r.detected_s is not None]
-        recoveries = [r.recovery_s for r in found if r.recovery_s is not None]
+        row_results = [result for cell in row.cells for result in cell.results]
+        delays = [r.detected_s for r in row_results if r.detected_s is not None]
+        recoveries = [r.recovery_s for r in row_results if r.recovery_s is not None]
         # Only degraded or worse flights can recover.
-        degraded = sum(outcome_rank(r.outcome) >= outcome_rank("degraded") for r in found)
+        degraded = sum(outcome_rank(r.outcome) >= outcome_rank("degraded") for r in row_results)
         rows.append(
             (
                 row.subject,
                 row.fault,
-                f"{len(delays)} of {len(found)}",
+                f"{len(delays)} of {len(row_results)}",
                 f"{median(delays):.2f}" if delays else "",
                 f"{len(recoveries)} of {degraded}",
                 f"{median(recoveries):.2f}" if recoveries else "",

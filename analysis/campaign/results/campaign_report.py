@@ -49,16 +49,16 @@ def write_page(
     # Curves are large, so the page has those of the worst flights only.
     shown = {r.cell.key for r in sorted(results, key=severity_key, reverse=True)[:MAX_CURVES]}
     curves = [item for item in read_lines(folder / CURVES, CellEvidence) if item.key in shown]
-    twins = {
+    references = {
         # The page needs subject, scenario and seed as key; the results store has one per flight.
         f"{subject}|{key.partition('|')[2]}": evidence
-        for key, flown in (
-            (twin.key, twin.flown)
-            for twin in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
+        for key, flight in (
+            (record.key, record.flown)
+            for record in read_lines(folder / REFERENCE_FLIGHTS, ReferenceFlightRecord)
         )
-        for subject, evidence in flown.evidence.items()
+        for subject, evidence in flight.evidence.items()
     }
-    text = render_campaign_page(plan, results, curves, twins, reload_s)
+    text = render_campaign_page(plan, results, curves, references, reload_s)
     # Replaced as one, since a browser may load it at any time.
     write_atomic(folder / "campaign.html", text)
     return campaign, results
@@ -66,15 +66,15 @@ def write_page(
 
 def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
     """Return outcome counts by subject and fault, and the critical magnitudes if searched."""
-    found: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
+    summary: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
         by_fault = counts.setdefault(result.cell.subject, {})
         by_fault.setdefault(result.cell.fault, Counter())[result.outcome] += 1
-    found["outcomes"] = counts
+    summary["outcomes"] = counts
     if plan.campaign.find == "critical":
         known = {result.cell.key: result for result in results}
-        found["critical"] = [
+        summary["critical"] = [
             {
                 "series": series,
                 "magnitude": c.magnitude,
@@ -83,7 +83,7 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
             }
             for series, c in plan.critical_magnitudes(known).items()
         ]
-    return found
+    return summary
 
 
 def write_csv(path: Path, results: list[CellResult]) -> None:
@@ -132,5 +132,5 @@ def write_junit(path: Path, name: str, results: list[CellResult], limits: Outcom
 def describe_excursions(result: CellResult) -> str:
     """Describe the excursions beyond the reference flight."""
     angle = None if result.excursion_deg is None else f"{result.excursion_deg:.3g} degrees"
-    place = None if result.excursion_m is None else f"{result.excursion_m:.3g} m"
-    return " and ".join(filter(None, (angle, place))) + " beyond the reference flight"
+    position = None if result.excursion_m is None else f"{result.excursion_m:.3g} m"
+    return " and ".join(filter(None, (angle, position))) + " beyond the reference flight"

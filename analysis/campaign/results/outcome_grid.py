@@ -41,17 +41,20 @@ class GridRow(NamedTuple):
 
 def outcome_grid(results: Sequence[CellResult], campaign: CampaignFile) -> list[GridRow]:
     """Return the rows in the order of the campaign file."""
-    found: dict[tuple[str, str], dict[float | None, list[CellResult]]] = defaultdict(
+    groups: dict[tuple[str, str], dict[float | None, list[CellResult]]] = defaultdict(
         lambda: defaultdict(list)
     )
     for result in results:
         cell = result.cell
-        found[cell.subject, cell.fault][cell.magnitude].append(result)
+        groups[cell.subject, cell.fault][cell.magnitude].append(result)
     return [
         # A fault without a magnitude has one column.
-        GridRow(*names, tuple(_cell(m, by[m]) for m in sorted(by, key=lambda m: m or 0.0)))
+        GridRow(
+            *names,
+            tuple(_cell(m, by_magnitude[m]) for m in sorted(by_magnitude, key=lambda m: m or 0.0)),
+        )
         for names in product(campaign.subject_names, [fault.name for fault in campaign.faults])
-        if (by := found.get(names))
+        if (by_magnitude := groups.get(names))
     ]
 
 
@@ -72,5 +75,5 @@ def failsafe_share(results: Sequence[CellResult]) -> float | None:
     """
     bad = [r for r in results if outcome_rank(r.outcome) >= outcome_rank("failsafe")]
     # An estimator neither lands nor crashes, and has no failsafe.
-    flown = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
-    return sum(bool(r.failsafe) for r in bad) / len(bad) if flown else None
+    has_autopilot = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
+    return sum(bool(r.failsafe) for r in bad) / len(bad) if has_autopilot else None

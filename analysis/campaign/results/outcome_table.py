@@ -53,6 +53,6 @@ def _criticals(plan: CampaignPlan, known: dict[str, object]) -> Table:
     for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
         table.add_column(name)
     for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]
-        found = "none" if critical.magnitude is None else f"{critical.magnitude:.4g}"
-        table.add_row(*series, found, str(critical.flights))
+        text = "none" if critical.magnitude is None else f"{critical.magnitude:.4g}"
+        table.add_row(*series, text, str(critical.flights))
     return table

@@ -1,6 +1,6 @@
-"""A scenario under an autopilot: recorded ones that die, and real ones where there are any.
+"""A scenario under an autopilot: recorded ones that die, and real ones if available.
 
-A real ArduCopter is flown where MAVPROXY_FAULT_ARDUPILOT names its SITL program, a real PX4 where
+A real ArduCopter flies if MAVPROXY_FAULT_ARDUPILOT names its SITL binary, a real PX4 if
 MAVPROXY_FAULT_PX4 does.
 """
 
@@ -46,7 +46,7 @@ IMU_HZ = {"ardupilot": 400, "px4": 250}
 
 @pytest.fixture
 def run(tmp_path):
-    """Begins runs; those that a test leaves behind end with it."""
+    """Starts runs, and ends those that a test leaves behind."""
     with contextlib.ExitStack() as stack:
 
         def begin(*options, scenario=None, autopilot="ardupilot"):
@@ -62,7 +62,7 @@ def run(tmp_path):
                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                 start_new_session=True,
             )  # fmt: skip
-            stack.enter_context(process)  # waits, and closes what it said
+            stack.enter_context(process)  # waits, and closes its output
             stack.callback(process.kill)
             return process
 
@@ -71,29 +71,29 @@ def run(tmp_path):
 
 @pytest.fixture
 def recorded_px4(tmp_path) -> str:
-    """A build of PX4 whose program is the stand-in."""
-    program = tmp_path / "px4" / "bin" / "px4"
-    (program.parent.parent / "etc" / "init.d-posix").mkdir(parents=True)
-    (program.parent.parent / "etc" / "init.d-posix" / "rcS").touch()
-    program.parent.mkdir()
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} {PX4_STAND_IN} "$@"\n')
-    program.chmod(0o755)
-    return str(program)
+    """A build of PX4 whose binary is the stand-in."""
+    binary = tmp_path / "px4" / "bin" / "px4"
+    (binary.parent.parent / "etc" / "init.d-posix").mkdir(parents=True)
+    (binary.parent.parent / "etc" / "init.d-posix" / "rcS").touch()
+    binary.parent.mkdir()
+    binary.write_text(f'#!/bin/sh\nexec {sys.executable} {PX4_STAND_IN} "$@"\n')
+    binary.chmod(0o755)
+    return str(binary)
 
 
-def fly_until(process, word):
-    """Read what the run says until a word is in it."""
+def fly_until(process, text):
+    """Read the output of the run until a line contains the text."""
     for line in process.stdout:
-        if word in line:
+        if text in line:
             return
-    raise AssertionError(f"it never said {word}")
+    raise AssertionError(f"the run did not print {text}")
 
 
 @pytest.fixture
 def px4() -> str:
     path = os.environ.get("MAVPROXY_FAULT_PX4")
     if path is None or shutil.which(path) is None:
-        pytest.skip("no PX4; set MAVPROXY_FAULT_PX4 to its SITL program")
+        pytest.skip("no PX4; set MAVPROXY_FAULT_PX4 to its SITL binary")
     return path
 
 
@@ -101,12 +101,12 @@ def px4() -> str:
 def arducopter() -> str:
     path = os.environ.get("MAVPROXY_FAULT_ARDUPILOT")
     if path is None or shutil.which(path) is None:
-        pytest.skip("no ArduCopter; set MAVPROXY_FAULT_ARDUPILOT to its SITL program")
+        pytest.skip("no ArduCopter; set MAVPROXY_FAULT_ARDUPILOT to its SITL binary")
     return path
 
 
 def autopilot_of(process):
-    """ArduCopter's process id, once the vehicle flies."""
+    """Return ArduCopter's process id, once the vehicle flies."""
     fly_until(process, "flying")
     for number in children(process.pid):
         if "arducopter" in Path(f"/proc/{number}/comm").read_text():
@@ -118,49 +118,49 @@ def children(number):
     return [int(n) for n in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
-def test_a_missing_program_is_told_with_what_to_do(run):
+def test_a_missing_binary_is_reported_with_the_cure(run):
     process = run("--binary", "no-such-autopilot")
-    said, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "--binary: 'no-such-autopilot' is no program; give ArduPilot's SITL binary" in said
+    assert "--binary: 'no-such-autopilot' is no program; give ArduPilot's SITL binary" in output
 
 
-def test_a_moment_that_no_flight_has_is_refused(run):
+def test_an_unknown_flight_event_is_refused(run):
     process = run("--binary", sys.executable, "--from", "breakfast")
-    said, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "--from breakfast: is no moment of a flight; known: first-stamp, arming" in said
+    assert "--from breakfast: is not a flight event; known: first-stamp, arming" in output
 
 
 def test_a_start_in_the_air_is_refused(run):
     scenario = SCENARIO.format(duration_s=12) + "start: {height_m: 30}\n"
     process = run("--binary", sys.executable, scenario=scenario)
-    said, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "start.height_m = 30 is in the air" in said
+    assert "start.height_m = 30 starts in the air" in output
 
 
 def test_a_vehicle_that_is_not_the_scenarios_is_refused(run):
     process = run("--binary", "true", autopilot="ardupilot:plane")
-    said, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "the scenario's vehicle is a multirotor, which arducopter flies" in said
+    assert "the scenario's vehicle is a multirotor; it needs arducopter" in output
 
 
 def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, run):
-    program = tmp_path / "autopilot.sh"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
-    program.chmod(0o755)
-    process = run("--binary", str(program))
-    said, _ = process.communicate(timeout=240)
+    binary = tmp_path / "autopilot.sh"
+    binary.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
+    binary.chmod(0o755)
+    process = run("--binary", str(binary))
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 1
-    assert "the flight ended early: " in said
-    assert "the autopilot's program ended with exit code 3" in said
+    assert "the flight ended early: " in output
+    assert "the autopilot's program ended with exit code 3" in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert not summary["autopilot"]["landed"]
     assert summary["verdict"] == "FAIL"
     (unmet,) = [check for check in summary["criteria"] if not check["passed"]]
-    assert unmet["name"] == "flown to the landing"
+    assert unmet["name"] == "flight completed"
     assert unmet["value"] == summary["autopilot"]["ended_early"]
     assert escape(unmet["value"]) in (tmp_path / "out" / "report.html").read_text()
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) > 100
@@ -168,10 +168,10 @@ def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path
 
 def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducopter, run):
     process = run("--binary", arducopter)
-    said, _ = process.communicate(timeout=600)
+    output, _ = process.communicate(timeout=600)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     flown = summary["autopilot"]
-    assert flown["landed"], said
+    assert flown["landed"], output
     (fault,) = summary["faults"]
     first_s = flown["moments_s"]["first-stamp"]
     assert fault["start_s"] == pytest.approx(
@@ -185,17 +185,17 @@ def test_a_real_arducopter_takes_off_meets_the_fault_and_lands(tmp_path, arducop
     assert list((tmp_path / "out" / "autopilot" / "logs").glob("*.BIN"))
 
 
-def test_a_real_arducopter_killed_in_flight_is_told(tmp_path, arducopter, run):
+def test_a_real_arducopter_killed_in_flight_is_reported(tmp_path, arducopter, run):
     process = run("--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
     os.kill(autopilot_of(process), signal.SIGKILL)
-    said, _ = process.communicate(timeout=240)
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 1
-    assert "ArduPilot ended by signal 9" in said
-    assert "the flight ended early: " in said
+    assert "ArduPilot ended by signal 9" in output
+    assert "the flight ended early: " in output
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_run_killed_in_flight_takes_its_arducopter_along(tmp_path, arducopter, run):
+def test_a_run_killed_in_flight_ends_its_arducopter(tmp_path, arducopter, run):
     process = run("--binary", arducopter, scenario=SCENARIO.format(duration_s=600))
     with open(os.pidfd_open(autopilot_of(process)), "rb", buffering=0) as autopilot:
         process.kill()
@@ -207,12 +207,12 @@ def test_a_run_killed_in_flight_takes_its_arducopter_along(tmp_path, arducopter,
 
 def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recorded_px4, run):
     process = run("--binary", recorded_px4, "--no-report", autopilot="px4")
-    said, _ = process.communicate(timeout=240)
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 1
     assert not (tmp_path / "out" / "report.html").exists()
-    assert "the autopilot closed the link" in said
-    assert "PX4 said: there is no more" in said
-    assert "Traceback" not in said
+    assert "the autopilot closed the link" in output
+    assert "last output of PX4: there is no more" in output
+    assert "Traceback" not in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert not summary["autopilot"]["landed"]
     assert [text for _, text in summary["autopilot"]["texts"]]  # of the recorded telemetry
@@ -224,14 +224,14 @@ def test_a_request_to_stop_ends_the_flight_with_a_report(tmp_path, recorded_px4,
     process = run("--binary", recorded_px4, "--speed", "0.5", autopilot="px4")
     fly_until(process, "in lockstep")
     os.killpg(process.pid, number)  # as a terminal and a container do
-    said, _ = process.communicate(timeout=240)
-    assert process.returncode == 1, said
-    assert "the flight ended early: stopped" in said
-    assert "Traceback" not in said
+    output, _ = process.communicate(timeout=240)
+    assert process.returncode == 1, output
+    assert "the flight ended early: stopped" in output
+    assert "Traceback" not in output
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4, run):
+def test_a_flight_is_published_and_faults_are_armed_over_the_bus(tmp_path, recorded_px4, run):
     url = choose_free_port("tcp/127.0.0.1:0")
     options = ("--binary", recorded_px4, "--speed", "0.5", "--zenoh", url, "--no-report")
     process = run(*options, autopilot="px4")
@@ -245,27 +245,25 @@ def test_a_flight_is_watched_and_faulted_from_the_bus(tmp_path, recorded_px4, ru
         while b'"live"' not in states.get(timeout=60.0):
             pass
     os.killpg(process.pid, signal.SIGINT)
-    said, _ = process.communicate(timeout=240)
-    assert "the flight ended early: stopped" in said
+    output, _ = process.communicate(timeout=240)
+    assert "the flight ended early: stopped" in output
     (label,) = read_labels(tmp_path / "out" / "labels.jsonl")
     assert label.id == "live"
     assert label.frames > 0
-    # What others asked for is told, and that the schedule began is not.
+    # Edits over the bus are reported, but not the loading of the schedule.
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     (line,) = summary["edited"]
     assert " s fault/live/arm {" in line
-    assert "edited live" in said
+    assert "edited live" in output
 
 
-def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(
-    tmp_path, recorded_px4, run
-):
+def test_a_killed_run_ends_all_its_processes_and_leaves_its_logs(tmp_path, recorded_px4, run):
     process = run("--binary", f"{recorded_px4} --stays", autopilot="px4")
     fly_until(process, "no answer to the step")
-    watched = [os.pidfd_open(number) for number in children(process.pid)]
+    descriptors = [os.pidfd_open(number) for number in children(process.pid)]
     process.kill()
     process.communicate(timeout=60)
-    for descriptor in watched:
+    for descriptor in descriptors:
         assert select.select([descriptor], [], [], 30.0)[0], "a process outlives the run"
         os.close(descriptor)
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_STATE_QUATERNION"]) > 900
@@ -273,21 +271,21 @@ def test_a_killed_run_takes_all_its_processes_along_and_leaves_its_logs(
 
 def test_a_real_px4_takes_off_meets_the_fault_and_lands(tmp_path, px4, run):
     process = run("--binary", px4, autopilot="px4")
-    said, _ = process.communicate(timeout=600)
+    output, _ = process.communicate(timeout=600)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["autopilot"]["landed"], said
+    assert summary["autopilot"]["landed"], output
     (fault,) = summary["faults"]
     assert fault["frames"] == 15
     columns = read_columns(tmp_path / "out" / "sent.tlog")
     heights_m = columns["HIL_STATE_QUATERNION"]["alt"] * 1e-3 - 488.0
-    assert 9.0 < heights_m.max() < 17.0  # the GPS tells it 5 m more for a while
+    assert 9.0 < heights_m.max() < 17.0  # the GPS reports 5 m more for a while
     assert abs(heights_m[-1]) < 0.5
     (log,) = (tmp_path / "out" / "autopilot" / "log").glob("*/*.ulg")
-    # PX4's start script, whose last lines start the logger, is over before anything is flown.
+    # PX4's start script, whose last lines start the logger, ends before arming.
     assert read_ulog(log).start_us * 1e-6 < summary["autopilot"]["moments_s"]["arming"]
 
 
-def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4, run):
+def test_a_real_px4_killed_in_flight_is_reported(tmp_path, px4, run):
     scenario = SCENARIO.format(duration_s=600)
     process = run("--binary", px4, scenario=scenario, autopilot="px4")
     fly_until(process, "flying")
@@ -297,13 +295,13 @@ def test_a_real_px4_killed_in_flight_is_told(tmp_path, px4, run):
         if "px4" in Path(f"/proc/{number}/comm").read_text()
     )
     os.kill(autopilot, signal.SIGKILL)
-    said, _ = process.communicate(timeout=240)
+    output, _ = process.communicate(timeout=240)
     assert process.returncode == 1
-    assert "PX4 ended by signal 9" in said
+    assert "PX4 ended by signal 9" in output
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_flight_stands_before_what_an_autopilot_does_beside_it():
+def test_the_flight_has_priority_over_other_threads_of_the_autopilot():
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
@@ -320,7 +318,7 @@ def test_a_flight_stands_before_what_an_autopilot_does_beside_it():
     assert os.sched_getscheduler(0) == before
 
 
-def test_a_user_who_may_not_drop_the_flag_about_forks_still_ends_a_flight(
+def test_the_priority_is_restored_without_permission_to_clear_reset_on_fork(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     policies: list[int] = []
@@ -337,7 +335,7 @@ def test_a_user_who_may_not_drop_the_flag_about_forks_still_ends_a_flight(
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
+def test_without_permission_for_a_real_time_priority_the_flight_continues(
     monkeypatch: pytest.MonkeyPatch, missing: bool
 ) -> None:
     def refuse(*_: object) -> None:
@@ -352,8 +350,11 @@ def test_without_the_right_to_a_real_time_priority_a_flight_goes_on(
     assert gc.get_freeze_count() == 0
 
 
-def test_an_autopilots_flight_has_no_twin(run):
+def test_a_reference_flight_under_an_autopilot_is_refused(run):
     process = run("--against-clean")
-    said, _ = process.communicate()
+    output, _ = process.communicate()
     assert process.returncode == 2
-    assert "--against-clean: two flights of ardupilot differ" in said
+    assert (
+        "--against-clean: cannot be used with --autopilot, since two flights of ardupilot differ"
+        in output
+    )

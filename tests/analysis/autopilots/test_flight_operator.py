@@ -9,7 +9,7 @@ from mavproxy_fault.wire.parser import Parser
 from simvehicle.guidance.waypoints import Waypoint
 
 SECOND_US = 1_000_000
-CORNERS = (Waypoint(47.4, 8.5, 20.0, 6.0), Waypoint(47.401, 8.5, 25.0, 6.0))
+WAYPOINTS = (Waypoint(47.4, 8.5, 20.0, 6.0), Waypoint(47.401, 8.5, 25.0, 6.0))
 
 
 def frame(name, **values):
@@ -44,7 +44,7 @@ def operator(plan):
 
 
 class Autopilot:
-    """What an obedient autopilot says, second by second."""
+    """An autopilot that follows the operator, second by second."""
 
     def __init__(self, operator):
         self.operator, self.t_us = operator, 0
@@ -52,11 +52,11 @@ class Autopilot:
     def second(self, *frames, on_ground=False):
         self.t_us += SECOND_US
         for one in frames:
-            self.operator.heard(one)
+            self.operator.receive(one)
         return self.operator.step(self.t_us, on_ground=on_ground)
 
     def settle(self):
-        """What is sent when the estimator has had a position for long enough."""
+        """Step until the position has settled; return the frames then sent."""
         while self.operator.phase is Phase.WAITING:
             frames = self.second(READY)
         return frames
@@ -71,14 +71,14 @@ class Autopilot:
         self.second(frame("GLOBAL_POSITION_INT", relative_alt=9_500))
 
 
-def test_nothing_is_armed_before_the_estimator_has_a_position():
+def test_the_vehicle_is_not_armed_before_the_estimator_has_a_position():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     assert names(autopilot.second(LOST)) == ["HEARTBEAT"]
     assert autopilot.operator.phase is Phase.WAITING
     assert commands(autopilot.settle()) == [(176, 4.0), (400, 0.0)]
 
 
-def test_a_position_has_to_stay_for_a_while():
+def test_the_position_must_be_settled():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     for _ in range(3):
         for _ in range(8):
@@ -90,10 +90,10 @@ def test_a_position_has_to_stay_for_a_while():
     assert 10 * SECOND_US <= autopilot.t_us - begun_us <= 11 * SECOND_US
 
 
-def test_nothing_is_armed_before_the_program_has_started():
+def test_the_vehicle_is_not_armed_before_the_autopilot_has_started():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     for second in range(1, 60):
-        autopilot.operator.heard(READY)
+        autopilot.operator.receive(READY)
         autopilot.operator.step(second * SECOND_US, started=False)
         assert autopilot.operator.phase is Phase.WAITING
     autopilot.operator.step(60 * SECOND_US)
@@ -101,31 +101,31 @@ def test_nothing_is_armed_before_the_program_has_started():
 
 
 @pytest.mark.parametrize(("mav_type", "ends"), [(1, True), (2, False), (13, False), (0, False)])
-def test_an_autopilot_for_another_kind_of_vehicle_is_told(mav_type, ends):
+def test_an_autopilot_for_another_kind_of_vehicle_is_reported(mav_type, ends):
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0, kind="multirotor")))
     autopilot.second(frame("HEARTBEAT", type=mav_type))
     reason = autopilot.operator.failure
-    assert ("flies a fixedwing, the scenario's vehicle is a multirotor" in reason) == ends
+    assert ("reports a fixedwing, but the scenario's vehicle is a multirotor" in reason) == ends
 
 
-def test_a_start_that_takes_long_is_not_held_against_the_vehicle():
+def test_the_timeouts_do_not_include_a_slow_start_of_the_autopilot():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     for second in range(1, 230):
-        autopilot.operator.heard(READY)
+        autopilot.operator.receive(READY)
         autopilot.operator.step(second * SECOND_US, started=False)
     assert not autopilot.operator.failure
     autopilot.operator.step(230 * SECOND_US)
     assert autopilot.operator.phase is Phase.ARMING
 
 
-def test_what_is_not_answered_is_asked_again_each_second():
+def test_unanswered_commands_are_repeated_every_second():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.ARMING)
     assert commands(autopilot.operator.step(autopilot.t_us + 500_000)) == []
     assert commands(autopilot.second()) == [(176, 4.0), (400, 0.0)]
 
 
-def test_a_hover_goes_up_waits_and_comes_down():
+def test_a_hover_takes_off_waits_and_lands():
     autopilot = Autopilot(operator(FlightPlan(10.0, 3.0)))
     autopilot.up_to(Phase.FLYING)
     assert autopilot.operator.phase is Phase.FLYING
@@ -134,24 +134,24 @@ def test_a_hover_goes_up_waits_and_comes_down():
     assert commands(frames[-1]) == [(176, 9.0)]
     autopilot.second(frame("HEARTBEAT", base_mode=81))
     assert autopilot.operator.phase is Phase.LANDED
-    assert autopilot.operator.over
+    assert autopilot.operator.finished
     assert not autopilot.operator.failure
 
 
-def test_the_moments_of_a_flight_are_kept():
+def test_flight_events_are_recorded():
     autopilot = Autopilot(operator(FlightPlan(10.0, 3.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("MISSION_ITEM_REACHED", seq=2))
-    moments = autopilot.operator.events_us
-    # each is noted at the latest stamp the operator was stepped to
-    assert moments["take-off"] == moments["arming"] + 1 * SECOND_US
-    assert moments["mission-item:2"] == moments["arming"] + 2 * SECOND_US
+    events = autopilot.operator.events_us
+    # each is recorded at the time of the operator's latest step
+    assert events["take-off"] == events["arming"] + 1 * SECOND_US
+    assert events["mission-item:2"] == events["arming"] + 2 * SECOND_US
 
 
 def test_a_mission_is_uploaded_item_by_item_and_flown():
-    autopilot = Autopilot(operator(FlightPlan(20.0, 60.0, CORNERS)))
+    autopilot = Autopilot(operator(FlightPlan(20.0, 60.0, WAYPOINTS)))
     (count,) = [one for one in decoded(autopilot.settle()) if one.layout.name == "MISSION_COUNT"]
-    assert count.number("count") == 4  # home, which ArduPilot keeps, a speed and two corners
+    assert count.number("count") == 4  # home, which ArduPilot stores, a speed and two waypoints
     items = []
     for number in range(4):
         asked = frame("MISSION_REQUEST_INT", seq=number)
@@ -169,11 +169,11 @@ def test_a_mission_is_uploaded_item_by_item_and_flown():
     assert commands(frames) == [(176, 3.0), (300, 0.0)]
 
 
-def test_an_autopilot_that_never_gets_ready_is_given_up_with_the_reason():
+def test_an_autopilot_that_never_gets_ready_ends_the_flight_with_the_reason():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
-    while not autopilot.operator.over:
+    while not autopilot.operator.finished:
         autopilot.second()
-    assert autopilot.operator.over
+    assert autopilot.operator.finished
     assert autopilot.operator.failure == "still waiting for a position after 181 s"
 
 
@@ -181,13 +181,13 @@ def test_an_autopilot_that_lands_by_itself_ends_the_flight():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.FLYING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
-    assert autopilot.operator.over
+    assert autopilot.operator.finished
     assert not autopilot.operator.failure
     assert "landed" in autopilot.operator.events_us
-    assert "landing" not in autopilot.operator.events_us  # nobody asked for it
+    assert "landing" not in autopilot.operator.events_us  # it was not commanded
 
 
-def test_motors_that_stop_during_the_take_off_are_told():
+def test_motors_that_stop_during_the_take_off_are_reported():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.CLIMBING)
     autopilot.second(frame("HEARTBEAT", base_mode=81))
@@ -195,28 +195,28 @@ def test_motors_that_stop_during_the_take_off_are_told():
 
 
 @pytest.mark.parametrize("component", [1, 25])
-def test_only_what_the_autopilot_itself_says_is_kept(component):
+def test_only_status_texts_of_the_autopilot_are_recorded(component):
     ground = operator(FlightPlan(10.0, 30.0))
     layout = message_layout("STATUSTEXT")
     raw = build_frame(layout, {"text": b"PreArm: Compass not healthy"}, component=component)
     ground.step(3 * SECOND_US)
-    ground.heard(Frame(raw, layout))
+    ground.receive(Frame(raw, layout))
     expected = [(3 * SECOND_US, "PreArm: Compass not healthy")] if component == 1 else []
     assert ground.texts == expected
 
 
-@pytest.mark.parametrize("lying_s", [25, 35])
-def test_a_flight_whose_vehicle_lies_on_the_ground_with_motors_on_is_given_up(lying_s):
+@pytest.mark.parametrize("grounded_s", [25, 35])
+def test_a_vehicle_on_the_ground_with_motors_on_ends_the_flight(grounded_s):
     autopilot = Autopilot(operator(FlightPlan(10.0, 100.0)))
     autopilot.up_to(Phase.FLYING)
-    # Its estimator goes on flying.
-    for _ in range(lying_s):
+    # Its estimator still reports a height.
+    for _ in range(grounded_s):
         autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=9_500), on_ground=True)
-    gave_up = "on the ground for 30 s with its motors on"
-    assert autopilot.operator.failure == (gave_up if lying_s > 30 else "")
+    reason = "on the ground for 30 s with its motors on"
+    assert autopilot.operator.failure == (reason if grounded_s > 30 else "")
 
 
-def test_a_vehicle_on_the_ground_before_its_take_off_is_waited_for():
+def test_a_vehicle_on_the_ground_before_its_take_off_does_not_end_the_flight():
     autopilot = Autopilot(operator(FlightPlan(10.0, 100.0)))
     autopilot.up_to(Phase.CLIMBING)
     for _ in range(40):

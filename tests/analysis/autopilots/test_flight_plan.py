@@ -26,7 +26,7 @@ def test_without_a_mission_a_quad_hovers(tmp_path):
     assert found.waypoints == found.landing == ()
 
 
-def test_a_mission_is_flown_by_its_corners_at_its_speed(tmp_path):
+def test_a_mission_becomes_waypoints_with_its_speed(tmp_path):
     found = plan(
         tmp_path,
         "vehicle: {kind: multirotor, parameters: iris}\n"
@@ -40,7 +40,7 @@ def test_a_mission_is_flown_by_its_corners_at_its_speed(tmp_path):
 
 
 @pytest.mark.parametrize("shape", ["trapezoid", "triangle", "circle", "eight", "s"])
-def test_the_way_between_corners_follows_the_path(tmp_path, shape):
+def test_the_legs_between_waypoints_follow_the_path(tmp_path, shape):
     file = tmp_path / "scenario.yaml"
     file.write_text(
         "name: it\nduration_s: 60\nsensors: {imu: {}}\n"

@@ -1,4 +1,4 @@
-"""What faults do between the simulator and an autopilot, on the vehicle's time."""
+"""Faults between the simulator and an autopilot act in vehicle time."""
 
 import math
 import select
@@ -59,12 +59,12 @@ def flight_of(scenario):
     return make
 
 
-def deaf(flight, step=PX4_STEP):
-    return AutopilotSender(flight, HilPacker(), hear=lambda sends: None, step=step)
+def sender_of(flight, step=PX4_STEP):
+    return AutopilotSender(flight, HilPacker(), listener=lambda sends: None, step=step)
 
 
 def fly(exchange, steps):
-    """The frames for the autopilot, each with the simulated time of the step they left at."""
+    """Return the frames for the autopilot, each with the simulated time of its step."""
     parser, found = Parser(), []
     for _ in range(steps):
         t_us, truth, readings = exchange.flight.simulation.step(None)
@@ -73,11 +73,11 @@ def fly(exchange, steps):
     return found
 
 
-def test_a_delay_is_one_of_the_vehicles_time(flight_of):
+def test_a_delay_is_in_vehicle_time(flight_of):
     flight = flight_of(fault="delay", target="HIL_GPS", value=0.5, for_s=10)
     late_us = [
         t_us + START_US - frame.number("time_usec")
-        for t_us, frame in fly(deaf(flight), 400)
+        for t_us, frame in fly(sender_of(flight), 400)
         if frame.layout.name == "HIL_GPS" and frame.number("time_usec") > START_US + 200_000
     ]
     assert len(late_us) >= 3
@@ -93,40 +93,40 @@ FAULTS = [
 ]
 
 
-def flown(scenario, compiled):
-    """What left for an autopilot that answers everything, what it commanded, and the logs."""
+def run_exchange(scenario, compiled):
+    """Return the frames sent to an autopilot that answers all steps, its commands, and logs."""
     faults = [{"id": f"f{n}", **fault} for n, fault in enumerate(FAULTS)]
     flight = ProxiedFlight(scenario, parse_schedule({"seed": 5, "faults": faults}))
     passage = new_passage(flight.core, flight.capture) if compiled else None
-    outward, lockstep = (
+    sender, lockstep = (
         AutopilotSender(flight, HilPacker(), lambda sends: None, passage=passage),
         Lockstep(),
     )
     left, steps, commanded = [], [], []
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
-        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
+        receiver = AutopilotReceiver(sender, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         for step in range(250):
-            left.append(b"".join(outward.frames(*flight.simulation.step(None))))
-            steps.append(outward.step_us)
+            left.append(b"".join(sender.frames(*flight.simulation.step(None))))
+            steps.append(sender.step_us)
             values = {"time_usec": START_US + 4_000 * (step + 1), "controls": [step] * 16}
             raw = build_frame(message_layout("HIL_ACTUATOR_CONTROLS"), values, seq=step & 0xFF)
             for part in (raw[:20], raw[20:]) if step % 7 == 3 else (raw,):
                 autopilot.sendall(part)
                 select.select(link.filenos(), [], [], 5.0)
-                commanded += [frame.raw for frame in inward.frames()]
+                commanded += [frame.raw for frame in receiver.frames()]
     if passage is not None:
         passage.count()
     core = flight.core
     return left, steps, commanded, flight.capture, core.drain_labels(), core.states, core.senders
 
 
-def test_machine_code_and_the_core_let_the_same_bytes_through(scenario):
-    assert flown(scenario, True) == flown(scenario, False)
+def test_compiled_code_and_the_core_pass_the_same_bytes(scenario):
+    assert run_exchange(scenario, True) == run_exchange(scenario, False)
 
 
-def test_steps_go_on_while_their_sensor_frames_are_held_back(flight_of):
+def test_steps_continue_while_their_sensor_frames_are_withheld(flight_of):
     flight = flight_of(fault="delay", target="HIL_SENSOR", value=0.1, for_s=10)
-    frames = fly(deaf(flight), 100)
+    frames = fly(sender_of(flight), 100)
     truths = [t_us for t_us, frame in frames if frame.layout.name == "HIL_STATE_QUATERNION"]
     assert len(truths) == 100
     sensors = [
@@ -139,15 +139,15 @@ def test_steps_go_on_while_their_sensor_frames_are_held_back(flight_of):
 
 def test_a_plant_fault_reaches_the_simulated_vehicle(flight_of):
     flight = flight_of(fault="plant", target="PLANT.motor_efficiency[0]", value=0.25, for_s=10)
-    exchange = deaf(flight)
+    exchange = sender_of(flight)
     fly(exchange, 50)
     changes = [plant_change(frame) for frame in exchange.returned]
     assert PlantChange("motor_efficiency[0]", 0.25) in changes
 
 
 @pytest.mark.parametrize(("step", "answered"), [(PX4_STEP, 0), (BRIDGE_STEP, 100)])
-def test_only_a_step_that_reached_the_autopilot_is_waited_for(flight_of, step, answered):
-    exchange = deaf(flight_of(fault="drop", target="HIL_SENSOR", for_s=10), step)
+def test_an_answer_is_awaited_only_for_a_step_that_reached_the_autopilot(flight_of, step, answered):
+    exchange = sender_of(flight_of(fault="drop", target="HIL_SENSOR", for_s=10), step)
     awaited = []
     for _ in range(100):
         fly(exchange, 1)
@@ -155,67 +155,66 @@ def test_only_a_step_that_reached_the_autopilot_is_waited_for(flight_of, step, a
     assert len([stamp for stamp in awaited if stamp is not None]) == answered
 
 
-def test_a_delayed_step_is_answered_by_the_stamp_that_reached_the_autopilot(flight_of):
-    exchange = deaf(flight_of(fault="delay", target="HIL_SENSOR", value=0.1, for_s=10))
+def test_a_delayed_step_is_answered_with_the_timestamp_that_reached_the_autopilot(flight_of):
+    exchange = sender_of(flight_of(fault="delay", target="HIL_SENSOR", value=0.1, for_s=10))
     fly(exchange, 100)
     assert exchange.step_us == pytest.approx(START_US + 300_000, abs=4_000)  # now at 400 ms
 
 
-def test_a_delayed_answer_frees_the_step_and_acts_later(flight_of):
+def test_a_delayed_answer_releases_the_step_and_acts_later(flight_of):
     flight = flight_of(fault="delay", target="HIL_ACTUATOR_CONTROLS", value=0.1, for_s=10)
-    outward, lockstep = deaf(flight), Lockstep()
+    sender, lockstep = sender_of(flight), Lockstep()
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
-        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
+        receiver = AutopilotReceiver(sender, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         acted = []
         for _ in range(100):
-            fly(outward, 1)
-            lockstep.sent(outward.step_us, 0.0)
-            autopilot.sendall(answer(outward.step_us))
+            fly(sender, 1)
+            lockstep.sent(sender.step_us, 0.0)
+            autopilot.sendall(answer(sender.step_us))
             select.select(link.filenos(), [], [], 5.0)
-            found = [f for f in inward.frames() if f.layout.name == "HIL_ACTUATOR_CONTROLS"]
+            found = [f for f in receiver.frames() if f.layout.name == "HIL_ACTUATOR_CONTROLS"]
             acted.append([int(frame.number("time_usec")) for frame in found])
             assert lockstep.wait_s(0.0) == 0.0
     assert acted[0] == []
-    assert acted[-1] == [pytest.approx(outward.step_us - 100_000, abs=4_000)]
+    assert acted[-1] == [pytest.approx(sender.step_us - 100_000, abs=4_000)]
 
 
-def test_an_autopilots_first_word_begins_the_flight_whoever_it_is_for(flight_of, monkeypatch):
-    monkeypatch.setattr(
-        lockstep_loop, "FIRST_MESSAGE_TIMEOUT_S", math.inf
-    )  # only a word can begin it
-    outward, lockstep = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1)), Lockstep()
+def test_the_first_frame_of_an_autopilot_begins_the_flight_on_any_link(flight_of, monkeypatch):
+    # Only a frame can begin the flight.
+    monkeypatch.setattr(lockstep_loop, "FIRST_MESSAGE_TIMEOUT_S", math.inf)
+    sender, lockstep = sender_of(flight_of(fault="drop", target="HIL_GPS", for_s=1)), Lockstep()
     with closing(TcpServer("127.0.0.1", 0)) as link:
-        inward = AutopilotReceiver(outward, [link], ConnectionDeadline(link, None, 5.0), lockstep)
-        simulation, progress = outward.flight.simulation, Progress(0.0, StringIO())
+        receiver = AutopilotReceiver(sender, [link], ConnectionDeadline(link, None, 5.0), lockstep)
+        simulation, progress = sender.flight.simulation, Progress(0.0, StringIO())
         loop = LockstepLoop(
-            simulation, outward, inward, motor_mix(4), float("inf"), progress, lockstep
+            simulation, sender, receiver, motor_mix(4), float("inf"), progress, lockstep
         )
         flying = threading.Thread(target=loop.run, args=[4_000])
         flying.start()
         with socket.create_connection(("127.0.0.1", link.port), timeout=5) as autopilot:
-            # What PX4 says first: nothing that leaves the proxy for the simulator.
+            # PX4's first frame, which the proxy does not forward to the simulator.
             autopilot.sendall(build_frame(message_layout("HEARTBEAT"), {"mavlink_version": 3}))
             flying.join(20)
     assert loop.t_us == 4_000
 
 
-def test_of_the_links_only_those_with_something_are_read(flight_of):
-    outward = deaf(flight_of(fault="drop", target="HIL_GPS", for_s=1))
+def test_only_links_with_data_are_read(flight_of):
+    sender = sender_of(flight_of(fault="drop", target="HIL_GPS", for_s=1))
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
         idle = IdleLink()
-        inward = AutopilotReceiver(
-            outward, [link, idle], ConnectionDeadline(link, None, 5.0), Lockstep()
+        receiver = AutopilotReceiver(
+            sender, [link, idle], ConnectionDeadline(link, None, 5.0), Lockstep()
         )
         autopilot.sendall(answer(START_US))
-        assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
+        assert [frame.layout.name for frame in receiver.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
         idle.close()
 
 
-def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
-    heard = []
+def test_an_answer_is_read_before_telemetry(flight_of):
+    delivered = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
-    outward = AutopilotSender(
-        flight, HilPacker(), heard.extend, passage=new_passage(flight.core, flight.tape)
+    sender = AutopilotSender(
+        flight, HilPacker(), delivered.extend, passage=new_passage(flight.core, flight.capture)
     )
     with (
         closing(TcpServer("127.0.0.1", 0)) as link,
@@ -223,8 +222,8 @@ def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
         connected(link) as autopilot,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
     ):
-        inward = AutopilotReceiver(
-            outward, [link, telemetry], ConnectionDeadline(link, None, 5.0), Lockstep()
+        receiver = AutopilotReceiver(
+            sender, [link, telemetry], ConnectionDeadline(link, None, 5.0), Lockstep()
         )
         other.sendto(
             build_frame(message_layout("ATTITUDE"), {"time_boot_ms": 5}),
@@ -233,35 +232,33 @@ def test_an_answer_is_taken_before_telemetry_that_waits_with_it(flight_of):
         autopilot.sendall(answer(START_US))
         for one in (link, telemetry):
             assert select.select(one.filenos(), [], [], 5.0)[0]
-        assert [frame.layout.name for frame in inward.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
+        assert [frame.layout.name for frame in receiver.frames(5.0)] == ["HIL_ACTUATOR_CONTROLS"]
         attitude = message_layout("ATTITUDE").id
-        assert attitude not in [send.data[7] for send in outward.undelivered]
-        assert inward.frames(5.0) == []
-        outward.deliver_all()
-    assert attitude in [send.data[7] for send in heard]
+        assert attitude not in [send.data[7] for send in sender.undelivered]
+        assert receiver.frames(5.0) == []
+        sender.deliver_all()
+    assert attitude in [send.data[7] for send in delivered]
 
 
-def test_the_operator_is_asked_while_the_autopilot_works_and_once_a_step(flight_of):
-    asked = []
+def test_the_operator_runs_once_per_step_while_the_autopilot_computes(flight_of):
+    calls = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
-    outward = AutopilotSender(
-        flight, HilPacker(), lambda sends: None, lambda: asked.append(1) or []
-    )
-    fly(outward, 1)
-    assert asked == []
-    outward.work_between_steps()
-    outward.work_between_steps()
-    assert asked == [1]
+    sender = AutopilotSender(flight, HilPacker(), lambda sends: None, lambda: calls.append(1) or [])
+    fly(sender, 1)
+    assert calls == []
+    sender.work_between_steps()
+    sender.work_between_steps()
+    assert calls == [1]
 
 
 class IdleLink(UdpServer):
-    """A link on which nothing comes."""
+    """A link without data."""
 
     def __init__(self):
         super().__init__("127.0.0.1", 0)
 
     def read(self):
-        raise AssertionError("read though nothing had come")
+        raise AssertionError("read without data")
 
 
 def answer(stamp_us):
@@ -278,8 +275,8 @@ def connected(link):
 
 
 def test_a_command_of_the_schedule_leaves_for_the_autopilot_with_the_next_step(flight_of):
-    exchange = deaf(flight_of(fault="command", do="arm"))
-    fly(exchange, 2)  # the schedule counts from the first stamp
+    exchange = sender_of(flight_of(fault="command", do="arm"))
+    fly(exchange, 2)  # the schedule counts from the first timestamp
     heartbeat = Frame(
         build_frame(message_layout("HEARTBEAT"), {"autopilot": 3, "type": 2}),
         message_layout("HEARTBEAT"),
@@ -287,7 +284,7 @@ def test_a_command_of_the_schedule_leaves_for_the_autopilot_with_the_next_step(f
     returned: list[Frame] = []
     flight = exchange.flight
     for send in flight.core.received_frame(VEHICLE, heartbeat, flight.now_us):
-        exchange.sort(send, returned, heartbeat)
+        exchange.route_send(send, returned, heartbeat)
     commands = [
         (frame.number("command"), frame.number("param1"))
         for _, frame in fly(exchange, 2)

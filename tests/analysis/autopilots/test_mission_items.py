@@ -7,7 +7,7 @@ SLOW = Waypoint(47.4, 8.5, 20.0, 3.0)
 FAST = Waypoint(47.41, 8.5, 30.0, 6.0)
 
 
-def test_a_change_of_speed_stands_before_the_corner_that_it_is_for():
+def test_a_change_of_speed_precedes_its_waypoint():
     items = waypoint_items([SLOW, SLOW, FAST])
     assert [(item["command"], item["frame"]) for item in items] == [
         (178, 2), (16, 6), (16, 6), (178, 2), (16, 6),
@@ -16,7 +16,7 @@ def test_a_change_of_speed_stands_before_the_corner_that_it_is_for():
     assert (items[-1]["x"], items[-1]["y"], items[-1]["z"]) == (474_100_000, 85_000_000, 30.0)
 
 
-def test_an_approach_ends_by_landing_at_its_last_corner():
+def test_the_last_item_of_an_approach_is_land():
     items = landing_items([FAST, SLOW])
     assert [item["command"] for item in items] == [16, 21]
     assert items[-1]["x"] == 474_000_000

@@ -136,7 +136,7 @@ def flown(
         ("plane", "gnss", []),
     ],
 )
-def test_plain_steps_leave_as_the_ordinary_ones_do(
+def test_plain_steps_send_the_same_bytes_as_interpreted_ones(
     kind: str, receiver: str, faults: list, tmp_path: Path
 ) -> None:
     path = tmp_path / "scenario.yaml"

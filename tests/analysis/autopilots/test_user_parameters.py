@@ -26,14 +26,16 @@ def test_every_ground_stations_file_is_read(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("line", ["EK3_GLITCH_RAD", "EK3_GLITCH_RAD wide", "A 1 2", "A nan"])
-def test_what_is_no_parameter_is_told_with_its_line(tmp_path: Path, line: str) -> None:
+def test_a_line_that_is_not_a_parameter_is_reported_with_its_number(
+    tmp_path: Path, line: str
+) -> None:
     file = tmp_path / "own.parm"
     file.write_text(f"# own\n{line}\n")
-    with pytest.raises(ConfigError, match=r"own\.parm:2: .* is no parameter; NAME VALUE"):
+    with pytest.raises(ConfigError, match=r"own\.parm:2: .* is not NAME VALUE"):
         read_parameters(str(file))
 
 
-def test_a_campaigns_subject_has_parameters_that_lie_beside_its_file(tmp_path: Path) -> None:
+def test_parameters_of_a_subject_are_relative_to_the_campaign_file(tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(
         "subjects: [{name: loose, autopilot: px4, binary: px4, parameters: loose.params}]\n"

@@ -8,8 +8,8 @@ from analysis.campaign.bisection import CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import Magnitudes
 
 
-def found(interval: Magnitudes, threshold: float) -> CriticalMagnitude:
-    """The outcome for a subject that breaks from a threshold on."""
+def search_result(interval: Magnitudes, threshold: float) -> CriticalMagnitude:
+    """Run the bisection for a subject that breaks at a threshold."""
     search = bisect_magnitude(interval)
     magnitude = next(search)
     try:
@@ -21,7 +21,7 @@ def found(interval: Magnitudes, threshold: float) -> CriticalMagnitude:
 
 @given(st.floats(0.01, 100.0))
 def test_eight_flights_bracket_any_threshold(threshold: float) -> None:
-    critical = found(Magnitudes(low=0.01, high=100.0), threshold)
+    critical = search_result(Magnitudes(low=0.01, high=100.0), threshold)
     assert critical.flights <= 8
     assert critical.magnitude is not None
     assert critical.magnitude >= threshold * (1 - 1e-9)
@@ -33,11 +33,11 @@ def test_eight_flights_bracket_any_threshold(threshold: float) -> None:
 
 def test_an_interval_that_is_harmless_or_worse_throughout_takes_one_or_two_flights() -> None:
     interval = Magnitudes(low=1.0, high=2.0, spacing="linear")
-    assert found(interval, 3.0) == CriticalMagnitude(None, 2.0, 1)
-    assert found(interval, 0.5) == CriticalMagnitude(1.0, None, 2)
+    assert search_result(interval, 3.0) == CriticalMagnitude(None, 2.0, 1)
+    assert search_result(interval, 0.5) == CriticalMagnitude(1.0, None, 2)
 
 
 def test_a_linear_interval_may_be_negative() -> None:
-    critical = found(Magnitudes(low=-1.0, high=1.0, spacing="linear"), 0.0)
+    critical = search_result(Magnitudes(low=-1.0, high=1.0, spacing="linear"), 0.0)
     assert critical.magnitude == pytest.approx(0.0, abs=1e-9)
     assert critical.harmless == pytest.approx(-1 / 32)

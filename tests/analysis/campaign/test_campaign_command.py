@@ -43,10 +43,10 @@ def test_a_small_fault_is_harmless_and_a_large_one_is_not(flown: Path) -> None:
     assert summary["cells"] == 4
 
 
-def test_the_monitors_verdict_stands_beside_the_outcome(flown: Path) -> None:
+def test_results_have_the_monitors_verdict(flown: Path) -> None:
     with (flown / "out" / "cells.csv").open() as file:
         rows = {(row["subject"], row["magnitude"]): row for row in csv.DictReader(file)}
-    # One flight, one monitor: the verdict does not depend on the estimator that is asked.
+    # One flight, one monitor: the verdict does not depend on the estimator under test.
     small, large = rows["ekf", "0.001"], rows["ekf", "2.0"]
     assert (small["verdict"], small["blamed"], small["verdict_s"]) == ("missed", "", "")
     assert large["verdict"] in ("isolated", "wrong", "ambiguous", "detected")
@@ -55,7 +55,7 @@ def test_the_monitors_verdict_stands_beside_the_outcome(flown: Path) -> None:
         assert large[name] == rows["mahony", "2.0"][name]
 
 
-def test_of_several_parts_the_first_that_was_found_counts() -> None:
+def test_the_first_detected_part_of_a_preset_counts() -> None:
     missed = {"verdict": "missed", "isolated": [], "wrongly": [], "delay_s": None}
     late = {"verdict": "isolated", "isolated": ["baro"], "wrongly": [], "delay_s": 2.0}
     blame = {"who": "GPS", "from_s": 1.0, "for_s": 1.0}
@@ -72,7 +72,7 @@ def test_each_cell_is_a_test_case(flown: Path) -> None:
     assert {case.get("name").rpartition("|")[2] for case in failed} == {"2"}
 
 
-def test_the_page_stands_alone_and_holds_the_curves(flown: Path) -> None:
+def test_the_page_is_self_contained_and_has_the_curves(flown: Path) -> None:
     text = (flown / "out" / "campaign.html").read_text()
     assert "http://" not in text.split("<!-- uPlot")[0].replace("http://www.w3.org", "")
     model = json.loads(text.split('id="model">')[1].split("</script>")[0])
@@ -80,7 +80,7 @@ def test_the_page_stands_alone_and_holds_the_curves(flown: Path) -> None:
     assert "ekf|short.yaml|1" in model["twins"]
 
 
-def test_the_page_tells_which_faults_do_most_of_the_harm(flown: Path) -> None:
+def test_the_page_shows_the_most_harmful_faults(flown: Path) -> None:
     text = (flown / "out" / "campaign.html").read_text()
     rows = text.split('aria-label="Pareto"')[1].split("</table>")[0]
     # Both estimators give way to the larger of the two magnitudes.
@@ -88,7 +88,7 @@ def test_the_page_tells_which_faults_do_most_of_the_harm(flown: Path) -> None:
     assert "<td>mahony</td><td>gyro</td><td>1</td><td>50%</td><td>100%</td>" in rows
 
 
-def test_a_campaign_that_is_over_flies_nothing_again(flown: Path, capsys) -> None:
+def test_a_completed_campaign_flies_nothing(flown: Path, capsys) -> None:
     before = (flown / "out" / "cells.jsonl").read_bytes()
     words = ["--out", str(flown / "out"), "--workers", "1"]
     assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
@@ -96,7 +96,7 @@ def test_a_campaign_that_is_over_flies_nothing_again(flown: Path, capsys) -> Non
     assert "4 cells, 0 aborted" in capsys.readouterr().out
 
 
-def test_a_killed_campaign_loses_only_what_was_in_the_air(flown: Path, tmp_path: Path) -> None:
+def test_a_killed_campaign_repeats_only_unfinished_flights(flown: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(flown / "out", out)
     lines = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
@@ -114,10 +114,10 @@ def test_another_campaigns_folder_is_refused(flown: Path, tmp_path: Path, capsys
     (tmp_path / "changed.yaml").write_text(changed)
     shutil.copy(HERE / "short.yaml", tmp_path)
     assert cli.main(["campaign", str(tmp_path / "changed.yaml"), "--out", str(flown / "out")]) == 2
-    assert "holds another campaign" in capsys.readouterr().err
+    assert "contains another campaign" in capsys.readouterr().err
 
 
-def test_the_data_set_holds_sensors_before_and_after_truth_and_labels(flown: Path) -> None:
+def test_the_data_set_has_sensors_before_and_after_the_faults_truth_and_labels(flown: Path) -> None:
     cells = pq.read_table(flown / "data" / "cells.parquet").to_pylist()
     assert len(cells) == 4
     worst = next(cell for cell in cells if cell["magnitude"] == 2.0 and cell["subject"] == "mahony")
@@ -133,9 +133,7 @@ def test_the_data_set_holds_sensors_before_and_after_truth_and_labels(flown: Pat
     assert "gyro" in (flown / "data" / "README.md").read_text()
 
 
-def test_an_autopilots_run_is_exported_as_a_simulators_flight_is(
-    flown: Path, tmp_path: Path
-) -> None:
+def test_an_autopilots_run_is_exported_like_a_simulated_flight(flown: Path, tmp_path: Path) -> None:
     campaign = tmp_path / "out"
     shutil.copytree(flown / "out", campaign)
     for flight in (campaign / "flights").iterdir():
@@ -172,12 +170,12 @@ def test_the_worst_cell_becomes_a_search_around_it(flown: Path, capsys) -> None:
     )
 
 
-def test_a_cell_to_search_around_may_be_named(flown: Path, capsys) -> None:
+def test_a_search_around_a_named_cell_is_written(flown: Path, capsys) -> None:
     key = "ekf|short.yaml|gyro|2.0|2|1|0.001"
     assert cli.main(["campaign", "search", str(flown / "out"), key]) == 0
     assert read_test(capsys.readouterr().out.split()[-1]).faults[0].value == (0.0003333, 0.003)
     assert cli.main(["campaign", "search", str(flown / "out"), "ekf|nothing"]) == 2
-    assert "no cell of" in capsys.readouterr().err
+    assert "not a cell of" in capsys.readouterr().err
 
 
 def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
@@ -196,25 +194,25 @@ def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
     assert campaign.scenario_arguments(name) == [str(tmp_path / "short.yaml"), *words]
 
 
-def test_the_size_is_told_before_anything_is_flown(tmp_path: Path, capsys) -> None:
+def test_the_size_is_printed_before_the_first_flight(tmp_path: Path, capsys) -> None:
     words = ["--dry-run", "--workers", "2", "--out", str(tmp_path / "none")]
     assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
     assert "small: 4 cells in 3 flights of 6 s" in capsys.readouterr().out
     assert not (tmp_path / "none").exists()
 
 
-def test_an_autopilot_is_known_to_fly_slower(capsys) -> None:
+def test_the_estimated_duration_accounts_for_autopilots(capsys) -> None:
     file = HERE.parents[2] / "examples" / "campaign_px4.yaml"
     assert cli.main(["campaign", str(file), "--dry-run", "--workers", "2"]) == 0
     assert capsys.readouterr().out.endswith(
-        "60 cells in 61 flights of 26 s, some 13 min on 2 workers\n"
+        "60 cells in 61 flights of 26 s, about 13 min on 2 workers\n"
     )
 
 
-def test_wrong_arguments_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="two folders"):
+def test_wrong_arguments_are_reported(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="two campaign folders"):
         _main("campaign", "compare", str(tmp_path))
-    with pytest.raises(ConfigError, match="holds no campaign"):
+    with pytest.raises(ConfigError, match="contains no campaign"):
         _main("campaign", "compare", str(tmp_path), str(tmp_path))
 
 

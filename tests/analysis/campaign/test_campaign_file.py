@@ -22,11 +22,11 @@ def reading(tmp_path: Path, text: str):
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("campaign_*.yaml")), ids=lambda p: p.stem)
-def test_the_examples_are_right(path: Path) -> None:
+def test_the_examples_are_valid(path: Path) -> None:
     assert read_campaign(path).faults
 
 
-def test_a_range_of_magnitudes_is_spread_evenly() -> None:
+def test_a_range_of_magnitudes_is_evenly_spaced() -> None:
     assert Magnitudes(low=0.1, high=1000.0).spaced_values() == [0.1, 1.0, 10.0, 100.0, 1000.0]
     assert Magnitudes(low=-1, high=1, count=3, spacing="linear").spaced_values() == [-1.0, 0.0, 1.0]
 
@@ -40,13 +40,13 @@ def test_a_range_of_magnitudes_is_spread_evenly() -> None:
         (("onsets: [5]", "onsets: [nowhere]"), "onsets: nowhere is unknown"),
         (("onsets: [5]", "onsets: []"), "onsets is empty"),
         (("onsets: [5]", "onset: [5]"), "c.yaml:3: onset is unknown"),
-        (("[0.1]", "{low: 2, high: 1}"), "low = 2.0 is not below"),
-        (("[0.1]", "{low: 0, high: 1}"), "not positive"),
+        (("[0.1]", "{low: 2, high: 1}"), "low = 2.0 must be below"),
+        (("[0.1]", "{low: 0, high: 1}"), "must be above 0"),
         (("fault: bias, ", ""), "exactly one of fault and preset"),
         (("onsets: [5]", "find: critical"), None),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+def test_a_wrong_value_is_reported(tmp_path: Path, change: tuple[str, str], message: str) -> None:
     text = RIGHT.replace(*change)
     if message is None:
         text = text.replace(", magnitudes: [0.1]", "")
@@ -55,7 +55,7 @@ def test_what_is_wrong_is_told(tmp_path: Path, change: tuple[str, str], message:
         reading(tmp_path, text)
 
 
-def test_a_fault_twice_needs_ids(tmp_path: Path) -> None:
+def test_faults_of_the_same_name_need_ids(tmp_path: Path) -> None:
     fault = RIGHT.splitlines()[-1]
-    with pytest.raises(ConfigError, match="stands twice"):
+    with pytest.raises(ConfigError, match="occurs twice"):
         reading(tmp_path, RIGHT + fault + "\n")

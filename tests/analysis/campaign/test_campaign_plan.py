@@ -29,7 +29,7 @@ def test_subjects_of_the_simulator_share_their_flights() -> None:
     assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
 
 
-def test_an_autopilot_beside_them_flies_alone() -> None:
+def test_an_autopilot_has_its_own_flight() -> None:
     px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
     mixed = CampaignPlan(msgspec.structs.replace(SMALL, subjects=("ekf", px4, "mahony")))
     twins = {key: CampaignFlight({}) for key in mixed.reference_jobs()}
@@ -41,21 +41,21 @@ def test_an_autopilot_beside_them_flies_alone() -> None:
     assert (mixed.max_cells, mixed.max_flights) == (6, 4)
 
 
-def test_what_is_known_is_not_flown_again() -> None:
+def test_cells_with_stored_results_are_not_flown_again() -> None:
     first = next(next(CampaignPlan(SMALL).job_sequences({}, TWINS)))
     known = answered(first.cells, "unaffected")
     (left,) = CampaignPlan(SMALL).job_sequences(known, TWINS)
     assert next(left).cells[0].magnitude == 2.0
 
 
-def test_a_half_written_flight_is_flown_for_the_missing_subject() -> None:
+def test_a_flight_with_missing_results_is_repeated_for_the_missing_subject() -> None:
     first = next(next(CampaignPlan(SMALL).job_sequences({}, TWINS)))
     known = answered(first.cells[:1], "unaffected")
     job = next(next(CampaignPlan(SMALL).job_sequences(known, TWINS)))
     assert [cell.subject for cell in job.cells] == ["mahony"]
 
 
-def test_lanes_hold_cells_of_one_subject_fault_and_seed() -> None:
+def test_a_batch_of_lanes_has_one_subject_fault_and_seed() -> None:
     jobs = [next(thread) for thread in CampaignPlan(LANES).job_sequences({}, {})]
     assert sum(len(job.cells) for job in jobs) == 100_000
     for job in jobs:
@@ -80,7 +80,7 @@ def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResu
     return flights
 
 
-def test_a_critical_search_goes_on_where_it_was_killed() -> None:
+def test_a_critical_search_continues_where_it_was_killed() -> None:
     campaign = msgspec.structs.replace(SMALL, find="critical", subjects=("ekf",))
     known: dict[str, CellResult] = {}
     assert bisected(campaign, 0.1, known) == 8

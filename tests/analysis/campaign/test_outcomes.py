@@ -30,11 +30,11 @@ def test_an_excursion_over_the_limit_is_degraded_and_its_recovery_counts_from_th
     assert (result.outcome, result.excursion_deg, result.recovery_s) == ("degraded", 6.0, 3.0)
 
 
-def test_what_the_twin_shows_too_is_not_the_faults() -> None:
+def test_errors_that_the_reference_flight_has_too_do_not_count() -> None:
     assert outcome(evidence(bump(6.0)), evidence(bump(6.0))).outcome == "unaffected"
 
 
-def test_what_happened_before_the_onset_does_not_count() -> None:
+def test_events_before_the_onset_do_not_count() -> None:
     assert outcome(evidence(bump(60.0, 2, 9))).outcome == "unaffected"
 
 
@@ -43,13 +43,13 @@ def test_an_excursion_that_stays_never_recovers() -> None:
     assert (result.outcome, result.recovery_s) == ("degraded", None)
 
 
-def test_an_estimate_that_is_no_number_is_lost() -> None:
+def test_an_estimate_of_nan_is_lost() -> None:
     values = bump(0.0)
     values[15] = float("nan")
     assert outcome(evidence(values)).outcome == "lost"
 
 
-def test_positions_have_limits_of_their_own() -> None:
+def test_positions_have_their_own_limits() -> None:
     def of(height: float) -> str:
         flight = evidence(bump(height), name=POSITION)
         return outcome(flight, evidence(HEALTHY, name=POSITION)).outcome
@@ -63,7 +63,7 @@ def test_a_new_alarm_is_a_detection_with_its_delay() -> None:
     assert (result.outcome, result.detected_s, result.detected_by) == ("detected", 2.5, "imu")
 
 
-def test_an_alarm_of_the_twin_is_no_detection() -> None:
+def test_an_alarm_of_the_reference_flight_is_no_detection() -> None:
     twin = evidence(HEALTHY, FlightMark(12.0, "detected", "imu"))
     assert (
         outcome(evidence(HEALTHY, FlightMark(12.5, "detected", "imu")), twin).outcome
@@ -71,7 +71,7 @@ def test_an_alarm_of_the_twin_is_no_detection() -> None:
     )
 
 
-def test_the_worst_that_happened_counts() -> None:
+def test_the_worst_outcome_counts() -> None:
     marks = [
         FlightMark(11.0, "detected"),
         FlightMark(12.0, "failsafe", "LAND"),
@@ -81,15 +81,15 @@ def test_the_worst_that_happened_counts() -> None:
     assert (result.outcome, result.failsafe, result.failsafe_s) == ("crashed", "LAND", 2.0)
 
 
-def test_a_flight_that_could_not_be_made_says_nothing() -> None:
+def test_an_aborted_flight_is_not_worse() -> None:
     assert outcome_rank("aborted") == -1
     assert not OutcomeLimits().is_worse("aborted")
     assert OutcomeLimits(worse_from="failsafe").is_worse("failsafe")
     assert not OutcomeLimits(worse_from="failsafe").is_worse("degraded")
 
 
-def test_wrong_limits_are_told() -> None:
+def test_wrong_limits_are_reported() -> None:
     with pytest.raises(ValueError, match="worse_from = bad is unknown"):
         OutcomeLimits(worse_from="bad")
-    with pytest.raises(ValueError, match="not positive"):
+    with pytest.raises(ValueError, match="must be above 0"):
         OutcomeLimits(lost_deg=0.0)

@@ -14,7 +14,7 @@ SMALL = read_campaign(Path(__file__).parent / "small.yaml")
 LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent))
 
 
-def test_a_hung_flight_is_ended_and_told() -> None:
+def test_a_hung_flight_is_ended_and_reported() -> None:
     fleet = LocalWorkerPool(1, 0.01)
     (job,) = CampaignPlan(LONG).reference_jobs().values()
     try:
@@ -28,7 +28,7 @@ def test_a_hung_flight_is_ended_and_told() -> None:
     }
 
 
-def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
+def test_a_process_that_dies_is_reported(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "short.yaml")
     campaign = msgspec.structs.replace(SMALL, folder=str(tmp_path))
     (job,) = CampaignPlan(campaign).reference_jobs().values()
@@ -43,7 +43,7 @@ def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
     assert "died with code" in answer.results[0].note
 
 
-def test_without_ray_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_ray_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(ConfigError, match="Ray is not installed"):
         RayWorkerPool("local", 60.0)

@@ -1,4 +1,4 @@
-"""What is compiled beside the monitor is what the monitor calls."""
+"""The kernels compiled in parallel are those that the monitor calls."""
 
 from analysis.detection.sensors.sensor_kernel import run_sensor_tests
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
@@ -12,7 +12,7 @@ def signatures():
     ]
 
 
-def test_a_flight_needs_no_kernel_that_was_not_rehearsed(flights, tmp_path):
+def test_a_flight_needs_only_precompiled_kernels(flights, tmp_path):
     precompile_kernels(MonitorConfig(), tmp_path / "mark")
     rehearsed = signatures()
     pipeline = Pipeline(MonitorConfig())

@@ -1,4 +1,4 @@
-"""The monitor's process: signals to all of a run's processes, and its own death."""
+"""The monitor's process: signals to all processes of a run, and its own death."""
 
 import os
 import signal
@@ -17,14 +17,14 @@ RECORDED = Path(__file__).resolve().parents[2] / "data" / "jmavsim" / "hil.tlog"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_request_to_stop_that_reaches_every_process_leaves_the_monitor_its_work(number) -> None:
+def test_a_stop_request_to_all_processes_does_not_end_the_monitor(number) -> None:
     with MonitorProcess(MonitorConfig()) as monitor:
         os.kill(monitor.pid, number)
         summary = monitor.summary([], Criteria(), 1.0)
     assert "verdict" in summary
 
 
-def test_a_monitor_that_was_killed_is_told() -> None:
+def test_a_killed_monitor_is_reported() -> None:
     with MonitorProcess(MonitorConfig()) as monitor:
         os.kill(monitor.pid, signal.SIGKILL)
         with pytest.raises(MonitorDiedError, match="the monitor's process ended by signal 9"):
@@ -42,7 +42,7 @@ def test_a_process_with_other_threads_is_not_forked() -> None:
         thread.join()
 
 
-def test_records_lead_to_what_frames_lead_to() -> None:
+def test_records_give_the_same_results_as_frames() -> None:
     frames = [raw for _, raw, _ in read_records(RECORDED)]
     results = []
     for records in (False, True):

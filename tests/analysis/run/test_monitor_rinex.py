@@ -32,7 +32,7 @@ def folder(shared_data, tmp_path_factory):
     return out
 
 
-def test_the_verdict_rests_on_epochs_and_errors(folder):
+def test_the_verdict_uses_epochs_and_errors(folder):
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == "PASS"
     assert [row["name"] for row in summary["criteria"]] == [
@@ -50,7 +50,7 @@ def test_the_verdict_rests_on_epochs_and_errors(folder):
         assert row["misleading"] == 0
 
 
-def test_what_cannot_be_told_is_told(shared_data, tmp_path, capsys):
+def test_unobservable_faults_are_reported(shared_data, tmp_path, capsys):
     data, schedule = shared_data / "gnss_static", tmp_path / "leap.yaml"
     schedule.write_text("faults: [{preset: gnss-spoof-jump, at_s: 100, for_s: 60}]\n")
     files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
@@ -59,19 +59,19 @@ def test_what_cannot_be_told_is_told(shared_data, tmp_path, capsys):
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["epochs_without_imu"] == 900
     assert summary["unbounded_epochs"] == 60
-    told = capsys.readouterr().out
-    assert "carried off all together are believed" in told
-    assert "60 of 900 positions, which nothing bounds" in told
+    output = capsys.readouterr().out
+    assert "coordinated spoofing of all satellites" in output
+    assert "60 of 900 positions: no protection level" in output
 
 
-def test_the_position_file_is_rtklibs_and_holds_the_positions(folder):
+def test_the_position_file_has_rtklibs_format_and_all_positions(folder):
     written = read_reference(str(folder / "solution.pos"))
     lines = (folder / "results.jsonl").read_text().splitlines()
-    told = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
-    assert written.t_us.tolist() == [row["t_us"] for row in told]
-    apart = written.r_ecef_m - np.array([row["position_ecef_m"] for row in told])
+    decisions = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
+    assert written.t_us.tolist() == [row["t_us"] for row in decisions]
+    apart = written.r_ecef_m - np.array([row["position_ecef_m"] for row in decisions])
     assert np.abs(apart).max() < 1e-3
-    assert told[-1]["hdop"] > 0.4
+    assert decisions[-1]["hdop"] > 0.4
 
 
 def test_the_positions_are_written_as_nmea_sentences_too(folder):
@@ -79,10 +79,10 @@ def test_the_positions_are_written_as_nmea_sentences_too(folder):
         sentences = [parsed for _, parsed in NMEAReader(file, quitonerror=ERR_RAISE)]
     fixes = [sentence for sentence in sentences if sentence.msgID == "GGA"]
     lines = (folder / "results.jsonl").read_text().splitlines()
-    told = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
+    decisions = [row for row in map(json.loads, lines) if row["type"] == "Decision"]
     places = [(radians(fix.lat), radians(fix.lon), fix.alt + fix.sep) for fix in fixes]
     found = np.array([ecef_from_geodetic(*place) for place in places])
-    assert np.abs(found - np.array([row["position_ecef_m"] for row in told])).max() < 2e-3
+    assert np.abs(found - np.array([row["position_ecef_m"] for row in decisions])).max() < 2e-3
     assert {fix.quality for fix in fixes} == {1}
     assert fixes[0].time.isoformat() == "11:59:42"  # of 12:00:00 GPS time
     assert {sentence.msgID for sentence in sentences} == {"GGA", "RMC", "GST", "GSA"}
@@ -115,7 +115,7 @@ def test_faults_of_a_schedule_are_found_in_the_recording(shared_data, tmp_path):
     assert (out / "labels.jsonl").is_file()
 
 
-def test_a_recording_in_which_no_fault_acted_tests_nothing(shared_data, tmp_path):
+def test_a_recording_in_which_no_fault_acted_gives_no_verdict(shared_data, tmp_path):
     data, faults, out = shared_data / "gnss_static", tmp_path / "faults.yaml", tmp_path / "run"
     faults.write_text("faults:\n  - {id: x, fault: bias, target: PSEUDORANGE.G31, value: 50}\n")
     files = [str(data / "SEPT078M.21O"), str(data / "SEPT078M.21P")]
@@ -124,17 +124,17 @@ def test_a_recording_in_which_no_fault_acted_tests_nothing(shared_data, tmp_path
     assert json.loads((out / "summary.json").read_text())["verdict"] == "NO VERDICT"
 
 
-def test_a_schedule_without_a_recording_to_put_it_into_is_refused(tmp_path, capsys):
+def test_a_schedule_without_rinex_is_refused(tmp_path, capsys):
     code = main(["monitor", "--log", "flight.tlog", "--schedule", "faults.yaml"])
     assert code == 2
-    assert "--schedule: is for --rinex" in capsys.readouterr().err
+    assert "--schedule: needs --rinex" in capsys.readouterr().err
 
 
-def test_a_stop_ends_a_recording_midway_and_what_was_judged_is_told(shared_data):
-    data, told, asked = shared_data / "gnss_static", [], iter((False, True))
+def test_a_stop_ends_a_recording_midway_with_the_results_so_far(shared_data):
+    data, results, stops = shared_data / "gnss_static", [], iter((False, True))
     block = read_rinex(data / "SEPT078M.21O", data / "SEPT078M.21P")
-    monitor_recording(block, Monitor(MonitorConfig()), told.extend, lambda: next(asked))
-    decisions = [result for result in told if isinstance(result, Decision)]
+    monitor_recording(block, Monitor(MonitorConfig()), results.extend, lambda: next(stops))
+    decisions = [result for result in results if isinstance(result, Decision)]
     assert 0 < len(decisions) < 900
     assert all(decision.hdop is not None for decision in decisions)
 
@@ -147,7 +147,7 @@ def test_a_recording_that_is_refused_leaves_no_folder(shared_data, tmp_path, cap
     assert not out.exists()
 
 
-def test_why_epochs_could_not_be_tested_is_told(shared_data, tmp_path, capsys):
+def test_reasons_of_untestable_epochs_are_reported(shared_data, tmp_path, capsys):
     data, lost = shared_data / "gnss_static", tmp_path / "lost.yaml"
     # All of GPS, and of Galileo all but two that are in view.
     names = ["G", *(f"E{n:02d}" for n in range(1, 37) if n not in (1, 13))]
@@ -160,10 +160,10 @@ def test_why_epochs_could_not_be_tested_is_told(shared_data, tmp_path, capsys):
     reasons = json.loads((tmp_path / "run" / "summary.json").read_text())["untestable_reasons"]
     assert sum(reasons.values()) == 60
     reason, count = next(iter(reasons.items()))
-    assert f"untestable      {count} times: {reason}\n" in capsys.readouterr().out
+    assert f"untestable      {count} epochs: {reason}\n" in capsys.readouterr().out
 
 
-def test_many_alarms_that_nobody_knows_to_be_false_point_at_the_calibration(capsys):
+def test_many_alarms_without_labels_suggest_the_calibration(capsys):
     summary = {
         "sim_s": 600.0,
         "wall_s": 1.0,

@@ -56,7 +56,7 @@ def test_without_the_truth_no_attitude_is_scored(tmp_path):
     assert summary["attitude"] == {}
 
 
-def test_a_fault_changes_the_frames_of_its_second_alone(tmp_path):
+def test_a_fault_changes_only_the_frames_of_its_second(tmp_path):
     log = replayed(GYRO, tmp_path)
     before = read_columns(RECORDED, {"HIL_SENSOR"})["HIL_SENSOR"]
     after = read_columns(log, {"HIL_SENSOR"})["HIL_SENSOR"]

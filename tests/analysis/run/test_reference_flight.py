@@ -1,4 +1,4 @@
-"""`run --against-clean`: what a fault did, against the same flight without it."""
+"""`run --against-clean`: the effects of faults, compared with the reference flight."""
 
 import argparse
 import json
@@ -24,7 +24,7 @@ faults:
 """
 
 
-def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
+def test_the_reference_flight_shows_the_effect_of_a_gust(tmp_path: Path) -> None:
     schedule = tmp_path / "gust.yaml"
     schedule.write_text(SCHEDULE)
     out = tmp_path / "out"
@@ -45,23 +45,23 @@ def test_the_twin_shows_what_a_gust_did_to_the_truth(tmp_path: Path) -> None:
     assert "Effects of the faults" in (out / "report.html").read_text()
 
 
-def test_the_twin_flies_no_further_than_a_run_that_was_stopped(
+def test_the_reference_flight_ends_where_the_run_was_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # it is this process, not one of its own
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # it runs in this process
     run_reference_flight(read_setup(str(SHORT)), tmp_path, SimpleNamespace(value=0))
     assert (tmp_path / "sent.tlog").stat().st_size < 10_000
 
 
-@pytest.mark.parametrize(("exitcode", "flown"), [(0, True), (1, False), (-9, False)])
-def test_a_twin_that_fails_is_told_and_costs_the_effects_alone(
-    exitcode: int, flown: bool, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("exitcode", "succeeded"), [(0, True), (1, False), (-9, False)])
+def test_a_failed_reference_flight_is_reported_and_only_omits_the_effects(
+    exitcode: int, succeeded: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     process: Any = SimpleNamespace(exitcode=exitcode, join=lambda: None)
-    twin = ReferenceRun(process, SimpleNamespace(value=1 << 62))
-    assert twin.wait_until(5_000_000) is flown
-    assert twin.until_us.value == 5_000_000
-    assert bool(capsys.readouterr().err) is not flown
+    reference = ReferenceRun(process, SimpleNamespace(value=1 << 62))
+    assert reference.wait_until(5_000_000) is succeeded
+    assert reference.until_us.value == 5_000_000
+    assert bool(capsys.readouterr().err) is not succeeded
 
 
 def label(id: str, start_s: float, end_s: float, t0_us: int = 0) -> Label:
@@ -69,10 +69,10 @@ def label(id: str, start_s: float, end_s: float, t0_us: int = 0) -> Label:
     return Label(id=id, fault="bias", **stamps)
 
 
-def test_an_effect_counts_until_the_next_fault_or_the_end_of_its_echo() -> None:
+def test_an_effect_counts_until_the_next_fault_or_the_end_of_its_aftermath() -> None:
     t_s = np.arange(0.0, 60.0, 0.1)
     curve = Signal("twin-position", "truth", t_s, t_s)
-    # The second came with a schedule that was loaded on the way and has a zero of its own.
+    # The second is of a schedule loaded during the flight, with its own zero.
     labels = [label("a", 10, 20), label("b", 25, 30, t0_us=22_000_000)]
     rows = measure_effects([curve], labels, t0_us=0)
     extents = [row["position_m"]["truth"] for row in rows]

@@ -74,21 +74,21 @@ def test_pymavlink_reads_the_logs_without_a_bad_frame(run: Run, log: str) -> Non
     assert kinds >= {"HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION", "TUNNEL", "ATTITUDE"}
 
 
-def test_the_label_says_what_was_done(run: Run) -> None:
+def test_the_label_describes_the_injected_fault(run: Run) -> None:
     (label,) = read_labels(run[0] / "labels.jsonl")
     assert label.targets == ("PSEUDORANGE.G12",)
     assert label.magnitude == pytest.approx(50.0, abs=0.01)
     assert label.end_us is not None
 
 
-def test_the_results_hold_a_decision_per_epoch(run: Run) -> None:
+def test_the_results_have_a_decision_per_epoch(run: Run) -> None:
     decisions = [r for r in read_results(run[0] / "results.jsonl") if isinstance(r, Decision)]
     assert len(decisions) == 40
     times = [decision.t_s for decision in decisions]
     assert times == sorted(times)
 
 
-def test_the_report_is_one_file_without_outside_links(run: Run) -> None:
+def test_the_report_is_one_file_without_external_links(run: Run) -> None:
     html = (run[0] / "report.html").read_text()
     assert "isolated" in html
     assert 'src="http' not in html
@@ -104,7 +104,7 @@ def test_a_second_run_without_a_report_gives_the_same_bytes(run: Run, tmp_path: 
         assert (again / name).read_bytes() == (run[0] / name).read_bytes(), name
 
 
-def test_decisions_are_published_while_the_run_goes_on(tmp_path: Path) -> None:
+def test_decisions_are_published_during_the_run(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         url = f"tcp/127.0.0.1:{probe.getsockname()[1]}"

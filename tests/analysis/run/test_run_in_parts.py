@@ -44,7 +44,7 @@ def decisions(folder: Path) -> list[Decision]:
     return [r for r in read_results(folder / "results.jsonl") if isinstance(r, Decision)]
 
 
-def test_three_processes_decide_as_one(tmp_path: Path) -> None:
+def test_three_processes_give_the_same_decisions_as_one(tmp_path: Path) -> None:
     schedule = tmp_path / "schedule.yaml"
     section = yaml.safe_load(SHORT.read_text())["schedule"]
     schedule.write_text(yaml.safe_dump({"seed": 7, **section}))

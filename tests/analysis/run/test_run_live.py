@@ -44,7 +44,7 @@ def started(tmp_path: Path) -> Iterator[Started]:
     process.communicate()
 
 
-def test_mavsdk_sees_it_fly_and_ctrl_c_leaves_everything_readable(started: Started) -> None:
+def test_mavsdk_receives_telemetry_and_ctrl_c_leaves_readable_files(started: Started) -> None:
     process, port, bus, folder = started
     log_subscribe(lambda *_: True)
     seen: queue.Queue[tuple[float, float]] = queue.Queue()

@@ -13,7 +13,7 @@ HOVER = str(Path(__file__).parents[3] / "examples" / "hover.yaml")
 
 
 @pytest.mark.parametrize("head", ["schedule:\n  faults:\n", "schedule:\n"])
-def test_a_wrong_fault_in_a_scenario_is_told_with_its_line(head: str, tmp_path: Path) -> None:
+def test_a_wrong_fault_in_a_scenario_is_reported_with_its_line(head: str, tmp_path: Path) -> None:
     right = "    - {fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n"
     path = tmp_path / "scenario.yaml"
     path.write_text("# mine\n" + head + right + right.replace("bias", "bais"))
@@ -22,7 +22,7 @@ def test_a_wrong_fault_in_a_scenario_is_told_with_its_line(head: str, tmp_path: 
         read_setup(str(path))
 
 
-def test_another_schedule_is_not_asked_for_the_scenarios_own_faults(tmp_path: Path) -> None:
+def test_another_schedule_drops_the_requirements_on_the_scenarios_faults(tmp_path: Path) -> None:
     path = tmp_path / "other.yaml"
     entries = "{id: %s, fault: bias, target: HIL_SENSOR.xgyro, value: 1}"
     path.write_text(f"faults: [{entries % 'gyro-step'}, {entries % 'mine'}]\n")
@@ -87,7 +87,7 @@ def test_single_values_of_a_scenario_can_be_set() -> None:
         ("=4", "names nothing"),
     ],
 )
-def test_a_value_that_cannot_be_set_is_told(change: str, error: str) -> None:
+def test_a_value_that_cannot_be_set_is_reported(change: str, error: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(error)):
         read_setup(None, changes=dict([parse_change(change)]))
 
@@ -100,7 +100,7 @@ def test_a_value_that_cannot_be_set_is_told(change: str, error: str) -> None:
         ("PLANT.pseudorange_m[G12]", "mass_kg_add"),
     ],
 )
-def test_a_part_that_the_vehicle_does_not_have_is_refused(
+def test_a_plant_fault_of_a_missing_part_is_refused(
     target: str, known: str, tmp_path: Path
 ) -> None:
     """It would never act, and be called missed."""
@@ -112,7 +112,7 @@ def test_a_part_that_the_vehicle_does_not_have_is_refused(
     assert known in str(error.value)
 
 
-def test_a_schedule_of_which_nothing_met_anything_proves_nothing() -> None:
+def test_a_schedule_whose_faults_matched_no_message_gives_no_verdict() -> None:
     schedule = parse_schedule("faults: [{id: a, preset: airspeed-blockage}]")
     summary = {"verdict": "PASS"}
     report_unmatched_faults(summary, schedule, [])

@@ -1,4 +1,4 @@
-"""The first request to stop is asked for between steps; the second one interrupts."""
+"""The first stop request is handled between steps; the second one interrupts."""
 
 import signal
 from collections.abc import Iterator
@@ -17,14 +17,14 @@ def python_handles_sigint() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_request_interrupts_nothing_and_is_told(
+def test_the_first_request_interrupts_nothing_and_is_reported(
     number: signal.Signals, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with stop_requests() as stop:
         assert not stop()
         signal.raise_signal(number)
         assert stop()
-    assert "once more ends at once" in capfd.readouterr().err
+    assert "press Ctrl-C again to end at once" in capfd.readouterr().err
 
 
 def test_the_second_ctrl_c_interrupts() -> None:

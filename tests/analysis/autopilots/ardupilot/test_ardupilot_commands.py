@@ -43,7 +43,7 @@ def test_a_plane_without_autoland_lands_by_a_mission():
     assert asked(requests) == []
 
 
-def test_a_refusal_of_another_mode_is_none_of_the_landing():
+def test_a_refusal_of_another_mode_does_not_count_for_the_landing_mode():
     requests = ArduPilotCommands(PLANE, WAY_DOWN)
     requests.arm()
     requests.receive(said("COMMAND_ACK", command=176, result=4))

@@ -78,7 +78,7 @@ def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
     assert modes == [(1, 0), (1, 0), (1, 0), (4, 3)]  # manual for three seconds, then hold
 
 
-def test_an_answer_is_awaited_from_the_first_question_on(flight):
+def test_a_reply_is_awaited_from_the_first_command_on(flight):
     parser = Parser()
     with closing(MavsdkCommands([])) as requests:
         assert not requests.awaiting_reply
@@ -88,7 +88,7 @@ def test_an_answer_is_awaited_from_the_first_question_on(flight):
         while requests.awaiting_reply and time.monotonic() < deadline_s:
             for item in parser.push(b"".join(flight.advance(requests.pending()).ground)):
                 if isinstance(item, Frame):
-                    requests.heard(item)
+                    requests.receive(item)
             requests.arm()  # as the operator does until the vehicle says so
         assert not requests.awaiting_reply
 
@@ -99,7 +99,7 @@ def test_it_uploads_a_mission_and_starts_it(flight):
     assert "mission-item:1" in operator.events_us  # item 0 is the speed
 
 
-def test_of_the_streams_that_are_recorded_mavsdk_hears_nothing(monkeypatch):
+def test_recorded_streams_are_not_passed_to_mavsdk(monkeypatch):
     attitude, heartbeat = message_layout("ATTITUDE"), message_layout("HEARTBEAT")
     with closing(MavsdkCommands([])) as requests:
         heard = []

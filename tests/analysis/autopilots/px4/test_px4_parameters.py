@@ -15,7 +15,7 @@ def simulation(tmp_path, kind, name):
     return Simulation(read_scenario(str(file)))
 
 
-def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
+def test_the_motors_of_a_quad_are_those_of_px4s_own_airframe(tmp_path):
     found = rotor_parameters(simulation(tmp_path, "multirotor", "iris").vehicle)
     signs = [
         tuple(found[f"CA_ROTOR{number}_{name}"] > 0 for name in ("PX", "PY", "KM"))
@@ -31,7 +31,7 @@ def test_the_quads_motors_stand_as_in_px4s_own_airframe(tmp_path):
     assert [found[f"PWM_MAIN_FUNC{number}"] for number in range(1, 5)] == [101, 102, 103, 104]
 
 
-def test_every_rotor_of_a_hexa_is_told(tmp_path):
+def test_every_rotor_of_a_hexa_has_its_parameters(tmp_path):
     found = rotor_parameters(simulation(tmp_path, "multirotor", "hexa").vehicle)
     assert found["CA_ROTOR_COUNT"] == 6
     assert found["CA_ROTOR1_PY"] == pytest.approx(-0.3)

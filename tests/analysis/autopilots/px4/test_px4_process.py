@@ -1,4 +1,4 @@
-"""How a run starts PX4: its command, ports, streams and variables."""
+"""A run starts PX4 with its command line, ports, streams and environment."""
 
 import os
 from contextlib import closing
@@ -15,12 +15,12 @@ from simvehicle.simulation.simulation import Simulation
 
 @pytest.fixture
 def binary(tmp_path):
-    """Where a build of PX4 has its program, without its scripts yet."""
-    program = tmp_path / "build" / "bin" / "px4"
-    program.parent.mkdir(parents=True)
-    program.write_text("#!/bin/sh\n")
-    program.chmod(0o755)
-    return program
+    """The binary in a build of PX4, without its scripts yet."""
+    binary = tmp_path / "build" / "bin" / "px4"
+    binary.parent.mkdir(parents=True)
+    binary.write_text("#!/bin/sh\n")
+    binary.chmod(0o755)
+    return binary
 
 
 @pytest.fixture
@@ -32,26 +32,26 @@ def simulation(tmp_path):
     return Simulation(read_scenario(str(file)))
 
 
-def test_a_missing_program_is_told_with_what_to_do():
-    with pytest.raises(ConfigError, match=r"--binary: 'no-px4' is no program; give PX4's SITL"):
+def test_a_missing_binary_is_reported_with_the_cure():
+    with pytest.raises(ConfigError, match=r"--binary: 'no-px4' not found; give PX4's SITL"):
         px4_process.launch_command("no-px4")
 
 
-def test_a_program_without_its_start_scripts_is_refused(binary):
-    with pytest.raises(ConfigError, match=r"stands without .*/build/etc/init\.d-posix/rcS"):
+def test_a_binary_without_its_start_scripts_is_refused(binary):
+    with pytest.raises(ConfigError, match=r"has no .*/build/etc/init\.d-posix/rcS"):
         px4_process.launch_command(str(binary))
 
 
-def test_the_scripts_are_found_beside_the_program(binary):
+def test_the_start_scripts_are_found_from_the_binary(binary):
     scripts = binary.parent.parent / "etc"
     (scripts / "init.d-posix").mkdir(parents=True)
     (scripts / "init.d-posix" / "rcS").touch()
     assert px4_process.launch_command(str(binary)) == [str(binary), "-d", str(scripts)]
 
 
-@pytest.mark.parametrize(("told_s", "held_s"), [(3.0, 3.0), (None, 60.0)])
-def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
-    tmp_path, monkeypatch, told_s, held_s
+@pytest.mark.parametrize(("started_s", "limited_s"), [(3.0, 3.0), (None, 60.0)])
+def test_the_speed_is_limited_until_the_start_script_has_ended(
+    tmp_path, monkeypatch, started_s, limited_s
 ):
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
@@ -59,29 +59,29 @@ def test_a_flight_keeps_to_a_pace_until_the_start_script_is_over(
     log = tmp_path / "px4.log"
     log.write_text("INFO  [px4] startup script: rcS 0\n")
     start = StartupPacer(RunningAutopilot("PX4", None, [], log, PX4_STEP, px4_process.STARTUP_TEXT))
-    told = told_s is None
-    for tick in range(80_000):  # 320 s of a vehicle that needs no time of its own
+    printed = started_s is None
+    for tick in range(80_000):  # 320 s of a vehicle that takes no wall time
         start.wait_for_pace(1_000_000 + 4000 * tick)
-        if not told and now[0] >= 100.0 + told_s:
-            told = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
-    assert now[0] - 100.0 == pytest.approx(held_s, abs=0.2)
+        if not printed and now[0] >= 100.0 + started_s:
+            printed = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
+    assert now[0] - 100.0 == pytest.approx(limited_s, abs=0.2)
 
 
-def test_a_program_without_such_words_is_not_held(tmp_path, monkeypatch):
+def test_the_speed_is_not_limited_for_an_autopilot_without_startup_text(tmp_path, monkeypatch):
     monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("slept"))
     start = StartupPacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
     start.wait_for_pace(0)
     start.wait_for_pace(10_000_000)
 
 
-def test_a_flight_does_not_outrun_an_operator_that_lives_on_the_wall_clock(monkeypatch):
+def test_the_flight_runs_in_real_time_while_a_command_is_in_progress(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
-    unhurried = RealTimePacer()
-    for tick in range(5000):  # 20 s of a vehicle that needs no time of its own
-        # For 3 s and, later, for 5 s an answer is awaited.
-        unhurried.wait_for_pace(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
+    pacer = RealTimePacer()
+    for tick in range(5000):  # 20 s of a vehicle that takes no wall time
+        # A reply is awaited for 3 s and later for 5 s.
+        pacer.wait_for_pace(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
     assert now[0] - 100.0 == pytest.approx(8.0, abs=0.1)
 
 
@@ -100,15 +100,15 @@ def test_the_streams_go_to_the_run_on_the_loopback_address():
     assert "mavlink stream -u 18000 -s ATTITUDE -r 20" in lines
 
 
-def test_the_folder_comes_first_and_other_simulators_are_forgotten(
+def test_the_run_folder_comes_first_in_the_path_and_other_simulators_are_left_out(
     simulation, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("PX4_SIMULATOR", "gz")
-    own = {"EKF2_GPS_P_GATE": 100.0, "MIS_TAKEOFF_ALT": 7.25}
-    variables = px4_process.process_environment(simulation, tmp_path, own)
+    overrides = {"EKF2_GPS_P_GATE": 100.0, "MIS_TAKEOFF_ALT": 7.25}
+    variables = px4_process.process_environment(simulation, tmp_path, overrides)
     assert "PX4_SIMULATOR" not in variables
     assert variables["PATH"].split(os.pathsep)[0] == str(tmp_path)
     assert variables["PX4_SIM_MODEL"] == "none_iris"
     assert variables["PX4_PARAM_CA_ROTOR_COUNT"] == "6"
     assert variables["PX4_PARAM_EKF2_GPS_P_GATE"] == "100"
-    assert variables["PX4_PARAM_MIS_TAKEOFF_ALT"] == "7.25"  # the user's over the run's
+    assert variables["PX4_PARAM_MIS_TAKEOFF_ALT"] == "7.25"  # the user's override

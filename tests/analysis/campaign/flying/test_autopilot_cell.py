@@ -1,4 +1,4 @@
-"""A flight that tells nothing of its fault is flown again, and is no outcome in the end."""
+"""A flight without take-off or fault is repeated, and finally reported as an error."""
 
 import json
 from pathlib import Path
@@ -35,7 +35,7 @@ def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]])
     return flown
 
 
-def test_a_fault_that_never_acted_is_flown_again(
+def test_a_flight_whose_fault_never_acted_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     flown = flights(monkeypatch, [(False, False), (True, False), (True, True)])
@@ -44,7 +44,9 @@ def test_a_fault_that_never_acted_is_flown_again(
     assert found.verdict == CellVerdict("isolated", "imu", 0.5)
 
 
-def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_reference_flight_without_take_off_is_repeated(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     flown = flights(monkeypatch, [(False, False), (True, False)])
     assert run_autopilot_cell("px4", [], NONE, tmp_path, kept=True).verdict == CellVerdict()
     assert len(flown) == 2
@@ -52,9 +54,12 @@ def test_a_twin_that_never_flew_is_none(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 @pytest.mark.parametrize(
     ("took_off", "error"),
-    [(True, "px4: the fault never acted, 3 times"), (False, "it never left the ground, 3 times")],
+    [
+        (True, "px4: the fault never acted in 3 tries"),
+        (False, "the vehicle did not take off in 3 tries"),
+    ],
 )
-def test_in_the_end_there_is_no_outcome(
+def test_without_a_valid_flight_there_is_no_outcome(
     took_off: bool, error: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     flights(monkeypatch, [(took_off, False)] * MAX_TRIES)

@@ -35,7 +35,7 @@ def height(down_at_s: float) -> np.ndarray:
     return np.where((t_s > 2.0) & (t_s < down_at_s), 10.0, 0.0)
 
 
-def test_a_soft_touch_down_is_a_landing_and_a_hard_one_a_crash() -> None:
+def test_a_soft_touchdown_is_a_landing_and_a_hard_one_a_crash() -> None:
     (soft,) = ground_marks(truth(height(15.0), sink_mps=0.5), since, True)
     assert (soft.kind, soft.t_s) == ("landed", 13.0)
     (hard,) = ground_marks(truth(height(9.0), sink_mps=8.0), since, False)
@@ -68,7 +68,7 @@ def test_changes_of_mode_and_warnings_are_marks() -> None:
     ]  # fmt: skip
 
 
-def test_a_vehicle_off_its_twins_path_is_degraded() -> None:
+def test_a_vehicle_off_the_reference_path_is_degraded() -> None:
     def flown(offset_m: float) -> Evidence:
         times = [float(t) for t in range(20)]
         path = {name: EvidenceCurve(times, [0.0] * 20) for name in PATH}
@@ -81,7 +81,7 @@ def test_a_vehicle_off_its_twins_path_is_degraded() -> None:
 
 
 def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
-    told_s = 40.0
+    landing_s = 40.0
     failsafe = FlightMark(20.0, "failsafe", "LAND")
     on_the_ground = [
         FlightMark(55.0, "failsafe", "LOITER"),
@@ -90,4 +90,4 @@ def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
     crash = FlightMark(54.0, "crashed", "at 5.0 m/s")
     before_take_off = FlightMark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
     marks = [before_take_off, failsafe, *on_the_ground, crash]
-    assert [mark for mark in marks if belongs_to_flight(mark, told_s)] == [failsafe, crash]
+    assert [mark for mark in marks if belongs_to_flight(mark, landing_s)] == [failsafe, crash]

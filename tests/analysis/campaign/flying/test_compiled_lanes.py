@@ -23,7 +23,7 @@ def cells(*magnitudes: float) -> list[Cell]:
     ]
 
 
-def test_a_larger_fault_makes_a_larger_excursion_and_none_makes_none() -> None:
+def test_a_larger_fault_gives_a_larger_excursion_and_a_zero_fault_none() -> None:
     none, small, large = run_lanes(campaign(), cells(0.0, 0.05, 2.0))
     assert none.excursion_deg == 0.0
     assert none.outcome == "unaffected"
@@ -31,12 +31,12 @@ def test_a_larger_fault_makes_a_larger_excursion_and_none_makes_none() -> None:
     assert large.outcome == "lost"
 
 
-def test_a_cell_is_the_same_alone_and_among_others() -> None:
+def test_a_cell_has_the_same_result_alone_and_in_a_batch() -> None:
     (alone,) = run_lanes(campaign(), cells(0.3))
     among = run_lanes(campaign(), cells(*[0.1] * 40, 0.3))[-1]
     assert alone.excursion_deg == among.excursion_deg
 
 
-def test_a_fault_that_is_not_compiled_is_told() -> None:
+def test_a_fault_without_compiled_code_is_reported() -> None:
     with pytest.raises(ConfigError, match="not compiled"):
         run_lanes(campaign(fault="saturate"), cells(0.3))

@@ -34,7 +34,7 @@ def test_worse_is_a_worse_outcome_or_a_clearly_larger_excursion() -> None:
     assert compare_pair(result("degraded", beyond=10.0), result("degraded", beyond=13.0)) == 1
 
 
-def test_a_planted_regression_is_found_and_the_rest_is_not_blamed() -> None:
+def test_a_planted_regression_is_found_and_nothing_else() -> None:
     old = [result("unaffected", fault, seed) for fault in ("gyro", "mag") for seed in range(12)]
     new = [
         result("degraded" if r.cell.fault == "gyro" else "unaffected", r.cell.fault, r.cell.seed)
@@ -56,22 +56,22 @@ def test_a_single_fault_is_one_test_and_not_two() -> None:
     assert change.regressed
 
 
-def test_as_many_better_as_worse_is_chance() -> None:
+def test_equally_many_better_and_worse_cells_are_not_significant() -> None:
     old = [result("degraded", seed=seed) for seed in range(20)]
     new = [result("lost" if s % 2 else "unaffected", seed=s) for s in range(20)]
     assert not any(change.regressed for change in compare_results(by_key(old), by_key(new)))
 
 
-def test_a_flight_that_was_not_made_is_not_compared() -> None:
+def test_an_aborted_flight_is_not_compared() -> None:
     found = compare_results(by_key([result("unaffected")]), by_key([result("aborted")]))
     assert found == []
 
 
-def test_holms_correction_is_that_of_its_paper() -> None:
+def test_holms_correction_matches_the_paper() -> None:
     assert holm_correction([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
-def test_the_exit_code_tells_whether_something_got_worse(tmp_path: Path, capsys) -> None:
+def test_the_exit_code_is_1_if_something_got_worse(tmp_path: Path, capsys) -> None:
     for name, outcome in (("before", "unaffected"), ("after", "lost")):
         ledger = ResultsStore(tmp_path / name, SMALL)
         ledger.add([result(outcome, seed=seed) for seed in range(12)], None)
@@ -87,5 +87,5 @@ def test_campaigns_without_a_common_cell_are_refused(tmp_path: Path) -> None:
     other = msgspec.structs.replace(SMALL, name="other")
     for name, campaign in (("a", SMALL), ("b", other)):
         ResultsStore(tmp_path / name, campaign).close()
-    with pytest.raises(ConfigError, match="no cell in common"):
+    with pytest.raises(ConfigError, match="no common cells"):
         compare_folders(tmp_path / "a", tmp_path / "b")

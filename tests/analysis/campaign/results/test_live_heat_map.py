@@ -1,4 +1,4 @@
-"""A campaign watched while it flies."""
+"""The page of a running campaign."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ SMALL = Path(__file__).parents[1] / "small.yaml"
 
 
 class Clock:
-    """Seconds that a test sets."""
+    """A clock that a test sets."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -37,45 +37,45 @@ def result(subject: str, magnitude: float, outcome: str) -> CellResult:
     return CellResult(cell=cell, outcome=outcome)
 
 
-def test_the_page_is_written_while_the_campaign_flies_but_not_for_every_result(
+def test_the_page_of_a_running_campaign_is_rewritten_but_not_for_every_result(
     tmp_path: Path,
 ) -> None:
     plan, clock, page = plan_of(), Clock(), tmp_path / "campaign.html"
-    ledger = ResultsStore(tmp_path, plan.campaign)
+    store = ResultsStore(tmp_path, plan.campaign)
     heat_map = LiveHeatMap(tmp_path, plan, clock)
 
     def fly(subject: str) -> str:
         results = [result(subject, 2.0, "degraded")]
-        ledger.add(results, None)
+        store.add(results, None)
         heat_map.show(results)
         return page.read_text()
 
-    assert "1 of 4 cells are flown" in fly("ekf")
-    assert "1 of 4 cells are flown" in fly("mahony")
+    assert "1 of 4 cells completed" in fly("ekf")
+    assert "1 of 4 cells completed" in fly("mahony")
     clock.now_s += RELOAD_S
-    assert "2 of 4 cells are flown" in fly("mahony")
+    assert "2 of 4 cells completed" in fly("mahony")
     write_report(tmp_path, plan)
-    assert "cells are flown" not in page.read_text()  # it is over
-    ledger.close()
+    assert "cells completed" not in page.read_text()  # it is completed
+    store.close()
 
 
 @pytest.mark.browser
-def test_an_open_heat_map_follows_and_keeps_the_cell_that_is_looked_at(
+def test_an_open_heat_map_refreshes_and_keeps_the_selected_cell(
     tmp_path: Path, browser: Any
 ) -> None:
     plan = plan_of()
-    ledger = ResultsStore(tmp_path, plan.campaign)
-    ledger.add([result("ekf", 0.001, "unaffected"), result("ekf", 2.0, "degraded")], None)
+    store = ResultsStore(tmp_path, plan.campaign)
+    store.add([result("ekf", 0.001, "unaffected"), result("ekf", 2.0, "degraded")], None)
     write_page(tmp_path, plan, reload_s=0.2)
     shown = browser.new_page()
     shown.goto((tmp_path / "campaign.html").as_uri())
-    # The page may load itself again at any moment: each look finds its element anew, and the click
-    # goes to the cell, not to where it was on the screen.
+    # The page may reload at any time: each access finds its element again, and the click goes to
+    # the cell, not to its place on the screen.
     shown.locator(".heat td", has_text="2").dispatch_event("click")
     shown.wait_for_selector(".heat td.chosen:has-text('2')")
-    ledger.add([result("mahony", 2.0, "lost")], None)
+    store.add([result("mahony", 2.0, "lost")], None)
     write_page(tmp_path, plan)  # the last one: it stays
     shown.wait_for_selector("section:has-text('mahony') td:has-text('lost')")
     shown.wait_for_selector(".heat td.chosen:has-text('2degraded')")
     shown.close()
-    ledger.close()
+    store.close()
