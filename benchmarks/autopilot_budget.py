@@ -1,9 +1,9 @@
-"""Where a step's time goes under a real PX4, and what a simulator that does nothing reaches.
+"""Measure the time of a step under a real PX4, and the speed of a trivial simulator.
 
 Run by hand: `python benchmarks/autopilot_budget.py PATH/px4 [--turns N]`. Each turn flies
 `examples/px4_hover.yaml` as `run --autopilot px4` does, and then gives a second PX4 the bytes of
-that flight: the same messages at the same steps, so that it arms and flies on the same sensors, but
-from memory and as fast as it answers. Both are measured in hover, from 25 s to 55 s of PX4's time.
+that flight: the same messages at the same steps, so that it arms and flies with the same sensors,
+but from memory and as fast as it answers. Both are measured in hover, 25 s to 55 s of PX4's time.
 """
 
 import argparse
@@ -35,16 +35,16 @@ FROM_US, TO_US = 25_000_000, 55_000_000  # of PX4's time
 STEP_US = 4_000
 STEPS = (TO_US - FROM_US) // STEP_US
 PORT = 4560
-INSTANCE = 40  # none that a run takes by itself
-TRUTH, GROUND_STATION = 115, 255  # a message, a system
+INSTANCE = 40  # not used by a run
+TRUTH, GROUND_STATION = 115, 255  # message id, system id
 ANSWER_S = 5.0
-ABOVE_NS = 1_000 * STEPS  # a thread with less than a microsecond a step is not listed
+ABOVE_NS = 1_000 * STEPS  # threads with less than a microsecond per step are not listed
 
 Spent = dict[tuple[str, str], int]
 
 
 def spent(pid: int) -> Spent:
-    """Nanoseconds that each thread of a process has been running."""
+    """Return the processor time [ns] of each thread of a process."""
     found = {}
     for task in Path(f"/proc/{pid}/task").iterdir():
         with suppress(OSError):
@@ -54,7 +54,7 @@ def spent(pid: int) -> Spent:
 
 
 def family() -> dict[str, Spent]:
-    """The same for this process and those that it started, by what they are."""
+    """Return the processor times of this process and its children, by role."""
     found = {"run": spent(os.getpid())}
     for place in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
@@ -66,20 +66,20 @@ def family() -> dict[str, Spent]:
     return found
 
 
-class Stretch:
-    """What was spent between two moments; `at` is asked at each step."""
+class Interval:
+    """Measures the time between two simulation times; `at` is called at each step."""
 
     def __init__(self, count: Callable[[], dict[str, Spent]]) -> None:
         self._count = count
         self._marks: list[tuple[int, dict[str, Spent]]] = []
 
     def at(self, t_us: int) -> None:
-        """Take down what was spent so far, where the stretch begins or ends."""
+        """Record the times at the beginning and the end of the interval."""
         if t_us >= (FROM_US, TO_US, TO_US * TO_US)[len(self._marks)]:
             self._marks.append((time.perf_counter_ns(), self._count()))
 
-    def tell(self, name: str) -> None:
-        """Print it in microseconds a step."""
+    def report(self, name: str) -> None:
+        """Print the time per step in microseconds."""
         (from_ns, before), (to_ns, after) = self._marks
         wall = (to_ns - from_ns) / STEPS / 1e3
         load = os.getloadavg()[0]
@@ -93,18 +93,18 @@ class Stretch:
             print(f"  {who}: {total:.0f} us of processor time; {', '.join(parts)}")
 
 
-class Watched(LockstepLoop):
-    """A loop that is measured."""
+class MeasuredLoop(LockstepLoop):
+    """A lockstep loop that is measured."""
 
-    stretch: Stretch
+    interval: Interval
 
     def _flown(self, truth: Truth) -> None:
         super()._flown(truth)
-        self.stretch.at(self.t_us + self._hil.start_us)
+        self.interval.at(self.t_us + self._hil.start_us)
 
 
 def left_for_px4(log: bytes) -> list[tuple[int, bytes]]:
-    """Step and bytes of what a flight's sent.tlog holds for PX4; -1 for its own MAVLink."""
+    """Return step and bytes of the frames for PX4 in a sent.tlog; step -1 for telemetry."""
     kept: list[tuple[int, bytes]] = []
     at, hil = 0, b""
     while at < len(log):
@@ -112,7 +112,7 @@ def left_for_px4(log: bytes) -> list[tuple[int, bytes]]:
         at += 8 + len(raw)
         if raw[6] == HIL_COMPONENT:
             hil += raw
-            # The truth is the last one of a step.
+            # The truth is the last frame of a step.
             if raw[7] == TRUTH:
                 kept.append((int.from_bytes(raw[10:18], "little"), hil))
                 hil = b""
@@ -122,20 +122,20 @@ def left_for_px4(log: bytes) -> list[tuple[int, bytes]]:
 
 
 def fly(binary: str, folder: Path) -> list[tuple[int, bytes]]:
-    """A flight as a user has it; the bytes that left for PX4."""
-    Watched.stretch = Stretch(family)
-    autopilot_run.LockstepLoop = Watched
+    """Fly as a user does; return the frames sent to PX4."""
+    MeasuredLoop.interval = Interval(family)
+    autopilot_run.LockstepLoop = MeasuredLoop
     cli.main([
         "run", str(SCENARIO), "--autopilot", "px4", "--binary", binary,
         "--out", str(folder / "flight"), "--no-report",
     ])  # fmt: skip
-    Watched.stretch.tell("flight")
+    MeasuredLoop.interval.report("flight")
     return left_for_px4((folder / "flight" / "sent.tlog").read_bytes())
 
 
 @contextmanager
 def px4(binary: str, place: Path, ports: tuple[int, int]) -> Iterator["subprocess.Popen[bytes]"]:
-    """PX4 as a run starts it, its own MAVLink between two UDP ports."""
+    """Start PX4 as a run does, with its MAVLink between two UDP ports."""
     place.mkdir()
     (place / "px4-rc.mavlink").write_text(stream_script(*ports))
     words = [binary, "-d", str(Path(binary).parents[1] / "etc"), "-w", str(place)]
@@ -153,7 +153,7 @@ def px4(binary: str, place: Path, ports: tuple[int, int]) -> Iterator["subproces
 
 
 def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
-    """The same bytes to another PX4, from memory."""
+    """Send the same bytes to another PX4, from memory."""
     place = folder / "replayed"
     with (
         socket.create_server(("127.0.0.1", PORT + INSTANCE)) as server,
@@ -164,7 +164,9 @@ def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
         with px4(binary, place, (port, telemetry.getsockname()[1])) as process:
             link = server.accept()[0]
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            stretch = Stretch(lambda: {"PX4": spent(process.pid), "simulator": spent(os.getpid())})
+            interval = Interval(
+                lambda: {"PX4": spent(process.pid), "simulator": spent(os.getpid())}
+            )
             answering = started = False
             with link, autopilot_run.real_time_priority():
                 for step_us, data in kept:
@@ -173,12 +175,12 @@ def replay(binary: str, folder: Path, kept: list[tuple[int, bytes]]) -> None:
                         continue
                     link.sendall(data)
                     answering = answered(link, step_us, ANSWER_S if answering else 0.004)
-                    stretch.at(step_us)
-                    # PX4's logger is started by the last lines of its start script.
+                    interval.at(step_us)
+                    # The last lines of PX4's start script start its logger.
                     if answering and not started and step_us % 100_000 == 0:
                         time.sleep(0.02)
                         started = STARTUP_TEXT in (place / "px4.log").read_text(errors="replace")
-            stretch.tell("its bytes from memory")
+            interval.report("its bytes from memory")
 
 
 def answered(link: socket.socket, step_us: int, wait_s: float) -> bool:

@@ -1,9 +1,9 @@
-"""How real autopilots meet the presets: one flight of each, read from its run folder.
+"""Reactions of real autopilots to the presets: one flight of each, read from its run folder.
 
 Run by hand: `python benchmarks/autopilot_table.py px4=PATH ardupilot=PATH [--only PRESET ...]`. A
-quad takes off, hovers at 10 m, meets the fault from 10 s to 20 s after leaving the ground, hovers
-on, and is told to land at 40 s. A name with `@0` acts on the first of two instances alone. Flights
-that are in the folder (`--runs`) already are not flown again.
+quad takes off, hovers at 10 m, has the fault from 10 s to 20 s after take-off, and is commanded to
+land at 40 s. A name with `@0` acts on the first of two instances only. Flights that are already in
+the folder (`--runs`) are not repeated.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.wire.tlog import read_columns
 
 HOVER = Path(__file__).parents[1] / "examples" / "autopilot_table.yaml"
-IMU_HZ = {"px4": "250", "ardupilot": "400"}  # what each is used to
+IMU_HZ = {"px4": "250", "ardupilot": "400"}  # rate of each autopilot
 AT_S, FOR_S = 10.0, 10.0
 NO_FAULT = "none"
 PRESETS = {
@@ -49,7 +49,7 @@ HEAD = "| " + COLUMNS.replace(", ", " | ") + " |\n" + "|---" * 9 + "|"
 
 
 def main() -> None:
-    """Fly what is missing and print the table."""
+    """Fly the missing flights and print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("autopilots", nargs="+", metavar="NAME=PATH")
     parser.add_argument("--only", nargs="+")
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def row(name: str, autopilot: str, binary: str, runs: Path) -> str:
-    """Fly one preset and describe it."""
+    """Fly one preset and return its row."""
     folder = runs / f"{autopilot}-{name}"
     if not (folder / "summary.json").exists():
         fly(name, autopilot, binary, folder)
@@ -91,7 +91,7 @@ def row(name: str, autopilot: str, binary: str, runs: Path) -> str:
 
 
 def fly(name: str, autopilot: str, binary: str, folder: Path) -> None:
-    """One `run`, its schedule written beside the folder."""
+    """Run one flight, with its schedule beside the folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     preset, _, instance = name.partition("@")
     fault: dict[str, Any] = {"id": "f", "preset": preset, "at_s": AT_S, "for_s": FOR_S}
@@ -111,14 +111,14 @@ def fly(name: str, autopilot: str, binary: str, folder: Path) -> None:
 
 
 def fault_us(folder: Path) -> tuple[int, int]:
-    """The autopilot's own time of the fault's begin and of the command to land."""
-    moments_s = json.loads((folder / "summary.json").read_text())["autopilot"]["moments_s"]
-    begin_s = moments_s.get("take-off", 0.0) + AT_S
-    return round(begin_s * 1e6), round(moments_s.get("landing", begin_s + 90.0) * 1e6)
+    """Return the autopilot's time of the fault's onset and of the command to land."""
+    events_s = json.loads((folder / "summary.json").read_text())["autopilot"]["moments_s"]
+    begin_s = events_s.get("take-off", 0.0) + AT_S
+    return round(begin_s * 1e6), round(events_s.get("landing", begin_s + 90.0) * 1e6)
 
 
 def flags(folder: Path) -> str:
-    """What the estimator's flags said from the fault until the landing."""
+    """List the estimator flags raised between the fault and the landing."""
     columns = read_columns(folder / "sent.tlog")
     truth = columns["HIL_STATE_QUATERNION"]
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
@@ -140,7 +140,7 @@ def flags(folder: Path) -> str:
 
 
 def resets(folder: Path, marks: list[FlightMark]) -> str:
-    """Resets of the estimate: PX4's counters, ArduPilot's words."""
+    """List resets of the estimate: PX4's counters, ArduPilot's texts."""
     found = said(marks, "reset")
     for word, (topic, counter) in COUNTERS.items():
         times = changes(folder, topic, counter)
@@ -150,13 +150,13 @@ def resets(folder: Path, marks: list[FlightMark]) -> str:
 
 
 def lane_switch(folder: Path, marks: list[FlightMark]) -> str:
-    """Changes of the estimator that flies."""
+    """List changes of the primary estimator."""
     times = changes(folder, "estimator_selector_status", "primary_instance")
     return listed([*said(marks, "lane switch"), *(("to another", t_s) for t_s in times[:1])])
 
 
 def failsafe(folder: Path, marks: list[FlightMark]) -> str:
-    """Modes that nobody asked for, and what says so."""
+    """List uncommanded changes of mode, and the texts that name a failsafe."""
     begin_us, landing_us = fault_us(folder)
     until_s = AT_S + (landing_us - begin_us) * 1e-6 - 0.1
     modes = [
@@ -168,7 +168,7 @@ def failsafe(folder: Path, marks: list[FlightMark]) -> str:
 
 
 def excursion(evidence: Evidence) -> str:
-    """Greatest horizontal distance from its place, during the fault and until the landing."""
+    """Return the largest horizontal distance from hover, during the fault and until the landing."""
     north, east = (evidence.curves[name] for name in PATH[:2])
     t_s = np.array(north.t_s)
     if not len(t_s) or t_s[-1] < AT_S:
@@ -183,7 +183,7 @@ def excursion(evidence: Evidence) -> str:
 
 
 def end(folder: Path, evidence: Evidence) -> str:
-    """How it came down."""
+    """Describe the end of the flight."""
     crashes = [mark for mark in evidence.marks if mark.kind == "crashed"]
     early = json.loads((folder / "summary.json").read_text())["autopilot"]["ended_early"]
     begin_us, landing_us = fault_us(folder)
@@ -196,7 +196,7 @@ def end(folder: Path, evidence: Evidence) -> str:
 
 
 def changes(folder: Path, topic: str, name: str) -> list[float]:
-    """When a value of PX4's log changed, from the fault's begin to the landing [s]."""
+    """Return the times [s] at which a value of PX4's log changed, from onset to landing."""
     begin_us, end_us = fault_us(folder)
     times: list[float] = []
     for log in folder.glob("autopilot/log/*/*.ulg"):
@@ -208,12 +208,12 @@ def changes(folder: Path, topic: str, name: str) -> list[float]:
 
 
 def said(marks: list[FlightMark], word: str) -> list[tuple[str, float]]:
-    """The first warning that holds a word."""
+    """Return the first warning that contains a word."""
     return [(text, t_s) for text, t_s in warnings(marks) if word in text.lower()][:1]
 
 
 def warnings(marks: list[FlightMark]) -> list[tuple[str, float]]:
-    """What the autopilot warned of, each with its time after the fault's begin [s]."""
+    """Return the autopilot's warnings, each with its time since the onset [s]."""
     return [
         (mark.text.strip(), mark.t_s - AT_S)
         for mark in marks
@@ -222,7 +222,7 @@ def warnings(marks: list[FlightMark]) -> list[tuple[str, float]]:
 
 
 def listed(found: Any) -> str:
-    """Words with their seconds after the fault's begin."""
+    """Join texts with their seconds since the onset."""
     return ", ".join(f"{word} {t_s:.1f}" for word, t_s in found)
 
 

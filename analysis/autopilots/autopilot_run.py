@@ -33,10 +33,10 @@ from analysis.autopilots.user_parameters import read_parameters
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.monitor_process import MonitorProcess
 from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
-from analysis.run.run_command import EXIT_CODES, write_flight_report
+from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import print_summary
+from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
@@ -58,14 +58,11 @@ from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.scenario.scenario_file import Scenario
 
-RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
 CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot to connect
 AUTOPILOTS = {"ardupilot": ardupilot_process, "px4": px4_process}
 LOAD_TOPIC = "@ctl/schedule/load"
 START_EVENTS = ("first-stamp", "arming", "take-off", "landing")
-THREAD_PRIORITY = (
-    80  # PX4's logger and telemetry have 74 and below, its sensors and control 90 and above
-)
+THREAD_PRIORITY = 80  # between PX4's logger and telemetry (74 and below) and its control (90)
 
 
 @contextlib.contextmanager

@@ -12,11 +12,9 @@ from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.links.link import Link
 from simvehicle.app.pace import Pace
 
-MIN_WAIT_S = 0.02  # shorter waits are skipped, since a sleep costs about as much
-STARTUP_SPEED = (
-    4.0  # times real time; fastest in benchmarks/autopilots.md: faster delays the start script
-)
-STARTUP_LIMIT_S = 60.0
+MIN_WAIT_S = 0.02  # wall time by which the flight may be ahead of its pace
+STARTUP_SPEED = 4.0  # times real time; a faster flight delays the start (benchmarks/autopilots.md)
+STARTUP_LIMIT_S = 60.0  # for versions that print another text
 SHUTDOWN_TIMEOUT_S = 10.0  # for the process to close its logs
 
 Process = subprocess.Popen[bytes]

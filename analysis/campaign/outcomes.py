@@ -24,9 +24,7 @@ from analysis.campaign.cell import (
 
 RANKS = ("unaffected", "detected", "degraded", "failsafe", "landed", "lost", "crashed")
 ABORTED = "aborted"  # the flight failed to run, which says nothing about the subject
-SAME_EVENT_S = (
-    1.0  # chosen: marks of both flights this close in time are one event; telemetry comes at 1 Hz
-)
+SAME_EVENT_S = 1.0  # marks this close are one event: a period of HEARTBEAT, which has the mode
 Vector = NDArray[np.float64]
 
 

@@ -24,7 +24,7 @@ from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.run_progress import RunProgress
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import print_summary
+from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
@@ -39,8 +39,6 @@ from mavproxy_fault.schedule.entries import read_schedule
 from mavproxy_fault.wire.label import Label, latest_labels, read_labels
 
 PART_ROWS = 500  # rows of a recording between two checks for a stop request
-# NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
-EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 ResultSink = Callable[[list[Result]], None]
 

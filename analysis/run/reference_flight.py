@@ -19,7 +19,7 @@ from analysis.run.run_setup import RunSetup
 from mavproxy_fault.app.recorder import Recorder
 
 REFERENCE_FOLDER = "clean"
-BATCH_BYTES = 32_768
+BATCH_BYTES = 32_768  # the monitor is fastest on large batches
 NO_LIMIT_US = 1 << 62
 
 

@@ -19,7 +19,7 @@ from analysis.run.reference_flight import REFERENCE_FOLDER, start_reference_flig
 from analysis.run.run_progress import RunProgress
 from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import stop_requests
-from analysis.run.terminal_summary import print_summary
+from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus
@@ -33,11 +33,8 @@ from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.pace import Pace, parse_speed
 
 RECORD_PERIOD_US = 200_000  # simulated time between writes to the logs
-MAX_PENDING_BATCHES = (
-    10  # batches (two seconds of flight) that the monitor may lag behind a live page
-)
+MAX_PENDING_BATCHES = 10  # two seconds of flight by which the monitor may lag behind a live page
 MONITOR_WAIT_S = 0.02
-EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 
 
 def main(args: argparse.Namespace) -> int:

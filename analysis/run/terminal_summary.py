@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+# NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
+EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
-MANY_ALARMS_PER_HOUR = (
-    20.0  # noise as assumed causes at most 1 alarm per hour at 1 Hz, and 8 at 10 Hz
-)
+MANY_ALARMS_PER_HOUR = 20.0  # noise as assumed causes at most 1 at 1 Hz, and 8 at 10 Hz
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 

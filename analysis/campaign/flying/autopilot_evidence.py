@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.campaign.cell import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
+from analysis.campaign.flying.flight_phases import AIRBORNE_M
 from analysis.report.recordings.mode_names import mode_name
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
@@ -21,11 +22,9 @@ from mavproxy_fault.wire.tlog import Columns, read_columns
 WARNING = 4  # MAV_SEVERITY
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 TRACK_HZ = 10.0
-AIRBORNE_M, GROUND_M = 1.0, 0.3
-CRASH_MPS = (
-    3.0  # chosen: a descent this fast at the ground is a crash; PX4 and ArduPilot land below 1 m/s
-)
-LOST_TILT_DEG = 75.0
+GROUND_M = 0.3  # chosen: lower than this after take-off, the vehicle is on the ground
+CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
+LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost
 LogRows = NDArray[Any]
 
 

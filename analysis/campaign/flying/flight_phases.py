@@ -7,8 +7,8 @@ from simvehicle.vehicles.body import Truth
 
 FIRST_PHASE_S = 5.0  # no phase counts before, since estimators need some seconds to settle
 MIN_PHASE_S = 1.0  # chosen: a phase counts once it has lasted this long, not for a transient
-AIRBORNE_M = 1.0
-LANDING_M = 10.0  # a descent below this height is a landing
+AIRBORNE_M = 1.0  # chosen: from this height on the vehicle has taken off
+LANDING_M = 10.0  # chosen: a descent below this height is a landing
 
 
 class PhaseTracker:

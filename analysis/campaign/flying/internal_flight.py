@@ -26,6 +26,7 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import AttitudeError, Decision, Result, SensorDecision
 from analysis.run.proxied_flight import ProxiedFlight
+from analysis.run.reference_flight import BATCH_BYTES
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -34,7 +35,6 @@ from mavproxy_fault.wire.label import Label
 from simvehicle.scenario.scenario_file import Scenario
 
 TRACK_US = 100_000
-BATCH_BYTES = 32_768  # the monitor is fastest on large batches
 WIDEST_DEG = 180.0
 Vector = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from analysis.campaign.results.outcome_grid import (
 from analysis.campaign.results_store import CellEvidence
 
 MAX_LISTED = 5000  # results in the page, the worst ones
-MAX_CURVE_POINTS = 200  # of one curve; enough for a plot of 1100 pixels
+MAX_CURVE_POINTS = 200  # of one curve
 WORST_ROWS = 12  # of the table of the worst cells
 MAX_PARETO_ROWS = 20
 

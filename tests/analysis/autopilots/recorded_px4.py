@@ -1,4 +1,4 @@
-"""A stand-in for PX4's program that says what a real one said in a recorded flight.
+"""A stand-in for PX4 that sends what a real one sent in a recorded flight.
 
 It is started as PX4 is, answers each HIL_SENSOR of id 0 by the answer to its stamp, and ends with
 exit code 3 when there are no more, or with `--stays` says nothing from then on.
@@ -17,7 +17,7 @@ TIMEOUT_S = 60.0
 
 
 def main() -> int:
-    """Say hello on both links, then answer."""
+    """Send a first frame on both links, then answer."""
     instance = int(sys.argv[sys.argv.index("-i") + 1])
     place = Path(sys.argv[sys.argv.index("-w") + 1])
     remote = re.search(r"-o (\d+)", (place / "px4-rc.mavlink").read_text())

@@ -1,4 +1,4 @@
-"""A scenario as an autopilot is asked to fly it."""
+"""The flight plan of a scenario for an autopilot."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Plain steps through sockets and the proxy: the bytes and labels of the ordinary way."""
+"""Plain steps through sockets and the proxy: bytes and labels of the interpreted path."""
 
 import math
 import socket
@@ -57,7 +57,7 @@ STEPS = 750
 
 
 def answer(stamp_us: int, number: int, kind: str) -> bytes:
-    """What the stand-in commands at its n-th answer."""
+    """Return the commands in the stand-in's n-th answer."""
     wave = [0.02 * math.sin(0.05 * number + n) for n in range(CHANNEL_COUNT)]
     values = [0.7 + value for value in wave] if kind == "quad" else [5.0 * value for value in wave]
     payload = struct.pack("<QQ16fB", stamp_us, 0, *values, ARMED_FLAG if number > 50 else 0)
@@ -66,7 +66,7 @@ def answer(stamp_us: int, number: int, kind: str) -> bytes:
 
 @contextmanager
 def autopilot(port: int, kind: str) -> Iterator[None]:
-    """Answers each HIL_SENSOR of id 0 until it has answered enough, and hangs up."""
+    """Answers a number of HIL_SENSOR of id 0, then closes the link."""
 
     def work() -> None:
         parser, number = Parser(), 0
@@ -89,12 +89,12 @@ def autopilot(port: int, kind: str) -> Iterator[None]:
 def flown(
     scenario: Path, kind: str, faults: list, *, plainly: bool
 ) -> tuple[ProxiedFlight, list[int]]:
-    """A flight under the stand-in, and the steps of each stretch."""
+    """Fly with the stand-in; return the flight and the steps of each stretch."""
     entries = [{"id": str(n), **fault} for n, fault in enumerate(faults)]
     flight = ProxiedFlight(read_scenario(scenario), parse_schedule({"faults": entries}))
     passage = new_passage(flight.core, flight.capture)
     hil, lockstep = HilPacker(), Lockstep(timeout_s=20.0)
-    lockstep.locked = True  # from the first step on, as nothing here may hang on the clock
+    lockstep.locked = True  # from the first step on, independent of the clock
     outward = AutopilotSender(flight, hil, lambda _: None, passage=passage)
     stretches: list[int] = []
     with closing(TcpServer("127.0.0.1", 0)) as server, autopilot(server.port, kind):

@@ -1,4 +1,4 @@
-"""A user's parameters, as three ground stations write them."""
+"""Parameter files of a user, in the formats of three ground stations."""
 
 from pathlib import Path
 

@@ -22,11 +22,11 @@ HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the small campaign, its data set beside it."""
+def campaign_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the small campaign, with its data set beside it."""
     folder = tmp_path_factory.mktemp("campaign")
-    words = ["--out", str(folder / "out"), "--dataset", str(folder / "data"), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    arguments = ["--out", str(folder / "out"), "--dataset", str(folder / "data"), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
     return folder
 
 
@@ -35,16 +35,16 @@ def outcomes(folder: Path) -> dict[tuple[str, str], str]:
         return {(r["subject"], r["magnitude"]): r["outcome"] for r in csv.DictReader(file)}
 
 
-def test_a_small_fault_is_harmless_and_a_large_one_is_not(flown: Path) -> None:
-    found = outcomes(flown / "out")
+def test_a_small_fault_is_harmless_and_a_large_one_is_not(campaign_folder: Path) -> None:
+    found = outcomes(campaign_folder / "out")
     assert found["ekf", "0.001"] == found["mahony", "0.001"] == "unaffected"
     assert found["ekf", "2.0"] in ("degraded", "lost")
-    summary = json.loads((flown / "out" / "campaign-summary.json").read_text())
+    summary = json.loads((campaign_folder / "out" / "campaign-summary.json").read_text())
     assert summary["cells"] == 4
 
 
-def test_results_have_the_monitors_verdict(flown: Path) -> None:
-    with (flown / "out" / "cells.csv").open() as file:
+def test_results_have_the_monitors_verdict(campaign_folder: Path) -> None:
+    with (campaign_folder / "out" / "cells.csv").open() as file:
         rows = {(row["subject"], row["magnitude"]): row for row in csv.DictReader(file)}
     # One flight, one monitor: the verdict does not depend on the estimator under test.
     small, large = rows["ekf", "0.001"], rows["ekf", "2.0"]
@@ -65,63 +65,72 @@ def test_the_first_detected_part_of_a_preset_counts() -> None:
     assert monitor_verdict([]) == CellVerdict()
 
 
-def test_each_cell_is_a_test_case(flown: Path) -> None:
-    suite = ElementTree.parse(flown / "out" / "junit.xml").getroot()
+def test_each_cell_is_a_test_case(campaign_folder: Path) -> None:
+    suite = ElementTree.parse(campaign_folder / "out" / "junit.xml").getroot()
     assert suite.get("tests") == "4"
     failed = [case for case in suite if case.find("failure") is not None]
     assert {case.get("name").rpartition("|")[2] for case in failed} == {"2"}
 
 
-def test_the_page_is_self_contained_and_has_the_curves(flown: Path) -> None:
-    text = (flown / "out" / "campaign.html").read_text()
+def test_the_page_is_self_contained_and_has_the_curves(campaign_folder: Path) -> None:
+    text = (campaign_folder / "out" / "campaign.html").read_text()
     assert "http://" not in text.split("<!-- uPlot")[0].replace("http://www.w3.org", "")
     model = json.loads(text.split('id="model">')[1].split("</script>")[0])
     assert len(model["curves"]) == 4
     assert "ekf|short.yaml|1" in model["twins"]
 
 
-def test_the_page_shows_the_most_harmful_faults(flown: Path) -> None:
-    text = (flown / "out" / "campaign.html").read_text()
+def test_the_page_shows_the_most_harmful_faults(campaign_folder: Path) -> None:
+    text = (campaign_folder / "out" / "campaign.html").read_text()
     rows = text.split('aria-label="Pareto"')[1].split("</table>")[0]
-    # Both estimators give way to the larger of the two magnitudes.
+    # Both estimators are degraded by the larger of the two magnitudes.
     assert "<td>ekf</td><td>gyro</td><td>1</td><td>50%</td><td>50%</td>" in rows
     assert "<td>mahony</td><td>gyro</td><td>1</td><td>50%</td><td>100%</td>" in rows
 
 
-def test_a_completed_campaign_flies_nothing(flown: Path, capsys) -> None:
-    before = (flown / "out" / "cells.jsonl").read_bytes()
-    words = ["--out", str(flown / "out"), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
-    assert (flown / "out" / "cells.jsonl").read_bytes() == before
+def test_a_completed_campaign_flies_nothing(campaign_folder: Path, capsys) -> None:
+    before = (campaign_folder / "out" / "cells.jsonl").read_bytes()
+    arguments = ["--out", str(campaign_folder / "out"), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
+    assert (campaign_folder / "out" / "cells.jsonl").read_bytes() == before
     assert "4 cells, 0 aborted" in capsys.readouterr().out
 
 
-def test_a_killed_campaign_repeats_only_unfinished_flights(flown: Path, tmp_path: Path) -> None:
+def test_a_killed_campaign_repeats_only_unfinished_flights(
+    campaign_folder: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
-    shutil.copytree(flown / "out", out)
+    shutil.copytree(campaign_folder / "out", out)
     lines = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
     (out / "cells.jsonl").write_bytes(b"".join(lines[:2]) + lines[2][:30])
-    words = ["--out", str(out), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    arguments = ["--out", str(out), "--workers", "1"]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
     again = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
     assert again[:2] == lines[:2], "the first flight was not made again"
     assert len(again) == 4
-    assert outcomes(out) == outcomes(flown / "out")
+    assert outcomes(out) == outcomes(campaign_folder / "out")
 
 
-def test_another_campaigns_folder_is_refused(flown: Path, tmp_path: Path, capsys) -> None:
+def test_another_campaigns_folder_is_refused(campaign_folder: Path, tmp_path: Path, capsys) -> None:
     changed = (HERE / "small.yaml").read_text().replace("2.0", "3.0")
     (tmp_path / "changed.yaml").write_text(changed)
     shutil.copy(HERE / "short.yaml", tmp_path)
-    assert cli.main(["campaign", str(tmp_path / "changed.yaml"), "--out", str(flown / "out")]) == 2
+    assert (
+        cli.main(
+            ["campaign", str(tmp_path / "changed.yaml"), "--out", str(campaign_folder / "out")]
+        )
+        == 2
+    )
     assert "contains another campaign" in capsys.readouterr().err
 
 
-def test_the_data_set_has_sensors_before_and_after_the_faults_truth_and_labels(flown: Path) -> None:
-    cells = pq.read_table(flown / "data" / "cells.parquet").to_pylist()
+def test_the_data_set_has_sensors_before_and_after_the_faults_truth_and_labels(
+    campaign_folder: Path,
+) -> None:
+    cells = pq.read_table(campaign_folder / "data" / "cells.parquet").to_pylist()
     assert len(cells) == 4
     worst = next(cell for cell in cells if cell["magnitude"] == 2.0 and cell["subject"] == "mahony")
-    flight = flown / "data" / "flights" / worst["flight"]
+    flight = campaign_folder / "data" / "flights" / worst["flight"]
     before, after = (
         pq.read_table(flight / f"HIL_SENSOR.{side}.parquet")["xgyro"].to_numpy()
         for side in ("received", "sent")
@@ -130,12 +139,14 @@ def test_the_data_set_has_sensors_before_and_after_the_faults_truth_and_labels(f
     (label,) = pq.read_table(flight / "labels.parquet").to_pylist()
     assert label["frames"] == (after != before).sum() == 200
     assert (flight / "HIL_STATE_QUATERNION.sent.parquet").is_file()
-    assert "gyro" in (flown / "data" / "README.md").read_text()
+    assert "gyro" in (campaign_folder / "data" / "README.md").read_text()
 
 
-def test_an_autopilots_run_is_exported_like_a_simulated_flight(flown: Path, tmp_path: Path) -> None:
+def test_an_autopilots_run_is_exported_like_a_simulated_flight(
+    campaign_folder: Path, tmp_path: Path
+) -> None:
     campaign = tmp_path / "out"
-    shutil.copytree(flown / "out", campaign)
+    shutil.copytree(campaign_folder / "out", campaign)
     for flight in (campaign / "flights").iterdir():
         flight.rename(campaign / "moved")
         flight.mkdir()
@@ -143,17 +154,18 @@ def test_an_autopilots_run_is_exported_like_a_simulated_flight(flown: Path, tmp_
     export_data_set(campaign, tmp_path / "data")
     found, expected = (
         {str(file.relative_to(data)) for file in data.rglob("*")}
-        for data in (tmp_path / "data", flown / "data")
+        for data in (tmp_path / "data", campaign_folder / "data")
     )
     assert found == expected
     cells, expected_cells = (
-        pq.read_table(data / "cells.parquet") for data in (tmp_path / "data", flown / "data")
+        pq.read_table(data / "cells.parquet")
+        for data in (tmp_path / "data", campaign_folder / "data")
     )
     assert cells.equals(expected_cells)
 
 
-def test_the_worst_cell_becomes_a_search_around_it(flown: Path, capsys) -> None:
-    assert cli.main(["campaign", "search", str(flown / "out")]) == 0
+def test_the_worst_cell_becomes_a_search_around_it(campaign_folder: Path, capsys) -> None:
+    assert cli.main(["campaign", "search", str(campaign_folder / "out")]) == 0
     path = capsys.readouterr().out.split()[-1]
     test = read_test(path)
     assert test.estimator in ("ekf", "mahony")
@@ -170,11 +182,11 @@ def test_the_worst_cell_becomes_a_search_around_it(flown: Path, capsys) -> None:
     )
 
 
-def test_a_search_around_a_named_cell_is_written(flown: Path, capsys) -> None:
+def test_a_search_around_a_named_cell_is_written(campaign_folder: Path, capsys) -> None:
     key = "ekf|short.yaml|gyro|2.0|2|1|0.001"
-    assert cli.main(["campaign", "search", str(flown / "out"), key]) == 0
+    assert cli.main(["campaign", "search", str(campaign_folder / "out"), key]) == 0
     assert read_test(capsys.readouterr().out.split()[-1]).faults[0].value == (0.0003333, 0.003)
-    assert cli.main(["campaign", "search", str(flown / "out"), "ekf|nothing"]) == 2
+    assert cli.main(["campaign", "search", str(campaign_folder / "out"), "ekf|nothing"]) == 2
     assert "not a cell of" in capsys.readouterr().err
 
 
@@ -190,13 +202,13 @@ def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
     scenario = setup_by_name(campaign, name).scenario
     assert scenario.environment.wind_ned_mps[0] == 5.0
     assert scenario.start.heading_deg == 90.0
-    words = ["--set", "environment.wind_ned_mps[0]=5", "--set", "start.heading_deg=90"]
-    assert campaign.scenario_arguments(name) == [str(tmp_path / "short.yaml"), *words]
+    arguments = ["--set", "environment.wind_ned_mps[0]=5", "--set", "start.heading_deg=90"]
+    assert campaign.scenario_arguments(name) == [str(tmp_path / "short.yaml"), *arguments]
 
 
 def test_the_size_is_printed_before_the_first_flight(tmp_path: Path, capsys) -> None:
-    words = ["--dry-run", "--workers", "2", "--out", str(tmp_path / "none")]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *words]) == 0
+    arguments = ["--dry-run", "--workers", "2", "--out", str(tmp_path / "none")]
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
     assert "small: 4 cells in 3 flights of 6 s" in capsys.readouterr().out
     assert not (tmp_path / "none").exists()
 
@@ -216,6 +228,6 @@ def test_wrong_arguments_are_reported(tmp_path: Path) -> None:
         _main("campaign", "compare", str(tmp_path), str(tmp_path))
 
 
-def _main(*words: str) -> int:
-    args = cli.build_parser("").parse_args(words)
+def _main(*arguments: str) -> int:
+    args = cli.build_parser("").parse_args(arguments)
     return int(args.main(args))

@@ -24,7 +24,7 @@ def test_the_size_of_a_campaign_is_its_product() -> None:
 
 
 def test_subjects_of_the_simulator_share_their_flights() -> None:
-    jobs = [next(thread) for thread in CampaignPlan(SMALL).job_sequences({}, TWINS)]
+    jobs = [next(sequence) for sequence in CampaignPlan(SMALL).job_sequences({}, TWINS)]
     assert [[cell.subject for cell in job.cells] for job in jobs] == [["ekf", "mahony"]] * 2
     assert [job.cells[0].magnitude for job in jobs] == [0.001, 2.0]
 
@@ -32,9 +32,9 @@ def test_subjects_of_the_simulator_share_their_flights() -> None:
 def test_an_autopilot_has_its_own_flight() -> None:
     px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
     mixed = CampaignPlan(msgspec.structs.replace(SMALL, subjects=("ekf", px4, "mahony")))
-    twins = {key: CampaignFlight({}) for key in mixed.reference_jobs()}
-    jobs = [next(thread) for thread in mixed.job_sequences({}, twins)]
-    assert list(twins) == ["ekf|short.yaml|1", "px4|short.yaml|1"]
+    references = {key: CampaignFlight({}) for key in mixed.reference_jobs()}
+    jobs = [next(sequence) for sequence in mixed.job_sequences({}, references)]
+    assert list(references) == ["ekf|short.yaml|1", "px4|short.yaml|1"]
     assert [[cell.subject for cell in job.cells] for job in jobs] == (
         [["ekf", "mahony"]] * 2 + [["px4"]] * 2
     )
@@ -56,17 +56,17 @@ def test_a_flight_with_missing_results_is_repeated_for_the_missing_subject() -> 
 
 
 def test_a_batch_of_lanes_has_one_subject_fault_and_seed() -> None:
-    jobs = [next(thread) for thread in CampaignPlan(LANES).job_sequences({}, {})]
+    jobs = [next(sequence) for sequence in CampaignPlan(LANES).job_sequences({}, {})]
     assert sum(len(job.cells) for job in jobs) == 100_000
     for job in jobs:
         assert len({(c.subject, c.scenario, c.fault, c.seed) for c in job.cells}) == 1
 
 
 def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResult]) -> int:
-    """Fly a critical search of a subject that breaks from a threshold on; the flights made."""
+    """Run a critical search of a subject that breaks at a threshold; return its flights."""
     flights = 0
-    for thread in CampaignPlan(campaign).job_sequences(known, TWINS):
-        job = next(thread, None)
+    for sequence in CampaignPlan(campaign).job_sequences(known, TWINS):
+        job = next(sequence, None)
         while job is not None:
             flights += 1
             (cell,) = job.cells
@@ -74,7 +74,7 @@ def bisected(campaign: CampaignFile, threshold: float, known: dict[str, CellResu
             results = answered([cell], outcome)
             known |= results
             try:
-                job = thread.send(list(results.values()))
+                job = sequence.send(list(results.values()))
             except StopIteration:
                 job = None
     return flights

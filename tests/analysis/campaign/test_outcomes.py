@@ -16,8 +16,10 @@ def bump(height: float, start: int = 11, end: int = 18) -> list[float]:
     return [1.0 + (height if start <= t < end else 0.0) for t in range(31)]
 
 
-def outcome(flight: Evidence, twin: Evidence | None = None, **limits: float):
-    return classify_flight(CELL, 10.0, flight, twin or evidence(HEALTHY), OutcomeLimits(**limits))
+def outcome(flight: Evidence, reference: Evidence | None = None, **limits: float):
+    return classify_flight(
+        CELL, 10.0, flight, reference or evidence(HEALTHY), OutcomeLimits(**limits)
+    )
 
 
 def test_the_same_flight_is_unaffected() -> None:
@@ -64,9 +66,9 @@ def test_a_new_alarm_is_a_detection_with_its_delay() -> None:
 
 
 def test_an_alarm_of_the_reference_flight_is_no_detection() -> None:
-    twin = evidence(HEALTHY, FlightMark(12.0, "detected", "imu"))
+    reference = evidence(HEALTHY, FlightMark(12.0, "detected", "imu"))
     assert (
-        outcome(evidence(HEALTHY, FlightMark(12.5, "detected", "imu")), twin).outcome
+        outcome(evidence(HEALTHY, FlightMark(12.5, "detected", "imu")), reference).outcome
         == "unaffected"
     )
 

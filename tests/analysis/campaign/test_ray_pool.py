@@ -1,4 +1,4 @@
-"""A real local Ray cluster of two nodes, one of which dies while flights are in the air."""
+"""A real local Ray cluster of two nodes, one of which dies during the flights."""
 
 from pathlib import Path
 

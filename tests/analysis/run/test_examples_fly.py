@@ -1,4 +1,4 @@
-"""The examples with faults that need no autopilot meet their own criteria, and exit with 0."""
+"""Examples with faults and without an autopilot fulfil their own criteria, and exit with 0."""
 
 from pathlib import Path
 

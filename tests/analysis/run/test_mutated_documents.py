@@ -1,4 +1,4 @@
-"""Every kind of file that a person writes, broken at random: read, or refused with its line.
+"""Every kind of input file, broken at random: it is read, or refused with its line.
 
 `MUTANTS=1000 pytest tests/analysis/run/test_mutated_documents.py` is the long form.
 """
@@ -40,7 +40,7 @@ SCALAR = re.compile(r"(?<=[:\[,] )[^\s,\[\]{}]+")
 
 
 def mutated(text: str, rng: random.Random) -> str:
-    """A text with one to three things wrong."""
+    """Return a text with one to three random errors."""
     for _ in range(rng.randint(1, 3)):
         lines = text.splitlines()
         at = rng.randrange(len(lines))
@@ -65,12 +65,12 @@ def parameters(path: Path) -> object:
 
 
 def dry_run(path: Path) -> object:
-    """What `campaign --dry-run` does with a file."""
+    """Do what `campaign --dry-run` does with a file."""
     return describe_size(CampaignPlan(read_campaign(path), None), 2)
 
 
 def campaign(path: Path) -> str:
-    """A campaign whose scenarios are found from elsewhere."""
+    """Return a campaign whose scenarios have absolute paths."""
     return re.sub(r"(?<=[\[ ])(?=\w+\.yaml)", f"{path.parent}/", path.read_text())
 
 
@@ -96,10 +96,10 @@ def test_a_broken_file_is_read_or_refused_with_its_name(
     text = source.read_text() if isinstance(source, Path) else source
     rng = random.Random(7)
     errors = []
-    whole = tmp_path / "whole.yaml"
-    whole.write_text(text, encoding="utf-8")
-    with suppress(ConfigError):  # some refer to files that lie beside them
-        read(whole)  # what is loaded, or compiled, at the first call is no part of the time
+    complete = tmp_path / "complete.yaml"
+    complete.write_text(text, encoding="utf-8")
+    with suppress(ConfigError):  # some refer to other files
+        read(complete)  # the measured time excludes imports and compilation in the first call
     for number in range(MUTANTS):
         path = tmp_path / f"{number}.yaml"
         path.write_text(mutated(text, rng), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A recorded link of another simulator, jMAVSim without lockstep, through proxy and monitor."""
+"""A recorded link of jMAVSim without lockstep, through proxy and monitor."""
 
 import json
 from itertools import groupby
@@ -17,10 +17,10 @@ GYRO = (
 
 
 def replayed(schedule, folder):
-    """The recording as the proxy would have sent it."""
+    """The recording as the proxy would send it."""
     (folder / "faults.yaml").write_text(schedule)
-    words = ["replay", str(RECORDED), "--schedule", str(folder / "faults.yaml")]
-    assert main([*words, "--out", str(folder / "sent.tlog")]) == 0
+    arguments = ["replay", str(RECORDED), "--schedule", str(folder / "faults.yaml")]
+    assert main([*arguments, "--out", str(folder / "sent.tlog")]) == 0
     return folder / "sent.tlog"
 
 
@@ -41,7 +41,7 @@ def test_the_monitor_scores_it_against_its_truth(tmp_path):
     assert summary["epochs"] == 60
     assert 0.0 < summary["attitude_rmse_deg"]["angle"] < 10.0
     assert summary["attitude"]["ekf"]["samples"] > 1000
-    # jMAVSim itself sends several HIL_SENSOR of one stamp; nothing else is found wrong with it.
+    # jMAVSim sends several HIL_SENSOR with one timestamp; there are no other alarms.
     alarms = [
         one for one in read_results(tmp_path / "results.jsonl") if getattr(one, "alarm", False)
     ]

@@ -1,4 +1,4 @@
-"""docs/presets.md says what flights say: a cross-section of its rows, flown again."""
+"""docs/presets.md agrees with flights: a selection of its rows, flown again."""
 
 import importlib.util
 import sys

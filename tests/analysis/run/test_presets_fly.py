@@ -23,6 +23,6 @@ def test_a_receiver_without_a_solution_does_not_end_the_flight(name: str) -> Non
         ground += sent.ground
         frames = parser.push(sent.monitor, datagram=False)
         fixes += [f for f in frames if getattr(f, "layout", None) and f.layout.name == "HIL_GPS"]
-    assert ground  # telemetry with GPS_RAW_INT went on
+    assert ground  # telemetry with GPS_RAW_INT continued
     if name == "gps-receiver-off":
-        assert len(fixes) < 8  # five a second until the first second
+        assert len(fixes) < 8  # five per second for one second

@@ -123,7 +123,7 @@ def test_decisions_are_published_during_the_run(tmp_path: Path) -> None:
 
 
 def client(url: str, process: "subprocess.Popen[bytes]") -> Bus:
-    """A session with the router of a run, as soon as it is there."""
+    """Open a session with the router of a run, as soon as it is available."""
     while process.poll() is None:
         try:
             return open_bus(url, run="zenoh")

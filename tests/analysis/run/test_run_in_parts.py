@@ -1,4 +1,4 @@
-"""`sim`, `proxy` and `monitor` as three processes against `run` as one."""
+"""`sim`, `proxy` and `monitor` as three processes, compared with `run` as one."""
 
 import socket
 import subprocess
@@ -24,7 +24,7 @@ def free_port() -> int:
 
 @contextmanager
 def started(ready: str, *arguments: str | Path) -> Iterator["subprocess.Popen[str]"]:
-    """A process of ours, once it has said that it is ready."""
+    """Start a process and wait until it reports that it is ready."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", *map(str, arguments)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

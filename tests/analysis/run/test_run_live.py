@@ -1,4 +1,4 @@
-"""A run in real time: a MAVSDK client sees it fly, an edit is told, and Ctrl-C ends it cleanly."""
+"""A run in real time: MAVSDK receives telemetry, an edit is reported, Ctrl-C ends it cleanly."""
 
 import json
 import queue
@@ -62,7 +62,7 @@ def test_mavsdk_receives_telemetry_and_ctrl_c_leaves_readable_files(started: Sta
         while abs(seen.get(timeout=20)[0] - first_lat) * 111_320 < 40.0:
             pass  # it flies north at 25 m/s
 
-    # The newest edits are in the logs too, though nothing is recorded between this and the end.
+    # The newest edits are in the logs too, although no write happens between them and the end.
     assert main(["inject", "baro-freeze", "--zenoh", bus]) == 0
     process.send_signal(signal.SIGINT)
     output, _ = process.communicate(timeout=60)

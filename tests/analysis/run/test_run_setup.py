@@ -103,7 +103,7 @@ def test_a_value_that_cannot_be_set_is_reported(change: str, error: str) -> None
 def test_a_plant_fault_of_a_missing_part_is_refused(
     target: str, known: str, tmp_path: Path
 ) -> None:
-    """It would never act, and be called missed."""
+    """Otherwise it would never act and count as missed."""
     schedule = tmp_path / "faults.yaml"
     schedule.write_text(f"faults: [{{id: a, fault: plant, target: '{target}', value: 0.5}}]\n")
     name = target.removeprefix("PLANT.")

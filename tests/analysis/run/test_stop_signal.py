@@ -10,7 +10,7 @@ from analysis.run.stop_signal import stop_requests
 
 @pytest.fixture(autouse=True)
 def python_handles_sigint() -> Iterator[None]:
-    """A shell ignores SIGINT for what it runs in the background; here Python handles it."""
+    """Let Python handle SIGINT, which a shell ignores for background processes."""
     inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, inherited)

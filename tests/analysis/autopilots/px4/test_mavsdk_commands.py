@@ -23,12 +23,10 @@ sensors:
   imu: {preset: consumer-mems, rate_hz: 100}
   gps: {preset: ideal, rate_hz: 5}
 """
-ESTIMATOR_STATUS = message_layout(
-    "ESTIMATOR_STATUS"
-)  # which the simulator's vehicle has no word for
+ESTIMATOR_STATUS = message_layout("ESTIMATOR_STATUS")  # which the simulator's vehicle does not send
 POSITION = Frame(build_frame(ESTIMATOR_STATUS, {"flags": 16}), ESTIMATOR_STATUS)
 LIMIT_S = 60.0
-SPEED = 20.0  # times real time: MAVSDK takes its own
+SPEED = 20.0  # times real time; MAVSDK needs wall time
 NORTH = Waypoint(47.3977600, 8.545594, 8.0, 5.0)  # 2 m from the start
 
 
@@ -40,11 +38,11 @@ def flight(tmp_path):
 
 
 def fly(flight, plan):
-    """The operator after the flight, and the greatest height."""
+    """Fly; return the operator and the largest height."""
     parser, highest_m = Parser(), 0.0
     begin_s = time.monotonic()
-    with closing(MavsdkCommands(plan.landing)) as requests:
-        operator = Operator(plan, requests)
+    with closing(MavsdkCommands(plan.landing)) as commands:
+        operator = Operator(plan, commands)
         operator.receive(POSITION)
         while not operator.finished and (wall_s := time.monotonic() - begin_s) < LIMIT_S:
             if flight.t_us * 1e-6 > SPEED * wall_s:
@@ -66,10 +64,10 @@ def test_it_arms_takes_off_hovers_and_lands(flight):
 
 
 def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
-    with closing(MavsdkCommands((NORTH, NORTH))) as requests:
+    with closing(MavsdkCommands((NORTH, NORTH))) as commands:
         for _ in range(6):
-            requests.arm()
-        sent = Parser().push(b"".join(requests.pending()))
+            commands.arm()
+        sent = Parser().push(b"".join(commands.pending()))
     modes = [
         (frame.number("param2"), frame.number("param3"))
         for frame in sent
@@ -80,17 +78,17 @@ def test_a_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
 
 def test_a_reply_is_awaited_from_the_first_command_on(flight):
     parser = Parser()
-    with closing(MavsdkCommands([])) as requests:
-        assert not requests.awaiting_reply
-        requests.arm()  # nobody was heard of yet whom to ask
-        assert requests.awaiting_reply
+    with closing(MavsdkCommands([])) as commands:
+        assert not commands.awaiting_reply
+        commands.arm()  # no vehicle was found yet
+        assert commands.awaiting_reply
         deadline_s = time.monotonic() + LIMIT_S
-        while requests.awaiting_reply and time.monotonic() < deadline_s:
-            for item in parser.push(b"".join(flight.advance(requests.pending()).ground)):
+        while commands.awaiting_reply and time.monotonic() < deadline_s:
+            for item in parser.push(b"".join(flight.advance(commands.pending()).ground)):
                 if isinstance(item, Frame):
-                    requests.receive(item)
-            requests.arm()  # as the operator does until the vehicle says so
-        assert not requests.awaiting_reply
+                    commands.receive(item)
+            commands.arm()  # as the operator does until the vehicle is armed
+        assert not commands.awaiting_reply
 
 
 def test_it_uploads_a_mission_and_starts_it(flight):
@@ -101,9 +99,9 @@ def test_it_uploads_a_mission_and_starts_it(flight):
 
 def test_recorded_streams_are_not_passed_to_mavsdk(monkeypatch):
     attitude, heartbeat = message_layout("ATTITUDE"), message_layout("HEARTBEAT")
-    with closing(MavsdkCommands([])) as requests:
+    with closing(MavsdkCommands([])) as commands:
         heard = []
-        monkeypatch.setattr(requests._mavsdk, "pass_received_raw_bytes", heard.append)
+        monkeypatch.setattr(commands._mavsdk, "pass_received_raw_bytes", heard.append)
         for layout in (attitude, heartbeat):
-            requests.receive(Frame(build_frame(layout, {}), layout))
+            commands.receive(Frame(build_frame(layout, {}), layout))
     assert heard == [build_frame(heartbeat, {})]

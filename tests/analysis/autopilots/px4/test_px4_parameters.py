@@ -1,4 +1,4 @@
-"""PX4's parameters of a vehicle, held against PX4's own airframe of it."""
+"""PX4 parameters of a vehicle, compared with PX4's own airframe."""
 
 import pytest
 
@@ -21,7 +21,7 @@ def test_the_motors_of_a_quad_are_those_of_px4s_own_airframe(tmp_path):
         tuple(found[f"CA_ROTOR{number}_{name}"] > 0 for name in ("PX", "PY", "KM"))
         for number in range(4)
     ]
-    # none_iris (10016): front right and rear left turn counter-clockwise, which PX4 counts positive
+    # none_iris (10016): front right and rear left turn counter-clockwise, positive in PX4
     assert signs == [
         (True, True, True),
         (False, False, True),

@@ -17,12 +17,12 @@ NONE: dict[str, Any] = {"seed": 1, "faults": []}
 
 
 def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]]) -> list[int]:
-    """Have flights end with summaries of (it took off, its fault acted); counts them."""
-    flown: list[int] = []
+    """Let flights end with summaries of (took off, fault acted), and count them."""
+    tries: list[int] = []
 
     def fly(subject: str, run: Any, schedule: Any, folder: Path, *, kept: bool) -> Path:
-        took_off, acted = summaries[len(flown)]
-        flown.append(len(flown))
+        took_off, acted = summaries[len(tries)]
+        tries.append(len(tries))
         moments = {"take-off": 12.0} if took_off else {}
         autopilot = {"moments_s": moments, "ended_early": "" if took_off else "gave up"}
         (folder / "run").mkdir()
@@ -32,24 +32,24 @@ def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]])
 
     monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
     monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
-    return flown
+    return tries
 
 
 def test_a_flight_whose_fault_never_acted_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    flown = flights(monkeypatch, [(False, False), (True, False), (True, True)])
+    tries = flights(monkeypatch, [(False, False), (True, False), (True, True)])
     found = run_autopilot_cell("px4", [], ONE, tmp_path, kept=True)
-    assert len(flown) == 3
+    assert len(tries) == 3
     assert found.verdict == CellVerdict("isolated", "imu", 0.5)
 
 
 def test_a_reference_flight_without_take_off_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    flown = flights(monkeypatch, [(False, False), (True, False)])
+    tries = flights(monkeypatch, [(False, False), (True, False)])
     assert run_autopilot_cell("px4", [], NONE, tmp_path, kept=True).verdict == CellVerdict()
-    assert len(flown) == 2
+    assert len(tries) == 2
 
 
 @pytest.mark.parametrize(

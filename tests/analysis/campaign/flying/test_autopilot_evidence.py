@@ -14,7 +14,7 @@ T_US = np.arange(0, 20_000_000, 100_000)
 
 
 def since(stamps_us):
-    return stamps_us * 1e-6 - 2.0  # off the ground after two seconds
+    return stamps_us * 1e-6 - 2.0  # take-off after two seconds
 
 
 def truth(height_m, tilt_deg=0.0, sink_mps=0.0):
@@ -69,14 +69,14 @@ def test_changes_of_mode_and_warnings_are_marks() -> None:
 
 
 def test_a_vehicle_off_the_reference_path_is_degraded() -> None:
-    def flown(offset_m: float) -> Evidence:
+    def evidence_at(offset_m: float) -> Evidence:
         times = [float(t) for t in range(20)]
         path = {name: EvidenceCurve(times, [0.0] * 20) for name in PATH}
         path[PATH[1]] = EvidenceCurve(times, [offset_m if t > 8 else 0.0 for t in times])
         return Evidence({ATTITUDE: EvidenceCurve(times, [1.0] * 20), **path})
 
     cell = Cell(subject="copter", scenario="x", fault="f", onset=5.0, duration_s=5.0)
-    result = classify_flight(cell, 5.0, flown(12.0), flown(0.0), OutcomeLimits())
+    result = classify_flight(cell, 5.0, evidence_at(12.0), evidence_at(0.0), OutcomeLimits())
     assert (result.outcome, result.excursion_m) == ("degraded", 12.0)
 
 

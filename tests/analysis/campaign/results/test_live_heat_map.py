@@ -74,7 +74,7 @@ def test_an_open_heat_map_refreshes_and_keeps_the_selected_cell(
     shown.locator(".heat td", has_text="2").dispatch_event("click")
     shown.wait_for_selector(".heat td.chosen:has-text('2')")
     store.add([result("mahony", 2.0, "lost")], None)
-    write_page(tmp_path, plan)  # the last one: it stays
+    write_page(tmp_path, plan)  # the final page, which does not reload
     shown.wait_for_selector("section:has-text('mahony') td:has-text('lost')")
     shown.wait_for_selector(".heat td.chosen:has-text('2degraded')")
     shown.close()
