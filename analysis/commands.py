@@ -42,13 +42,10 @@ def add_run(commands: Any) -> None:
     parser.add_argument(
         "--autopilot",
         choices=("ardupilot", "ardupilot:copter", "ardupilot:plane", "px4"),
-        help="autopilot under test (default: the built-in controller); the scenario names the"
-        " vehicle",
+        help="autopilot that flies the scenario's vehicle (default: the built-in controller)",
     )
     parser.add_argument(
-        "--binary",
-        metavar="PATH",
-        help="SITL binary of the autopilot (default: arducopter, arduplane, px4)",
+        "--binary", metavar="PATH", help="its SITL binary (default: arducopter, arduplane, px4)"
     )
     parser.add_argument(
         "--parameters",
@@ -69,9 +66,7 @@ def add_run(commands: Any) -> None:
 
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
     """Add the scenario and the options that replace parts of it."""
-    parser.add_argument(
-        "scenario", nargs="?", metavar="SCENARIO", help="scenario file, YAML (default: the demo)"
-    )
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
     parser.add_argument(
         "--schedule", metavar="FILE", help="fault schedule (default: the scenario's)"
     )
@@ -169,10 +164,7 @@ def add_search(commands: Any) -> None:
     parser = commands.add_parser("search", help="random and optimised search for the worst case")
     parser.add_argument("testfile", metavar="TESTFILE", help="test file with the ranges (YAML)")
     parser.add_argument(
-        "--budget",
-        type=int,
-        metavar="N",
-        help="number of evaluations (default: the file's or 2000)",
+        "--budget", type=int, metavar="N", help="evaluations (default: the file's, or 2000)"
     )
     parser.add_argument(
         "--method",
@@ -217,9 +209,7 @@ def add_campaign(commands: Any) -> None:
     where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
     where.add_argument("--ray", metavar="ADDRESS", help="address of a Ray cluster")
     parser.add_argument(
-        "--out",
-        metavar="DIR",
-        help="output folder; continues a campaign (default: runs/campaign-NAME-NUMBER)",
+        "--out", metavar="DIR", help="new or unfinished campaign's folder (default: in runs/)"
     )
     parser.add_argument("--dataset", metavar="DIR", help="write the flights as a labelled data set")
     parser.add_argument("--dry-run", action="store_true", help="print only the size and duration")

@@ -44,9 +44,8 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
 
     `outcome` is one of `outcomes.RANKS` or `aborted`, with the reason in `note`. Excursions are the
     largest errors beyond those of the reference flight. `detected_by` is the first flag, alarm or
-    text that the reference flight lacks. `verdict` is the monitor's verdict on the fault
-    (`docs/verdicts.md`), `blamed` the sensors it isolated, `verdict_s` its delay; empty if no
-    monitor ran.
+    text that the reference flight lacks. `verdict` is the monitor's (`docs/verdicts.md`), `blamed`
+    are the sensors it isolated, `verdict_s` is its delay; empty if no monitor ran.
     """
 
     cell: Cell
@@ -107,9 +106,7 @@ def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
     detected = [fault for fault in faults if fault["delay_s"] is not None]
     first = min(detected, key=lambda fault: fault["delay_s"]) if detected else faults[0]
     # A sensor may have been isolated several times.
-    isolated = dict.fromkeys(
-        [*first["isolated"], *(isolation["who"] for isolation in first["wrongly"])]
-    )
+    isolated = dict.fromkeys([*first["isolated"], *(row["who"] for row in first["wrongly"])])
     return CellVerdict(first["verdict"], ", ".join(isolated), first["delay_s"])
 
 

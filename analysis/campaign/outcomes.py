@@ -118,10 +118,7 @@ def outcome_of(
 def error_excursion(
     flight: Evidence, reference: Evidence, name: str, onset_s: float
 ) -> tuple[Vector, Vector]:
-    """Return times (n,) [s] since the onset, and the flight's curve minus the reference (n,).
-
-    Both are empty if a curve is missing.
-    """
+    """Return times (n,) [s] since the onset and flight minus reference (n,); empty if missing."""
     if name not in flight.curves or name not in reference.curves:
         return np.empty(0), np.empty(0)
     t_s, value = _arrays(flight.curves[name])

@@ -49,12 +49,9 @@ def outcome_grid(results: Sequence[CellResult], campaign: CampaignFile) -> list[
         groups[cell.subject, cell.fault][cell.magnitude].append(result)
     return [
         # A fault without a magnitude has one column.
-        GridRow(
-            *names,
-            tuple(_cell(m, by_magnitude[m]) for m in sorted(by_magnitude, key=lambda m: m or 0.0)),
-        )
+        GridRow(*names, tuple(_cell(m, cells[m]) for m in sorted(cells, key=lambda m: m or 0.0)))
         for names in product(campaign.subject_names, [fault.name for fault in campaign.faults])
-        if (by_magnitude := groups.get(names))
+        if (cells := groups.get(names))
     ]
 
 
@@ -69,10 +66,8 @@ def severity_key(result: CellResult) -> tuple[int, float]:
 
 
 def failsafe_share(results: Sequence[CellResult]) -> float | None:
-    """Return the share of an autopilot's failsafe-or-worse flights in which a failsafe acted.
-
-    None for an estimator.
-    """
+    """Return the share of an autopilot's bad flights with a failsafe; None for an estimator."""
+    # Bad flights are failsafe or worse: a milder outcome needs no failsafe.
     bad = [r for r in results if outcome_rank(r.outcome) >= outcome_rank("failsafe")]
     # An estimator neither lands nor crashes, and has no failsafe.
     has_autopilot = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
