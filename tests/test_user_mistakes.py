@@ -146,4 +146,4 @@ def test_a_system_without_semaphores_is_told_in_a_line(
     (folder / "test.yaml").write_text((EXAMPLES / "gyro_search.yaml").read_text())
     workers = ("--workers", "2") if words[0] == "search" else ()
     assert main([*words, *workers, "--out", "out"]) == 2
-    assert "/dev/shm must exist and be writable" in capsys.readouterr().err
+    assert "make sure that /dev/shm exists and is writable" in capsys.readouterr().err

@@ -180,7 +180,7 @@ def test_many_alarms_without_labels_suggest_the_calibration(capsys):
     }
     rest |= {"faults": [], "criteria": [], "attitude_rmse_deg": None, "verdict": "PASS"}
     print_summary(rest | summary, None)
-    assert "--calibrate fits the noise" in capsys.readouterr().out
+    assert "fit the noise to a fault-free recording with --calibrate" in capsys.readouterr().out
     print_summary(rest | summary | {"false_alarms": 0}, None)
     print_summary(rest | summary | {"alarms": 2}, None)
     assert "--calibrate" not in capsys.readouterr().out

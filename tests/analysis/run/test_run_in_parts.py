@@ -53,7 +53,7 @@ def test_three_processes_give_the_same_decisions_as_one(tmp_path: Path) -> None:
     with ExitStack() as stack:
         monitor = stack.enter_context(
             started(
-                "watching", "monitor", "--link", f"udpin:127.0.0.1:{to_monitor}",
+                "monitoring", "monitor", "--link", f"udpin:127.0.0.1:{to_monitor}",
                 "--scenario", SHORT, "--for", "7.9", "--out", tmp_path / "parts", "--zenoh", "off",
             )
         )  # fmt: skip
