@@ -125,7 +125,7 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
         found.append("position and velocity: no GNSS data")
     # Not the first seconds of a run with an IMU, in which its attitude is initialised.
     if 2 * summary["epochs_without_imu"] > epochs:
-        found.append("coordinated spoofing of all satellites: no IMU to detect it")
+        found.append("coordinated spoofing of all satellites, as most epochs had no IMU")
         # Without labels, a plain antenna on the ground gives a hundred alarms per hour.
         if (
             summary["false_alarms"] is None
