@@ -1,7 +1,7 @@
-"""A MAVLink proxy that applies scripted and live faults and writes down what it did.
+"""A MAVLink proxy that applies scripted and live faults and records what it did.
 
-Bytes come in, become frames, pass the faults that are active, and leave as bytes. From Python:
-`Proxy`, `AsyncProxy`, `LiveFault`, `Run`, `run` and `ConfigError`; each is loaded when first used.
+It splits received bytes into frames, applies the active faults and sends the result. Python API:
+`Proxy`, `AsyncProxy`, `LiveFault`, `Run`, `run` and `ConfigError`, each loaded at first use.
 """
 
 from importlib import import_module
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["AsyncProxy", "ConfigError", "LiveFault", "Proxy", "Run", "__version__", "run"]
 
-# A command that parses its arguments must not pay for numpy, so a name is looked up on demand.
+# Names are imported on demand, so that the command line starts without importing numpy.
 _HOMES = {
     "AsyncProxy": "mavproxy_fault.api.async_proxy",
     "ConfigError": "mavproxy_fault.documents.errors",

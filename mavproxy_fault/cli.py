@@ -1,8 +1,8 @@
-"""The command: `mavproxy-fault`, made of our subcommands and those of other packages.
+"""The `mavproxy-fault` command: the built-in subcommands and those of other packages.
 
-Other packages register theirs by entry point (group `mavproxy_fault.commands`): a function that
-adds its own parser to the subparsers it is given and sets the default `main`, a function of the
-parsed arguments that returns the exit code. Whatever is heavy is imported inside `main`.
+Other packages register a subcommand by entry point (group `mavproxy_fault.commands`): a function
+that adds its parser to the given subparsers and sets the default `main`, a function of the parsed
+arguments that returns the exit code. Heavy imports belong inside `main`.
 """
 
 import argparse
@@ -35,10 +35,10 @@ connection strings (as in pymavlink)
   tcp:HOST:PORT     TCP client      tcpin:HOST:PORT   TCP server
   /dev/ttyACM0,57600                serial device and baud rate
 
-the same in every command
-  --out     where it writes: a folder, or the one file of `replay` and `faults plot`
-  --link    a connection to watch, to play to or to speak through
-  --run     a proxy's name on Zenoh; --zenoh its router
+options that mean the same in every command
+  --out     the output: a folder, or one file for `replay` and `faults plot`
+  --link    the connection to monitor, replay to or send through
+  --run     the name of a proxy on Zenoh; --zenoh is its router
 
 completion
   eval "$(mavproxy-fault --completion bash)"             a line for ~/.bashrc
@@ -48,9 +48,9 @@ default ports (all on 127.0.0.1)
   7447 TCP  Zenoh router            8350 TCP   the page (ui)
 
 exit codes
-  0 fine    1 the verdict failed    2 the input is wrong
+  0 success    1 the verdict is FAIL    2 the input is invalid
 """
-SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # those that shtab knows
+SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # supported by shtab
 HELP_ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
     "search", "report", "ui", "warm-up",
@@ -58,40 +58,40 @@ HELP_ORDER = (
 
 
 def build_parser(command: str = "") -> argparse.ArgumentParser:
-    """The parser with every subcommand; with ours alone if `command` is one of them.
+    """Build the parser with all subcommands, or only the built-in ones if `command` is one.
 
     Raises
     ------
     ConfigError
-        If there is no such command.
+        If `command` does not exist.
     """
     top = CommandParser(
         prog="mavproxy-fault",
-        description="Apply sensor and link faults to MAVLink traffic, and see what happens.",
+        description="Apply sensor and link faults to MAVLink traffic and assess the response.",
         epilog=EPILOG,
     )
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     top.add_argument(
         "--completion", action=CompletionAction, metavar="SHELL", choices=SHELLS,
-        help=f"print what completes commands in {', '.join(SHELLS)} (default: none)",
+        help=f"print the completion script for {', '.join(SHELLS)} (default: none)",
     )  # fmt: skip
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    # Looking for plugins takes longer than a command of ours needs to start.
+    # The search for plugins takes longer than the start of a built-in command.
     adders = (
         BUILT_IN_COMMANDS
         if command in BUILT_IN_COMMANDS
         else {**_registered(), **BUILT_IN_COMMANDS}
     )
     if command and not command.startswith("-") and command not in adders:
-        raise ConfigError(f"{command}: is no command; {suggest_known(command, adders)}")
-    # The order of the help; others' commands follow by name.
+        raise ConfigError(f"{command}: is not a command; {suggest_known(command, adders)}")
+    # The help lists our commands in a fixed order and then the plugins by name.
     for name in [*(n for n in HELP_ORDER if n in adders), *sorted(adders.keys() - set(HELP_ORDER))]:
         adders[name](commands)
     return top
 
 
 def _registered() -> dict[str, AddCommand]:
-    """Other packages' subcommands by name; to look for them takes longer than to parse ours."""
+    """Return the subcommands of other packages by name; the search is slow."""
     from importlib.metadata import entry_points
 
     return {point.name: point.load() for point in entry_points(group="mavproxy_fault.commands")}
@@ -99,12 +99,12 @@ def _registered() -> dict[str, AddCommand]:
 
 @contextmanager
 def _stoppable(last: bool) -> Iterator[None]:
-    """Let SIGTERM end a command as Ctrl-C does.
+    """Make SIGTERM and SIGINT end a command as Ctrl-C does.
 
-    A shell lets what a script starts with `&` ignore SIGINT; ours hear it all the same. Once the
-    work of the `last` command of a process is done, neither changes any more how it went.
+    A shell starts background jobs (`&`) with SIGINT ignored; we handle it even then. Once the
+    `last` command of a process has finished, a signal no longer changes its exit code.
     """
-    if current_thread() is not main_thread():  # only that one may set handlers
+    if current_thread() is not main_thread():  # only the main thread may set handlers
         yield
         return
     before = {number: getsignal(number) for number in (SIGINT, SIGTERM)}
@@ -114,7 +114,7 @@ def _stoppable(last: bool) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        after = before  # what hangs behind a failure can be ended
+        after = before  # a failure that hangs during clean-up must stay interruptible
         raise
     finally:
         for number, action in after.items():
@@ -122,7 +122,7 @@ def _stoppable(last: bool) -> Iterator[None]:
 
 
 def _reopen_closed_streams() -> None:
-    """Open what a shell closed (`>&-`), or a socket would take its number and get our words."""
+    """Reopen streams that the shell closed (`>&-`), or a socket would get their descriptors."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -131,9 +131,9 @@ def _reopen_closed_streams() -> None:
 
 
 def _drop_output() -> None:
-    """Let go of what could not be written: Python would complain at exit."""
+    """Discard output that could not be written, or Python would complain at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    with suppress(OSError):  # where a test has put something else in its place
+    with suppress(OSError):  # a test may have replaced the stream
         os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
 
@@ -144,14 +144,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (
         sys.stdout,
         sys.stderr,
-    ):  # names of the user's may be beyond the terminal's letters
+    ):  # the terminal's encoding may lack characters of the user's file names
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
         chosen = build_parser(given[0] if given else "").parse_args(given)
-        # Commands return their exit code; whatever they raise besides a user's mistake stays loud.
+        # Commands return their exit code; any exception but a ConfigError is a bug and shown.
         with _stoppable(last=arguments is None):
             code: int = chosen.main(chosen)
     except ConfigError as error:
@@ -161,16 +161,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # 128 + SIGINT, as shells count.
         return 130
     except BrokenPipeError:
-        # The reader, `head` for example, has gone: Python would complain at exit.
+        # The reader has closed the pipe, as `head` does: Python would complain at exit.
         sys.stderr.close()
         return 0
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            print(f"mavproxy-fault: {error.strerror}; allow more (ulimit -n)", file=sys.stderr)
+            print(f"mavproxy-fault: {error.strerror}; raise the limit (ulimit -n)", file=sys.stderr)
             return 2
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        print(f"mavproxy-fault: {error.strerror}: not all could be written", file=sys.stderr)
+        print(f"mavproxy-fault: {error.strerror}; the output is incomplete", file=sys.stderr)
         _drop_output()
         return 2
     return code

@@ -1,8 +1,8 @@
 """Fixtures for tests of code that talks to a vehicle: `fault_proxy`, `autopilot` and `flight`.
 
 `@pytest.mark.fault("bias", target="HIL_SENSOR.xgyro", value=0.1, at_s=5)` puts a fault into the
-schedule of whichever of them a test asks for; its keys are those of a schedule. A test that fails
-names the folder of its logs and the report.
+schedule of the fixture that the test requests; its keys are those of a schedule entry. A failed
+test prints the folder of its logs and its report.
 """
 
 import contextlib
@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-# pytest loads this file in every project where we are installed: what is heavy is imported by the
-# fixtures.
+# pytest loads this file in every project of the environment, so the fixtures do the heavy imports.
 if TYPE_CHECKING:
     from mavproxy_fault.api.flight_run import Run
     from mavproxy_fault.api.proxy_handle import Proxy
@@ -27,14 +26,14 @@ MASTER, OUT, COMMAND = "fault_master", "fault_out", "fault_autopilot"
 SIMULATED = (
     f"{shlex.quote(sys.executable)} -m mavproxy_fault.cli sim --gcs udpout:127.0.0.1:{{port}}"
 )
-SHUTDOWN_TIMEOUT_S = 10.0  # for a vehicle to close its logs, before it is killed
-FOLDERS = pytest.StashKey[dict[Path, Path]]()  # a folder of logs to the report that it has
+SHUTDOWN_TIMEOUT_S = 10.0  # chosen: time for a vehicle to close its logs before it is killed
+FOLDERS = pytest.StashKey[dict[Path, Path]]()  # log folder to report
 FAILED = pytest.StashKey[bool]()
 
 
 @dataclass(frozen=True)
 class ProxiedAutopilot:
-    """A vehicle behind a proxy; `url` is MAVSDK's address of it, `link` pymavlink's."""
+    """A vehicle behind a proxy; `url` is its address for MAVSDK, `link` for pymavlink."""
 
     proxy: "Proxy"
     url: str
@@ -42,22 +41,22 @@ class ProxiedAutopilot:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where the proxy's ends are, and what flies."""
+    """Register the options for the proxy's links and the vehicle's command."""
     parser.addini(MASTER, "the vehicle's connection string", default="udpin:127.0.0.1:0")
     parser.addini(OUT, "the connection string for the code under test", default="udpin:127.0.0.1:0")
     parser.addini(COMMAND, "starts a vehicle that sends to UDP {port}", default=SIMULATED)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the marker known."""
+    """Register the marker."""
     config.addinivalue_line("markers", "fault(name, **keys): a fault of the test's schedule")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Tell in a failure where the logs and the report lie."""
+    """Add the paths of logs and report to a failure."""
     report = yield
-    # Noted before the fixtures are torn down: they look at it then.
+    # Set before the teardown of the fixtures, which read it.
     if report.when == "call" and report.failed:
         item.stash[FAILED] = True
         for folder, page in item.stash.get(FOLDERS, {}).items():
@@ -75,7 +74,7 @@ def fault_proxy(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator["Pro
     master, out = (request.config.getini(name) for name in (MASTER, OUT))
     with Proxy(master, out, schedule=_schedule(request.node), logdir=folder) as proxy:
         yield proxy
-    # The proxy is closed by now: only then are its logs whole.
+    # The logs are complete only after the proxy has closed.
     if request.node.stash.get(FAILED, False):
         _write_report(folder)
 
@@ -88,7 +87,7 @@ def autopilot(
     vehicle, station = fault_proxy.addresses
     words = shlex.split(request.config.getini(COMMAND).replace("{port}", vehicle.rsplit(":", 1)[1]))
     with (tmp_path / "autopilot.log").open("wb") as log:
-        # In a session of its own: a vehicle may start further programs, and all are to end.
+        # In its own session, so that processes started by the vehicle can be ended too.
         process = subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
         )
@@ -119,11 +118,11 @@ def flight(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., "Run
 
 
 def _schedule(item: pytest.Item) -> dict[str, Any]:
-    """The faults of a test's markers, in the order in which they stand above it."""
+    """Return the faults of a test's markers in source order."""
     from mavproxy_fault.app.inject import live_entry
 
     faults = []
-    # pytest gives the marker nearest to the function first.
+    # pytest yields the marker nearest to the function first.
     for mark in reversed(list(item.iter_markers("fault"))):
         name, keys = mark.args[0], dict(mark.kwargs)
         target, value = keys.pop("target", None), keys.pop("value", None)
@@ -136,14 +135,14 @@ def _announce(item: pytest.Item, folder: Path, report: Path) -> None:
 
 
 def _write_report(folder: Path) -> None:
-    """The report of a failed test's logs; the failure counts, not whether this succeeds."""
+    """Write the report of a failed test; an error here must not hide the test's failure."""
     words = [str(folder / "sent.tlog"), "--labels", str(folder / "labels.jsonl")]
     command = [sys.executable, "-m", "mavproxy_fault.cli", "report", *words]
     subprocess.run([*command, "--out", str(folder / "report")], capture_output=True, check=False)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the vehicle and all that it started."""
+    """End the vehicle and all processes that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, 15)
     try:

@@ -1,6 +1,6 @@
-"""The Python API: a proxy in this process or a running one, and whole flights.
+"""The Python API: control a proxy in this process or another one, and run complete flights.
 
-`Proxy` is a proxy that a test holds; its `fault` gives a `LiveFault`. A `LocalProxy` runs the loop
-in a thread here, a `RemoteProxy` speaks with another process over the bus; `Observed` keeps what
-either says. `Run` is what one `mavproxy-fault run` left behind.
+`Proxy` is the proxy of a test; its `fault` starts a `LiveFault`. A `LocalProxy` runs the event
+loop in a thread, a `RemoteProxy` controls another process over Zenoh; `ProxyObserver` stores the
+labels and samples of either. `Run` gives the results of one `mavproxy-fault run`.
 """

@@ -1,4 +1,4 @@
-"""The proxy for asyncio: the same calls, awaited."""
+"""The proxy API for asyncio: the same calls as coroutines."""
 
 import asyncio
 from types import TracebackType
@@ -17,7 +17,7 @@ class AsyncFault:
 
     async def update(self, value: float) -> None:
         """Change its magnitude [the field's unit] while it acts."""
-        # In a thread: the call waits for the proxy's loop, and asyncio's must go on.
+        # In a thread, since the call blocks until the proxy's loop has served it.
         await asyncio.to_thread(self._fault.update, value)
 
     async def clear(self) -> None:
@@ -37,7 +37,7 @@ class AsyncFault:
 
 
 class AsyncProxy:
-    """A `Proxy` for `async with`: its parameters are the same, or `attach` is a running one's."""
+    """A `Proxy` for `async with`, with the same parameters; `attach` joins a running proxy."""
 
     def __init__(self, *args: Any, attach: str | None = None, **keywords: Any) -> None:
         self._proxy = Proxy(*args, **keywords) if attach is None else Proxy.attach(attach)

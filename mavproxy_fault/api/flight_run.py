@@ -1,4 +1,4 @@
-"""Whole flights from Python: one `mavproxy-fault run`, and what it left in its folder."""
+"""Complete flights from Python: start one `mavproxy-fault run` and read its run folder."""
 
 import json
 import subprocess
@@ -25,9 +25,9 @@ Table = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Run:
-    """A flight that is over: the files of its folder, read when they are asked for.
+    """A completed flight: the files of its run folder, read on first access.
 
-    `report` is the page to look at when a test fails.
+    `report` is the page to open when a test fails.
     """
 
     folder: Path
@@ -50,14 +50,14 @@ class Run:
 
     @cached_property
     def labels(self) -> list[Label]:
-        """What every fault really did."""
+        """The applied faults: frames, times and magnitude of each."""
         return read_labels(self.folder / LABELS)
 
     @cached_property
     def results(self) -> dict[str, Table]:
-        """The monitor's results by type: the column of each key, one entry a result.
+        """The monitor's results by type: one array per key, one element per result.
 
-        Numbers are float arrays (NaN where there is none); what is no number is an object array.
+        Numbers are float arrays (NaN for null); any other value makes an object array.
         """
         rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
         for line in (self.folder / "results.jsonl").read_text().splitlines():
@@ -83,19 +83,18 @@ def run(
     seed: int | None = None,
     out: str | Path | None = None,
 ) -> Run:
-    """Fly a scenario through proxy and monitor as fast as it goes.
+    """Run a scenario through proxy and monitor at full speed, in a separate process.
 
-    The flight is a process of its own, so that it may be asked for from any thread, and its
-    workers never import the caller's module.
+    It may therefore be called from any thread, and its workers never import the caller's module.
 
     Parameters
     ----------
     scenario, schedule : str, Path, dict or None
-        Files, or what stands in them; without a scenario the demo, without a schedule its own.
+        Files or their content; default: the demo scenario, the scenario's own schedule.
     seed : int, optional
-        Instead of the scenario's.
+        Replaces the scenario's seed.
     out : str or Path, optional
-        The run folder; by default a new one in the system's folder for temporary files.
+        The run folder; default: a new temporary folder.
 
     Raises
     ------
@@ -113,20 +112,20 @@ def run(
         words += ["--seed", str(seed)]
     # The same interpreter, so the same environment and packages.
     command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
-    # Without the bus, on whose one address flights of tests in parallel would meet.
+    # Without Zenoh, whose single address parallel tests would compete for.
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    # Its own text without the command's name: the caller's exception names itself.
+    # Without the prefix of the command, since the exception has its own.
     if done.returncode == WRONG_INPUT:
         raise ConfigError(done.stderr.strip().removeprefix("mavproxy-fault: "))
-    # Also a FAIL gives a summary; without one the flight itself broke.
+    # A FAIL writes a summary too; a missing one means that the flight itself crashed.
     if not (folder / "summary.json").exists():
         raise RuntimeError(f"the flight in {folder} ended without a result:\n{done.stderr}")
     return Run(folder)
 
 
 def input_file(given: str | Path | dict[str, Any], path: Path) -> str:
-    """The name of a file with this content, written to `path` where it is a dictionary."""
+    """Return the file's name; a dictionary is first written to `path`."""
     if not isinstance(given, dict):
         return str(given)
     path.write_text(yaml.safe_dump(given, sort_keys=False))
@@ -134,15 +133,15 @@ def input_file(given: str | Path | dict[str, Any], path: Path) -> str:
 
 
 def result_table(rows: list[dict[str, Any]]) -> Table:
-    """Columns by key of rows that have the same keys."""
+    """Convert result rows with the same keys to one column per key."""
     return {key: result_column([row[key] for row in rows]) for key in rows[0]}
 
 
 def result_column(values: list[Any]) -> NDArray[Any]:
-    """One column: of floats if all are numbers or missing, else of objects."""
+    """Make one column: floats if all values are numbers or None, else objects."""
     if all(value is None or type(value) in (int, float) for value in values):
         return np.array([np.nan if value is None else value for value in values], float)
-    # Filled afterwards, or numpy would make a table of lists of equal length.
+    # Filled in a second step, or numpy would make a 2-D array of lists of equal length.
     column = np.empty(len(values), dtype=object)
     column[:] = values
     return column

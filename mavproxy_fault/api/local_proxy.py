@@ -1,4 +1,4 @@
-"""A proxy in this process: its loop runs in a thread of its own."""
+"""A proxy in this process, whose event loop runs in its own thread."""
 
 import contextlib
 import socket
@@ -20,21 +20,21 @@ from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule
 
-# Far above what the loop needs to end; a thread that hangs must not hang the caller.
+# Chosen: far above the loop's normal shutdown time; a hung thread must not block the caller.
 SHUTDOWN_TIMEOUT_S = 10.0
 
 
 class LocalProxy:
-    """Serves its links until it is closed.
+    """A proxy that serves its links until it is closed.
 
     Parameters
     ----------
     master, outs : str and sequence of str
-        Connection strings of the vehicle and of the others.
+        Connection strings of the vehicle and of the other endpoints.
     schedule : Schedule
-        Faults that act by themselves.
+        The scripted faults.
     logdir : Path or None
-        Where the tlogs and labels go.
+        Folder for the tlogs and labels.
     zenoh : str
         `off`, `auto` or an address, as of `mavproxy-fault proxy`.
     """
@@ -48,7 +48,7 @@ class LocalProxy:
         zenoh: str = "off",
     ) -> None:
         self.observer = ProxyObserver()
-        # Links first, as their addresses are asked for before anything flows.
+        # Links first: callers read their addresses before any traffic.
         self._links = open_links(master, outs)
         self.addresses = [link.name for link in self._links]
         engine, tape = Engine(schedule), CaptureBuffer() if logdir else None
@@ -61,52 +61,52 @@ class LocalProxy:
         control = LiveControl(engine, folders=None if zenoh == "off" else ())  # None: any file
         self._live = LiveSession(control, self._server.edit_time, journal, self.observer)
         self._live.open_bus(zenoh)
-        # Before the thread: nothing is shared while it is set up.
+        # Before the thread starts, so that nothing is shared during the set-up.
         self._server.prepare()
         self._server.join(self._live)
         self._failure: BaseException | None = None
         self._wake, self._woken = socket.socketpair()
-        # A daemon: a program that forgets to close its proxy must still be able to end.
+        # A daemon thread, so that a program that never closes its proxy can still exit.
         self._thread = threading.Thread(target=self._run, name="mavproxy-fault", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
             self._server.run(self._woken)
-        except Exception as error:  # told to whoever asks next, in their own thread
+        except Exception as error:  # raised in the thread of the next caller
             self._failure = error
 
     def query(self, what: str, payload: bytes = b"") -> Any:
-        """The answer to a request for `@ctl/<what>`.
+        """Return the reply to the query `@ctl/<what>`.
 
         Raises
         ------
         ConfigError
-            If the request is refused.
+            If the query is refused.
         """
-        # A failed loop would leave the caller waiting for an answer.
+        # After a failure of the loop the caller would wait in vain.
         self._check()
         return self._live.query(f"@ctl/{what}", payload)
 
     def refresh(self) -> None:
-        """Bring labels up to this moment."""
+        """Update the labels."""
         self._check()
-        # In the loop's own thread: the core knows no locks.
+        # In the loop's thread, since the core has no locks.
         self._live.do(self._server.record)
 
     def _check(self) -> None:
         if self._failure is not None:
             raise RuntimeError("the proxy's loop has failed") from self._failure
         if not self._thread.is_alive():
-            raise ConfigError("the proxy is closed; ask while its `with` block runs")
+            raise ConfigError("the proxy is closed; use it inside its `with` block")
 
     def close(self) -> None:
         """End the loop, the recording and the links."""
         self._server.stop()
         with contextlib.suppress(OSError):
-            # The loop may sleep for a tenth of a second; a byte wakes it.
+            # A byte wakes the loop, which may sleep for 0.1 s.
             self._wake.send(b"!")
-        # Joined before the links are closed: the loop may be reading them.
+        # The thread ends before the links close, since it may be reading them.
         self._thread.join(SHUTDOWN_TIMEOUT_S)
         for link in self._links:
             link.close()

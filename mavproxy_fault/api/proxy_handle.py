@@ -1,4 +1,4 @@
-"""The proxy as a test holds it: faults that live as long as a `with` block, labels, waiting."""
+"""The proxy of a test: faults that last as long as a `with` block, labels, and waiting."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,35 +16,35 @@ from mavproxy_fault.wire.label import Label
 
 
 class ProxyAccess(Protocol):
-    """Where the proxy runs: here in a thread, or in another process."""
+    """Access to a proxy in a thread of this process or in another process."""
 
     observer: ProxyObserver
     addresses: list[str]
 
     def query(self, what: str, payload: bytes = b"") -> Any:
-        """The answer to a request for `@ctl/<what>`."""
+        """Return the reply to the query `@ctl/<what>`."""
 
     def refresh(self) -> None:
-        """Bring labels up to this moment, where that is possible."""
+        """Update the labels, where the proxy can be asked to."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the proxy."""
 
 
 class LiveFault:
-    """A fault that acts from now on; leaving its `with` block ends it."""
+    """An active fault; leaving its `with` block ends it."""
 
     def __init__(self, access: ProxyAccess, id: str) -> None:
         self.id = id
         self._access = access
 
     def update(self, value: float) -> None:
-        """Change its magnitude [the field's unit] while it acts."""
+        """Change the magnitude [the field's unit] of the active fault."""
         self._access.query(f"fault/{self.id}/value", msgspec.json.encode({"value": value}))
 
     def clear(self) -> None:
-        """End it; ending one that has ended by itself does nothing."""
-        # Ended by itself, by `for_s`: nothing to end.
+        """End the fault; no effect if it has already ended."""
+        # It may have ended after `for_s`.
         state = self._access.query("state")
         if any(fault["id"] == self.id for fault in state["faults"]):
             self._access.query(f"fault/{self.id}/disarm")
@@ -62,18 +62,18 @@ class LiveFault:
 
 
 class Proxy:
-    """A proxy between a vehicle and others, for as long as its `with` block runs.
+    """A proxy between a vehicle and other endpoints, open while its `with` block runs.
 
     Parameters
     ----------
     master : str
         The vehicle's connection string, such as `udpin:127.0.0.1:14540`.
     out : str or sequence of str
-        Those of ground stations and other programs. Port 0 is any free port: see `addresses`.
+        Those of ground stations and other programs. Port 0 selects a free port: see `addresses`.
     schedule : str, Path, dict or None
-        A file of faults, or the same as a dictionary.
+        A schedule file, or its content.
     logdir : str, Path or None
-        Where `received.tlog`, `sent.tlog` and `labels.jsonl` go.
+        Folder for `received.tlog`, `sent.tlog` and `labels.jsonl`.
     zenoh : str
         `off`, or `auto` so that `mavproxy-fault inject` and the page reach it.
 
@@ -100,16 +100,16 @@ class Proxy:
 
     @classmethod
     def attach(cls, zenoh: str | None = None, *, run: str = "live") -> "Proxy":
-        """The proxy or run that is running already; `zenoh` is its address on the bus.
+        """Attach to a running proxy or run; `zenoh` is the address of its router.
 
         Raises
         ------
         ConfigError
-            If there is none.
+            If it is not found.
         """
         from mavproxy_fault.api.remote_proxy import RemoteProxy
 
-        # Without `__init__`, which would open links of its own.
+        # Bypasses `__init__`, which would open new links.
         proxy = cls.__new__(cls)
         proxy._access = RemoteProxy(zenoh, run)
         return proxy
@@ -129,12 +129,12 @@ class Proxy:
         id: str | None = None,
         **parameters: Any,
     ) -> LiveFault:
-        """Let a fault or preset act from now on, until it is cleared or `for_s` seconds are over.
+        """Start a fault or preset now; it ends after `for_s` seconds or when it is cleared.
 
         Parameters
         ----------
         fault : str
-            Its name, as `mavproxy-fault faults list` shows it.
+            Its name, as listed by `mavproxy-fault faults list`.
         target : str or sequence of str, optional
             `MESSAGE.field`, or several.
         value : float, optional
@@ -142,17 +142,17 @@ class Proxy:
         for_s : float, optional
             Seconds of the vehicle's time.
         id : str, optional
-            Its name in labels; by default that of the fault.
+            Its id in labels; default: the name of the fault.
         **parameters
-            The fault's own further keys, as in a schedule.
+            Further keys of the fault, as in a schedule.
 
         Raises
         ------
         ConfigError
-            If there is no such fault, or a key is wrong or missing.
+            If the fault does not exist, or a key is wrong or missing.
         """
         entry = live_entry(fault, target, value, {"for_s": for_s, **parameters})
-        # The same default as the command's.
+        # The same default as `mavproxy-fault inject`.
         id = id or fault
         self._access.query(f"fault/{id}/arm", msgspec.json.encode(entry))
         return LiveFault(self._access, id)
@@ -163,40 +163,40 @@ class Proxy:
 
     @property
     def labels(self) -> list[Label]:
-        """What every fault really did: frames, times, magnitude."""
+        """The applied faults: frames, times and magnitude of each."""
         self._access.refresh()
         return self._access.observer.labels
 
     def wait_for(self, condition: str, timeout_s: float = 5.0) -> None:
-        """Return once a condition holds for what leaves the proxy, such as `armed`.
+        """Wait until a condition such as `armed` holds for the messages that the proxy sends.
 
         Parameters
         ----------
         condition : str
-            As the `when` of a schedule, such as `GPS_RAW_INT.fix_type < 3`.
+            As `when` in a schedule, for example `GPS_RAW_INT.fix_type < 3`.
         timeout_s : float
             Seconds of wall time.
 
         Raises
         ------
         ConfigError
-            If the condition cannot be read.
+            If the condition is not valid.
         TimeoutError
-            If it does not come true in time.
+            If it does not become true in time.
         """
         try:
             parsed = Condition(condition)
         except ValueError as error:
             raise ConfigError(f"wait_for: {error}") from None
 
-        # Asked again and again by `wait_for`: a watch is a lease.
+        # `wait_for` calls it repeatedly, since a subscription expires.
         def watch(names: list[str]) -> object:
             return self._access.query("watch", msgspec.json.encode(names))
 
         self._access.observer.wait_for(parsed, timeout_s, watch)
 
     def close(self) -> None:
-        """Close the links; an attached proxy goes on."""
+        """Close the links; an attached proxy keeps running."""
         self._access.close()
 
     def __enter__(self) -> "Proxy":

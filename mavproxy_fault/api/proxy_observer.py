@@ -1,4 +1,4 @@
-"""What a proxy says of itself: labels, and the newest values of the messages that are watched."""
+"""Labels and watched messages of a proxy, stored for callers that wait for a condition."""
 
 import threading
 import time
@@ -10,11 +10,11 @@ from mavproxy_fault.wire.dialect import find_layout, message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import Label, latest_labels
 
-RENEW_S = LEASE_S / 2.0  # a message stays watched only while somebody goes on asking
+RENEW_S = LEASE_S / 2.0  # half the lease, so that one late renewal loses nothing
 
 
 class ProxyObserver:
-    """Filled by the thread that serves the proxy, read by the threads of callers."""
+    """Stores what a proxy reports; its thread writes, the callers' threads read."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -23,7 +23,7 @@ class ProxyObserver:
 
     @property
     def labels(self) -> list[Label]:
-        """The last word on every stretch in which a fault acted."""
+        """The newest label of every activation of a fault."""
         with self._changed:
             return latest_labels(self._labels)
 
@@ -38,7 +38,7 @@ class ProxyObserver:
             for frame in (frame for watched in samples for frame in frames_of(watched)):
                 for telemetry in self._waiting:
                     telemetry.note(frame)
-            # Once for all samples: each waiting thread looks at the newest state only.
+            # Once for all samples, since a waiting thread tests the newest state only.
             self._changed.notify_all()
 
     def wait_for(
@@ -53,14 +53,14 @@ class ProxyObserver:
         """
         names = [message_layout(number).name for number in sorted(condition.ids)]
         deadline_s = time.monotonic() + timeout_s
-        telemetry = Telemetry()  # a fresh one: what was seen before may be long past
+        telemetry = Telemetry()  # a new one, since older values may be outdated
         with self._changed:
             self._waiting.append(telemetry)
         try:
             while True:
-                watch(names)  # outside the lock, since the proxy's thread answers it
+                watch(names)  # without the lock, since the proxy's thread replies
                 with self._changed:
-                    # Short of the lease: the proxy stops watching when nobody renews.
+                    # Before the lease ends: the proxy then drops the subscription.
                     renew_s = min(time.monotonic() + RENEW_S, deadline_s)
                     while not condition.holds(telemetry) and time.monotonic() < renew_s:
                         self._changed.wait(renew_s - time.monotonic())
@@ -74,19 +74,19 @@ class ProxyObserver:
 
 
 def frames_of(watched: Watched) -> list[Frame]:
-    """Frames with the values that left, so that a wait and a schedule's `when` mean the same."""
+    """Rebuild the sent frames, so that a wait and a schedule's `when` use the same conditions."""
     if find_layout(watched.message) is None:
-        return []  # pseudoranges lie in a tunnel; no condition looks at them
+        return []  # pseudoranges travel in TUNNEL; no condition reads them
     described = message_layout(watched.message)
     frames = []
-    # What left the proxy where a fault changed it, else what came.
+    # The sent values if a fault changed them, else the received ones.
     for _, *row in watched.received if watched.sent is None else watched.sent:
         values: dict[str, object] = {}
         arrays: dict[str, list[object]] = {}
         for name, value in zip(watched.fields, row, strict=True):
             base, _, index = name.partition("[")
             if index:
-                # Items of an array come as separate fields and go into one list.
+                # The items of an array arrive as separate fields.
                 values[base] = arrays.setdefault(base, [])
                 arrays[base].append(value)
             else:

@@ -1,4 +1,4 @@
-"""A proxy of another process, reached over the bus."""
+"""A proxy in another process, controlled over Zenoh."""
 
 import json
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from mavproxy_fault.wire.label import Label
 
 
 class RemoteProxy:
-    """A client of a running proxy; closing it leaves the proxy as it is."""
+    """A client of a running proxy; closing it does not stop the proxy."""
 
     def __init__(self, zenoh: str | None, run: str) -> None:
         self.observer = ProxyObserver()
@@ -25,24 +25,24 @@ class RemoteProxy:
         )
 
     def query(self, what: str, payload: bytes = b"") -> Any:
-        """The answer to a request for `@ctl/<what>`.
+        """Return the reply to the query `@ctl/<what>`.
 
         Raises
         ------
         ConfigError
-            If the request is refused, or nobody answers.
+            If the query is refused or no proxy replies.
         """
         return json.loads(self._bus.query(f"@ctl/{what}", payload)[0])
 
     def refresh(self) -> None:
-        """Nothing to do: the proxy publishes its labels once a second."""
+        """Do nothing: the proxy publishes its labels once a second."""
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Close the Zenoh session."""
         self._bus.close()
 
 
 def _decoded(kind: Any, deliver: Callable[[Any], None]) -> Callable[[str, bytes], None]:
-    """A subscriber that decodes JSON of a type."""
+    """Return a subscriber that decodes JSON payloads of a type."""
     decoder = msgspec.json.Decoder(kind)
     return lambda key, payload: deliver(decoder.decode(payload))

@@ -1,6 +1,6 @@
-"""The proxy as a process: its subcommands, its event loop, its files and its counters.
+"""The proxy as a process: its subcommands, event loop, files and counters.
 
-The *server* owns links, clock and files and carries out what the core hands back. The *recorder*
-writes a session's folder: tlogs, labels, index and journal. *Replay* plays such a folder or any
-tlog through the core again; *playback* reads it record by record.
+The *server* owns links, clock and files and sends what the core returns. The *recorder* writes the
+folder of a session: tlogs, labels, index and edit log. *Replay* runs such a folder or any tlog
+through the core again; *playback* reads it record by record.
 """

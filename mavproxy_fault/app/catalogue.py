@@ -1,4 +1,4 @@
-"""`mavproxy-fault faults`: what there is, whether a schedule is right, and how it looks."""
+"""`mavproxy-fault faults`: list faults and presets; check and plot schedules."""
 
 import argparse
 import inspect
@@ -30,14 +30,15 @@ TARGETS = {
 
 
 def main(args: argparse.Namespace) -> int:
-    """Carry out one of the actions."""
+    """Run one of the actions."""
     if args.action == "list":
         print(list_catalogue())
     elif args.action == "show":
         print(describe_fault(args.name))
     elif args.action == "check":
         schedule = read_schedule(args.file)
-        print(f"{args.file}: {len(schedule.faults)} faults, all right")
+        plural = "s" * (len(schedule.faults) != 1)
+        print(f"{args.file}: {len(schedule.faults)} fault{plural}: OK")
         for entry in schedule.faults:
             print(f"  {entry.id}: {describe_entry(entry)}")
     elif args.action == "plot":
@@ -48,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def list_catalogue() -> str:
-    """Every fault and preset, a line each."""
+    """List all faults and presets, one per line."""
     rows = [("faults", "")]
     for name, kind in known_faults().items():
         aliases = ", ".join(getattr(kind, "aliases", ()))
@@ -60,19 +61,19 @@ def list_catalogue() -> str:
 
 
 def first_line(kind: type[Any]) -> str:
-    """The first sentence of a fault's docstring."""
+    """Return the first sentence of a fault's docstring."""
     return inspect.getdoc(kind).split("\n")[0].rstrip(".")  # type: ignore[union-attr]
 
 
 def describe_fault(name: str) -> str:
-    """What a fault takes, or what a preset is made of.
+    """Describe the parameters of a fault, or the entries of a preset.
 
     Raises
     ------
     ConfigError
-        If there is neither of that name.
+        If neither a fault nor a preset has that name.
     """
-    # A preset may have the name of a fault; `fault_class` below serves the rest.
+    # A preset takes precedence over a fault of the same name.
     if name in preset_names():
         preset = read_preset(name)
         parts = write_yaml(preset["faults"], flow=None)
@@ -81,24 +82,24 @@ def describe_fault(name: str) -> str:
     kind = fault_class(name)
     if kind is None:
         known = suggest_known(name, [*known_faults(), *known_aliases(), *preset_names()])
-        raise ConfigError(f"faults show: {name} is neither fault nor preset; {known}")
+        raise ConfigError(f"faults show: {name} is neither a fault nor a preset; {known}")
     lines = [f"{name}: {inspect.getdoc(kind)}", "", f"target: {TARGETS[kind.acts_on]}"]
     if acts_on_ranges(kind):
         lines.append(f"   or   {TARGETS['satellites']}")
     for field in msgspec.structs.fields(kind):
-        # What comes from the target is no parameter that a user writes.
+        # Fields filled from the target are not parameters.
         if field.name not in TARGET_FIELDS:
             lines.append(f"{field.name}: {format_type(field.type)}{_default(field)}")
     if hasattr(kind, "example"):
         entry = {"fault": name, "at_s": 20, **kind.example}
-        # One line, however long: it is to be copied.
+        # On one line, for copying.
         text = write_yaml(entry, flow=True, width=1000)
         lines += ["", f"use: - {text.rstrip()}"]
     return "\n".join(lines)
 
 
 def format_type(kind: Any) -> str:
-    """A type as a reader of YAML understands it."""
+    """Format a type for a reader of YAML."""
     described = msgspec.json.schema(kind)
     choices = described.get("anyOf", [described])
     words = []
@@ -119,7 +120,7 @@ def _default(field: msgspec.structs.FieldInfo) -> str:
 
 
 def describe_entry(entry: Entry) -> str:
-    """One entry in words."""
+    """Describe one entry: fault, target, start and duration."""
     words = [entry.preset or entry.name, ", ".join(entry.targets) or "everything"]
     if entry.when:
         words.append(f"when {entry.when}")
@@ -136,7 +137,7 @@ def _plot(args: argparse.Namespace) -> None:
     from mavproxy_fault.app.preview import draw_preview
 
     name = args.file
-    # A file of that name wins over a preset.
+    # A file takes precedence over a preset of the same name.
     if name in preset_names() and not Path(name).exists():
         schedule = parse_schedule({"faults": [{"preset": name}]})
     else:
@@ -147,12 +148,12 @@ def _plot(args: argparse.Namespace) -> None:
 
 
 def schedule_schema() -> dict[str, Any]:
-    """The JSON Schema of a schedule, for editors."""
+    """Return the JSON Schema of schedules, for editors."""
     faults = known_faults()
     kinds = [EntryKeys, *faults.values()]
     found, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     keys = components[found[0]["$ref"].rsplit("/", 1)[1]]["properties"]
-    # Fields that the binding fills in: no key of a schedule.
+    # Fields filled from the target are not keys of a schedule.
     given = set(TARGET_FIELDS)
     choices = []
     for name, ref in zip(faults, found[1:], strict=True):
@@ -165,7 +166,7 @@ def schedule_schema() -> dict[str, Any]:
                 "description": inspect.getdoc(faults[name]),
                 "properties": {**keys, **properties, "fault": {"enum": names}},
                 "required": ["fault", *required],
-                # A misspelt key is the commonest mistake: an editor shall mark it.
+                # So that an editor marks misspelt keys, the most common mistake.
                 "additionalProperties": False,
             }
         )
@@ -173,7 +174,7 @@ def schedule_schema() -> dict[str, Any]:
         "properties": {**keys, "preset": {"enum": list(preset_names())}},
         "required": ["preset"],
     }
-    # The faults' own schemata are written out above; the rest are parts they refer to.
+    # The faults' schemas are inlined above; the rest are the types that they refer to.
     used = {name: part for name, part in components.items() if name not in _names(found)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -1,4 +1,4 @@
-"""The parser of every command: its help tells all defaults, its refusals what was meant."""
+"""The argument parser of all commands: help with defaults, errors with suggestions."""
 
 import argparse
 import itertools
@@ -10,25 +10,25 @@ from mavproxy_fault.documents.suggestion import suggest_known
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Help in which every option that takes a value tells its default."""
+    """Adds the default to the help of every option with a value."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         text = action.help or ""
-        # Flags are off by default, and a default that is found at the start is told in words.
+        # Flags are off by default; a help text may state its default itself.
         if not action.option_strings or action.nargs == 0 or action.required or "default" in text:
             return action.help
         return f"{text} (default: {'none' if action.default in (None, []) else '%(default)s'})"
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose subparsers, those of other packages too, are of its own kind."""
+    """A parser that suggests corrections; its subparsers, also of plugins, are of this class."""
 
     def __init__(self, *args: Any, **keys: Any) -> None:
         super().__init__(*args, **{"formatter_class": _Help, **keys})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse; an option that is none is refused before what is missing besides."""
-        # A parser with subcommands sees their options too: its own stand before the first word.
+        """Parse; an unknown option is reported before missing arguments."""
+        # The options of a parser with subcommands end at the first positional argument.
         ours = "--".__ne__ if self._subparsers is None else re.compile("--.").match
         for word in itertools.takewhile(ours, args or ()):
             self._check_option(word.partition("=")[0])
@@ -36,22 +36,22 @@ class CommandParser(argparse.ArgumentParser):
 
     def _check_option(self, word: str) -> None:
         known = self._option_string_actions
-        # Options may be cut short.
+        # Options may be abbreviated.
         if word.startswith("--") and not any(name.startswith(word) for name in known):
-            # Without the hyphens, which make all of them alike.
+            # Without the hyphens, which would make all names similar.
             names = [name[2:] for name in known if name.startswith("--")]
-            self.error(f"there is no option {word}; {suggest_known(word[2:], names)}")
+            self.error(f"option {word} does not exist; {suggest_known(word[2:], names)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        # Python does so itself from 3.14 on.
+        # Python 3.14 and later suggest choices themselves.
         choices: Iterable[Any] | None = action.choices
         if choices is not None and value not in choices:
             known = suggest_known(str(value), map(str, choices))
-            raise argparse.ArgumentError(action, f"there is no {value}; {known}")
+            raise argparse.ArgumentError(action, f"{value} does not exist; {known}")
 
 
 class CompletionAction(argparse.Action):
-    """`--completion SHELL`: what makes that shell complete commands, options and files."""
+    """`--completion SHELL`: print the shell's completion script."""
 
     def __call__(
         self,
@@ -68,12 +68,12 @@ class CompletionAction(argparse.Action):
 
 
 def _complete_files(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
-    """Let shtab complete what stands for a file or a folder, in every subcommand."""
+    """Make shtab complete file and folder arguments of all subcommands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
                 _complete_files(sub, file, folder)
         elif action.metavar == "DIR":
-            action.complete = folder  # type: ignore[attr-defined]  # shtab looks for it here
+            action.complete = folder  # type: ignore[attr-defined]  # read by shtab
         elif action.metavar in ("FILE", "LOG", "PNG", "CSV", "SCENARIO", "TESTFILE", "PATH"):
             action.complete = file  # type: ignore[attr-defined]

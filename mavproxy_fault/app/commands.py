@@ -1,4 +1,4 @@
-"""The proxy's subcommands; what they need is imported when they run."""
+"""The parsers of the proxy's subcommands, whose modules are imported when they run."""
 
 import argparse
 import gc
@@ -11,44 +11,44 @@ ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560,
 
 
 def add_proxy(commands: Any) -> None:
-    """`proxy`: the proxy alone, between a vehicle and any number of others."""
+    """`proxy`: the proxy between a vehicle and any number of other endpoints."""
     parser = commands.add_parser("proxy", help="forward MAVLink between links and apply faults")
     parser.add_argument("--master", required=True, metavar="EP", help=f"the vehicle: {ENDPOINT}")
     to = parser.add_argument(
         "--to", action="append", required=True, metavar="EP",
-        help="ground station, autopilot ...; may be given again",
+        help="ground station, autopilot ...; repeatable",
     )  # fmt: skip
-    # MAVProxy's word for it, taken but not shown: elsewhere it says where results are written.
+    # MAVProxy's name, accepted but not shown: in our other commands it is the output.
     parser._option_string_actions["--out"] = to
     parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
     parser.add_argument(
         "--allow-peer", action="append", default=[], metavar="NET",
-        help="who may speak to udpin: an address or network; may be given again (default: anybody)",
+        help="address or network that udpin accepts; repeatable (default: any)",
     )  # fmt: skip
     parser.add_argument(
         "--lock-peer", action="store_true",
-        help="let a udpin hear and answer only the first to send a verified frame",
+        help="restrict each udpin to the first peer that sends a valid frame",
     )  # fmt: skip
     parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
     add_bus(parser, "control and statistics")
     parser.add_argument("--run", metavar="NAME", help="this proxy's name on Zenoh (default: live)")
     parser.add_argument(
         "--files", action="append", default=[], metavar="DIR",
-        help="let requests name tables of this folder; may be given again (default: none)",
+        help="allow requests to read series files from this folder; repeatable (default: none)",
     )  # fmt: skip
     parser.add_argument(
         "--no-inject", dest="inject", action="store_false", help="refuse live faults"
     )
     parser.add_argument(
         "--allow-commands", action="store_true",
-        help="let schedules and live control arm, fly and land the vehicle",
+        help="allow schedules and live control to arm, fly and land the vehicle",
     )  # fmt: skip
     parser.add_argument(
-        "--rflysim", type=int, metavar="PORT", help="take RflySim's fault packets on this UDP port"
+        "--rflysim", type=int, metavar="PORT", help="UDP port for RflySim's fault packets"
     )
     parser.add_argument(
-        "--rflysim-map", metavar="FILE", help="its fault ids, YAML (default: built in)"
+        "--rflysim-map", metavar="FILE", help="map of its fault ids, YAML (default: built-in)"
     )
     _add_signing(parser)
     parser.set_defaults(main=_proxy)
@@ -56,13 +56,13 @@ def add_proxy(commands: Any) -> None:
 
 def _add_signing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--signing-key", metavar="FILE", help="passphrase to verify and sign changed frames with"
+        "--signing-key", metavar="FILE", help="passphrase to verify and sign frames with"
     )
     parser.add_argument("--strip-signatures", action="store_true", help="send frames unsigned")
 
 
 def _proxy(args: argparse.Namespace) -> int:
-    # All that is loaded stays: to look through it for garbage takes a tenth of the start.
+    # Loaded modules stay; scanning them for garbage takes a tenth of the start-up time.
     gc.disable()
     try:
         from mavproxy_fault.app.proxy_command import main
@@ -73,8 +73,8 @@ def _proxy(args: argparse.Namespace) -> int:
 
 
 def add_replay(commands: Any) -> None:
-    """`replay`: a log through the proxy."""
-    parser = commands.add_parser("replay", help="a tlog through the proxy, or faults into RINEX")
+    """`replay`: run a log through the proxy."""
+    parser = commands.add_parser("replay", help="replay a tlog, or apply faults to a RINEX file")
     parser.add_argument("log", metavar="LOG", help="a tlog, or a RINEX observation file")
     parser.add_argument(
         "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
@@ -84,7 +84,7 @@ def add_replay(commands: Any) -> None:
     )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
-        "--out", metavar="LOG", help="write the tlog that was sent, labels beside it"
+        "--out", metavar="LOG", help="write the sent tlog, with the labels beside it"
     )
     where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
     _add_signing(parser)
@@ -98,7 +98,7 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def add_inject(commands: Any) -> None:
-    """`inject`: a live fault on a running proxy."""
+    """`inject`: set, change or clear a live fault on a running proxy."""
     parser = commands.add_parser("inject", help="set, change or clear a fault on a running proxy")
     parser.add_argument("fault", nargs="?", metavar="FAULT", help="fault or preset by name")
     parser.add_argument("--target", metavar="MSG.FIELD", help="what the fault acts on")
@@ -109,13 +109,13 @@ def add_inject(commands: Any) -> None:
     parser.add_argument("--id", metavar="ID", help="the fault's id (default: its name)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE",
-        help="any other key of a schedule's entry, such as probability=0.2; may be given again",
+        help="another key of the schedule entry, such as probability=0.2; repeatable",
     )  # fmt: skip
     parser.add_argument("--clear", metavar="ID", help="end this fault (its id, or 'all')")
-    parser.add_argument("--list", action="store_true", help="the faults there are")
+    parser.add_argument("--list", action="store_true", help="list the faults of the proxy")
     parser.add_argument(
         "--through", choices=["mavsdk"],
-        help="send the standard's failure command instead; FAULT is UNIT:TYPE[:INSTANCE]",
+        help="send MAV_CMD_INJECT_FAILURE instead; FAULT is UNIT:TYPE[:INSTANCE]",
     )  # fmt: skip
     parser.add_argument(
         "--link", metavar="URL",
@@ -126,7 +126,7 @@ def add_inject(commands: Any) -> None:
 
 
 def add_bus(parser: argparse.ArgumentParser, what: str) -> None:
-    """Where a command publishes; `auto` is the address where all others look."""
+    """Add the options of a command that publishes on Zenoh."""
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|off|URL",
         help=f"{what} on Zenoh (default: auto, tcp/127.0.0.1:7447)",
@@ -135,7 +135,7 @@ def add_bus(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_router(parser: argparse.ArgumentParser) -> None:
-    """Whose router a command looks at."""
+    """Add the options of a command that connects to a Zenoh router."""
     parser.add_argument(
         "--zenoh", default="auto", metavar="auto|URL",
         help="the proxy's router (default: auto, tcp/127.0.0.1:7447)",
@@ -146,13 +146,13 @@ def add_router(parser: argparse.ArgumentParser) -> None:
 def _add_bus_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--zenoh-config", default="", metavar="FILE",
-        help="Zenoh's own: TLS, users, access control (default: $ZENOH_CONFIG, or this user only)",
+        help="Zenoh configuration: TLS, users, access (default: $ZENOH_CONFIG, or this user only)",
     )  # fmt: skip
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
-    """Which proxy a command speaks to."""
-    parser.add_argument("--run", metavar="NAME", help="the run (default: the only one there is)")
+    """Add the options that select a running proxy."""
+    parser.add_argument("--run", metavar="NAME", help="proxy or run (default: the only one)")
     add_router(parser)
 
 
@@ -167,14 +167,14 @@ def _inject(args: argparse.Namespace) -> int:
 
 
 def add_schedule(commands: Any) -> None:
-    """`schedule`: the schedule of a running proxy."""
+    """`schedule`: load, save, show or clear the schedule of a running proxy."""
     parser = commands.add_parser("schedule", help="load, save, show or clear a running schedule")
     actions = parser.add_subparsers(dest="action", title="actions", metavar="ACTION", required=True)
-    load = actions.add_parser("load", help="put a file in the place of the running schedule")
+    load = actions.add_parser("load", help="replace the running schedule by a file")
     load.add_argument("file", metavar="FILE", help="YAML; its times count from now on")
     save = actions.add_parser("save", help="write the running schedule, live faults included")
     save.add_argument("file", nargs="?", metavar="FILE", help="(default: to the terminal)")
-    state = actions.add_parser("state", help="every fault and what it has done, as JSON")
+    state = actions.add_parser("state", help="state of all faults, as JSON")
     clear = actions.add_parser("clear", help="end every fault")
     for action in (load, save, state, clear):
         _add_run(action)
@@ -188,13 +188,11 @@ def _schedule(args: argparse.Namespace) -> int:
 
 
 def add_faults(commands: Any) -> None:
-    """`faults`: what there is, and whether a schedule is right."""
+    """`faults`: list faults and presets, check and plot schedules."""
     parser = commands.add_parser("faults", help="list faults and presets; check and plot schedules")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    actions.add_parser("list", help="every fault and preset, a line each").set_defaults(
-        action="list"
-    )
-    show = actions.add_parser("show", help="parameters and an example of one fault or preset")
+    actions.add_parser("list", help="list all faults and presets").set_defaults(action="list")
+    show = actions.add_parser("show", help="show parameters and an example of a fault or preset")
     show.add_argument("name", metavar="NAME")
     show.set_defaults(action="show")
     check = actions.add_parser("check", help="check a schedule file")
@@ -202,7 +200,7 @@ def add_faults(commands: Any) -> None:
     check.set_defaults(action="check")
     plot = actions.add_parser("plot", help="draw a schedule's fault functions to PNG")
     plot.add_argument("file", metavar="FILE")
-    plot.add_argument("--out", metavar="PNG", help="(default: FILE's name and .png, here)")
+    plot.add_argument("--out", metavar="PNG", help="(default: name of FILE with .png, here)")
     plot.set_defaults(action="plot")
     actions.add_parser("schema", help="JSON Schema of schedules").set_defaults(action="schema")
     parser.set_defaults(main=_faults)
@@ -215,22 +213,24 @@ def _faults(args: argparse.Namespace) -> int:
 
 
 def add_ardupilot(commands: Any) -> None:
-    """`ardupilot`: the bridge that lets ArduPilot fly a HIL simulator."""
-    parser = commands.add_parser("ardupilot", help="let ArduPilot fly a HIL simulator, as PX4 does")
+    """`ardupilot`: the bridge between ArduPilot and a HIL simulator."""
+    parser = commands.add_parser("ardupilot", help="connect ArduPilot to a HIL simulator for PX4")
     parser.add_argument(
         "--hil", default="tcp:127.0.0.1:4560", metavar="EP", help="simulator or proxy (4560)"
     )
-    parser.add_argument("--binary", metavar="PATH", help="ArduPilot's SITL program, with options")
+    parser.add_argument("--binary", metavar="PATH", help="SITL executable, with options")
     parser.add_argument(
-        "--vectornav", metavar="EP", help="instead: the line to a board's external AHRS port"
+        "--vectornav", metavar="EP", help="or: the connection to a board's external AHRS port"
     )
-    parser.add_argument("--mavlink", metavar="EP", help="and the line to its MAVLink port")
+    parser.add_argument("--mavlink", metavar="EP", help="and the connection to its MAVLink port")
     parser.add_argument(
-        "--vehicle", choices=("copter", "plane"), default="copter", help="what flies"
+        "--vehicle", choices=("copter", "plane"), default="copter", help="vehicle type"
     )
-    parser.add_argument("--parameters", metavar="FILE", help="your own, after the bridge's")
     parser.add_argument(
-        "--out", default="ardupilot", metavar="DIR", help="where ArduPilot runs and logs"
+        "--parameters", metavar="FILE", help="parameter file, applied after the bridge's own"
+    )
+    parser.add_argument(
+        "--out", default="ardupilot", metavar="DIR", help="working folder of ArduPilot"
     )
     parser.set_defaults(main=_ardupilot)
 

@@ -1,4 +1,4 @@
-"""`mavproxy-fault inject`: set, change or clear a fault on a running proxy, over the bus."""
+"""`mavproxy-fault inject`: set, change or clear a fault on a running proxy over Zenoh."""
 
 import argparse
 import json
@@ -19,11 +19,11 @@ from mavproxy_fault.schedule.presets import preset_names
 
 
 def main(args: argparse.Namespace) -> int:
-    """Send one request and say what the proxy made of it."""
+    """Send one request and print the proxy's reply."""
     # Exactly one of the three.
     if [args.fault is None, args.clear is None, not args.list].count(False) != 1:
         raise ConfigError(
-            "inject: takes one of FAULT, --clear ID and --list; see `mavproxy-fault faults`"
+            "inject: give one of FAULT, --clear ID and --list; see `mavproxy-fault faults list`"
         )
     if args.list:
         with join_run(args) as bus:
@@ -36,7 +36,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def format_fault_table(state: ScheduleState) -> str:
-    """The faults of a run, a line each, with seconds from the schedule's start."""
+    """Format the faults of a run as a table, with times in seconds from the schedule's start."""
     rows = [("ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON")]
     t0_us = state["t0_us"] or 0
     for fault in state["faults"]:
@@ -58,17 +58,17 @@ def format_fault_table(state: ScheduleState) -> str:
 
 
 def build_request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
-    """The key below `@ctl/` and its payload; the entry is checked before it is sent.
+    """Return the key below `@ctl/` and the payload, after a check of the entry.
 
     Raises
     ------
     ConfigError
-        If the fault does not exist, or lacks something.
+        If the fault does not exist, or a key is wrong or missing.
     """
     if args.clear is not None:
         if args.clear != "all":
             check_id(args.clear, "--clear")
-        # `all` is a word of the command, not an id that a fault could have.
+        # `all` is reserved and never the id of a fault.
         what = "schedule/stop" if args.clear == "all" else f"fault/{args.clear}/disarm"
         return what, {}
     id = args.fault if args.id is None else args.id
@@ -80,18 +80,18 @@ def build_request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 
 
 def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
-    """Further keys of an entry, from KEY=VALUE with the value as in a schedule.
+    """Parse KEY=VALUE arguments to keys of an entry; values are YAML as in a schedule.
 
     Raises
     ------
     ConfigError
-        If one is not such a pair, or its value is no YAML.
+        If an argument is not such a pair, or its value is not YAML.
     """
     found: dict[str, Any] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key.isidentifier():
-            raise ConfigError(f"--set: {pair} is no KEY=VALUE; such as probability=0.2")
+            raise ConfigError(f"--set: {pair} is not KEY=VALUE; give for example probability=0.2")
         found[key] = read_yaml(f"{key}: {value}", "--set").data[key]
     return found
 
@@ -102,28 +102,28 @@ def live_entry(
     value: float | None,
     keys: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """A fault or preset by name as the entry of a schedule, checked; `keys` are its further ones.
+    """Build and check the schedule entry of a fault or preset; `keys` are its further keys.
 
     Raises
     ------
     ConfigError
-        If the fault does not exist, or lacks something.
+        If the fault does not exist, or a key is wrong or missing.
     """
     if fault_class(fault) is None and fault not in preset_names():
         known = suggest_known(fault, [*known_faults(), *preset_names()])
-        raise ConfigError(f"inject: {fault} is neither fault nor preset; {known}")
-    # A preset of the same name only where nothing of it is changed.
+        raise ConfigError(f"inject: {fault} is neither a fault nor a preset; {known}")
+    # The preset, if a fault has the same name, only without target and value.
     unchanged = target is None and value is None
     as_preset = fault in preset_names() and (unchanged or fault_class(fault) is None)
     entry: dict[str, Any] = {"preset" if as_preset else "fault": fault}
     if target is not None:
         several = [target] if isinstance(target, str) else list(target)
-        # A list of one is written as the name itself, as people do.
+        # A single target is written without a list.
         entry["target"] = several if len(several) > 1 else several[0]
     if value is not None:
-        # `3.0` from the command line is 3 to faults that count.
+        # Some faults take an integer, but the command line parses a float.
         entry["value"] = int(value) if float(value).is_integer() else value
     entry |= {key: given for key, given in keys.items() if given is not None}
-    # Checked here too: the answer of the proxy would come without a line to look at.
+    # Checked here too, so that errors appear before anything is sent.
     parse_entry(entry, "inject")
     return entry

@@ -1,18 +1,18 @@
-"""A log on standard error that leaves lines out rather than wait for who reads them.
+"""A log on standard error that drops lines instead of blocking.
 
-A pipe that nobody reads, or a terminal that was stopped (Ctrl-S), would hold the writer up, and a
-stranger who connects again and again makes the proxy write.
+An unread pipe or a stopped terminal (Ctrl-S) would block the proxy, and a peer that reconnects
+repeatedly can make it write.
 """
 
 import logging
 import select
 import sys
 
-LONGEST = 4000  # bytes of a line: a pipe that takes anything at once takes 4,096
+LONGEST = 4000  # bytes of a line: a pipe that is ready for writing takes 4,096 (PIPE_BUF)
 
 
 class LossyHandler(logging.StreamHandler):  # type: ignore[type-arg]  # a plain class at run time
-    """Stands in for `logging.lastResort`, which waits."""
+    """Replaces `logging.lastResort`, which blocks."""
 
     def __init__(self) -> None:
         super().__init__(sys.stderr)
@@ -20,7 +20,7 @@ class LossyHandler(logging.StreamHandler):  # type: ignore[type-arg]  # a plain 
         self._lost = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line, or count it where it would have to wait."""
+        """Write a line, or count it as lost if writing would block."""
         if not self._has_room():
             self._lost += 1
             return
@@ -30,11 +30,11 @@ class LossyHandler(logging.StreamHandler):  # type: ignore[type-arg]  # a plain 
         super().emit(record)
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line; of a long traceback its end."""
+        """Format the line; a long traceback keeps its end."""
         return super().format(record).encode(errors="replace")[-LONGEST:].decode(errors="ignore")
 
     def _has_room(self) -> bool:
         try:
             return bool(select.select((), (self.stream,), (), 0)[1])
-        except (OSError, ValueError):  # closed, no file at all, or Windows
+        except (OSError, ValueError):  # closed, not a file, or Windows
             return True

@@ -1,9 +1,9 @@
-"""Logs as the core needs them: every record with its stamp and the link it came on.
+"""Reads logs for a replay: every record with its timestamp and the link it arrived on.
 
-A `received.tlog` of the proxy lies beside its index and `session.json`, which say it all. In any
-other tlog the direction of a frame is told by its sender: ground stations (systems from 240 on,
-components 190 to 194) and simulators (component 51, and whoever sends HIL sensors) talk to the
-vehicle, everything else comes from it. Bytes that are no frame belong to the record before them.
+The links of the proxy's own `received.tlog` are in its index and `session.json`. In any other tlog
+the sender gives the direction: ground stations (systems from 240 on, components 190 to 194) and
+simulators (component 51, and senders of HIL sensors) send to the vehicle, all others are the
+vehicle. Bytes that are not a frame belong to the record before them.
 """
 
 import json
@@ -29,11 +29,11 @@ FIRST_STATION = 240  # systems; MAVSDK is 245, QGroundControl and MAVProxy are 2
 STATION_COMPONENTS = range(190, 195)  # MAV_COMP_ID_MISSIONPLANNER and its neighbours
 SIMULATOR_COMPONENT = 51
 FROM_AUTOPILOT = ("HIL_ACTUATOR_CONTROLS", "HIL_CONTROLS")
-NEAR_US = 86_400_000_000  # neighbours in a log lie within a day
+NEAR_US = 86_400_000_000  # chosen: consecutive records lie within a day
 
 
 class LogRecord(NamedTuple):
-    """One record of a log: when and on which link it came."""
+    """One record of a log, with arrival time and link."""
 
     t_us: int
     link: int
@@ -41,7 +41,7 @@ class LogRecord(NamedTuple):
 
 
 class LogSource(NamedTuple):
-    """A log to play; `session` is what was recorded about it, `edits` what was asked live."""
+    """A log to replay, with its recorded session and live edits (empty for a foreign log)."""
 
     roles: tuple[LinkRole, ...]
     records: Iterator[LogRecord]
@@ -50,22 +50,22 @@ class LogSource(NamedTuple):
 
     @property
     def end_us(self) -> int | None:
-        """When the session ended, if that was recorded."""
+        """Wall time [us] at the end of the session; None if not recorded."""
         return self.session.get("end_us")
 
 
 def open_log(path: Path) -> LogSource:
-    """A log with its session, or one from elsewhere with directions guessed.
+    """Open a log with its session, or a foreign log with inferred directions.
 
     Raises
     ------
     ConfigError
-        If there is no such file, or it holds no record.
+        If the file does not exist or contains no record.
     """
     if not path.is_file():
-        raise ConfigError(f"{path}: is not a file; allowed: a tlog")
+        raise ConfigError(f"{path}: is not a file; give a tlog")
     session, index = path.with_name(SESSION), path.with_name(INDEX)
-    # All three belong together: without index or session the log is any other tlog.
+    # Without index or session the log is treated as foreign.
     if path.name == RECEIVED and session.is_file() and index.is_file():
         recorded: dict[str, Any] = json.loads(session.read_text())
         roles = tuple(LinkRole(link["name"], link["direction"]) for link in recorded["links"])
@@ -73,7 +73,7 @@ def open_log(path: Path) -> LogSource:
         return LogSource(roles, _indexed(path, index), recorded, tuple(edits))
     data = path.read_bytes()
     if _find(data, 0, None) is None:
-        raise ConfigError(f"{path}: holds no MAVLink record; allowed: a tlog")
+        raise ConfigError(f"{path}: contains no MAVLink record; give a tlog")
     return LogSource(ROLES, _foreign(data), {})
 
 
@@ -83,13 +83,13 @@ def _indexed(path: Path, index: Path) -> Iterator[LogRecord]:
         path.with_name(RECEIVED_OTHER).open("rb") as other,
         index.open("rb") as entries,
     ):
-        # A record cut short ends the session: nothing behind it can be placed.
+        # A truncated index entry ends the session.
         while len(entry := entries.read(INDEX_RECORD.size)) == INDEX_RECORD.size:
             link, elsewhere, length = INDEX_RECORD.unpack(entry)
-            # A stamp stands before every record, whichever of the two files it lies in.
+            # A timestamp precedes every record in both files.
             stamp = (other if elsewhere else log).read(STAMP.size)
             raw = other.read(LENGTH.size + length)[LENGTH.size :] if elsewhere else log.read(length)
-            # The process was killed while it wrote, or the file was damaged since.
+            # The process was killed while writing, or the file is corrupted.
             if len(raw) < length or (t_us := STAMP.unpack(stamp)[0]) >= MAX_STAMP_US:
                 return
             yield LogRecord(t_us, link, raw)
@@ -102,14 +102,14 @@ def _foreign(data: bytes) -> Iterator[LogRecord]:
 
 
 def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Stamp and bytes of each record; no byte behind the first stamp is lost, but a cut stamp."""
+    """Yield timestamp and bytes of each record; all bytes after the first timestamp are kept."""
     at = _find(data, 0, None)
     while at is not None and len(data) - at > STAMP.size:
         t_us = STAMP.unpack_from(data, at)[0]
         body = at + STAMP.size
         end = _end(data, body)
         after = _find(data, end, t_us)
-        # Behind the last record that is found nothing can be a stamp: it is all bytes.
+        # All that follows the last record found is taken as bytes.
         stop = len(data) if after is None else after
         yield t_us, data[body : min(end, stop)]
         if stop > end:
@@ -119,41 +119,41 @@ def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _end(data: bytes, at: int) -> int:
     found = frame_span(data, at) if data[at] in (STX_V1, STX_V2) else None
-    # Without a length that can be trusted the record reaches to the end.
+    # Without a valid header the record extends to the end of the file.
     return len(data) if found is None else min(at + found[0], len(data))
 
 
 def _find(data: bytes, start: int, t_us: int | None) -> int | None:
-    """The next place from `start` on that looks like the start of a record."""
+    """Return the next offset from `start` on that looks like a record."""
     for at in range(start, len(data) - STAMP.size):
         if data[at + STAMP.size] not in (STX_V1, STX_V2):
-            # Most places are ruled out by one byte.
+            # One byte rules out most offsets.
             continue
         (stamp,) = struct.unpack_from(">Q", data, at)
         if stamp >= MAX_STAMP_US or (t_us is not None and abs(stamp - t_us) > NEAR_US):
-            # A stamp out of the blue is a chance pattern in the payload.
+            # An implausible timestamp is a chance pattern in a payload.
             continue
         end = _end(data, at + STAMP.size)
-        # A start byte may stand anywhere: the next record must begin where this one ends,
-        # but for the last, which has none behind it.
+        # A start byte may occur anywhere, so the next record must begin where this one ends;
+        # the last record has no successor.
         if end + STAMP.size >= len(data) or data[end + STAMP.size] in (STX_V1, STX_V2):
             return at
-        # The place where the record before ends: trusted even if what follows is damaged.
+        # Directly after the previous record: accepted even if what follows is corrupted.
         if at == start and t_us is not None:
             return at
     return None
 
 
 def _link_of(raw: bytes, simulators: set[bytes]) -> int:
-    # Less than a header of ten bytes tells neither sender nor message.
+    # Without a complete header, sender and message are unknown.
     if raw[0] == STX_V2 and len(raw) > 9:
-        # System and component; then the message id, three bytes.
+        # System and component id, then three bytes of message id.
         source, known = raw[5:7], find_layout(int.from_bytes(raw[7:10], "little"))
     elif raw[0] == STX_V1 and len(raw) > 5:
         source, known = raw[3:5], find_layout(raw[5])
     else:
         return VEHICLE
-    # An autopilot sends HIL controls; whoever sends other HIL messages simulates.
+    # An autopilot sends HIL controls; a sender of other HIL messages is a simulator.
     if known is not None and known.name.startswith("HIL_") and known.name not in FROM_AUTOPILOT:
         simulators.add(source)
     to_vehicle = (

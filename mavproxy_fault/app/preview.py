@@ -1,4 +1,4 @@
-"""Pictures of faults: what an engine makes of made-up healthy data, drawn with matplotlib."""
+"""Plots of faults: the engine applied to synthetic healthy data, drawn with matplotlib."""
 
 import math
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ from mavproxy_fault.wire.plant_messages import plant_change
 RATE_HZ = 50
 BEFORE_S = 2.0
 LONGEST_S = 60.0
-OPEN_S = 8.0  # drawn of a fault without an end
+OPEN_S = 8.0  # plotted duration of a fault without an end
 COLUMNS = 5
 RANGE_M = 2.2e7
-LARGE = 1e5  # above it, a curve shows the change alone
+LARGE = 1e5  # above it, a curve shows the change only
 
 # Plausible healthy values: (mean, amplitude, Hz) in the field's own units.
 HEALTHY: dict[str, tuple[float, float, float]] = {
@@ -42,7 +42,7 @@ HEALTHY: dict[str, tuple[float, float, float]] = {
 
 
 class FaultCurve(NamedTuple):
-    """Something over time in seconds; lost frames stand in `lost`."""
+    """A value over time [s], healthy and faulty; `lost` are the times of lost frames."""
 
     name: str
     t_s: list[float]
@@ -52,22 +52,22 @@ class FaultCurve(NamedTuple):
 
 
 def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
-    """One picture of every entry of a schedule.
+    """Draw one plot for every entry of a schedule.
 
     Raises
     ------
     ConfigError
-        If matplotlib is not installed, or there is nothing to draw.
+        If matplotlib is not installed, or the schedule is empty.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError(
-            "faults plot: needs matplotlib, which is not installed; pip install matplotlib"
+            "faults plot: matplotlib is not installed; run pip install matplotlib"
         ) from None
     entries = schedule.faults
     if not entries:
-        raise ConfigError(f"{path}: the schedule has no faults; there is nothing to draw")
+        raise ConfigError(f"{path}: the schedule has no faults to draw; add some")
     # No empty columns for a short schedule.
     columns = min(columns, len(entries))
     rows = math.ceil(len(entries) / columns)
@@ -90,34 +90,34 @@ def _axes(axes: Any, entry: Entry, seed: int) -> None:
 
 
 def preview_window(entry: Entry) -> tuple[float, float]:
-    """The seconds to draw: from a little before the start to a little after the end."""
-    # An open end or a long fault is cut, or nothing of the edges would be seen.
+    """Return the plotted interval [s]: the fault with a margin on both sides."""
+    # Long faults are cut, so that their edges remain visible.
     for_s = OPEN_S if entry.for_s is None else min(entry.for_s, LONGEST_S)
     if entry.repeat is not None and entry.repeat.every_s is not None:
-        # Three repetitions show a pattern that goes on for ever.
+        # Three repetitions show an endless pattern.
         for_s += entry.repeat.every_s * ((entry.repeat.times or 3) - 1)
-    # These only show over a longer time.
+    # These act slowly.
     if entry.name in ("gps-spoof", "plant", "cycle") and entry.for_s is None:
         for_s = LONGEST_S
     return max(entry.at_s - BEFORE_S, 0.0), entry.at_s + for_s + BEFORE_S
 
 
 def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
-    """What one entry does, on its own, from the time it is due; triggers are left out."""
-    # Triggers would need telemetry that nobody sends here: the fault begins by the clock.
+    """Compute the curves of a single entry; triggers are replaced by the start time."""
+    # Triggers would need telemetry, which is not simulated here.
     at_s = entry.at_s or BEFORE_S
     alone = msgspec.structs.replace(
         entry, when=None, condition=None, after=None, moment=None, at_s=at_s
     )
     begin_s, end_s = preview_window(alone)
-    # Alone in its engine: no other entry disturbs the picture.
+    # In its own engine, without the other entries.
     engine = Engine(Schedule(seed, (alone,)))
     engine.start_at(0)
     if isinstance(entry.fault, SatelliteFault):
         return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
     elements = getattr(entry.fault, "elements", {})
     if elements:
-        # The first message stands for all of the target.
+        # The first message represents the target.
         number, first = next(iter(elements.items()))
         places = [(one.name, one.item) for one in first]
         return _field_curves(engine, message_layout(number).name, places, begin_s, end_s)
@@ -131,12 +131,12 @@ def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
 
 
 def sample_times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
-    """Stamps at a fixed rate."""
+    """Return timestamps [s] at a fixed rate."""
     return [begin_s + i / rate_hz for i in range(int((end_s - begin_s) * rate_hz))]
 
 
 def healthy_frame(name: str, t_s: float) -> Frame:
-    """A healthy frame of a message, with a component that simulators have."""
+    """Build a healthy frame of a message, sent by a simulator."""
     described = message_layout(name)
     values: dict[str, Any] = {}
     for field in described.fields.values():
@@ -150,16 +150,16 @@ def healthy_frame(name: str, t_s: float) -> Frame:
             continue
         if field.code not in "fd":
             value = round(value)
-            # Unsigned fields hold nothing below zero.
+            # Unsigned fields have no negative values.
             value = value if field.code in "bhiq" else max(value, 0)
-            # The largest number that fits even a signed field of this size.
+            # The limit of a signed field of this size.
             value = min(value, 2 ** (8 * field.size - 1) - 1)
         values[field.name] = [value] * field.count if field.count else value
     return Frame(build_frame(described, values, component=51), described)
 
 
 def apply_engine(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
-    """What leaves for one frame."""
+    """Return the frames that the engine sends for one frame."""
     return engine.apply(frame, "to-vehicle", round(t_s * 1e6))
 
 
@@ -170,25 +170,25 @@ def _field_curves(
     for t_s in sample_times(begin_s, end_s):
         healthy = healthy_frame(name, t_s)
         for out in apply_engine(engine, healthy, t_s):
-            # Answers to the simulator are no frames of this stream.
+            # Replies to the simulator do not belong to this stream.
             if not isinstance(out.frame, Frame) or out.back:
                 continue
             for curve, (field, index) in zip(found, places, strict=True):
                 curve.t_s.append(t_s)
                 curve.healthy.append(float(healthy.number(field, index)))
                 curve.faulty.append(float(out.frame.number(field, index)))
-    # Latitude in 1e-7 degrees would hide a change of metres.
+    # On a latitude in 1e-7 degrees a change of metres would be invisible.
     return [_change(curve) if max(curve.healthy, default=0) > LARGE else curve for curve in found]
 
 
 def _change(curve: FaultCurve) -> FaultCurve:
-    """Only what a fault adds: on a large value it could not be seen."""
+    """Replace the values by the change that the fault makes."""
     added = [after - before for before, after in zip(curve.healthy, curve.faulty, strict=True)]
     return curve._replace(name=f"change of {curve.name}", healthy=[0.0] * len(added), faulty=added)
 
 
 def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> list[FaultCurve]:
-    """Delay in milliseconds of each frame, and those that were lost."""
+    """Return the delay [ms] of each frame, and the lost frames."""
     described = find_layout(min(entry.ids)) if entry.ids else None
     name = described.name if described is not None else "HIL_SENSOR"
     curve = FaultCurve(f"delay of {name}, ms", [], [], [], [])
@@ -199,7 +199,7 @@ def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> 
         for out in outs:
             curve.t_s.append(t_s)
             curve.healthy.append(0.0)
-            # Microseconds to milliseconds, both since the same start.
+            # Both times count from the same start.
             curve.faulty.append(round(out.due_us / 1e3 - t_s * 1e3, 3))
     return [curve]
 
@@ -213,7 +213,7 @@ def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[FaultCur
                 continue
             curve = found.setdefault(change.name, FaultCurve(change.name, [], [], [], []))
             curve.t_s.append(t_s)
-            # NaN breaks the line where the plant is healthy again.
+            # NaN interrupts the line while the plant is healthy.
             curve.faulty.append(math.nan if change.value is None else change.value)
             curve.healthy.append(math.nan)
     return list(found.values())
@@ -222,10 +222,10 @@ def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[FaultCur
 def _satellite_curves(
     engine: Engine, names: Sequence[str], begin_s: float, end_s: float
 ) -> list[FaultCurve]:
-    """Metres added to each satellite, two epochs a second."""
+    """Return the metres added to each satellite's range, at two epochs per second."""
     found = {name: FaultCurve(f"{name}, m", [], [], [], []) for name in names}
     together = Reassembler()
-    # Two epochs a second: pseudoranges come at a few hertz.
+    # Receivers send pseudoranges at a few hertz.
     for number, t_s in enumerate(sample_times(begin_s, end_s, 2)):
         for system in sorted({name[0] for name in names}):
             ours = sorted(name for name in names if name[0] == system)

@@ -1,4 +1,4 @@
-"""The `proxy` command: links, core, files and live control put together, and run."""
+"""The `proxy` command: builds links, core, recorder and live control, and runs the server."""
 
 import argparse
 import contextlib
@@ -37,12 +37,12 @@ MOST_KEY_CHARACTERS = 1 << 16  # characters of a passphrase
 
 
 def open_links(master: str, outs: Sequence[str]) -> list[Link]:
-    """The vehicle's link and the others'; all closed again if one cannot be opened."""
+    """Open the vehicle's link and the others; close all if one fails."""
     links: list[Link] = []
     try:
         links.append(open_link(master, bare_udp="udpin"))
         links += [open_link(out, bare_udp="udpout") for out in outs]
-    # Every error of a wrong link is a ValueError, `ConfigError` among them.
+    # Errors of links are ValueErrors, among them `ConfigError`.
     except ValueError:
         for link in links:
             link.close()
@@ -51,12 +51,12 @@ def open_links(master: str, outs: Sequence[str]) -> list[Link]:
 
 
 def set_admission(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) -> None:
-    """Let listening UDP links answer only whom the command line lets in.
+    """Restrict listening UDP links to the peers allowed by the command line.
 
     Raises
     ------
     ConfigError
-        If one of `allowed` is no network.
+        If one of `allowed` is not an address or network.
     """
     try:
         admission = Admission(parse_networks(allowed), lock, begins_with_frame)
@@ -70,7 +70,7 @@ def set_admission(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) 
 
 
 def link_roles(links: Sequence[Link]) -> list[LinkRole]:
-    """The first link is the vehicle's."""
+    """Return the role of each link; the first link is the vehicle's."""
     return [
         LinkRole(link.name, "to-vehicle" if number else "from-vehicle", link.datagrams)
         for number, link in enumerate(links)
@@ -79,13 +79,13 @@ def link_roles(links: Sequence[Link]) -> list[LinkRole]:
 
 @contextlib.contextmanager
 def stop_on_signals(server: Server) -> Iterator[socket.socket]:
-    """Let SIGINT and SIGTERM stop the server; gives the socket that wakes it."""
+    """Stop the server on SIGINT or SIGTERM; yields the socket that wakes it."""
     wake, woken = socket.socketpair()
     woken.setblocking(False)
     names = (signal.SIGINT, signal.SIGTERM)
     # The handler only sets a flag; the wake-up descriptor ends the wait.
     before = [signal.signal(name, lambda *_: server.stop()) for name in names]
-    # Full is harmless: one byte wakes as well as many.
+    # A full buffer is harmless: one byte is enough.
     descriptor = signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
     try:
         yield wake
@@ -98,18 +98,18 @@ def stop_on_signals(server: Server) -> Iterator[socket.socket]:
 
 
 def read_signing(args: argparse.Namespace) -> Signing | None:
-    """What the options say about signed frames.
+    """Return the handling of signed frames given by the options.
 
     Raises
     ------
     ConfigError
-        If the key's file cannot be read.
+        If the key file cannot be read.
     """
     if args.signing_key is None:
         return Signing(strip=True) if args.strip_signatures else None
     try:
         with open(args.signing_key) as file:
-            phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device may never end
+            phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device file may be endless
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"{args.signing_key}: cannot be read ({error}); give a file with the passphrase"
@@ -118,10 +118,10 @@ def read_signing(args: argparse.Namespace) -> Signing | None:
 
 
 def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> "LiveSession":
-    """Live control over the bus and RflySim's port; loads all that faults need, numpy too."""
+    """Open live control over Zenoh and RflySim's port; imports numpy and all faults."""
     check_resources()
-    # Loaded in the background thread, which may take its time.
-    import mavproxy_fault.compiled.plans  # noqa: F401  so that no frame waits for it later
+    # Imported here, in the background thread.
+    import mavproxy_fault.compiled.plans  # noqa: F401  or a later frame would wait for it
     from mavproxy_fault.live.control import LiveControl
     from mavproxy_fault.live.edit_log import EditLog
     from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
@@ -134,7 +134,7 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
         engine or Engine(Schedule(0, ()), commands=args.allow_commands),
         allowed=args.inject,
         rflysim=rflysim,
-        # Tables are opened only below folders that the command line names.
+        # Series files are read only from the folders given by --files.
         folders=[Path(one) for one in args.files],
     )
     live = LiveSession(control, server.edit_time, EditLog(server.core, server.tape))
@@ -145,12 +145,12 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
 
 
 def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server) -> None:
-    """Open live control in the background."""
+    """Open live control in a background thread."""
     try:
         from concurrent.futures import Future
 
         from mavproxy_fault.live.session import short_thread_turns
-    except OSError as error:  # no descriptor is left to read a module by
+    except OSError as error:  # no descriptor is left for the import
         LOG.error("no live control, forwarding goes on: %s", error)
         return
     coming: Future[LiveSession] = Future()
@@ -159,41 +159,41 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
         try:
             with short_thread_turns():
                 coming.set_result(open_live(args, engine, server))
-        # Into the future, so that the loop sees it: a thread's own traceback would be lost, and
-        # the loop would wait for ever for a panic of Zenoh's, which is no Exception.
+        # Passed to the loop, which would otherwise wait forever; a panic in Zenoh is not an
+        # Exception.
         except BaseException as error:
             coming.set_exception(error)
 
     server.opening_live = coming
     try:
-        Thread(target=work).start()  # no daemon: what outlives the interpreter aborts the process
-    except RuntimeError as error:  # the system allows no further thread
+        Thread(target=work).start()  # not a daemon: outliving the interpreter would abort
+    except RuntimeError as error:  # the system refuses another thread
         coming.set_exception(error)
 
 
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
-    # Before any socket is opened: a wrong name costs nothing then.
+    # Arguments are checked before any socket is opened.
     if args.run is not None:
         check_run_name(args.run)
     for folder in args.files:
         if not Path(folder).is_dir():
-            raise ConfigError(f"--files {folder}: is no folder; give one that tables lie in")
+            raise ConfigError(f"--files {folder}: is not a folder; give one with series files")
     engine = None
-    # `session.json` holds all that a replay needs, so it is gathered along the way.
+    # `session.json` stores what a replay needs.
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
     if args.schedule:
         from mavproxy_fault.proxy.engine import Engine
         from mavproxy_fault.schedule.entries import read_schedule
 
         engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
-        if engine.draws:  # or the first frame that a fault draws for would wait for it
+        if engine.draws:  # or the first random draw would delay a frame
             import numpy.random  # noqa: F401
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     if args.rflysim_map and args.rflysim is None:
-        raise ConfigError("--rflysim-map: is for the faults of RflySim; give --rflysim PORT too")
+        raise ConfigError("--rflysim-map: has no effect without --rflysim PORT; give that too")
     signed = read_signing(args)
-    # Links first: a port that is taken ends the command before anything is written.
+    # Links first: a port in use ends the command before any file is written.
     links = open_links(args.master, args.to)
     try:
         set_admission(links, args.allow_peer, lock=args.lock_peer)
@@ -205,29 +205,29 @@ def main(args: argparse.Namespace) -> int:
         recorder = Recorder(Path(args.logdir), session) if args.logdir else None
         server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
         server.prepare()
-        message_names()  # reads their table: there may be no descriptor for it at the first frame
+        message_names()  # loads the table, for which no descriptor may be left later
         by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None
-        if by_name:  # what was asked for by name is there when the proxy is ready
+        if by_name:  # requested explicitly: must work before the proxy is ready
             try:
                 server.join(open_live(args, engine, server))
             except OSError as error:
                 raise ConfigError(
-                    f"live control cannot be had: {error}; "
-                    "allow more descriptors or memory (ulimit -n, -v), or give --zenoh off"
+                    f"live control cannot start: {error}; "
+                    "raise the limits (ulimit -n, -v), or give --zenoh off"
                 ) from None
         gc.enable()
         with stop_on_signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
-            with contextlib.suppress(OSError):  # a full disk behind it stops nothing
+            with contextlib.suppress(OSError):  # a full disk must not stop the proxy
                 print(f"ready: {links[0].name} <-> {others}", flush=True)
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)
         figures = format_endpoints(
             server.stats()
-        )  # a closed socket no longer says what the kernel dropped
+        )  # before closing, which loses the kernel's drop count
     finally:
-        # Also after an error: ports must be free for the next start.
+        # Also after an error, to free the ports.
         for link in links:
             link.close()
     print(figures, flush=True)

@@ -1,15 +1,15 @@
-"""Recorder: a session's tlogs, labels and what a replay needs, in one folder.
+"""Recorder: writes a session's tlogs, labels and replay data to one folder.
 
-    received.tlog    every frame that came, stamped with the wall clock
-    sent.tlog        every frame that left, once however many links it went to
-    labels.jsonl     what the faults really did
-    received.other, sent.other    bytes that are no frame (see `tape`)
+    received.tlog    every received frame, with its wall time
+    sent.tlog        every sent frame, once even if it went to several links
+    labels.jsonl     the applied faults
+    received.other, sent.other    bytes that are not a frame
     received.index   link and length of everything received
-    edits.jsonl      what was asked of the proxy while it ran
+    edits.jsonl      the edit log: live requests
     session.json     links, seed, schedule and time base
 
-Files are written whole and in order, so that a process killed at any time leaves them readable up
-to the last write.
+Complete records are appended in order, so that a kill at any time leaves the files readable up to
+the last write.
 """
 
 import contextlib
@@ -37,11 +37,11 @@ APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS, EDITS)
 
 
 class Recorder:
-    """Open files of one session; `session` is what `session.json` says besides the time base.
+    """The files of one session; `session` is the content of `session.json` but the time base.
 
-    Where the disk is full or the folder gone, nothing is half written: what came then is left out
-    and counted in `lost`, labels and edits wait, and recording begins again when it can.
-    `failing` says why it stands still.
+    While the disk is full or the folder missing, complete records are dropped and counted in
+    `lost`, labels and edits are retained, and recording resumes as soon as it can. `failing` is
+    the reason, None while recording works.
     """
 
     def __init__(self, folder: Path, session: dict[str, Any]) -> None:
@@ -54,7 +54,7 @@ class Recorder:
         self._edits: list[Edit] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # An earlier session in the same folder is kept, never mixed with this one.
+            # An earlier session in this folder is moved aside.
             _set_aside(folder)
             self._open()
         except OSError as error:
@@ -63,12 +63,12 @@ class Recorder:
     def _open(self) -> None:
         with contextlib.ExitStack() as opened:
             files = {
-                # Unbuffered: what is written survives a kill of the process.
+                # Unbuffered, so that a kill of the process loses no written record.
                 name: opened.enter_context((self.folder / name).open("wb", buffering=0))
                 for name in APPENDED
             }
             self._write_session()
-            # All could be opened: only now do they replace those before.
+            # All are open and now replace the previous files.
             opened.pop_all()
         for file in self._files.values():
             file.close()
@@ -77,14 +77,14 @@ class Recorder:
     def write(
         self, tape: CaptureBuffer, labels: "Sequence[Label]" = (), edits: "Sequence[Edit]" = ()
     ) -> None:
-        """Append and empty a tape, and append labels and edits: all of it, or what can wait later.
+        """Append the capture buffer (which is emptied), labels and edits to the files.
 
-        Raises nothing where files cannot be written: forwarding must go on.
+        A write error is logged, not raised: forwarding must continue.
         """
-        # Counts before and after tell how many records this tape brought.
+        # The counts before and after give the number of new records.
         before = tape.drained
         drained = tape.drain()
-        # Labels and edits are few and wait for better times; frames are too many.
+        # Labels and edits are few and are retained on failure; frames are too many.
         self._labels += labels
         self._edits += edits
         try:
@@ -100,7 +100,7 @@ class Recorder:
             if self._is_gone():
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
-                # New files begin with this tape: the index counts from their start.
+                # The new files begin with this buffer, and so does the index.
                 before = tape.resume_count(tape.count - before)
             self._append(data)
         except (OSError, MemoryError) as error:
@@ -108,31 +108,31 @@ class Recorder:
             return
         self._labels, self._edits = [], []
         if self.failing is not None:
-            LOG.warning("recording goes on; %d records are missing", self.lost)
+            LOG.warning("recording resumed; %d records are missing", self.lost)
             self.failing = None
 
     def skip(self, tape: CaptureBuffer, why: str, more: int = 0) -> None:
-        """Empty a tape without writing it down, and so many records more that never came to it."""
+        """Discard the capture buffer and count it as lost, with `more` records outside of it."""
         before = tape.drained
         tape.clear()
         self.lost += more
         self._note_loss(tape, before, why)
 
     def _note_loss(self, tape: CaptureBuffer, before: int, why: str) -> None:
-        """Count a tape that was not written; `before` are the records that are in the files."""
-        # The index must fit the files: what was not written has not come.
+        """Count an unwritten buffer as lost; `before` is the number of records in the files."""
+        # The index must match the files, so unwritten records do not count as received.
         self.lost += tape.count - before
         tape.resume_count(before)
         self._edits = [edit.at_record(before) for edit in self._edits]
-        # Said once, not each second.
+        # Logged once, not every second.
         if self.failing is None:
-            LOG.warning("recording stops, forwarding goes on: %s", why)
+            LOG.warning("recording stopped, forwarding continues: %s", why)
         self.failing = why
 
     def _is_gone(self) -> bool:
-        """Whether somebody removed the files, or replaced the disk that failed."""
+        """Whether the files were removed, or a failed disk was replaced."""
         held = os.fstat(self._files[RECEIVED].fileno())
-        if held.st_nlink == 0:  # no name is left, although the open file still takes what comes
+        if held.st_nlink == 0:  # deleted, although the open file still accepts writes
             return True
         if self.failing is None:
             return False
@@ -143,7 +143,7 @@ class Recorder:
 
     def _append(self, data: dict[str, bytes]) -> None:
         """Append to all files, or to none."""
-        if self.failing is not None:  # a disk that failed may not have let itself be cut either
+        if self.failing is not None:  # truncation may have failed too
             for name in self._sizes:
                 self._cut(name)
         try:
@@ -158,15 +158,15 @@ class Recorder:
             self._sizes[name] += len(added)
 
     def _cut(self, name: str) -> None:
-        """Take back what a file has behind its last whole record."""
-        # Half a record would make the rest of the file unreadable by its index.
+        """Truncate a file after its last complete record."""
+        # A partial record would misalign the index.
         self._files[name].truncate(self._sizes[name])
-        # Behind the cut, or the next write would leave a hole of zeros.
+        # Else the next write would leave a gap of zeros.
         self._files[name].seek(self._sizes[name])
 
     def close(self, t0_us: int | None, end_us: int) -> None:
-        """Close the files; note the first vehicle stamp and the wall time of the end."""
-        # Known only at the end: with them a replay ends where the session did.
+        """Close the files and store the first vehicle timestamp and the wall time of the end."""
+        # With them a replay ends where the session did.
         self._session |= {"t0_us": t0_us, "end_us": end_us}
         if self.lost:
             self._session["lost_records"] = self.lost
@@ -182,22 +182,22 @@ class Recorder:
 
 
 def _write_whole(file: FileIO, data: bytes) -> None:
-    """Write all of it; a file that is nearly full takes a part and raises at the next attempt."""
-    # A view: no copy of the rest for each part.
+    """Write all data; a nearly full disk accepts a part and raises at the next attempt."""
+    # A memory view avoids copies of the rest.
     rest = memoryview(data)
     while rest:
         rest = rest[file.write(rest) :]
 
 
 def encode_lines(lines: "Sequence[Label | Edit]") -> bytes:
-    """Labels or edits as JSON lines."""
-    from msgspec.json import encode  # 0.1 s that a proxy without faults need not pay
+    """Encode labels or edits as JSON lines."""
+    from msgspec.json import encode  # imported late: 0.1 s that a proxy without faults saves
 
     return b"".join(encode(line) + b"\n" for line in lines)
 
 
 def _set_aside(folder: Path) -> None:
-    """Move an earlier session's files into a numbered folder of their own."""
+    """Move the files of an earlier session to a numbered folder."""
     present = [folder / name for name in (*APPENDED, SESSION) if (folder / name).exists()]
     if not present:
         return

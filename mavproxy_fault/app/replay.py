@@ -1,8 +1,7 @@
-"""Replay: a tlog through the proxy's core, to another tlog or in real time to a link.
+"""Replay: run a tlog through the proxy's core to another tlog, or in real time to a link.
 
-A `received.tlog` of the proxy, with its index, session and live edits beside it, gives `sent.tlog`
-again byte for byte if the schedule is the session's, as it is by default. With another schedule the
-edits are left out.
+A `received.tlog` of the proxy with its index, session and edit log reproduces `sent.tlog` byte for
+byte with the session's schedule, which is the default. With another schedule the edits are ignored.
 """
 
 import argparse
@@ -37,7 +36,7 @@ PAUSE_S = 0.1
 
 
 class LogReplay:
-    """A core that a log is pushed through, and the edits that are still to come."""
+    """The core that processes a log, and the recorded edits still to be applied."""
 
     def __init__(
         self,
@@ -50,79 +49,79 @@ class LogReplay:
         self.repeats = _ran_with(source, schedule)
         self._edits = deque(source.edits if self.repeats else ())
         engine = Engine(schedule)
-        # Without a schedule of its own the session had no engine before live control took part.
+        # A session without a schedule had no engine until live control was attached.
         late = bool(self._edits) and source.session["schedule"] is None
         self.core = Core(source.roles, None if late else engine, signing=signing, tape=tape)
         rflysim = None
         if any(edit.what == RFLYSIM for edit in self._edits):
             rflysim = read_map(source.session.get("rflysim_map", DEFAULT_MAP))
-        # Where the session does not say, live faults were allowed.
+        # Sessions without the key allowed live faults.
         allowed = source.session.get("inject", True)
         self._control = LiveControl(engine, allowed=allowed, rflysim=rflysim, folders=None)
         self._count = self._newest_us = 0
 
     def push(self, record: LogRecord) -> list[Send]:
-        """What is sent for one record, and for the edits before it."""
+        """Process one record after the edits before it; return what is sent."""
         sends = self._edit()
         self._count += 1
-        # Clocks of a merged log may go back: the end is the newest time.
+        # The clocks of a merged log may go back; the end is the newest time.
         self._newest_us = max(self._newest_us, record.t_us)
         return sends + self.core.received(record.link, record.raw, record.t_us)
 
     def _edit(self) -> list[Send]:
-        """Make the edits that came before as many records as were pushed."""
+        """Apply the edits that precede the next record."""
         sends = []
         while self._edits and self._edits[0].at <= self._count:
             edit = self._edits.popleft()
-            # What was due before the edit leaves first, as it did live.
+            # Frames due before the edit are sent first, as in the session.
             sends += self.core.due(edit.now_us)
             apply_edit(edit, self.core, self._control)
         return sends
 
     def rest(self) -> Iterator[list[Send]]:
-        """What is sent after the last record: up to the recorded end, or all that is delayed."""
+        """Yield what is sent after the last record, up to the recorded end if there is one."""
         yield self._edit()
         end_us = self.source.end_us
-        # A log without a recorded end goes on until the last delayed frame has left.
+        # Without a recorded end, until the last delayed frame has been sent.
         while end_us is None and (due_us := self.core.next_due_us) is not None:
             self._newest_us = max(self._newest_us, due_us)
             yield self.core.due(self._newest_us)
-        # A recorded end cuts delayed frames off as the session's end did.
+        # A recorded end flushes delayed frames as the session's end did.
         yield self.core.finish(end_us or self._newest_us)
 
 
 def _ran_with(source: LogSource, schedule: Schedule) -> bool:
-    """Whether a recorded session ran with this schedule, however it was written."""
+    """Whether a session was recorded with this schedule, whatever its notation."""
     return "schedule" in source.session and _bare(recorded_schedule(source)) == _bare(schedule)
 
 
 def _bare(schedule: Schedule) -> Schedule:
-    # Comments, order of keys and the like make no other schedule.
+    # Comments and the order of keys do not matter.
     entries = tuple(msgspec.structs.replace(entry, written={}) for entry in schedule.faults)
     return msgspec.structs.replace(schedule, faults=entries)
 
 
 def recorded_schedule(source: LogSource) -> Schedule:
-    """The schedule that a session was recorded with.
+    """Return the schedule that a session was recorded with.
 
     Raises
     ------
     ConfigError
-        If the log is not a session's.
+        If the log has no session.
     """
     if "schedule" not in source.session:
-        raise ConfigError("replay: no session.json lies beside the log; give --schedule FILE")
+        raise ConfigError("replay: there is no session.json beside the log; give --schedule FILE")
     return parse_schedule(source.session["schedule"] or {}, "session.json")
 
 
 def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
-    """Write what is sent to a tlog and the labels beside it, as `NAME.labels.jsonl`."""
+    """Write the sent frames to a tlog, and the labels to `NAME.labels.jsonl` beside it."""
     labels_path = out.with_suffix(".labels.jsonl")
     with out.open("wb") as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
             labels.write(encode_lines(_labels(playing)))
-            # Written in portions: a log of hours does not fit in memory twice.
+            # In portions, since a log of hours may not fit in memory twice.
             if len(tape.sent) >= FLUSH_BYTES:
                 log.write(tape.drain().sent)
         for _ in playing.rest():
@@ -133,10 +132,10 @@ def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
 
 
 def _labels(playing: LogReplay) -> list[Label]:
-    """The labels since the last call.
+    """Return the labels since the last call.
 
-    What they tell was done to a recording, to which nobody in it could react; but a session that is
-    repeated has reacted to the same.
+    They are marked as applied to a recording, in which the vehicle could not react to the faults,
+    unless the replay repeats the session with its own schedule.
     """
     labels = playing.core.drain_labels()
     if playing.repeats:
@@ -147,18 +146,18 @@ def _labels(playing: LogReplay) -> list[Label]:
 def replay_to_link(
     playing: LogReplay, link: Link, clock: Callable[[], float] = time.monotonic
 ) -> int:
-    """Send at the pace of the log; gives the number of frames or datagrams sent.
+    """Send at the pace of the log and return the number of frames or datagrams sent.
 
-    A server waits for its first peer.
+    A server link first waits for its first peer.
     """
-    # A log played to nobody would be over before somebody listens.
+    # Without a peer, the replay would be lost.
     while not link.peer_count:
         _pause(link, PAUSE_S)
     core = playing.core
     start_s, first_us, sent = clock(), -1, 0
 
     def wait_for(t_us: int) -> None:
-        # In slices, so that the peer's bytes are drained meanwhile.
+        # In slices, to read the peer's bytes meanwhile.
         while (rest_s := start_s + (t_us - first_us) * 1e-6 - clock()) > 0:
             _pause(link, min(rest_s, PAUSE_S))
 
@@ -170,7 +169,7 @@ def replay_to_link(
 
     for record in playing.source.records:
         first_us = record.t_us if first_us < 0 else first_us
-        # Delayed frames leave between records, at their own time.
+        # Delayed frames are due between records.
         while (due_us := core.next_due_us) is not None and due_us <= record.t_us:
             sent += write(core.due(due_us))
         wait_for(record.t_us)
@@ -179,8 +178,8 @@ def replay_to_link(
 
 
 def _pause(link: Link, wait_s: float) -> None:
-    """Wait, and drain what the peer sends meanwhile."""
-    # The link's own bytes are of no use here, but unread they would fill the kernel's buffer.
+    """Wait, and discard what the peer sends meanwhile."""
+    # Unread bytes would fill the kernel's buffer.
     wait_until_readable([link], wait_s)
     link.read()
 
@@ -196,14 +195,16 @@ def main(args: argparse.Namespace) -> int:
     playing = LogReplay(source, schedule, tape, read_signing(args))
     if tape is not None:
         out = Path(args.out)
-        # By identity, as a link may point to it under another name.
+        # By file identity, since a link may have another name.
         if out.exists() and out.samefile(path):
-            raise ConfigError(f"{out}: is the log that is replayed; allowed: another file")
+            raise ConfigError(f"{out}: is the replayed log itself; give another file")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             labels = replay_to_log(playing, tape, out)
         except OSError as error:
-            raise ConfigError(f"--out {out}: {error.strerror}; name a file to write") from None
+            raise ConfigError(
+                f"--out {out}: {error.strerror}; give a file that can be written"
+            ) from None
         print(f"{out}\n{labels}")
         return 0
     link = open_link(args.link, bare_udp="udpout")

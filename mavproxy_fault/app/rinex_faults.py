@@ -1,4 +1,4 @@
-"""Faults on a RINEX observation file: the schedule's engine on its epochs, one after the other."""
+"""Faults on a RINEX observation file: applies the engine to its epochs."""
 
 import argparse
 import sys
@@ -23,12 +23,12 @@ from mavproxy_fault.schedule.entries import Entry, Schedule, never_acted, read_s
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.plant_names import SIGNALS
 
-PROBE_BYTES = 120  # bytes that hold the first line, packed by Hatanaka's rules or not
+PROBE_BYTES = 120  # contains the first line, Hatanaka-compressed or not
 FROM_RECEIVER = "from-vehicle"
 
 
 def is_rinex(path: Path) -> bool:
-    """Whether a file begins as a RINEX file does; no other log that is packed can be replayed."""
+    """Whether a file is RINEX; compressed files are taken for RINEX."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -37,13 +37,13 @@ def is_rinex(path: Path) -> bool:
 
 
 def replay_rinex(args: argparse.Namespace) -> int:
-    """`replay` of an observation file: another one with faults, labels beside it."""
+    """Write an observation file with faults, and the labels beside it."""
     path = Path(args.log)
     if args.out is None or args.schedule is None:
         raise ConfigError(f"replay {path}: a RINEX file needs --schedule FILE and --out FILE")
     out = Path(args.out)
     if out.exists() and out.samefile(path):
-        raise ConfigError(f"{out}: is the file that is replayed; allowed: another file")
+        raise ConfigError(f"{out}: is the replayed file itself; give another file")
     schedule, navigation = read_schedule(args.schedule), [Path(name) for name in args.nav or ()]
     lines, labels = faulted_lines(path, schedule, navigation)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -52,22 +52,22 @@ def replay_rinex(args: argparse.Namespace) -> int:
     beside.write_bytes(encode_lines(labels))
     print(f"{out}\n{beside}")
     for word in never_acted(schedule, {label.id for label in labels}):
-        print(f"never acted: {word}: it met nothing that it names", file=sys.stderr)
+        print(f"fault {word} matched no observation", file=sys.stderr)
     return 0
 
 
 def faulted_lines(
     path: Path, schedule: Schedule, navigation: Sequence[Path] = ()
 ) -> tuple[list[str], list[Label]]:
-    """The lines of an observation file with the schedule's faults in them, and their labels.
+    """Apply a schedule to an observation file; return its lines and the labels.
 
-    `at_s` counts from the first epoch. The navigation files are read where a fault pretends
-    another place.
+    `at_s` counts from the first epoch. The navigation files are needed by faults that spoof
+    another position.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read or is missing, or a fault acts on something else than signals.
+        If a file cannot be read or is missing, or a fault does not act on satellite signals.
     """
     faults = tuple(_on_epochs(entry) for entry in schedule.faults)
     sky = None
@@ -80,7 +80,7 @@ def faulted_lines(
     labels, rng = [], np.random.default_rng(schedule.seed)
     for epoch in file_epochs(lines, version, end + 1):
         last_us = max(last_us, epoch.t_us)
-        before: Any = RangeEpoch(tuple(epoch.observations))  # to the engine it is a frame
+        before: Any = RangeEpoch(tuple(epoch.observations))  # a frame to the engine
         for sent in engine.apply(before, FROM_RECEIVER, epoch.t_us):
             if isinstance(sent.frame, RangeEpoch) and sent.frame is not before:
                 for name, change in signal_changes(sent.frame, epoch.t_us, sky):
@@ -91,14 +91,14 @@ def faulted_lines(
 
 
 def _on_epochs(entry: Entry) -> Entry:
-    """The entry as it acts on the epochs of a file; a parameter of the plant rides on them."""
+    """Adapt an entry to the epochs of a file, which then carry plant parameters too."""
     if isinstance(entry.fault, SatelliteFault):
         return entry
     if isinstance(entry.fault, PlantFault) and all(_is_signal(name) for name in entry.fault.names):
         return msgspec.structs.replace(entry, ids=frozenset({RangeEpoch.id}))
     raise ConfigError(
         f"{entry.id}: {entry.name} on {', '.join(entry.targets) or 'the link'} cannot act"
-        " on a RINEX file; PSEUDORANGE targets can, and PLANT targets of satellites"
+        " on a RINEX file; give a PSEUDORANGE target or a PLANT target of satellites"
     )
 
 
@@ -107,16 +107,16 @@ def _is_signal(name: str) -> bool:
 
 
 def _sky(path: Path, navigation: Sequence[Path], entry: Entry) -> Sky:
-    """Where the satellites stand, by the package that computes orbits."""
+    """Load the satellite positions from the plugin that computes orbits."""
     if not navigation:
         raise ConfigError(
-            f"{entry.id}: {', '.join(entry.targets)} pretends another place, which needs the"
+            f"{entry.id}: {', '.join(entry.targets)} spoofs another position, which needs the"
             " satellites' orbits; give --nav FILE"
         )
     from importlib.metadata import entry_points
 
     found = list(entry_points(group="mavproxy_fault.skies"))
     if not found:
-        raise ConfigError(f"{entry.id}: no installed package computes the satellites' orbits")
+        raise ConfigError(f"{entry.id}: no mavproxy_fault.skies plugin; install one for orbits")
     sky: Sky = found[0].load()(path, navigation)
     return sky

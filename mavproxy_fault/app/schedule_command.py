@@ -1,4 +1,4 @@
-"""`mavproxy-fault schedule`: the schedule of a running proxy, over the bus."""
+"""`mavproxy-fault schedule`: the schedule of a running proxy, over Zenoh."""
 
 import argparse
 import json
@@ -11,20 +11,21 @@ from mavproxy_fault.schedule.entries import parse_schedule
 
 
 def main(args: argparse.Namespace) -> int:
-    """Carry out one action."""
+    """Run one action."""
     if args.action == "load":
-        parse_schedule(read_document(args.file))  # a mistake is told with its line, and not sent
+        parse_schedule(read_document(args.file))  # reports errors with their lines
         text = Path(args.file).read_bytes()
         with join_run(args) as bus:
             loaded = query_run(bus, "schedule/begin", text)["faults"]
-        print(f"{len(loaded)} faults loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
+        count = f"{len(loaded)} fault{'s' * (len(loaded) != 1)}"
+        print(f"{count} loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
     elif args.action == "save":
         with join_run(args) as bus:
             _save(query_run(bus, "schedule/save")["anew"], args.file)
     elif args.action == "clear":
         with join_run(args) as bus:
             cleared = query_run(bus, "schedule/stop")["cleared"]
-        print("every fault has ended" if cleared else "there was no fault")
+        print("all faults cleared" if cleared else "no faults to clear")
     else:
         with join_run(args) as bus:
             print(json.dumps(query_run(bus, "state"), indent=2))
@@ -38,4 +39,4 @@ def _save(text: str, file: str | None) -> None:
     try:
         Path(file).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"{file}: cannot be written ({error.strerror})") from None
+        raise ConfigError(f"{file}: {error.strerror}; give another file") from None

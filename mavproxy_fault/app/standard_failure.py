@@ -1,7 +1,7 @@
-"""`inject UNIT:TYPE --through mavsdk`: the standard's failure command to any vehicle, by MAVSDK.
+"""`inject UNIT:TYPE --through mavsdk`: sends MAV_CMD_INJECT_FAILURE to a vehicle by MAVSDK.
 
-What acts on it is the vehicle, or a proxy on the way: PX4 does with SYS_FAILURE_EN at 1, ArduPilot
-does not know the command.
+The vehicle executes it, or a proxy on the link: PX4 if SYS_FAILURE_EN is 1; ArduPilot does not
+support the command.
 """
 
 import argparse
@@ -14,17 +14,17 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 
 CONNECT_TIMEOUT_S = 10.0
-DEFAULT_ADDRESS = "udpin://127.0.0.1:14540"  # where PX4 and `mavsdk` look for each other
+DEFAULT_ADDRESS = "udpin://127.0.0.1:14540"  # MAVSDK's default port at PX4
 REASONS = {
-    "UNSUPPORTED": "the vehicle does not know this failure",
-    "DENIED": "the vehicle refuses it now (PX4 does while its SYS_FAILURE_EN is 0)",
-    "DISABLED": "the vehicle's SYS_FAILURE_EN is 0; set it to 1",
-    "TIMEOUT": "the vehicle did not answer",
+    "UNSUPPORTED": "the vehicle does not support this failure",
+    "DENIED": "the vehicle refuses it; on PX4, set SYS_FAILURE_EN to 1",
+    "DISABLED": "failure injection is disabled; set SYS_FAILURE_EN to 1",
+    "TIMEOUT": "the vehicle did not reply; check --link",
 }
 
 
 def main(args: argparse.Namespace) -> int:
-    """Send the failure; with `--for` take it back in the end. 1 where the vehicle refuses."""
+    """Send the failure, and end it after `--for`; return 1 if the vehicle refuses."""
     unit, kind, instance = parse_failure(args.fault or "")
     with connect_vehicle(args.link or DEFAULT_ADDRESS) as failure:
         refusal = send_failure(failure, unit, kind, instance)
@@ -39,12 +39,12 @@ def main(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print("ended early")
         refusal = send_failure(failure, unit, mavsdk_failure_types()["ok"], instance)
-        print(f"{args.fault}: {refusal or 'over'}")
+        print(f"{args.fault}: {refusal or 'ended'}")
         return 1 if refusal else 0
 
 
 def mavsdk_units() -> dict[str, Any]:
-    """MAVSDK's units by our short names, such as `gps` or `motor`."""
+    """Return MAVSDK's failure units by short name, such as `gps` or `motor`."""
     from mavsdk.plugins.failure import FailureUnit
 
     return {
@@ -54,25 +54,25 @@ def mavsdk_units() -> dict[str, Any]:
 
 
 def mavsdk_failure_types() -> dict[str, Any]:
-    """Its types by name."""
+    """Return MAVSDK's failure types by name."""
     from mavsdk.plugins.failure import FailureType
 
     return {kind.name.lower(): kind for kind in FailureType}
 
 
 def parse_failure(text: str) -> tuple[Any, Any, int]:
-    """Unit, type and instance of `UNIT:TYPE[:INSTANCE]`, instances from 1, 0 for all.
+    """Parse `UNIT:TYPE[:INSTANCE]` (instances from 1; 0: all) to unit, type and instance.
 
     Raises
     ------
     ConfigError
-        If there is no such failure.
+        If a part does not exist.
     """
     unit, _, rest = text.partition(":")
     kind, _, number = rest.partition(":")
     if unit not in mavsdk_units():
         raise ConfigError(
-            f"inject: {unit!r} is no unit of MAVSDK's; {suggest_known(unit, [*mavsdk_units()])}"
+            f"inject: {unit!r} is not a failure unit; {suggest_known(unit, [*mavsdk_units()])}"
         )
     if kind not in mavsdk_failure_types():
         raise ConfigError(
@@ -80,12 +80,12 @@ def parse_failure(text: str) -> tuple[Any, Any, int]:
             f"{', '.join(mavsdk_failure_types())}"
         )
     if not (number or "0").isdigit():
-        raise ConfigError(f"inject: {text}: {number} is no instance; 1 and up, 0 for all")
+        raise ConfigError(f"inject: {text}: instance {number} is not a number; give 0 for all")
     return mavsdk_units()[unit], mavsdk_failure_types()[kind], int(number or 0)
 
 
 def send_failure(failure: Any, unit: Any, kind: Any, instance: int) -> str:
-    """Why the vehicle refuses, or nothing."""
+    """Send a failure; return the reason of a refusal, or an empty string."""
     from mavsdk.plugins.failure import FailureError, FailureResult
 
     try:
@@ -93,23 +93,23 @@ def send_failure(failure: Any, unit: Any, kind: Any, instance: int) -> str:
     except FailureError as error:
         found = next((one for one in error.args if isinstance(one, FailureResult)), None)
         name = "" if found is None else found.name
-        return REASONS.get(name, f"MAVSDK says {name or error}")
+        return REASONS.get(name, f"MAVSDK reports {name or error}")
     return ""
 
 
 @contextlib.contextmanager
 def connect_vehicle(address: str) -> Any:
-    """MAVSDK's failure plugin for the vehicle at an address.
+    """Connect MAVSDK to the vehicle at an address; yields its failure plugin.
 
     Raises
     ------
     ConfigError
-        If the address is wrong or nobody is there.
+        If the address is wrong or no vehicle is found.
     """
     from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
     from mavsdk.plugins.failure import Failure
 
-    log_subscribe(lambda *_: True)  # what happens is told here
+    log_subscribe(lambda *_: True)  # silences MAVSDK's log
     station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
     with Mavsdk(station) as mavsdk:
         opened = mavsdk.add_any_connection(address)
@@ -121,6 +121,6 @@ def connect_vehicle(address: str) -> Any:
         system = mavsdk.first_autopilot(CONNECT_TIMEOUT_S)
         if system is None:
             raise ConfigError(
-                f"--link: no vehicle speaks at {address} within {CONNECT_TIMEOUT_S:g} s"
+                f"--link: no vehicle at {address} within {CONNECT_TIMEOUT_S:g} s; check it"
             )
         yield Failure(system)

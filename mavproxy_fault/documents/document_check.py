@@ -1,4 +1,4 @@
-"""Data of a document turned into msgspec structs, with all errors of a file, not the first."""
+"""Converts the data of a document to msgspec structs and collects all errors of the file."""
 
 import math
 import re
@@ -18,22 +18,22 @@ from mavproxy_fault.documents.yaml_document import Document, Flaw, Lines, Path, 
 T = TypeVar("T")
 
 NotFinite = Annotated[float, Meta(extra={"finite": False})]
-"""A number that may be `.inf` or `.nan`; everywhere else these are refused."""
+"""A number that may be `.inf` or `.nan`, which any other number may not."""
 
-# Enough to work on; a file of another kind would give thousands.
+# Chosen: enough to work on; a file of another kind gives thousands.
 MOST_ERRORS = 30
-# Texts of our own structs begin with the field they mean: `segments[1].at_s = ...`.
+# Error texts of our structs begin with the field at fault: `segments[1].at_s = ...`.
 MENTIONED = re.compile(r"([A-Za-z_]\w*)((?:\.\w+|\[\d+\])*) ")
 UNIONS = (typing.Union, types.UnionType)
 
 
 def decode(document: Document, kind: type[T], at: Path = ()) -> T:
-    """The part of a document at a path, as `kind`.
+    """Convert the part of a document at a path to `kind`.
 
     Raises
     ------
     ConfigError
-        With every key and value that is wrong, each with its line and what is allowed.
+        If keys or values are wrong: all of them, each with its line and the allowed values.
     """
     data = document.data
     for key in at:
@@ -45,28 +45,28 @@ def decode(document: Document, kind: type[T], at: Path = ()) -> T:
 
 
 class DocumentCheck:
-    """Gathers every error of one file while its parts are converted."""
+    """Collects the errors of one file while its parts are converted."""
 
     def __init__(self, where: str, lines: Lines | None = None, flaws: Sequence[Flaw] = ()) -> None:
         self.where = where
         self.lines = lines or {}
-        self.count = 0  # of all errors, those of flawed values too that are not told twice
+        self.count = 0  # all errors, including repeated ones of flawed values
         self._errors: list[tuple[int, str]] = [(flaw.line, flaw.text) for flaw in flaws]
         self._flawed = {flaw.path for flaw in flaws}
 
     def wrong(self, path: Path, text: str) -> None:
-        """Note an error at the nearest line known, unless a value there was refused already."""
+        """Add an error at the nearest known line, unless a value there already has one."""
         self.count += 1
         if any(flawed[: len(path)] == path for flawed in self._flawed):
             return
-        # The nearest ancestor with a line: a missing key has none of its own.
+        # A missing key has no line; that of its nearest ancestor is used.
         line = next((self.lines[path[:n]] for n in range(len(path), -1, -1)
                      if path[:n] in self.lines), 0)  # fmt: skip
         place = f"{self.where}:{line}" if line else self.where
         self._errors.append((line, f"{place}: {format_path(path)}{' ' if path else ''}{text}"))
 
     def finish(self) -> None:
-        """Raise all errors, in the order of their lines.
+        """Raise all errors in the order of their lines.
 
         Raises
         ------
@@ -74,22 +74,22 @@ class DocumentCheck:
             If there are any.
         """
         if self._errors:
-            # By line, since parts of a file are checked in another order than they stand in.
+            # Sorted, since the parts of a file are checked in another order.
             in_order = [text for _, text in sorted(self._errors, key=lambda error: error[0])]
             more = len(in_order) - MOST_ERRORS
             last = [f"{self.where}: {more} more errors"] if more > 0 else []
             raise ConfigError("\n".join(in_order[:MOST_ERRORS] + last))
 
     def keys(self, data: dict[Any, Any], known: Iterable[str], path: Path) -> None:
-        """Note every key that is not known."""
+        """Add an error for every unknown key."""
         names = list(known)
         for key in data:
             if key not in names:
                 self.wrong((*path, str(key)), f"is unknown; {suggest_known(str(key), names)}")
 
     def value(self, data: Any, kind: Any, path: Path) -> Any:
-        """One value converted to a type; None with the errors noted if it does not fit."""
-        # The first member of a union that fits by its form; scalars are left to msgspec.
+        """Convert one value to a type; on errors, add them and return None."""
+        # The first union member that matches a mapping or list; msgspec converts scalars.
         for choice in _choices(kind):
             origin, inner = typing.get_origin(choice), typing.get_args(choice)
             if isinstance(data, dict):
@@ -98,7 +98,7 @@ class DocumentCheck:
                 if origin is dict and inner[0] is str:
                     return {k: self.value(v, inner[1], (*path, str(k))) for k, v in data.items()}
             if isinstance(data, list) and origin in (list, tuple):
-                # A fixed tuple has a type per place, all others one type for each item.
+                # A fixed tuple has one type per item, all others the same type for every item.
                 each = inner if origin is tuple and inner[1:] != (...,) else inner[:1] * len(data)
                 if len(each) == len(data):
                     parts = zip(data, each, strict=True)
@@ -106,9 +106,9 @@ class DocumentCheck:
         return self._scalar(data, kind, path)
 
     def _scalar(self, data: Any, kind: Any, path: Path) -> Any:
-        # YAML's `.inf` and `.nan` are floats: msgspec would let them pass.
+        # YAML's `.inf` and `.nan` are floats, which msgspec accepts.
         if isinstance(data, float) and not math.isfinite(data) and not _may_be_infinite(kind):
-            self.wrong(path, f"= {data} is not finite; a number is needed")
+            self.wrong(path, f"= {data} is not finite; give a finite number")
             return None
         try:
             return msgspec.convert(data, kind)
@@ -119,26 +119,26 @@ class DocumentCheck:
     def arguments(
         self, data: dict[str, Any], kind: type[msgspec.Struct], path: Path, given: Iterable[str]
     ) -> dict[str, Any]:
-        """The struct's fields found in `data`, converted; those `given` are left to the caller."""
+        """Convert the fields of a struct that are in `data`; the caller supplies those `given`."""
         hints = typing.get_type_hints(kind, include_extras=True)
         found: dict[str, Any] = {}
         for field in msgspec.structs.fields(kind):
             if field.name in given:
                 continue
-            # A key that is a word of Python is a field by another name.
+            # A key that is a Python keyword has another field name.
             key = field.encode_name
             if key in data:
                 found[field.name] = self.value(data[key], hints[field.name], (*path, key))
             elif field.required:
-                self.wrong(path, f"lacks {key}; it must be given")
+                self.wrong(path, f"lacks {key}, which is required; add it")
         return found
 
     def struct(self, data: Any, kind: type[msgspec.Struct], path: Path) -> Any:
-        """A whole struct; None with the errors noted if it is wrong."""
+        """Convert a mapping to a struct; on errors, add them and return None."""
         if not isinstance(data, dict):
             self.wrong(path, f"= {reprlib.repr(data)} does not fit: expected keys and values")
             return None
-        # Errors of the fields come first: a half-filled struct would add wrong ones.
+        # Stop after errors of fields, or the incomplete struct would add false ones.
         before = self.count
         self.keys(data, (field.name for field in msgspec.structs.fields(kind)), path)
         found = self.arguments(data, kind, path, ())
@@ -151,18 +151,18 @@ class DocumentCheck:
             return None
 
     def refused(self, kind: type[msgspec.Struct], text: str, path: Path) -> None:
-        """Note what a struct says of its own fields, at the line of the one it names first."""
+        """Add an error raised by a struct, at the line of the field that its text begins with."""
         named = MENTIONED.match(text)
         if named is not None and named[1] in (f.name for f in msgspec.structs.fields(kind)):
             parts = re.findall(r"\.(\w+)|\[(\d+)\]", named[2])
-            # The path is made longer by what the text names, so that the line is the very item's.
+            # The path is extended to the item named, for its exact line.
             path = (*path, named[1], *(name or int(index) for name, index in parts))
             text = text[named.end() :]
         self.wrong(path, text)
 
 
 def _choices(kind: Any) -> tuple[Any, ...]:
-    """The members of a union, without what is only annotated to them."""
+    """Return the members of a union without annotations."""
     if typing.get_origin(kind) is Annotated:
         return _choices(typing.get_args(kind)[0])
     if typing.get_origin(kind) in UNIONS:
@@ -179,12 +179,12 @@ def _may_be_infinite(kind: Any) -> bool:
 
 
 def _misfit(data: Any, kind: Any, error: str) -> str:
-    """Why a value does not fit, and what would."""
+    """Return why a value does not fit, and which values do."""
     words = [word for choice in _choices(kind) if typing.get_origin(choice) is Literal
              for word in typing.get_args(choice)]  # fmt: skip
-    # A fixed set of words: the likely one is suggested.
+    # For a fixed set of values, suggest the likely one.
     if words and isinstance(data, str):
         return f"is unknown; {suggest_known(data, words)}"
-    # msgspec ends its text with the path, which is known here already.
+    # msgspec appends the path, which is already in the error.
     text = error.split(" - at `$")[0]
     return f"does not fit: {text[0].lower()}{text[1:]}"

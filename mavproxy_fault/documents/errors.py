@@ -1,4 +1,4 @@
-"""The one error a user can cause."""
+"""The error for mistakes of the user."""
 
 
 class ConfigError(ValueError):

@@ -1,9 +1,9 @@
-"""YAML text to data, with the line of every key and item; and back.
+"""Reads YAML text to data with the line of every key and item, and writes data as YAML.
 
 The data follow YAML 1.2's core schema [1]_: `1e-4` is a number, `1:30`, `yes` and a date are text.
-What cannot be meant in a configuration is refused with its line: a doubled key, a tag, a key that
-is no word, a number that depends on the reader (`010`) or fits no 64 bits. Limits on size, depth
-and expanded aliases keep a hostile text from exhausting stack, memory or time.
+Mistakes are refused with their line: a duplicate key, a tag, a key that is not a scalar, a number
+that parsers read differently (`010`) or that exceeds 64 bits. Limits on size, depth and expanded
+aliases keep a hostile text from exhausting stack, memory or time.
 
 .. [1] YAML Ain't Markup Language, version 1.2.2, section 10.3.
 """
@@ -21,12 +21,12 @@ from mavproxy_fault.documents.errors import ConfigError
 Path = tuple[str | int, ...]
 Lines = dict[Path, int]
 
-# Schedules of people are kilobytes; the limits keep out what was not written by hand.
+# Chosen: far above files written by hand, which have kilobytes.
 MOST_BYTES = 8 << 20
-MOST_NODES = 400_000  # scalars, lists and mappings, aliases counted with all they stand for
+MOST_NODES = 400_000  # scalars, lists and mappings, with the expanded aliases
 DEEPEST = 40
 TOO_DEEP = f"is nested deeper than {DEEPEST} lists or mappings"
-MOST_DIGITS = 400  # of a number; beyond, converting it takes time and says nothing
+MOST_DIGITS = 400  # of a number; far beyond the precision of 64 bits, and fast to convert
 
 INTEGER = re.compile(r"[-+]?[0-9]+")
 AMBIGUOUS = re.compile(r"[-+]?0[0-9]+")  # octal for YAML 1.1, decimal for 1.2
@@ -41,7 +41,7 @@ NOT_FINITE = re.compile(r"([-+]?)\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class Flaw(NamedTuple):
-    """A value or key that is refused although the rest of a text can be read."""
+    """A refused value or key in a text that is readable otherwise."""
 
     path: Path
     line: int
@@ -49,7 +49,7 @@ class Flaw(NamedTuple):
 
 
 class Document(NamedTuple):
-    """The data of a YAML text, its name in errors, and the line on which each part begins."""
+    """The data of a YAML text, its name in errors, and the first line of each part."""
 
     data: Any
     where: str
@@ -57,7 +57,7 @@ class Document(NamedTuple):
 
 
 class FlawedDocumentError(ConfigError):
-    """The flaws of a document, for those who have more to say of it."""
+    """Carries the flaws of a document, for callers that add errors of their own."""
 
     def __init__(self, document: Document, flaws: Sequence[Flaw]) -> None:
         super().__init__("\n".join(flaw.text for flaw in flaws[:DEEPEST]))
@@ -74,16 +74,16 @@ def read_document(path: FilePath | str) -> Document:
     """
     try:
         with open(path, "rb") as file:
-            # One byte more than allowed tells a larger file without reading it whole.
+            # One byte more than allowed reveals a larger file without reading all of it.
             content = file.read(MOST_BYTES + 1)
-        # `-sig`: editors on Windows put a byte-order mark first.
+        # `-sig`: editors on Windows write a byte-order mark.
         text = content.decode("utf-8-sig")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a YAML file") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not text; a YAML file in UTF-8 is expected") from None
+        raise ConfigError(f"{path}: is not UTF-8 text; give a YAML file in UTF-8") from None
     except ValueError:  # a NUL in the name
-        raise ConfigError(f"{str(path)!r}: is no file's name; give a YAML file") from None
+        raise ConfigError(f"{str(path)!r}: is not a file name; give a YAML file") from None
     return read_yaml(text, str(path))
 
 
@@ -93,9 +93,9 @@ def read_yaml(text: str, where: str) -> Document:
     Raises
     ------
     ConfigError
-        If the text is no YAML or is beyond the limits.
+        If the text is not YAML or exceeds the limits.
     FlawedDocumentError
-        If it holds values that are refused: all of them at once, as all other errors.
+        If it contains refused values: all of them at once.
     """
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: is too large; at most {MOST_BYTES >> 20} MB are read")
@@ -103,19 +103,19 @@ def read_yaml(text: str, where: str) -> Document:
     try:
         builder.build(yaml.parse(text, yaml.CSafeLoader))
     except yaml.YAMLError as error:
-        # Some errors of the parser carry no mark, for example of bytes that are no characters.
+        # Some parser errors have no mark, for example for invalid characters.
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
-        problem = getattr(error, "problem", None) or getattr(error, "reason", "is damaged")
-        if "nesting depth" in str(problem):  # libyaml's own limit, met before ours is
+        problem = getattr(error, "problem", None) or getattr(error, "reason", "is corrupted")
+        if "nesting depth" in str(problem):  # libyaml's limit is lower than ours
             raise ConfigError(f"{where}{line}: {TOO_DEEP}") from None
         advice = "see yaml.org"
-        told = "".join(text.splitlines()[mark.line :][:1]) if mark is not None else ""
-        if BRACKETED.search(told):
-            advice = 'between braces a name with brackets is quoted: "controls[1]"'
+        faulty = "".join(text.splitlines()[mark.line :][:1]) if mark is not None else ""
+        if BRACKETED.search(faulty):
+            advice = 'between braces, quote a name with brackets: "controls[1]"'
         raise ConfigError(f"{where}{line}: not YAML: {problem}; {advice}") from None
-    except UnicodeEncodeError:  # half a surrogate pair, which no file in UTF-8 holds
-        raise ConfigError(f"{where}: is not text; YAML in UTF-8 is expected") from None
+    except UnicodeEncodeError:  # half a surrogate pair, which UTF-8 cannot encode
+        raise ConfigError(f"{where}: is not UTF-8 text; give YAML in UTF-8") from None
     document = Document(builder.data, where, builder.lines)
     if builder.flaws:
         raise FlawedDocumentError(document, builder.flaws)
@@ -123,36 +123,36 @@ def read_yaml(text: str, where: str) -> Document:
 
 
 def write_yaml(data: Any, *, flow: bool | None = False, width: int = 80) -> str:
-    """Data as YAML that `read_yaml` reads back; `flow` None puts the innermost on one line."""
+    """Format data as YAML for `read_yaml`; `flow` None puts innermost values on one line."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
 
 
 def parse_scalar(text: str) -> Any:
-    """What an unquoted scalar means.
+    """Return the value of an unquoted scalar.
 
     Raises
     ------
     ValueError
-        If readers of YAML do not agree on it, or it fits no 64 bits.
+        If YAML parsers read it differently, or it exceeds 64 bits.
     """
     if text in NAMED_SCALARS:
         return NAMED_SCALARS[text]
-    # Before `float`: the time to convert grows with the square of the digits.
+    # Before `float`, whose time grows with the square of the digits.
     if len(text) > MOST_DIGITS and FLOAT.fullmatch(text):
         raise ValueError(f"has {len(text)} digits; at most {MOST_DIGITS} are read")
     if AMBIGUOUS.fullmatch(text):
-        raise ValueError(f"= {text} is octal to some; write {int(text)}, or quote it if it is text")
+        raise ValueError(f"= {text} may be octal; write {int(text)}, or quote it if it is text")
     if INTEGER.fullmatch(text) or BASED.fullmatch(text):
         number = int(text, 10 if INTEGER.fullmatch(text) else 0)
-        # From the lowest signed to the highest unsigned number of 64 bits.
+        # From the lowest signed to the highest unsigned 64-bit integer.
         if not -(1 << 63) <= number < 1 << 64:
-            raise ValueError(f"= {text} does not fit; whole numbers have 64 bits")
+            raise ValueError(f"= {text} is out of range; integers have at most 64 bits")
         return number
     if FLOAT.fullmatch(text):
         value = float(text)
         # `1e999` would silently become infinite.
         if abs(value) == float("inf"):
-            raise ValueError(f"= {text} does not fit; numbers reach 1.8e308")
+            raise ValueError(f"= {text} is out of range; numbers reach 1.8e308")
         return value
     if found := NOT_FINITE.fullmatch(text):
         return float(found[1] + "inf") if found[2] else float("nan")
@@ -161,7 +161,7 @@ def parse_scalar(text: str) -> Any:
 
 @dataclass(slots=True)
 class _Open:
-    """A list or mapping whose end has not come yet; `key` waits for its value."""
+    """An unfinished list or mapping; `key` waits for its value."""
 
     path: Path
     items: Any
@@ -171,7 +171,7 @@ class _Open:
 
 
 class _Builder:
-    """Builds data from the parser's events without recursion, and counts what it builds."""
+    """Builds data from the parser's events without recursion, and counts the values."""
 
     def __init__(self, where: str) -> None:
         self.where = where
@@ -184,7 +184,7 @@ class _Builder:
         self._documents = 0
 
     def build(self, events: Iterable[Any]) -> None:
-        """Take in all events of a text."""
+        """Process all events of a text."""
         for event in events:
             if isinstance(event, yaml.NodeEvent):
                 self._node(event)
@@ -194,19 +194,19 @@ class _Builder:
             elif isinstance(event, yaml.DocumentStartEvent):
                 self._documents += 1
                 if self._documents > 1:
-                    self._refuse(event, "begins a second document; one is read")
+                    self._refuse(event, "begins a second document; only one is allowed")
 
     def _node(self, event: Any) -> None:
         self._nodes += 1
         if self._nodes > MOST_NODES:
-            self._refuse(event, f"goes beyond {MOST_NODES} values; split the file")
+            self._refuse(event, f"has more than {MOST_NODES} values; split the file")
         parent = self._open[-1] if self._open else None
-        # In a mapping keys and values come in turn.
+        # In a mapping, keys and values alternate.
         if parent is not None and isinstance(parent.items, dict) and parent.key is None:
             self._key(event, parent)
             return
         path = _path_below(parent)
-        # The line of a key is known already; items and the root get their own here.
+        # Keys already have a line; items and the root get theirs here.
         self.lines.setdefault(path, self._line(event))
         value = self._value(event, path)
         if parent is None:
@@ -219,27 +219,27 @@ class _Builder:
 
     def _key(self, event: Any, parent: _Open) -> None:
         if not isinstance(event, yaml.ScalarEvent):
-            self._refuse(event, "has a list or mapping as a key; keys are words")
+            self._refuse(event, "has a list or mapping as a key; use a plain key")
         self._untagged(event)
         line = self._line(event)
         if event.value in parent.items:
             path = (*parent.path, event.value)
-            self._note(event, path, f"{event.value} stands twice; give each key once")
+            self._note(event, path, f"{event.value} is given twice; give each key once")
         parent.key = event.value
         self.lines[(*parent.path, event.value)] = line
 
     def _value(self, event: Any, path: Path) -> Any:
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in self._anchors:
-                self._refuse(event, f"*{event.anchor} holds itself or is not defined above")
+                self._refuse(event, f"*{event.anchor} contains itself or is not defined above")
             value, size = self._anchors[event.anchor]
-            # An alias counts as much as it stands for: few bytes can expand to billions.
+            # An alias counts as its expansion, since few bytes can expand to billions.
             self._nodes += size
             return value
         self._untagged(event)
         if isinstance(event, yaml.ScalarEvent):
             value = event.value
-            # A quoted or block scalar is text whatever it looks like.
+            # A quoted or block scalar is always text.
             if not event.style:
                 try:
                     value = parse_scalar(event.value)
@@ -250,7 +250,7 @@ class _Builder:
         if len(self._open) == DEEPEST:
             self._refuse(event, TOO_DEEP)
         items: Any = [] if isinstance(event, yaml.SequenceStartEvent) else {}
-        # Within itself an anchor is not defined: a value cannot hold itself.
+        # An anchor is undefined within itself: a value cannot contain itself.
         self._anchors.pop(event.anchor, None)
         self._open.append(_Open(path, items, event.anchor, self._nodes))
         return items
@@ -261,7 +261,7 @@ class _Builder:
 
     def _untagged(self, event: Any) -> None:
         if event.tag is not None:
-            self._refuse(event, f"has the tag {event.tag}; plain values are read only")
+            self._refuse(event, f"has the tag {event.tag}; give a plain value")
 
     @staticmethod
     def _line(event: Any) -> int:
@@ -269,7 +269,7 @@ class _Builder:
         return line
 
     def _note(self, event: Any, path: Path, text: str) -> None:
-        """What is wrong, but does not end the reading: one run shows every such flaw."""
+        """Add a flaw and continue, so that one run reports all flaws."""
         line = self._line(event)
         self.flaws.append(Flaw(path, line, f"{self.where}:{line}: {text}"))
 
@@ -278,7 +278,7 @@ class _Builder:
 
 
 def _path_below(parent: _Open | None) -> Path:
-    """The path of the value that comes next in a list or mapping."""
+    """Return the path of the next value in a list or mapping."""
     if parent is None:
         return ()
     if isinstance(parent.items, list):
@@ -288,18 +288,18 @@ def _path_below(parent: _Open | None) -> Path:
 
 
 def format_path(path: Path) -> str:
-    """A path as a person writes it: faults[3].profile.segments[0].rate."""
+    """Format a path as faults[3].profile.segments[0].rate."""
     text = ""
     for part in path:
-        # The first part stands without a dot.
+        # The first part has no dot.
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes what YAML 1.2 takes for a number and PyYAML, which follows 1.1, does not."""
+    """Quotes text that is a number in YAML 1.2 but not in PyYAML, which follows 1.1."""
 
 
-# The first characters by which PyYAML finds the resolver.
+# PyYAML selects a resolver by the first character.
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:int", BASED, ["0"])

@@ -1,7 +1,7 @@
-"""What faults are made of: their contract, and what several of them share.
+"""Building blocks of faults: their contract and shared parts.
 
-A *fault* is a frozen set of parameters; what moves is the state it hands back. A *value fault* is a
-rule for the values of *elements* (fields, or items of array fields), which a *draft* of the frame
-carries. A *target* names elements, messages, satellites or plant parameters. A *profile* is a fault
-function of time, and a *series* one from a file.
+A *fault* is a frozen set of parameters; its state is passed in and returned. A *value fault* is a
+rule for the values of *elements* (fields, or items of array fields), applied to a *draft* of the
+frame. A *target* names elements, messages, satellites or plant parameters. A *profile* is a fault
+as a function of time, and a *series* one that is read from a file.
 """

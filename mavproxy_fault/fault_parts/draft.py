@@ -1,9 +1,8 @@
-"""A frame while value faults change it: read and written in place, sealed once at the end.
+"""The mutable copy of a frame for value faults: changed in place, sealed once at the end.
 
-Ten faults on one message share the copy of its bytes, the checksum and the new frame. Each sees
-what the ones before have left, and is told by the bytes whether it changed anything.
-`Frame.patched` says the same in general, and serves where an element reaches into zeros that were
-cut.
+All value faults on a message share one copy of its bytes, one checksum and one new frame. Each
+fault sees the changes of those before it. A comparison of bytes shows whether it changed anything.
+`Frame.patched` does the same in general; it is used where an element lies in truncated zeros.
 """
 
 import math
@@ -18,14 +17,14 @@ from mavproxy_fault.wire.dialect import PACKERS, message_layout
 from mavproxy_fault.wire.frame import FLOAT_MAX, Frame, Number
 
 INFINITE = math.inf
-# Largest finite step (-1: none), values that did not fit, whether a byte differs.
+# Largest finite change (-1: none), number of saturated values, whether a byte differs.
 Change = tuple[float, int, bool]
 
 
 class Draft:
-    """The bytes of a frame under change; their checksum is that of the frame as it came.
+    """The mutable bytes of a frame; the checksum is that of the received frame until sealed.
 
-    `floats` is the payload as so many of them; who writes there notes it in `changed`.
+    `floats` is the payload as an array of floats; code that writes there must set `changed`.
     """
 
     __slots__ = ("_at", "_data", "_length", "came", "changed", "floats", "id", "layout")
@@ -41,7 +40,7 @@ class Draft:
         self.floats = memoryview(data)[at : at + (length & ~3)].cast("f")
 
     def values(self, elements: Sequence[Element]) -> list[Number]:
-        """The values of some elements; zeros that were cut read as 0."""
+        """Return the values of elements; truncated zeros read as 0."""
         at, data, length = self._at, self._data, self._length
         if len(elements) == 1 and elements[0].end <= length:  # without the loop
             return [*PACKERS[elements[0].code].unpack_from(data, at + elements[0].start)]
@@ -57,28 +56,28 @@ class Draft:
     def write(
         self, elements: Sequence[Element], before: Sequence[Number], after: Sequence[Number]
     ) -> Change:
-        """Give some elements other values."""
+        """Write the values of elements."""
         if len(elements) != 1 or len(after) != 1:
             return self._write_several(elements, before, after)
         _, _, start, end, code = elements[0]
         value, cut = after[0], False
-        # A float within range needs no fitting; that is nearly every value of a fast stream.
+        # Fast path: a float within range, the most frequent case.
         if code != "f" or not -FLOAT_MAX <= value <= FLOAT_MAX:
             value, cut = fit_to_type(code, value)
         packer = PACKERS[code]
         packed = packer.pack(value)
-        # Read back: the change that a receiver sees, rounding included.
+        # The change as a receiver sees it, including rounding.
         step = abs(packer.unpack(packed)[0] - before[0])
         if end > self._length:
             differs = self._grow(elements[0], value)
         else:
             data, at = self._data, self._at
-            # Zeros of two signs differ in their bytes alone, and so may NaNs.
+            # Zeros of different sign differ in their bytes only, as NaNs may.
             differs = step > 0.0 or data[at + start : at + end] != packed
             packer.pack_into(data, at + start, value)
         if differs:
             self.changed = True
-        # NaN and infinity have no size that a label could hold.
+        # NaN and infinity have no magnitude for a label.
         return step if step < INFINITE else -1.0, cut, differs
 
     def _write_several(
@@ -91,25 +90,25 @@ class Draft:
                 more, cut, changed = self.write((one,), (healthy,), (value,))
                 step, saturated, differs = max(step, more), saturated + cut, differs or changed
         except Exception:
-            # A fault that fails half-way leaves the frame as it was.
+            # A fault that fails midway leaves the frame unchanged.
             self._hold(bytearray(kept[0]), self._at, kept[1])
             self.changed = kept[2]
             raise
         return step, saturated, differs
 
     def _grow(self, one: Element, value: Number) -> bool:
-        """Write a value into zeros that were cut; whether a byte differs."""
+        """Write a value into truncated zeros; return whether a byte differs."""
         frame = Frame(bytes(self._data), self.layout)
         patched = frame.patched({(one.name, one.item): value})
         self._hold(bytearray(patched.raw), self._at, patched.length)
         return patched.payload != frame.payload
 
     def sealed(self) -> Frame:
-        """The frame with its checksum; the very one that came if nothing has changed."""
+        """Return the frame with its checksum; the received object itself if nothing changed."""
         if not self.changed:
             return self.came
         data, end = self._data, self._at + self._length
-        # The checksum covers all behind the start byte, and then the message's own CRC_EXTRA.
+        # The checksum covers all after the start byte, and then the message's CRC_EXTRA.
         data[end] = self.layout.crc_extra
         crc = mcrf4xx(data[1 : end + 1])
         data[end] = crc & 0xFF
@@ -117,9 +116,9 @@ class Draft:
         return Frame(bytes(data), self.layout)
 
     def sender(self) -> tuple[int, ...]:
-        """Who sent it: system, component, message id and instance."""
+        """Return the sender: system, component, message id and instance."""
         came, instance, value = self.came, instance_element(self.id), 0
-        # Usually instance 0, whose zeros were cut.
+        # Instance 0 is often truncated.
         if instance and instance[0].start < self._length:
             number = self.values(instance)[0]
             value = number if isinstance(number, int) else 0
@@ -128,14 +127,14 @@ class Draft:
 
 @cache
 def instance_element(message: int) -> tuple[Element, ...]:
-    """The element that tells two sensors of one vehicle apart that send the same message."""
+    """Return the element that distinguishes sensors with the same message, if there is one."""
     layout = message_layout(message)
     name = layout.instance or ("id" if "id" in layout.fields else "")
     return (locate_element(layout, name),) if name else ()
 
 
 def rewrite_fields(frame: Frame, t_us: int, values: dict[str, Number]) -> Outgoing:
-    """The frame with other values in some fields that are no arrays."""
+    """Replace the values of fields that are not arrays."""
     draft = Draft(frame)
     elements = [locate_element(frame.layout, name) for name in values]
     step, cut, differs = draft.write(elements, draft.values(elements), list(values.values()))

@@ -1,9 +1,9 @@
-"""What a fault is: one frame in, timed frames out.
+"""The contract of a fault: one frame in, timed frames out.
 
-`Entry` (in `schedule`) says when, which frames and how often; a `Fault` says what happens to them.
-A fault is a frozen set of parameters (a `msgspec.Struct`, so that a schedule and its JSON Schema
-come from the same lines); its moving part is the state it hands back. It does no I/O, takes time
-as `t_us` and chance from `rng`, and never changes its arguments.
+`Entry` (in `schedule`) defines when, on which frames and how often; a `Fault` defines the effect.
+A fault is a frozen set of parameters (a `msgspec.Struct`, which also defines the keys of a schedule
+and its JSON Schema); its state is passed in and returned. It does no I/O, takes time as `t_us` and
+randomness from `rng`, and never changes its arguments.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
@@ -19,11 +19,11 @@ ActsOn = Literal["fields", "frames", "satellites", "plant"]
 
 
 class Outgoing(msgspec.Struct, frozen=True):
-    """Bytes to send no earlier than `due_us`; raw bytes where a fault broke the frame.
+    """A frame to send no earlier than `due_us`; raw bytes if a fault made it invalid.
 
     `magnitude` is the largest change in this frame in the field's unit (metres for positions and
-    satellites, seconds for delays), `saturated` the number of values that did not fit their field.
-    With `back` the frame goes to where the one that called it forth came from.
+    satellites, seconds for delays), `saturated` the number of values out of their field's range.
+    With `back` the frame is sent to the link of the frame that it replies to.
     """
 
     due_us: int
@@ -34,51 +34,51 @@ class Outgoing(msgspec.Struct, frozen=True):
 
 
 class Fault(Protocol):
-    """The contract; `state` is whatever `new_state` returned.
+    """The contract; `state` is the value that `new_state` or the last `apply` returned.
 
-    A value fault (`value_fault.ValueFault`) has the rule `after` in the place of `apply`.
+    A value fault (`value_fault.ValueFault`) has the rule `after` instead of `apply`.
 
-    `acts_on` says what `target` names: fields of messages (handed over as `elements`), whole
-    frames, satellites or plant parameters (handed over as `names`).
+    `acts_on` defines what `target` names: fields of messages (passed as `elements`), complete
+    frames, satellites or plant parameters (passed as `names`).
 
-    A fault of a schedule also has a `name`, which the registry finds it by, and an `example`: what
-    stands beside `fault: NAME` in the entry that `faults show` prints and the tests run. It may
-    have `aliases`, further names, and `on_ranges`, true if its error does not depend on the healthy
-    value, so that it acts on PSEUDORANGE targets too. One with `done(state)` ends as soon as that
-    is true, before its `for_s`.
+    A fault of a schedule also has a `name`, by which the registry finds it, and an `example`: the
+    keys beside `fault: NAME` in the entry that `faults show` prints and the tests run. It may have
+    `aliases` (further names) and `on_ranges`, true if its error does not depend on the healthy
+    value, so that it accepts PSEUDORANGE targets too. A fault with a method `done(state)` ends
+    as soon as that returns true, before its `for_s`.
     """
 
     acts_on: ClassVar[ActsOn]
 
     def new_state(self, start_us: int) -> Any:
-        """The state before the first frame; the fault is active from `start_us` on."""
+        """Return the initial state; the fault is active from `start_us` on."""
 
     def apply(
         self, frame: Frame, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """What leaves for one frame that came at `t_us`, and the next state.
+        """Return the frames to send for one received at `t_us`, and the next state.
 
-        An untouched frame leaves as the same object at `t_us`. Nothing is due before `t_us`.
+        An unchanged frame is returned as the same object, due at `t_us`. Nothing is due earlier.
         """
 
 
 class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault of the link: it takes bytes that are no frame as well, and signed frames."""
+    """A fault of the link: it also acts on bytes that are not a frame, and on signed frames."""
 
     acts_on: ClassVar[ActsOn] = "frames"
     takes_bytes: ClassVar[bool] = True
     takes_sealed: ClassVar[bool] = True
 
     def new_state(self, start_us: int) -> Any:
-        """Nothing to remember, for the faults that treat each frame by itself."""
+        """Return None, for faults without a state."""
 
 
 @runtime_checkable
 class Buffering(Protocol):
-    """A fault that keeps frames back until others have come."""
+    """A fault that buffers frames until others have arrived."""
 
     def release_us(self, state: Any) -> int | None:
-        """When the oldest frame kept must leave; None if none is kept."""
+        """Return the due time of the oldest buffered frame; None if there is none."""
 
     def release(self, t_us: int, state: Any) -> tuple[list[Outgoing], Any]:
-        """Everything kept, to be sent now, and the state without it."""
+        """Return all buffered frames, to be sent now, and the state without them."""

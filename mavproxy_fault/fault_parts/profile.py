@@ -1,8 +1,8 @@
-"""Fault functions of time: piecewise linear, with drawn numbers, and others.
+"""Fault profiles: piecewise linear (also with random numbers), sine, impulses, files, live values.
 
 A segment is f(t) = start + rate (t - at) on [at, at + for]; between segments the value is healthy.
-`compat: param_gen` reproduces the Simulink function `param_gen` bit for bit, edges included: it is
-open on the left and closed on the right, and at a joint the earlier segment holds.
+`compat: param_gen` reproduces the Simulink function `param_gen` bit for bit, including the edges:
+segments are open on the left and closed on the right, and the earlier one holds at a joint.
 """
 
 import math
@@ -19,28 +19,27 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 Mode = Literal["replace", "add", "scale"]
-OVERLAP_TOLERANCE_S = 1e-6  # stamps are microseconds: what is closer than one is not an overlap
-CLOSE_S = 1e-7  # nor do a sum of steps and a multiple of them differ that are closer
+OVERLAP_TOLERANCE_S = 1e-6  # one microsecond, the resolution of timestamps
+CLOSE_S = 1e-7  # rounding of sums of time steps; below the resolution of timestamps
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
-LONGEST_S = 1e9  # thirty years; microseconds then still fit a stamp of 64 bits with room for sums
+LONGEST_S = 1e9  # thirty years: sums in microseconds still fit 64 bits
 Seconds = Annotated[float, Meta(ge=0, le=LONGEST_S)]
 Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]
 
 
 class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A number drawn at each start: `uniform: [low, high]` or `normal: [mean, sigma]`."""
+    """A random number drawn at each start: `uniform: [low, high]` or `normal: [mean, sigma]`."""
 
     uniform: tuple[float, float] | None = None
     normal: tuple[float, NotNegative] | None = None
 
     def __post_init__(self) -> None:
-        # Both or neither: there would be two answers, or none.
         if (self.uniform is None) == (self.normal is None):
-            raise ValueError("a drawn number takes either uniform or normal")
+            raise ValueError("a random number needs exactly one of uniform and normal")
 
     def number(self, rng: "Generator") -> float:
-        """One draw."""
+        """Draw the number."""
         if self.uniform is not None:
             return float(rng.uniform(*self.uniform))
         assert self.normal is not None
@@ -48,7 +47,7 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LinearSegment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One straight piece; times in seconds from the start of the fault, rate per second."""
+    """One linear segment; times [s] from the start of the fault, rate per second."""
 
     at_s: Annotated[float, Meta(ge=-LONGEST_S, le=LONGEST_S)]
     for_s: Annotated[float, Meta(le=LONGEST_S)]
@@ -66,7 +65,7 @@ class SineProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Impulses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Rectangles of one height: `width_s` long, every `period_s`."""
+    """Rectangular impulses of `width_s`, every `period_s`."""
 
     amplitude: float
     period_s: Duration
@@ -74,13 +73,13 @@ class Impulses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LiveInput(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Values streamed from outside; one older than the time-out is refused."""
+    """Values streamed by live control; one older than the timeout is ignored."""
 
     timeout_s: Duration = 0.5
 
 
 class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A series from a CSV or Parquet file; times in seconds from the start of the fault."""
+    """A series of a CSV or Parquet file; times [s] from the start of the fault."""
 
     file: str
     time: str = "t_s"
@@ -89,11 +88,11 @@ class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A fault function: exactly one of its kinds, and how it meets the healthy value.
+    """A fault profile: exactly one kind of function, and how it acts on the healthy value.
 
-    `mode` defaults to what the fault does (bias adds, scale scales, constant replaces).
-    `otherwise` is used outside the segments in place of the healthy value.
-    `time_sim_s` is only looked at by `compat: param_gen`, which checks the last segment against it.
+    `mode` defaults to that of the fault (bias adds, scale scales, constant replaces).
+    `otherwise` replaces the healthy value outside the segments.
+    `time_sim_s` is used by `compat: param_gen` only, to check the end of the last segment.
     """
 
     mode: Mode | None = None
@@ -109,20 +108,20 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def __post_init__(self) -> None:
         kinds = (self.segments, self.sine, self.impulses, self.table, self.live)
         if sum(kind is not None for kind in kinds) != 1:
-            raise ValueError("a profile takes exactly one of segments, sine, impulses, table, live")
+            raise ValueError("a profile needs exactly one of segments, sine, impulses, table, live")
         if self.segments is not None:
             if not self.segments:
                 raise ValueError("segments is empty; give at least one")
-            # Overlaps are judged for our own rule; `param_gen` has a check of its own.
+            # `param_gen` has its own check for overlaps.
             if self.compat is None:
                 check_segments(self.segments)
             else:
                 check_param_gen(self.segments, self.time_sim_s)
 
     def new_state(self, rng: "Generator") -> Any:
-        """What the profile remembers: drawn segments, an open table, or the newest live value."""
+        """Return the initial state: segments with drawn numbers, an open series, or None."""
         if self.segments is not None:
-            # Drawn once per start, so that a repeated fault draws anew.
+            # Drawn once per start, so that a repeated fault draws new numbers.
             return draw_segments(self.segments, rng)
         if self.table is not None:
             from mavproxy_fault.fault_parts.series import Series
@@ -131,7 +130,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return None
 
     def value(self, t_s: float, state: Any) -> float | None:
-        """The function at a time, or None where it says nothing and the value stays healthy."""
+        """Return the value at a time; None where the field keeps its healthy value."""
         if self.segments is not None:
             found = piecewise_value(state, t_s, open_left=self.compat is not None)
         elif self.sine is not None:
@@ -141,14 +140,14 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
         elif self.impulses is not None:
             train = self.impulses
-            # Closed at the start, open at the end: a frame at the very edge belongs to one only.
+            # Half-open interval: closed at the start, open at the end.
             passed_s = time_since_period(t_s, train.period_s)
             found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
         elif self.table is not None:
             found = state.at(t_s)
         else:
             assert self.live is not None
-            # A stream that has stopped must not go on falsifying with its last value.
+            # The last value of a stream that has stopped must not persist.
             fresh = state is not None and t_s - state[0] <= self.live.timeout_s
             found = state[1] if fresh else None
         return self.otherwise if found is None else found
@@ -158,7 +157,7 @@ Piece = tuple[float, float, float, float]  # at_s, for_s, start, rate
 
 
 def draw_segments(segments: Sequence[LinearSegment], rng: "Generator") -> tuple[Piece, ...]:
-    """The segments with every number drawn."""
+    """Draw the random numbers of segments."""
 
     def number(given: float | Draw) -> float:
         return given.number(rng) if isinstance(given, Draw) else given
@@ -167,27 +166,27 @@ def draw_segments(segments: Sequence[LinearSegment], rng: "Generator") -> tuple[
 
 
 def piecewise_value(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
-    """The piecewise-linear function, None outside its segments.
+    """Return the piecewise-linear function at a time; None outside its segments.
 
-    With `open_left` a piece holds on (at, at + for] as in `param_gen`, else on [at, at + for],
-    where at a joint the later one holds.
+    With `open_left` a piece holds on (at, at + for] as in `param_gen`; else on [at, at + for],
+    where the later piece holds at a joint.
     """
     if open_left:
-        # param_gen takes the piece before the first whose start has not passed, sorted or not.
+        # param_gen takes the piece before the first one that has not started, sorted or not.
         k = next((i for i, piece in enumerate(segments) if t_s <= piece[0]), len(segments)) - 1
     else:
-        # The newest piece that has begun; at a joint the later one.
+        # The latest piece that has started.
         k = bisect_right(segments, t_s, key=lambda piece: piece[0]) - 1
     if k < 0:
         return None
     at_s, for_s, start, rate = segments[k]
-    # Before its end; behind it the value is healthy until the next piece.
+    # After the end of a piece the value is healthy until the next one.
     return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
 
 
 def time_since_period(t_s: float, period_s: float) -> float:
-    """Seconds since the last whole period, robust against rounding."""
-    # Stamps are sums of steps: just below a multiple of the period is meant to be that multiple.
+    """Return the time [s] since the last multiple of the period, robust against rounding."""
+    # Timestamps are sums of steps and may lie just below a multiple of the period.
     return t_s - int((t_s + CLOSE_S) / period_s) * period_s
 
 
@@ -197,7 +196,7 @@ def check_segments(segments: Sequence[LinearSegment]) -> None:
     Raises
     ------
     ValueError
-        With the segments at fault.
+        If there are such segments; the text names them.
     """
     for i, segment in enumerate(segments):
         if segment.for_s < 0:
@@ -206,17 +205,17 @@ def check_segments(segments: Sequence[LinearSegment]) -> None:
         if i + 1 < len(segments) and segments[i + 1].at_s < end_s - OVERLAP_TOLERANCE_S:
             raise ValueError(
                 f"segments[{i + 1}].at_s = {segments[i + 1].at_s} is before the end of the "
-                f"one before, {end_s:.9g}; segments must follow one another"
+                f"previous segment, {end_s:.9g}; segments must not overlap"
             )
 
 
 def check_param_gen(segments: Sequence[LinearSegment], time_sim_s: float | None) -> None:
-    """The check of `param_gen`, rounding included: dt must not exceed the gap to the next start.
+    """Check segments as `param_gen` does: dt must not exceed the gap to the next start.
 
     Raises
     ------
     ValueError
-        Where `param_gen` says "dt error".
+        If `param_gen` would report "dt error".
     """
     if len(segments) == 1:
         return  # param_gen does not check a single segment

@@ -1,7 +1,7 @@
-"""A time series from a CSV or Parquet file, read in blocks so that memory stays flat.
+"""A time series from a CSV or Parquet file, read in blocks to bound the memory.
 
-This is the one fault that reads a file: a series of hours does not fit a schedule, and holding it
-whole would cost hundreds of megabytes. Only the present block is in memory.
+This is the only fault that reads a file: a series of hours does not fit a schedule and would take
+hundreds of megabytes in memory. Only the current block is kept.
 """
 
 import csv
@@ -24,9 +24,9 @@ Block = tuple[tuple[float, ...], tuple[float, ...]]  # times in seconds, and val
 
 
 class Series:
-    """The values of a table at times that do not go backwards (they may, at the cost of a re-read).
+    """Looks up values at increasing times; a step back in time rereads the file.
 
-    Before the first row it says nothing; after the last one too.
+    There is no value before the first row or after the last.
     """
 
     def __init__(self, table: "SeriesTable") -> None:
@@ -37,37 +37,37 @@ class Series:
         self._blocks = read_blocks(self.table)
         self._times: tuple[float, ...] = ()
         self._values: tuple[float, ...] = ()
-        self._at = 0  # no row before it is needed any more
+        self._at = 0  # earlier rows are no longer needed
         self._previous: tuple[float, float] | None = None
         self._latest_s = -math.inf
 
     def _next(self) -> Block | None:
-        """The next block; a series that turns out broken ends there, for traffic must go on."""
+        """Read the next block; an invalid series ends there, since traffic must continue."""
         try:
             return next(self._blocks, None)
         except ConfigError as error:
-            LOG.warning("the series ends early: %s", error)
+            LOG.warning("the series is cut off at an error: %s", error)
             return None
 
     def at(self, t_s: float) -> float | None:
-        """The value at a time: that of the newest row, or between the two rows around it."""
-        # Time went back: a reader that only goes forward must begin anew.
+        """Return the value at a time: of the latest row, or interpolated between two rows."""
+        # The reader only goes forward and restarts when time goes back.
         if t_s < self._latest_s:
             self._start()
         self._latest_s = t_s
         while not len(self._times) or t_s >= self._times[-1]:
             block = self._next()
             if block is None:
-                # The last row holds at its own time, not beyond.
+                # The last row is valid at its own time only.
                 if len(self._times) and t_s == self._times[-1]:
                     return self._values[-1]
                 return None
             if len(self._times):
-                # Between two blocks the older row is in the one that goes.
+                # Interpolation between two blocks needs the last row of the older one.
                 self._previous = (self._times[-1], self._values[-1])
             self._times, self._values = block
             self._at = 0
-        # Times grow, so that the search begins where the last one ended.
+        # Times increase, so the search continues from the last row.
         k = bisect_right(self._times, t_s, self._at)
         self._at = k
         if k > 0:
@@ -83,22 +83,22 @@ class Series:
 
 
 def read_blocks(table: "SeriesTable") -> Iterator[Block]:
-    """The rows of a table, some thousand at a time.
+    """Yield the rows of a series in blocks of at most `BLOCK_ROWS`.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, lacks a column, holds text, or its times go backwards.
+        If the file cannot be read, lacks a column, contains text, or its times go back.
     """
     last_s = -math.inf
     source = _parquet if Path(table.file).suffix == ".parquet" else _csv
     for times, values in source(table):
-        # With the last time of the block before, so that the joints are checked too.
+        # Includes the last time of the previous block, to check the joint.
         ascending = all(a < b for a, b in itertools.pairwise((last_s, *times)))
         if not ascending or not all(map(math.isfinite, values)):
             raise ConfigError(
-                f"{table.file}: near {table.time} = {times[0]} times do not grow or values are not "
-                "finite; times must ascend and every value be a number"
+                f"{table.file}: near {table.time} = {times[0]} times do not increase or values are "
+                "not finite; give increasing times and finite values"
             )
         last_s = times[-1]
         yield times, values
@@ -117,27 +117,27 @@ def _csv(table: "SeriesTable") -> Iterator[Block]:
     except OSError as error:
         raise ConfigError(f"{table.file}: cannot be read ({error}); give a CSV file") from None
     except (ValueError, IndexError) as error:
-        # A `ConfigError` is a ValueError: one of ours passes as it is.
+        # `ConfigError` is a ValueError, but already complete.
         if isinstance(error, ConfigError):
             raise
         line = rows.line_num
-        raise ConfigError(f"{table.file}:{line}: {error}; every row needs two numbers") from None
+        raise ConfigError(f"{table.file}:{line}: {error}; give two numbers in every row") from None
 
 
 def _column(names: list[str], name: str, file: str) -> int:
     if name not in names:
-        raise ConfigError(f"{file}:1: has no column {name}; there are {', '.join(names)}")
+        raise ConfigError(f"{file}:1: has no column {name}; known: {', '.join(names)}")
     return names.index(name)
 
 
 def _parquet(table: "SeriesTable") -> Iterator[Block]:
-    import pyarrow.parquet as parquet  # heavy: loaded by those who read such a table
+    import pyarrow.parquet as parquet  # heavy: imported only for Parquet files
 
     try:
         with parquet.ParquetFile(table.file) as file:
             for name in (table.time, table.value):
                 _column(file.schema_arrow.names, name, table.file)
-            # Only two columns are read of a file that may have many.
+            # Read two columns only.
             for batch in file.iter_batches(BLOCK_ROWS, columns=[table.time, table.value]):
                 if batch.num_rows:
                     times, values = (
@@ -150,4 +150,4 @@ def _parquet(table: "SeriesTable") -> Iterator[Block]:
     except (TypeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"{table.file}: {error}; every row needs two numbers") from None
+        raise ConfigError(f"{table.file}: {error}; give two numbers in every row") from None

@@ -1,4 +1,4 @@
-"""How each message that tells position or velocity is moved by metres north, east and down."""
+"""Moves the position and velocity of each message that carries them, in metres NED."""
 
 import math
 from collections.abc import Callable
@@ -12,19 +12,19 @@ Three = tuple[float, float, float]
 
 UNKNOWN_U16 = 0xFFFF
 LOCAL_NED, LOCAL_ENU, BODY_FRD = 1, 4, 12  # MAV_FRAME
-# MAV_ESTIMATOR_TYPE: vision, visual-inertial, motion capture, lidar. No satellite speaks in them.
+# MAV_ESTIMATOR_TYPE: vision, visual-inertial, motion capture, lidar, which use no GNSS.
 WITHOUT_SATELLITES = (2, 3, 6, 7)
 
 
 class Move(NamedTuple):
-    """An offset of the position and of the velocity, north, east and down."""
+    """Offsets of position and velocity, NED."""
 
     offset_m: Three
     velocity_mps: Three
 
 
 def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float, float]:
-    """Degrees of latitude and longitude that so many metres north and east are."""
+    """Convert an offset [m, NED] to degrees of latitude and longitude."""
     lat = math.radians(lat_deg)
     # Radii of curvature in the prime vertical and in the meridian.
     w2 = 1.0 - WGS84_ECCENTRICITY2 * math.sin(lat) ** 2
@@ -33,66 +33,64 @@ def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float,
     north, east, _ = offset_m
     return (
         math.degrees(north / (north_radius_m + alt_m)),
-        # At the poles a metre east is no angle: a bound instead of a division by zero.
+        # Bounded, to avoid a division by zero at the poles.
         math.degrees(east / ((east_radius_m + alt_m) * max(math.cos(lat), 1e-6))),
     )
 
 
 def move_position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
-    """New `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
+    """Return the moved `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
     lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
-    # GPS_INPUT may hold a height that is not finite.
+    # The altitude of GPS_INPUT may be NaN.
     alt_m = alt / alt_scale if math.isfinite(alt) else 0.0
     dlat, dlon = moved_degrees(lat * 1e-7, alt_m, move.offset_m)
     # Longitude wraps at 180 degrees.
     turned = (lon * 1e-7 + dlon + 180.0) % 360.0 - 180.0
     return {
         "lat": lat + round(dlat * 1e7),
-        # Added in counts while it does not wrap: the digits below a count of the healthy value
-        # stay.
+        # Added in integer counts unless it wraps, to keep all digits of the healthy value.
         "lon": lon + round(dlon * 1e7) if -180.0 <= lon * 1e-7 + dlon < 180.0 else turned * 1e7,
         "alt": alt - move.offset_m[2] * alt_scale,
     }
 
 
 def ground_speed(vn: float, ve: float) -> dict[str, Number]:
-    """`vel` in cm/s and `cog` in cdeg from a velocity in m/s."""
+    """Return `vel` [cm/s] and `cog` [cdeg] of a velocity [m/s]."""
     course = math.degrees(math.atan2(ve, vn)) % 360.0
     return {"vel": math.hypot(vn, ve) * 100.0, "cog": round(course * 100.0) % 36000}
 
 
 def move_hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
-    """HIL_GPS: velocity in cm/s, its size and course redone where they were known."""
+    """Move HIL_GPS: velocity in cm/s, with ground speed and course where they are known."""
     values = move_position(frame, move, 1000.0)
-    # A jump without velocity leaves every velocity field byte for byte.
+    # Without a velocity offset, the velocity fields stay byte for byte.
     if not any(move.velocity_mps):
         return values
     old = [frame.number(name) / 100.0 for name in ("vn", "ve", "vd")]
     new = [v + dv for v, dv in zip(old, move.velocity_mps, strict=True)]
     speed = ground_speed(new[0], new[1])
     values |= {"vn": new[0] * 100.0, "ve": new[1] * 100.0, "vd": new[2] * 100.0}
-    # Speed and course only where the receiver gave them.
+    # Unknown speed and course stay unknown.
     return values | {k: v for k, v in speed.items() if frame.number(k) != UNKNOWN_U16}
 
 
 def move_gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
-    """GPS_RAW_INT and GPS2_RAW: velocity only as ground speed and course."""
+    """Move GPS_RAW_INT or GPS2_RAW, with velocity as ground speed and course."""
     values = move_position(frame, move, 1000.0)
     if "alt_ellipsoid" in frame.layout.fields and frame.number("alt_ellipsoid"):
         values["alt_ellipsoid"] = frame.number("alt_ellipsoid") - move.offset_m[2] * 1000.0
     vel, cog = frame.number("vel"), frame.number("cog")
-    # Zero is "unknown" in this extension field.
+    # Unknown speed or course stay unknown; a vertical offset changes neither.
     if UNKNOWN_U16 in (vel, cog) or not any(move.velocity_mps[:2]):
         return values
     course = math.radians(cog / 100.0)
-    # Unknown speed or course stay unknown; a move straight down changes neither.
     vn = vel / 100.0 * math.cos(course) + move.velocity_mps[0]
     ve = vel / 100.0 * math.sin(course) + move.velocity_mps[1]
     return values | ground_speed(vn, ve)
 
 
 def move_gps_input(frame: Frame, move: Move) -> dict[str, Number]:
-    """GPS_INPUT: metres and metres per second."""
+    """Move GPS_INPUT, in m and m/s."""
     values = move_position(frame, move, 1.0)
     for name, change in zip(("vn", "ve", "vd"), move.velocity_mps, strict=True):
         values[name] = frame.number(name) + change
@@ -100,7 +98,7 @@ def move_gps_input(frame: Frame, move: Move) -> dict[str, Number]:
 
 
 def move_global_position(frame: Frame, move: Move) -> dict[str, Number]:
-    """GLOBAL_POSITION_INT: both altitudes in mm, velocity in cm/s."""
+    """Move GLOBAL_POSITION_INT: both altitudes in mm, velocity in cm/s."""
     values = move_position(frame, move, 1000.0)
     values["relative_alt"] = frame.number("relative_alt") - move.offset_m[2] * 1000.0
     for name, change in zip(("vx", "vy", "vz"), move.velocity_mps, strict=True):
@@ -109,26 +107,26 @@ def move_global_position(frame: Frame, move: Move) -> dict[str, Number]:
 
 
 def move_local_position(frame: Frame, move: Move) -> dict[str, Number]:
-    """LOCAL_POSITION_NED."""
+    """Move LOCAL_POSITION_NED."""
     changes = (*move.offset_m, *move.velocity_mps)
     names = ("x", "y", "z", "vx", "vy", "vz")
     return {name: frame.number(name) + c for name, c in zip(names, changes, strict=True)}
 
 
 def move_odometry(frame: Frame, move: Move) -> dict[str, Number]:
-    """ODOMETRY: position in a local frame that knows north, velocity in it or in body axes.
+    """Move ODOMETRY: position in a local NED or ENU frame, velocity in it or in body axes.
 
-    A frame of reference of unknown heading is left alone, as metres north mean nothing in it, and
-    so is a source that sees its way by itself.
+    Frames of reference of unknown heading are not moved, since north is undefined in them, nor are
+    estimators without GNSS.
     """
     local, child = frame.number("frame_id"), frame.number("child_frame_id")
     if local not in (LOCAL_NED, LOCAL_ENU) or frame.number("estimator_type") in WITHOUT_SATELLITES:
         return {}
-    # Metres in the axes of the message.
+    # Convert to the axes of the message.
     axes = _enu if local == LOCAL_ENU else _same
     values = _added(frame, ("x", "y", "z"), axes(move.offset_m))
     velocity = axes(move.velocity_mps)
-    # Velocity in the child's axes: the body, the local frame, or one we cannot turn into.
+    # The velocity is in the child frame: body, local, or one without a known rotation.
     if child == BODY_FRD:
         q_nb = [float(frame.number("q", i)) for i in range(4)]
         velocity = rotate_to_body(q_nb, velocity)

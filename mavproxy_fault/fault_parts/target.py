@@ -1,4 +1,4 @@
-"""What a schedule's `target` names: fields, whole messages, satellites or plant parameters.
+"""Parses the `target` of a schedule: fields, messages, satellites or plant parameters.
 
 HIL_SENSOR.xgyro   HIL_ACTUATOR_CONTROLS.controls[3]   HIL_GPS   PSEUDORANGE.G12   PLANT.wind_n_mps
 """
@@ -18,38 +18,37 @@ ALL = "all"
 
 
 def find_message(name: str) -> Layout:
-    """The layout of a message by name.
+    """Return the layout of a message by name.
 
     Raises
     ------
     ValueError
-        If the dialect has none of that name; the text suggests others.
+        If the dialect does not define it; the text suggests names.
     """
     if name == PLANT:
-        text = f"{PLANT} is the simulated plant and no message; `fault: plant` changes it"
+        text = f"{PLANT} is the simulated plant, not a message; use `fault: plant`"
         raise ValueError(text)
     found = find_layout(name)
     if found is None:
-        raise ValueError(f"{name} is no message; {suggest_known(name, message_names())}")
+        raise ValueError(f"{name} is not a message; {suggest_known(name, message_names())}")
     return found
 
 
 def parse_field_targets(targets: Iterable[str]) -> dict[int, tuple[Element, ...]]:
-    """The elements that `MESSAGE.field`, `MESSAGE.field[3]` or whole arrays name, by message id.
+    """Parse `MESSAGE.field` (also an array) and `MESSAGE.field[3]` to elements by message id.
 
     Raises
     ------
     ValueError
-        If a message, a field or an index does not exist, or the field holds text.
+        If a message, field or index does not exist, or the field is text.
     """
     found: dict[int, tuple[Element, ...]] = {}
     for target in targets:
         name, _, rest = target.partition(".")
         described = find_message(name)
         before, more = found.get(described.id, ()), _elements(described, target, rest)
-        # The same element twice would be changed twice.
         if set(before) & set(more):
-            raise ValueError(f"{target} is named twice; once is enough")
+            raise ValueError(f"{target} is given twice; give it once")
         found[described.id] = before + more
     return found
 
@@ -59,19 +58,19 @@ def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:
     numeric = [field.name for field in described.fields.values() if field.type != "char"]
     if parts is None or parts[1] not in numeric:
         raise ValueError(
-            f"{target} is no numeric field of {described.name}; {suggest_known(rest, numeric)}"
+            f"{target} is not a numeric field of {described.name}; {suggest_known(rest, numeric)}"
         )
     field = described.fields[parts[1]]
     if parts[2] is None:
-        # A whole array stands for all its elements.
+        # An array without an index means all its elements.
         return tuple(locate_element(described, field.name, i) for i in range(max(field.count, 1)))
     if int(parts[2]) >= max(field.count, 1):
-        raise ValueError(f"{target} is out of range; {field.name} has {max(field.count, 1)}")
+        raise ValueError(f"{target} is out of range; give an index below {max(field.count, 1)}")
     return (locate_element(described, field.name, int(parts[2])),)
 
 
 def parse_message_targets(targets: Iterable[str]) -> frozenset[int]:
-    """The ids of whole messages.
+    """Parse message names to message ids.
 
     Raises
     ------
@@ -81,37 +80,37 @@ def parse_message_targets(targets: Iterable[str]) -> frozenset[int]:
     ids: set[int] = set()
     for target in targets:
         if "." in target:
-            raise ValueError(f"{target} names a field; this fault acts on whole messages")
+            raise ValueError(f"{target} is a field; this fault needs a message")
         if find_message(target).id in ids:
-            raise ValueError(f"{target} is named twice; once is enough")
+            raise ValueError(f"{target} is given twice; give it once")
         ids.add(find_message(target).id)
     return frozenset(ids)
 
 
 def parse_named_targets(targets: Iterable[str], prefix: str) -> tuple[str, ...]:
-    """What stands behind `PSEUDORANGE.` or `PLANT.`.
+    """Parse the names of satellites or plant parameters after `PSEUDORANGE.` or `PLANT.`.
 
     Raises
     ------
     ValueError
-        If a target has another prefix, or names no satellite or parameter that there is.
+        If a target has another prefix, or the satellite or parameter does not exist.
     """
     names: list[str] = []
     for target in targets:
         head, _, rest = target.partition(".")
         if head != prefix or not rest:
-            raise ValueError(f"{target} is wrong here; it must be {prefix}.<name>")
+            raise ValueError(f"{target} does not fit this fault; give {prefix}.<name>")
         if prefix == RANGES and rest == ALL:
-            # Beside names that stand there already: each satellite once.
+            # Each satellite once, if some are also given by name.
             names += [satellite for satellite in SATELLITES if satellite not in names]
             continue
         if prefix == RANGES and not SATELLITE_NAME.fullmatch(rest):
             raise ValueError(
-                f"{target} names no satellite; {RANGES}.G01 to G32, E01 to E36 and {ALL} do"
+                f"{target} is not a satellite; give {RANGES}.G01 to G32, E01 to E36 or {ALL}"
             )
         if prefix == PLANT:
             check_plant_name(rest)
         if rest in names:
-            raise ValueError(f"{target} is named twice; once is enough")
+            raise ValueError(f"{target} is given twice; give it once")
         names.append(rest)
     return tuple(names)

@@ -1,6 +1,6 @@
-"""One value for fields of one quantity in different units: rad/s in HIL_SENSOR, mrad/s in RAW_IMU.
+"""Conversion of a fault's value between the units of one quantity, such as rad/s and mrad/s.
 
-The units are those that MAVLink's message definitions give.
+The units are those of MAVLink's message definitions.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from mavproxy_fault.fault_parts.elements import Element
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.wire.dialect import message_layout
 
-# Unit: its quantity, and how many of it are one of the quantity's SI unit (or degree).
+# Unit: its quantity, and its number per SI unit of the quantity (angles: per degree).
 SIZES: dict[str, tuple[str, float]] = {
     "rad/s": ("rate", 1.0), "mrad/s": ("rate", 1e3),
     "m/s/s": ("acceleration", 1.0), "mG": ("acceleration", 1e3 / STANDARD_GRAVITY_MPS2),
@@ -27,9 +27,9 @@ Factors = Mapping[int, tuple[float, ...]]
 
 
 def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
-    """Counts of each element for one count of the first target of the same quantity.
+    """Return the factor from the unit of the first target of a quantity to that of each element.
 
-    Messages all of whose factors are 1 are left out, so that nothing is computed for them.
+    Messages with factors of 1 only are omitted.
     """
     first: dict[str, float] = {}
     found: dict[int, tuple[float, ...]] = {}
@@ -38,9 +38,8 @@ def factors_of(elements: Mapping[int, tuple[Element, ...]]) -> Factors:
         row = []
         for one in listed:
             quantity, size = SIZES.get(described.fields[one.name].unit, ("", 1.0))
-            # The first target of a quantity sets the unit; a field of no known quantity is its own.
+            # A field of unknown quantity is not converted.
             row.append(size / first.setdefault(quantity, size) if quantity else 1.0)
-        # A message without factors costs nothing per frame.
         if any(factor != 1.0 for factor in row):
             found[number] = tuple(row)
     return found

@@ -1,7 +1,7 @@
-"""Value faults: rules that turn the healthy values of some elements into faulty ones.
+"""Value faults: rules that turn healthy values of elements into faulty ones.
 
-The rule knows numbers alone. `proxy/value_entry.py` carries it out on a frame, together with the
-others that act there, and counts what it changed.
+A rule sees numbers only. `proxy/value_entry.py` applies it to a frame, together with the other
+faults there, and counts the changes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,84 +14,84 @@ from mavproxy_fault.fault_parts.fault import ActsOn
 from mavproxy_fault.fault_parts.units import Factors
 from mavproxy_fault.wire.frame import Number
 
-GYRO = "HIL_SENSOR.xgyro"  # what the faults' examples act on
-MOST_SENDERS = 256  # whose states a fault keeps; those who come later pass it by
-MOST_ROWS = 65_536  # values of the past that a fault keeps per sender; 65 s at 1 kHz
+GYRO = "HIL_SENSOR.xgyro"  # target of the faults' examples
+MOST_SENDERS = 256  # chosen: bounds the memory against made-up senders; later ones are not faulted
+MOST_ROWS = 65_536  # stored past values per sender: 65 s at 1 kHz
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
 class ValueState(NamedTuple):
-    """The state of every value fault: when it began, and the state of the fault's own rule."""
+    """The state of every value fault: its start time and the state of its rule."""
 
     start_us: int
     inner: Any
 
 
 class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault on some elements of some messages.
+    """A fault on elements of messages.
 
-    A concrete fault has `of`, which turns one healthy value into a faulty one, or `after`, which
-    does so with all values of a frame and may keep a state; with `by_sender` it is told who sent
-    them. Values are in the unit of the first target of their quantity (`factors`).
+    A concrete fault defines `of`, which turns one healthy value into a faulty one, or `after`,
+    which does so for all values of a frame and may have a state; with `by_sender` it also gets
+    their sender. Values are in the unit of the first target of their quantity (`factors`).
     """
 
     acts_on: ClassVar[ActsOn] = "fields"
     by_sender: ClassVar[bool] = False
-    on_wire: ClassVar[bool] = False  # whether it acts on the numbers as sent, in whatever unit
+    on_wire: ClassVar[bool] = False  # whether it acts on the numbers as sent, in any unit
     draws: ClassVar[bool] = False  # whether `after` uses its generator
     elements: Mapping[int, tuple[Element, ...]] = {}
     factors: Factors = {}
 
     def __post_init__(self) -> None:
         value = getattr(self, "value", None)
-        # One number or a list of one for each element, in every message of the target.
+        # A list must have one number for each element of every message.
         if isinstance(value, tuple):
             for elements in self.elements.values():
                 broadcast_values(value, len(elements))
 
     def new_state(self, start_us: int) -> ValueState:
-        """The state when the fault becomes active."""
+        """Return the state when the fault becomes active."""
         return ValueState(start_us, None)
 
     @property
     def by_value(self) -> bool:
-        """Whether `of` says all: each value by itself, without a state."""
-        # A class that has its own `after` means that, whatever it derives from.
+        """Whether `of` defines the rule: each value by itself, without a state."""
+        # An `after` in a derived class takes precedence over an inherited `of`.
         rules = (vars(kind) for kind in type(self).__mro__ if kind is not ValueFault)
         return next(("of" in rule for rule in rules if "of" in rule or "after" in rule), False)
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The faulty value of one element, so many seconds after the fault became active."""
+        """Return the faulty value of one element, `t_s` seconds after the start of the fault."""
         raise NotImplementedError
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[Sequence[Number], Any]:
-        """The faulty values of one frame and the next state of the rule.
+        """Return the faulty values of one frame and the next state of the rule.
 
         Parameters
         ----------
         before : list of number
             Healthy values of the elements, in the order of the target.
         key : tuple of int
-            Who sent the frame (system, component, message id, instance), or empty.
+            Sender of the frame (system, component, message id, instance), or empty.
         t_s : float
-            Seconds since the fault became active.
+            Seconds since the start of the fault.
         state
-            What the last call returned; None at first.
+            The state returned by the last call; None at first.
         rng : numpy.random.Generator
-            The entry's own stream.
+            The entry's random stream.
         """
         return [self.of(x, t_s) for x in before], None
 
 
 def can_add_sender(inner: Any, key: tuple[int, ...]) -> bool:
-    """Whether a rule's state may take up a sender: a peer can make up any number of them."""
+    """Whether a rule's state may store a sender; bounded, since a peer can make up any number."""
     return not isinstance(inner, dict) or len(inner) < MOST_SENDERS or key in inner
 
 
 def broadcast_values(value: float | tuple[float, ...], count: int) -> Sequence[float]:
-    """One number for every element: the same for all, or a list of as many.
+    """Return one number for every element: the same for all, or those of a list.
 
     Raises
     ------
@@ -100,6 +100,6 @@ def broadcast_values(value: float | tuple[float, ...], count: int) -> Sequence[f
     """
     if isinstance(value, tuple):
         if len(value) != count:
-            raise ValueError(f"has {len(value)} numbers for {count} elements; give one or {count}")
+            raise ValueError(f"has {len(value)} numbers for {count} elements; give 1 or {count}")
         return value
     return (value,) * count

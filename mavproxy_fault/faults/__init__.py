@@ -1,6 +1,6 @@
-"""The faults: one small file each, which the registry finds by the names in their classes.
+"""The faults: small files, in which the registry finds every class with a `name`.
 
-A value fault changes values of a message in place; a *link fault* delays, multiplies, damages or
-drops whole frames; a *satellite fault* acts on pseudoranges inside RTCM; a *plant fault* acts in
-the simulator. What they are made of is in `fault_parts`.
+A *value fault* changes values of a message in place; a *link fault* delays, duplicates, corrupts or
+drops frames; a *satellite fault* acts on pseudoranges in RTCM; a *plant fault* acts in the
+simulator. Their building blocks are in `fault_parts`.
 """

@@ -1,4 +1,4 @@
-"""Faults of three axes together: swapped, turned (misalignment), hard and soft iron."""
+"""Faults of vector sensors: swapped axes, rotation (misalignment), hard and soft iron."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ Three = tuple[float, float, float]
 
 
 class AxisSwap(ValueFault, frozen=True, kw_only=True):
-    """Put the elements in another order (the last first by default); `signs` may turn them."""
+    """Permute the elements (default: in reverse order); `signs` may invert them."""
 
     name: ClassVar[str] = "axis-swap"
     example: ClassVar[dict[str, Any]] = {
@@ -22,14 +22,14 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
     order: tuple[int, ...] | None = None
     signs: tuple[float, ...] | None = None
 
-    # The whole target is checked when the schedule is read: no frame may be the first to fail.
+    # Checked when the schedule is read, so that no frame fails later.
     def __post_init__(self) -> None:
         for places in self.elements.values():
             wanted = list(range(len(places)))
             if len(places) < 2:
-                raise ValueError("swaps nothing; give two fields or more as target")
+                raise ValueError("needs two fields or more; add fields to target")
             if self.order is not None and sorted(self.order) != wanted:
-                raise ValueError(f"order = {list(self.order)} must hold each of {wanted} once")
+                raise ValueError(f"order = {list(self.order)} must contain each of {wanted} once")
             if self.signs is not None and len(self.signs) != len(places):
                 raise ValueError(f"signs must be {len(places)} numbers")
 
@@ -37,14 +37,14 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Element i takes the value of element order[i]."""
-        # Reversed by default: with two elements this is the swap.
+        # Reversed by default, which swaps two elements.
         order = self.order or tuple(reversed(range(len(before))))
         signs = self.signs or (1,) * len(before)
         return [sign * before[i] for i, sign in zip(order, signs, strict=True)], None
 
 
 class Rotation(ValueFault, frozen=True, kw_only=True):
-    """Turn three elements as one vector by roll, pitch and yaw (a misaligned sensor)."""
+    """Rotate three elements as one vector by roll, pitch and yaw (a misaligned sensor)."""
 
     name: ClassVar[str] = "rotation"
     example: ClassVar[dict[str, Any]] = {
@@ -60,13 +60,13 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """The vector as a sensor turned by these angles measures it."""
+        """Return the vector as measured by a sensor rotated by these angles."""
         roll, pitch, yaw = (math.radians(angle) for angle in self.angles_deg)
         return multiply_matrix(body_matrix(roll, pitch, yaw), before), None
 
 
 class Iron(ValueFault, frozen=True, kw_only=True):
-    """Magnetic surroundings: soft iron (a 3 x 3 matrix) times the field plus hard iron (offset)."""
+    """Multiply the field by soft iron (a 3 x 3 matrix) and add hard iron (an offset)."""
 
     name: ClassVar[str] = "iron"
     example: ClassVar[dict[str, Any]] = {
@@ -89,16 +89,16 @@ class Iron(ValueFault, frozen=True, kw_only=True):
 
 
 def check_vector_target(elements: Any) -> None:
-    """Refuse a target that is no vector.
+    """Refuse a target that is not a vector.
 
     Raises
     ------
     ValueError
-        If a message has not exactly three elements.
+        If a message does not have exactly three elements.
     """
     for places in elements.values():
         if len(places) != 3:
-            raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z as target")
+            raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z in target")
 
 
 def multiply_matrix(matrix: Matrix, vector: Sequence[float]) -> list[float]:

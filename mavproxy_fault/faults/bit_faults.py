@@ -1,4 +1,4 @@
-"""Faults of the representation: flipped bits, not-a-number, flags cleared."""
+"""Faults of the binary representation: flipped bits, not-a-number, cleared flags."""
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -23,13 +23,13 @@ Group = Literal["accel", "gyro", "mag", "baro", "airspeed"]
 
 
 class BitFlip(ValueFault, frozen=True, kw_only=True):
-    """Flip bits of the elements as they stand on the wire: `value` of them at random, or `bit`."""
+    """Flip bits of the elements as encoded on the wire: `value` random ones, or `bit`."""
 
     name: ClassVar[str] = "bit-flip"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
     draws: ClassVar[bool] = True
     on_wire: ClassVar[bool] = True
-    by_sender: ClassVar[bool] = True  # the message tells the types of the elements
+    by_sender: ClassVar[bool] = True  # the message id gives the types of the elements
 
     value: Annotated[int, Meta(ge=1, le=64)] = 1
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
@@ -37,7 +37,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """Flip in each element of one frame."""
+        """Flip bits in each element of one frame."""
         elements = self.elements[key[2]]
         return [self._flipped(x, elements[n].code, rng) for n, x in enumerate(before)], None
 
@@ -45,12 +45,12 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         packer = PACKERS[code]
         width = 8 * packer.size
         if self.bit is None:
-            # `replace=False`: the same bit flipped twice would be no fault.
+            # `replace=False`: the same bit flipped twice would have no effect.
             chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
         else:
-            # A schedule may name bit 40 for fields of 64 and of 32 bits alike.
+            # The bit number wraps in narrower fields.
             chosen = [self.bit % width]
-        # On the wire's own bytes: floats flip sign, exponent or mantissa.
+        # On the encoded bytes, so that floats change in sign, exponent or mantissa.
         word = int.from_bytes(packer.pack(value), "little")
         for bit in chosen:
             word ^= 1 << bit
@@ -59,7 +59,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
 
 
 class NotANumber(ValueFault, frozen=True, kw_only=True):
-    """Send NaN, or plus or minus infinity, in fields of type float."""
+    """Send NaN, or plus or minus infinity, in floating-point fields."""
 
     name: ClassVar[str] = "not-a-number"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
@@ -68,17 +68,17 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
     value: Literal["nan", "inf", "-inf"] = "nan"
 
     def __post_init__(self) -> None:
-        # An integer field would be saturated at zero instead, which is another fault.
+        # An integer field would become zero instead.
         for number, elements in self.elements.items():
             for one in elements:
                 if one.code not in "fd":
                     raise ValueError(
-                        f"{message_layout(number).name}.{one.name} is an integer; "
-                        f"it holds no {self.value}"
+                        f"{message_layout(number).name}.{one.name} is an integer, "
+                        f"which cannot be {self.value}; give a float"
                     )
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The same for all."""
+        """Return the same value for all elements."""
         return float(self.value)
 
 
@@ -93,16 +93,16 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if not self.value and not self.groups:
-            raise ValueError("clears nothing; give value (a mask) or groups")
+            raise ValueError("has no flags to clear; give value (a mask) or groups")
         for number, elements in self.elements.items():
             for one in elements:
                 if one.code in "fd":
                     raise ValueError(
-                        f"{message_layout(number).name}.{one.name} is no integer; it has no flags"
+                        f"{message_layout(number).name}.{one.name} has no flags; give an integer"
                     )
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The flags without those bits."""
+        """Return the flags without those bits."""
         mask = self.value
         for group in self.groups:
             mask |= GROUPS[group]

@@ -1,4 +1,4 @@
-"""Damaged frames: wrong bytes, cut short, gaps in the sequence."""
+"""Corrupted frames: wrong bytes, truncation, gaps in the sequence number."""
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class Corrupt(LinkFault, frozen=True, kw_only=True):
-    """Replace `count` payload bytes at random in a share `value` of the frames.
+    """Replace `count` random payload bytes in a fraction `value` of the frames.
 
-    The CRC is left, so that receivers refuse the frame, or `redone`, so that they believe it.
+    The CRC is `left` unchanged, so that receivers reject the frame, or `redone` to match.
     """
 
     name: ClassVar[str] = "corrupt"
@@ -28,8 +28,8 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """Change some bytes, each into another one."""
-        # No draw where every frame is hit: there is nothing to decide.
+        """Replace some bytes, each by a different value."""
+        # No random draw if every frame is affected.
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         if isinstance(frame, bytes):
@@ -37,7 +37,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         payload = self._mixed(frame.payload, rng)
         if self.crc == "redone":
             return [Outgoing(t_us, frame.with_payload(payload))], None
-        # Header and checksum as they were: receivers refuse such a frame.
+        # Header and checksum stay, so that receivers reject the frame.
         end = frame.payload_at + frame.length
         raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
         return [Outgoing(t_us, raw)], None
@@ -45,14 +45,14 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     def _mixed(self, data: bytes, rng: "Generator") -> bytes:
         mixed = bytearray(data)
         places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
-        # From 1: xor with 0 would leave a byte as it was.
+        # From 1, since XOR with 0 would change nothing.
         for place, change in zip(places, rng.integers(1, 256, len(places)), strict=True):
             mixed[place] ^= int(change)
         return bytes(mixed)
 
 
 class Truncate(LinkFault, frozen=True, kw_only=True):
-    """Cut the last `count` bytes off a share `value` of the frames."""
+    """Cut the last `count` bytes off a fraction `value` of the frames."""
 
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
@@ -63,7 +63,7 @@ class Truncate(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """Send the head of the frame; at least one byte of it."""
+        """Send the truncated frame, at least one byte."""
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         raw = frame if isinstance(frame, bytes) else frame.raw
@@ -71,7 +71,7 @@ class Truncate(LinkFault, frozen=True, kw_only=True):
 
 
 class SequenceGap(LinkFault, frozen=True, kw_only=True):
-    """Add `count` to the sequence number at a share `value` of the frames, as if some were lost."""
+    """Skip `count` sequence numbers at a fraction `value` of the frames, as after lost frames."""
 
     name: ClassVar[str] = "sequence-gap"
     example: ClassVar[dict[str, Any]] = {"value": 0.2}
@@ -83,19 +83,19 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
     count: Annotated[int, Meta(ge=1, le=255)] = 1
 
     def new_state(self, start_us: int) -> int:
-        """By how much the numbers are ahead."""
+        """Return the offset of the sequence number."""
         return 0
 
     def apply(
         self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
-        """Renumber the frame; once opened, a gap stays until the fault ends."""
-        # The gap adds up and wraps at 256, as a sender's own counter does.
+        """Renumber the frame; the offset accumulates until the fault ends."""
+        # It wraps at 256 like the sender's counter.
         ahead = (state + self.count * (rng.random() < self.value)) & 0xFF
         if not ahead:
             return [Outgoing(t_us, frame)], 0
         raw = bytearray(frame.raw)
-        # Sequence number: the third byte of version 1, the fifth of version 2.
+        # The sequence number is the third byte in MAVLink 1, the fifth in MAVLink 2.
         at = 4 if frame.version == 2 else 2
         raw[at] = (raw[at] + ahead) & 0xFF
         return [Outgoing(t_us, Frame(bytes(raw), frame.layout).with_payload(frame.payload))], ahead

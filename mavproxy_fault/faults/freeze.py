@@ -1,4 +1,4 @@
-"""Values of the past: held, played again, or following too slowly."""
+"""Stale and slow values: frozen, replayed, rate-limited, or decaying to neutral."""
 
 import math
 from typing import Any, ClassVar
@@ -21,16 +21,16 @@ class Freeze(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """The values of this sender's first frame."""
+        """Return the values of this sender's first frame."""
         frozen: dict[Key, list[Number]] = state or {}
         if key in frozen:
             return frozen[key], frozen
-        # A new dictionary: states that were handed out earlier stay as they are.
+        # A new dictionary, since earlier states must not change.
         return before, {**frozen, key: before}
 
 
 class Replay(ValueFault, frozen=True, kw_only=True):
-    """Let the first `value` seconds pass, then play them again and again."""
+    """Record the first `value` seconds, then replay them in a loop."""
 
     name: ClassVar[str] = "replay"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
@@ -41,13 +41,13 @@ class Replay(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """The next recorded values of this sender."""
+        """Return the next recorded values of this sender."""
         tapes: dict[Key, tuple[list[list[Number]], int]] = state or {}
         tape, at = tapes.get(key, ([], 0))
-        # Where the clock stands still, the tape ends when it is full.
+        # A stopped clock ends the recording when it is full.
         if (t_s < self.value and len(tape) < MOST_ROWS) or not tape:
-            # Appending to the list of the old state would alter it; a copy per frame would cost
-            # time quadratic in the stretch. The tape only grows at its end and is read up to `at`.
+            # The list is shared with older states, which read up to their own `at`: a copy per
+            # frame would take quadratic time.
             tape = [*tape, before] if len(tape) != at else _appended(tape, before)
             return before, {**tapes, key: (tape, len(tape))}
         return tape[at % len(tape)], {**tapes, key: (tape, at + 1)}
@@ -70,18 +70,18 @@ class SlewLimit(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """One step towards the healthy value."""
+        """Move towards the healthy values at the limited rate."""
         last: dict[Key, tuple[float, list[Number]]] = state or {}
-        # The first frame of a sender: no time has passed, so it passes unchanged.
+        # The first frame of a sender is unchanged, since no time has passed.
         last_s, previous = last.get(key, (t_s, before))
-        # A clock that goes back gives no step at all.
+        # No step if the clock goes back.
         most = self.value * max(t_s - last_s, 0.0)
         now = [h + min(max(x - h, -most), most) for x, h in zip(before, previous, strict=True)]
         return now, {**last, key: (t_s, now)}
 
 
 class FloatToNeutral(ValueFault, frozen=True, kw_only=True):
-    """Let go of the value: it falls back to `neutral` with the time constant `settle_s`."""
+    """Decay to `neutral` with the time constant `settle_s` (a released actuator)."""
 
     name: ClassVar[str] = "float"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "settle_s": 0.05}
@@ -93,7 +93,7 @@ class FloatToNeutral(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """An exponential from where the fault found it; the healthy value no longer matters."""
+        """Decay exponentially from the first values, independent of the healthy ones."""
         found: dict[Key, tuple[float, list[Number]]] = state or {}
         start_s, start = found.get(key, (t_s, before))
         share = math.exp(-max(t_s - start_s, 0.0) / self.settle_s)  # clocks may go back

@@ -1,4 +1,4 @@
-"""Lost frames: at random, in bursts, or all of them."""
+"""Lost frames: random, in bursts, by rate limit, or all of them."""
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
@@ -15,7 +15,7 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class Drop(LinkFault, frozen=True, kw_only=True):
-    """Lose frames at random; `value` is the share that is lost, all by default."""
+    """Drop frames at random; `value` is the fraction lost (default: all)."""
 
     name: ClassVar[str] = "drop"
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
@@ -26,15 +26,15 @@ class Drop(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """Lose this frame or not."""
-        # No draw where every frame is lost: there is nothing to decide.
+        """Drop the frame at random."""
+        # No random draw if every frame is lost.
         if self.value < 1.0 and rng.random() >= self.value:
             return [Outgoing(t_us, frame)], None
         return [], None
 
 
 class Outage(LinkFault, frozen=True, kw_only=True):
-    """Lose everything: communication is interrupted."""
+    """Drop all frames: communication is interrupted."""
 
     name: ClassVar[str] = "outage"
     example: ClassVar[dict[str, Any]] = {}
@@ -42,16 +42,16 @@ class Outage(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """Nothing leaves."""
+        """Drop the frame."""
         return [], None
 
 
 class GilbertElliott(LinkFault, frozen=True, kw_only=True):
-    """A channel with a good and a bad state: losses come in clusters.
+    """Drop frames in clusters: a channel with a good and a bad state.
 
-    `to_bad` and `to_good` are the chances, per frame, of changing state; `loss_good` and `loss_bad`
-    the shares lost in each. In the long run to_bad / (to_bad + to_good) of the frames meet the bad
-    state (E. O. Elliott, Bell System Technical Journal 42(5), 1963).
+    `to_bad` and `to_good` are the probabilities per frame of changing state; `loss_good` and
+    `loss_bad` the fractions lost in each. On average to_bad / (to_bad + to_good) of the frames meet
+    the bad state (E. O. Elliott, Bell System Technical Journal 42(5), 1963).
     """
 
     name: ClassVar[str] = "gilbert-elliott"
@@ -63,21 +63,21 @@ class GilbertElliott(LinkFault, frozen=True, kw_only=True):
     loss_bad: Share = 1.0
 
     def new_state(self, start_us: int) -> bool:
-        """Whether the channel is bad: it starts good."""
+        """Return whether the channel is bad; it starts good."""
         return False
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: bool, rng: "Generator"
     ) -> tuple[list[Outgoing], bool]:
-        """Change state or not, then lose the frame or not."""
-        # Two draws per frame, always: the stream of numbers does not hang on what happened.
+        """Change the state at random, then drop the frame at random."""
+        # Always two draws per frame, so that the random stream is independent of the outcome.
         bad = rng.random() >= self.to_good if state else rng.random() < self.to_bad
         lost = rng.random() < (self.loss_bad if bad else self.loss_good)
         return ([] if lost else [Outgoing(t_us, frame)]), bad
 
 
 class Burst(LinkFault, frozen=True, kw_only=True):
-    """Now and then lose `frames` in a row; `value` is the chance that a burst begins at a frame."""
+    """Drop bursts of `frames` in a row; `value` is the probability per frame that one begins."""
 
     name: ClassVar[str] = "burst-loss"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "frames": 3}
@@ -86,26 +86,26 @@ class Burst(LinkFault, frozen=True, kw_only=True):
     frames: Annotated[int, Meta(ge=1)] = 10
 
     def new_state(self, start_us: int) -> int:
-        """How many frames are still to be lost."""
+        """Return the number of frames still to be dropped."""
         return 0
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
-        """Lose this frame or not."""
-        # A burst that has begun takes no draws until it is over.
+        """Drop the frame if a burst is active or begins."""
+        # No random draws during a burst.
         remaining = state or (self.frames if rng.random() < self.value else 0)
         return ([], remaining - 1) if remaining else ([Outgoing(t_us, frame)], 0)
 
 
 class Bucket(NamedTuple):
-    """The moving part of a rate limit: when the next frame may leave."""
+    """The state of a rate limit: when the next frame may be sent."""
 
     free_us: int
 
 
 class RateLimit(LinkFault, frozen=True, kw_only=True):
-    """Let `value` frames per second pass; what is too much is lost, or queued up to `queue_s`."""
+    """Limit the rate to `value` frames per second; excess frames wait for `queue_s` or are lost."""
 
     name: ClassVar[str] = "rate-limit"
     example: ClassVar[dict[str, Any]] = {"value": 20}
@@ -114,17 +114,17 @@ class RateLimit(LinkFault, frozen=True, kw_only=True):
     queue_s: Seconds = 0.0
 
     def new_state(self, start_us: int) -> Bucket:
-        """The first frame may leave at once."""
+        """Return a state in which the first frame may be sent at once."""
         return Bucket(start_us)
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Bucket, rng: "Generator"
     ) -> tuple[list[Outgoing], Bucket]:
-        """Pass, wait or be lost."""
+        """Send, queue or drop the frame."""
         due_us = max(state.free_us, t_us)
-        # The queue is known by when it will be empty; nothing else needs to be kept.
+        # The time at which the queue will be empty is its only state.
         if due_us - t_us > self.queue_s * 1e6:
             return [], state
         late_s = (due_us - t_us) * 1e-6 or None
-        # None: a frame that leaves at once was not touched.
+        # None: a frame sent at once was not changed.
         return [Outgoing(due_us, frame, late_s)], Bucket(due_us + round(1e6 / self.value))

@@ -1,4 +1,4 @@
-"""Noise, and a random walk whose variance grows with time."""
+"""White noise and random walk."""
 
 import math
 from typing import Any, ClassVar, Literal
@@ -9,7 +9,7 @@ from mavproxy_fault.wire.frame import Number
 
 
 class NoiseFault(ValueFault, frozen=True, kw_only=True):
-    """Add white noise: Gaussian with sigma `value`, or uniform in plus or minus `value`."""
+    """Add white noise: Gaussian with sigma `value`, or uniform within plus or minus `value`."""
 
     name: ClassVar[str] = "noise"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
@@ -28,13 +28,13 @@ class NoiseFault(ValueFault, frozen=True, kw_only=True):
         if self.distribution == "uniform":
             draws = rng.uniform(-1.0, 1.0, count).tolist()
         else:
-            # The usual single one is the same number without an array.
+            # A single draw gives the same number faster without an array.
             draws = rng.standard_normal(count).tolist() if count > 1 else (rng.standard_normal(),)
         return [x + draws[n] * sigma[n] for n, x in enumerate(before)], None
 
 
 class RandomWalk(ValueFault, frozen=True, kw_only=True):
-    """Add a Wiener process: its sigma is `value` times the square root of the seconds passed."""
+    """Add a Wiener process: its sigma is `value` times the square root of the elapsed seconds."""
 
     name: ClassVar[str] = "random-walk"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
@@ -47,10 +47,10 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """Take a step as long as the time since the last frame of this sender calls for."""
+        """Take a random step for the time since this sender's last frame."""
         walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = state or {}
         last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
-        # Variance grows with time, not with frames: lost frames do not slow the walk.
+        # Variance grows with time, not with frames, so lost frames do not slow the walk.
         sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
         steps = rng.normal(0.0, 1.0, len(before)) * sigma
         now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))

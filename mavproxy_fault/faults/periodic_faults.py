@@ -1,4 +1,4 @@
-"""Errors that come and go by the clock: a sine, a train of impulses, one element after another."""
+"""Periodic faults: a sine, an impulse train, one element after another."""
 
 import math
 from typing import Any, ClassVar
@@ -25,13 +25,13 @@ class SineWave(ValueFault, frozen=True, kw_only=True):
     phase_rad: float = 0.0
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The same phase on every element."""
+        """Add the sine, with the same phase on every element."""
         phase_rad = math.tau * self.frequency_hz * t_s + self.phase_rad
         return healthy + self.value * math.sin(phase_rad)
 
 
 class Impulse(ValueFault, frozen=True, kw_only=True):
-    """A train of impulses of height `value`: `width_s` long, every `period_s`."""
+    """Apply an impulse train of height `value`: `width_s` long, every `period_s`."""
 
     name: ClassVar[str] = "impulse"
     example: ClassVar[dict[str, Any]] = {
@@ -48,15 +48,15 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
     mode: Mode = "add"
 
     def __post_init__(self) -> None:
-        # A width of the whole period would be a bias under another name.
+        # An impulse as long as the period would be a bias.
         if self.width_s >= self.period_s:
             raise ValueError(
                 f"width_s = {self.width_s} must be shorter than period_s = {self.period_s}"
             )
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """Healthy between the impulses."""
-        # CLOSE_S: a frame at the very end of an impulse is healthy.
+        """Apply the impulse; the value is healthy between impulses."""
+        # CLOSE_S: a frame at the end of an impulse is healthy.
         if time_since_period(t_s, self.period_s) >= self.width_s - CLOSE_S:
             return healthy
         return combine_values(self.mode, healthy, self.value)
@@ -79,7 +79,7 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """Only the one whose time it is."""
-        # Integer division of the time, so that lost frames do not shift the cycle.
+        """Add the error to the element of the current period."""
+        # By time, so that lost frames do not shift the cycle.
         active = int((t_s + CLOSE_S) / self.period_s) % len(before)
         return [x + self.value * (i == active) for i, x in enumerate(before)], None

@@ -1,8 +1,7 @@
 """Faults that act in the simulator: of the plant, and of satellites in its receiver.
 
-Such a fault rides on whatever the simulator sends: each such frame passes, and goes along with a
-message back that says what a parameter is now, when that has changed or a fifth of a second has
-passed. When the fault ends, the simulator is told that the parameter is healthy again.
+The proxy forwards the simulator's frames and replies with the current value of a parameter whenever
+it has changed or 0.2 s have passed. When the fault ends, a last message restores the healthy value.
 """
 
 from collections.abc import Sequence
@@ -24,14 +23,14 @@ from mavproxy_fault.wire.plant_names import SATELLITES
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-REPEAT_US = 200_000
-STEP_US = 20_000  # a changing value is sent at 50 Hz at most
+REPEAT_US = 200_000  # chosen: a lost datagram is repaired within 0.2 s
+STEP_US = 20_000  # a changing value is sent at 50 Hz at most: bounds the traffic
 
 Values = tuple[float | None, ...]
 
 
 class PlantFaultState(NamedTuple):
-    """When the fault began, to whom it said what last and when, and the profile's own state."""
+    """The start of the fault, the receiver, values and time of its last message, profile state."""
 
     start_us: int
     target: tuple[int, int] = SIMULATOR
@@ -41,29 +40,29 @@ class PlantFaultState(NamedTuple):
 
 
 class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
-    """What both kinds share: telling the simulator the values of `names`."""
+    """Base of faults that send the values of `names` to the simulator."""
 
     names: tuple[str, ...] = ()
 
     def new_state(self, start_us: int) -> PlantFaultState:
-        """Nothing said yet."""
+        """Return the state before the first message."""
         return PlantFaultState(start_us)
 
     def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
-        """The value of each name, `t_s` after the fault began."""
+        """Return the value of each name, `t_s` after the start of the fault."""
         raise NotImplementedError
 
     def apply(
         self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
     ) -> tuple[list[Outgoing], PlantFaultState]:
-        """Pass the frame; answer a simulator's with the values."""
+        """Forward the frame; reply to one of a simulator with the values."""
         passed = Outgoing(t_us, frame)
         since_us = t_us - state.at_us
-        # Only a simulator obeys, and a changing value need not be sent with every frame.
+        # Only a simulator accepts them, and not every frame needs a reply.
         if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
             return [passed], state
         values, inner = self.values((t_us - state.start_us) / 1e6, state.inner, rng)
-        # Repeated now and then, as a datagram may be lost.
+        # Repeated, since a datagram may be lost.
         if values == state.values and since_us < REPEAT_US:
             return [passed], state._replace(inner=inner)
         target = (frame.system, frame.component)
@@ -71,18 +70,18 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
         return [passed, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
 
     def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
-        """The state after a live value that came at `t_us`."""
+        """Return the state after a live value that arrived at `t_us`."""
         return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
     def release_us(self, state: PlantFaultState) -> None:
-        """It keeps nothing back."""
+        """Return None: no frames are buffered."""
 
     def release(self, t_us: int, state: PlantFaultState) -> tuple[list[Outgoing], PlantFaultState]:
-        """At the end: healthy again."""
-        # Nothing was ever said to the simulator: there is nothing to take back.
+        """Restore the healthy values at the end."""
+        # Nothing was sent to the simulator.
         if state.values is None:
             return [], state
-        # None is the simulator's word for healthy.
+        # None means healthy to the simulator.
         healthy = (None,) * len(self.names)
         return self._messages(healthy, state.target, t_us), state._replace(values=healthy)
 
@@ -94,7 +93,7 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
             Outgoing(
                 t_us,
                 Frame(plant_frame(PlantChange(name, value), target), layout),
-                # The magnitude of the label; what is healthy again has none.
+                # The magnitude of the label; a healthy value has none.
                 None if value is None else abs(value),
                 back=True,
             )
@@ -117,7 +116,7 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
             raise ValueError("takes either value or profile")
 
     def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
-        """The same value for all."""
+        """Return the same value for all names."""
         if self.profile is None:
             return (self.value,) * len(self.names), None
         if state is None:
@@ -127,7 +126,7 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
     ) -> tuple[list[Outgoing], PlantFaultState]:
-        """As for every such fault; an epoch of a recording has no simulator, and is set itself."""
+        """Reply to a simulator's frame, or set the parameters in an epoch of a recording."""
         epoch: Any = frame
         if not isinstance(epoch, RangeEpoch):
             return super().apply(frame, t_us, state, rng)
@@ -135,7 +134,7 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
         values, inner = self.values(t_s, state.inner, rng)
         later, inner = self.values(t_s + STEP_US / 1e6, inner, rng)
         state = state._replace(inner=inner)
-        # None: healthy now, or for a rate soon.
+        # None is healthy, now or after the step.
         settings = {
             name: Setting(value, 0.0 if soon is None else (soon - value) * 1e6 / STEP_US)
             for name, value, soon in zip(self.names, values, later, strict=True)
@@ -149,9 +148,9 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
 
 
 class ReceiverFault(SimulatorFault, frozen=True, kw_only=True):
-    """Satellite faults that the simulated receiver carries out, so that its position follows.
+    """Satellite faults applied in the simulated receiver, so that its position follows.
 
-    Metres go to `pseudorange_m[G12]`; a lost satellite to `satellite_lost[G12]`.
+    Range errors are sent as `pseudorange_m[G12]`, lost satellites as `satellite_lost[G12]`.
     """
 
     acts_on: ClassVar[ActsOn] = "satellites"
@@ -160,26 +159,25 @@ class ReceiverFault(SimulatorFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_count(self.fault, self.names)
-        # A receiver in the simulator tracks a satellite or does not.
+        # The simulated receiver either tracks a satellite or does not.
         if isinstance(self.fault, Drop) and self.fault.value < 1.0:
             raise ValueError(
-                f"value = {self.fault.value} cannot be had in the receiver, which loses a satellite"
-                " wholly; leave value out, or give `via: proxy`"
+                f"value = {self.fault.value} cannot act in the receiver, which loses a satellite"
+                " entirely; omit value, or give `via: proxy`"
             )
 
     def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
-        """Metres per satellite, or 1 for lost."""
+        """Return metres per satellite, or 1 for lost."""
         if isinstance(self.fault, Drop):
             return (1.0,) * len(self.names), None
-        # On zeros: the values that come out are the errors themselves.
+        # Applied to zeros, which yields the errors themselves.
         errors, state = self.fault.after([0.0] * len(self.names), (), t_s, state, rng)
         return tuple(float(error) for error in errors), state
 
 
 def receiver_names(satellites: Sequence[str], fault: object) -> tuple[str, ...]:
-    """The simulator's names for a fault on some satellites; one name for all that there are."""
+    """Return the simulator's parameter names for satellites; a single name for all of them."""
     kind = "satellite_lost" if isinstance(fault, Drop) else "pseudorange_m"
-    # One name instead of a list of all.
     if set(satellites) == set(SATELLITES):
         return (f"{kind}[all]",)
     return tuple(f"{kind}[{satellite}]" for satellite in satellites)

@@ -1,4 +1,4 @@
-"""Bias, scale, constant and drift: a number or a fault function meets the healthy value."""
+"""Bias, scale, constant and drift: a number or a profile combined with the healthy value."""
 
 from typing import Any, ClassVar
 
@@ -9,7 +9,7 @@ from mavproxy_fault.wire.frame import Number
 
 
 class ProfileFault(ValueFault, frozen=True, kw_only=True):
-    """A fault with one number (or one for each element) or a profile."""
+    """Base of faults with a number (or one for each element) or a profile."""
 
     mode: ClassVar[Mode]
 
@@ -18,23 +18,23 @@ class ProfileFault(ValueFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if (self.value is None) == (self.profile is None):
-            raise ValueError("takes either value or profile")
+            raise ValueError("needs exactly one of value and profile")
         super().__post_init__()
 
     @property
     def by_value(self) -> bool:
-        """With one number for all."""
+        """Whether one number applies to all elements."""
         return super().by_value and isinstance(self.value, int | float)
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The value that meets the number."""
+        """Combine one healthy value with the number."""
         assert not isinstance(self.value, tuple | None)
         return combine_values(self.mode, healthy, self.value)
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
-        """Replace, add to or scale the healthy values."""
+        """Combine the healthy values with the numbers or the profile."""
         if self.profile is None:
             assert self.value is not None
             values = broadcast_values(self.value, len(before))
@@ -46,19 +46,18 @@ class ProfileFault(ValueFault, frozen=True, kw_only=True):
         now = self.profile.value(t_s, state)
         if now is None:
             return before, state
-        # A profile may overrule the fault: `mode: replace` in a bias.
+        # The profile's mode takes precedence: `mode: replace` in a bias.
         mode = self.profile.mode or self.mode
         return [combine_values(mode, x, now) for x in before], state
 
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
-        """The state after a live value that came at `t_us`."""
-        # Seconds since the start, beside the value: a live profile judges the age of the value by
-        # it.
+        """Return the state after a live value that arrived at `t_us`."""
+        # With the time since the start, for the timeout of live profiles.
         return ValueState(state.start_us, ((t_us - state.start_us) / 1e6, value))
 
 
 def combine_values(mode: Mode, healthy: Number, value: float) -> Number:
-    """The faulty value."""
+    """Add, scale or replace the healthy value."""
     if mode == "add":
         return healthy + value
     return healthy * value if mode == "scale" else value
@@ -102,14 +101,14 @@ class Drift(ValueFault, frozen=True, kw_only=True):
 
     @property
     def by_value(self) -> bool:
-        """With one rate for all."""
+        """Whether one rate applies to all elements."""
         return super().by_value and not isinstance(self.value, tuple)
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """Rate times time."""
+        """Add rate times time."""
         assert not isinstance(self.value, tuple)
         grown = self.value * t_s
-        # The error is limited, not the value: a drift that has run its course stays.
+        # The limit applies to the error, not to the value.
         if self.limit is not None:
             grown = max(-self.limit, min(self.limit, grown))
         return healthy + grown

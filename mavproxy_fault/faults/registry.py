@@ -1,7 +1,7 @@
-"""All faults by name: every class with a `name` in the files of this folder, and others' plugins.
+"""All faults by name: every class with a `name` in the files of this folder, and plugins.
 
-Other packages add theirs by entry point (group `mavproxy_fault.faults`); ours win over plugins of
-the same name.
+Other packages register faults by entry point (group `mavproxy_fault.faults`); a built-in fault
+takes precedence over a plugin of the same name.
 """
 
 import pkgutil
@@ -14,12 +14,12 @@ from mavproxy_fault import faults
 
 @cache
 def our_faults() -> dict[str, type[Any]]:
-    """Name to class of the faults in this folder."""
+    """Return the classes of the built-in faults by name."""
     found: dict[str, type[Any]] = {}
     for file in pkgutil.iter_modules(faults.__path__):
         module = import_module(f"{faults.__name__}.{file.name}")
         for kind in vars(module).values():
-            # Classes that a file only imports belong to another file.
+            # Skip classes that the file imports from another.
             own = isinstance(kind, type) and kind.__module__ == module.__name__
             if own and isinstance(vars(kind).get("name"), str):
                 found[kind.name] = kind
@@ -28,8 +28,8 @@ def our_faults() -> dict[str, type[Any]]:
 
 @cache
 def known_faults() -> dict[str, type[Any]]:
-    """Name to class, sorted by name; aliases are left out."""
-    from importlib.metadata import entry_points  # a twentieth of a second, for what few have
+    """Return the classes of all faults, sorted by name, without aliases."""
+    from importlib.metadata import entry_points  # imported late, since it takes 0.05 s
 
     plugins = {point.name: point.load() for point in entry_points(group="mavproxy_fault.faults")}
     return dict(sorted({**plugins, **our_faults()}.items()))
@@ -37,18 +37,18 @@ def known_faults() -> dict[str, type[Any]]:
 
 @cache
 def known_aliases() -> dict[str, str]:
-    """Further name to name."""
+    """Return the name of the fault for each alias."""
     kinds = known_faults().items()
     return {alias: name for name, kind in kinds for alias in getattr(kind, "aliases", ())}
 
 
 def fault_class(name: str) -> type[Any] | None:
-    """The class of a fault by its name or alias; None if there is none."""
+    """Return the class of a fault by name or alias; None if there is none."""
     found = our_faults().get(name)
-    # Ours need no search for plugins, which takes longer than all the rest.
+    # Built-in faults first, since the search for plugins is slow.
     return found or known_faults().get(known_aliases().get(name, name))
 
 
 def acts_on_ranges(kind: type[Any]) -> bool:
-    """Whether a fault takes PSEUDORANGE targets."""
+    """Whether a fault accepts PSEUDORANGE targets."""
     return bool(getattr(kind, "on_ranges", False))

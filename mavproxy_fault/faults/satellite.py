@@ -1,8 +1,8 @@
-"""Satellite faults: metres on the pseudoranges of some satellites, or satellites lost.
+"""Satellite faults: errors on the pseudoranges of some satellites, or satellites lost.
 
-Raw ranges travel as RTCM 3 in TUNNEL fragments (`wire.rtcm`), so a fault has to keep fragments back
-until a message is whole; then it patches the message and sends the fragments on. Messages that are
-not MSM7 and fragments that belong to nothing pass.
+Raw ranges travel as RTCM 3 in TUNNEL fragments, so a fault buffers fragments until a message is
+complete, patches the message and sends its fragments. Messages other than MSM7 and stray fragments
+are forwarded unchanged.
 """
 
 import math
@@ -34,7 +34,7 @@ Sender = tuple[int, int, int]  # system, component, sequence number of the RTCM 
 
 
 class PartialMessage(NamedTuple):
-    """Fragments of a message that is not whole yet, in order of their coming."""
+    """Fragments of an incomplete message in order of arrival."""
 
     since_us: int
     frames: tuple[Frame, ...]
@@ -42,7 +42,7 @@ class PartialMessage(NamedTuple):
 
 
 class SatelliteFaultState(NamedTuple):
-    """The state: when the fault began, the inner fault's own state, and what it keeps back."""
+    """The state: start of the fault, state of the inner fault, and buffered fragments."""
 
     start_us: int
     inner: Any
@@ -50,10 +50,10 @@ class SatelliteFaultState(NamedTuple):
 
 
 class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
-    """A value fault (or loss) applied to pseudoranges instead of fields."""
+    """A value fault or `Drop` applied to pseudoranges instead of fields."""
 
     acts_on: ClassVar[ActsOn] = "satellites"
-    keeps_back: ClassVar[bool] = True  # what leaves without a magnitude was not touched
+    keeps_back: ClassVar[bool] = True  # a frame without a magnitude is unchanged
 
     fault: ValueFault | Drop
     names: tuple[str, ...]
@@ -62,19 +62,19 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         check_count(self.fault, self.names)
 
     def new_state(self, start_us: int) -> SatelliteFaultState:
-        """Nothing kept yet."""
+        """Return the state without buffered fragments."""
         return SatelliteFaultState(start_us, None, {})
 
     def apply(
         self, frame: Frame, t_us: int, state: SatelliteFaultState, rng: "Generator"
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
-        """Keep a fragment back, or patch the message that it completes; or an epoch of a file."""
+        """Buffer a fragment or patch the message that it completes; or change a file's epoch."""
         if isinstance(frame, RangeEpoch):
             return self._in_epoch(frame, t_us, state, rng)
         payload = rtcm.tunnel_payload(frame)
         if payload is None:
             return [Outgoing(t_us, frame)], state
-        # Not fragmented: whole in this frame.
+        # Not fragmented: a complete message.
         if not payload[0] & 1:
             return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
@@ -82,15 +82,15 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         number = payload[0] >> 1 & 3
         old = state.partial.get(key)
         broken: list[Outgoing] = []
-        # A second fragment of this number belongs to the next message: one before was lost.
+        # A repeated fragment number belongs to the next message: a fragment was lost.
         if old is not None and (number in old.parts or t_us - old.since_us > HOLD_US):
             broken, old = _unpatched(old, t_us), None
         since_us, frames, parts = old or PartialMessage(t_us, (), {})
         new = PartialMessage(since_us, (*frames, frame), {**parts, number: payload[1:]})
         whole = rtcm.join_fragments(dict(new.parts))
-        # Completed or not, the entry of this sender is written anew below.
+        # The entry of this sender is replaced below.
         rest = {sender: part for sender, part in state.partial.items() if sender != key}
-        if len(rest) >= MOST_SENDERS:  # a peer can make up any number of them
+        if len(rest) >= MOST_SENDERS:  # bounded: a peer can make up any number of senders
             broken += _unpatched(rest.pop(next(iter(rest))), t_us)
         if whole is None:
             return broken, state._replace(partial={**rest, key: new})
@@ -106,7 +106,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         state: SatelliteFaultState,
         rng: Any,
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
-        """The fragments of a whole message, with the fault in it."""
+        """Return the fragments of a complete message with the fault applied."""
         healthy = [Outgoing(t_us, frame) for frame in frames]
         present = self._present(data)
         if not present:
@@ -114,15 +114,14 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         changes_m, lost, inner = self._errors(frames[0], present, t_us, state, rng)
         state = state._replace(inner=inner)
         message = patch_msm7(data, changes_m, lost)
-        # Nothing changed: the fragments leave byte for byte as they came.
+        # Nothing changed: the fragments are sent byte for byte as received.
         if message == data:
             return healthy, state
-        # A lost satellite has no size in metres: NaN marks the frame as touched all the same.
+        # A lost satellite has no magnitude; NaN still marks the frame as changed.
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
         sends = [
             Outgoing(t_us, replace_tunnel_payload(frame, payload), size_m)
-            # A message with satellites lost may need fewer fragments: `strict=False` drops the
-            # last.
+            # With lost satellites the message may need fewer fragments.
             for frame, payload in zip(frames, rtcm.split_fragments(message, sequence), strict=False)
         ]
         return sends, state
@@ -130,7 +129,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
     def _in_epoch(
         self, epoch: Any, t_us: int, state: SatelliteFaultState, rng: "Generator"
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
-        """The same for a `RangeEpoch`, which the engine takes for a frame."""
+        """Apply the fault to a `RangeEpoch`, a frame to the engine."""
         present = [n for n in self.names if n in epoch.satellites and n not in epoch.lost]
         if not present:
             return [Outgoing(t_us, epoch)], state
@@ -142,13 +141,13 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         return [Outgoing(t_us, epoch.changed(changes_m, lost), size_m)], state
 
     def _present(self, data: bytes) -> list[str]:
-        """Those of our satellites that an MSM7 message holds."""
+        """Return the target's satellites that an MSM7 message contains."""
         if rtcm.message_number(data) not in SYSTEMS:
             return []
         try:
             satellites = msm7_satellites(data)
         except ValueError:
-            return []  # damaged on its way: not ours to repair
+            return []  # corrupted: forwarded as it is
         return [name for name in self.names if name in satellites]
 
     def _errors(
@@ -159,8 +158,8 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
             return {}, lost, None
         t_s = (t_us - state.start_us) / 1e6
         key = (frame.system, frame.component)
-        # For every name of the target, also those out of view: a satellite's error must not depend
-        # on who else is there.
+        # For all satellites of the target, also those out of view: the error of one must not
+        # depend on which others are in view.
         healthy: list[int | float] = [0.0] * len(self.names)
         if not can_add_sender(state.inner, key):
             return {}, [], state.inner
@@ -173,13 +172,13 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         return state._replace(inner=((t_us - state.start_us) / 1e6, value))
 
     def release_us(self, state: SatelliteFaultState) -> int | None:
-        """When the oldest message that is still broken off must leave."""
+        """Return when the oldest incomplete message must be sent."""
         return min((message.since_us + HOLD_US for message in state.partial.values()), default=None)
 
     def release(
         self, t_us: int, state: SatelliteFaultState
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
-        """All fragments kept, as they came."""
+        """Return all buffered fragments, unchanged."""
         sends = [out for message in state.partial.values() for out in _unpatched(message, t_us)]
         return sends, state._replace(partial={})
 
@@ -189,21 +188,20 @@ def _unpatched(message: PartialMessage, t_us: int) -> list[Outgoing]:
 
 
 def check_count(fault: object, names: tuple[str, ...]) -> None:
-    """Refuse a list of numbers that is not one for each satellite.
+    """Refuse a list without exactly one number for each satellite.
 
     Raises
     ------
     ValueError
-        If it is longer or shorter.
+        If the list is longer or shorter.
     """
     value = getattr(fault, "value", None)
-    # Only a list must fit in length.
     if isinstance(value, tuple):
         broadcast_values(value, len(names))
 
 
 def replace_tunnel_payload(frame: Frame, payload: bytes) -> Frame:
-    """A TUNNEL frame with another payload, header and signature block as they were."""
+    """Replace the payload of a TUNNEL frame; header and signature block stay."""
     layout = message_layout("TUNNEL")
     values = {
         "payload_type": rtcm.PAYLOAD_TYPE,

@@ -1,4 +1,4 @@
-"""A sensor's characteristic curve gone wrong: coarse steps, too small a range, a dead band."""
+"""Faults of a sensor's characteristic curve: quantisation, saturation, dead band."""
 
 import math
 from typing import Any, ClassVar
@@ -18,13 +18,13 @@ class Quantise(ValueFault, frozen=True, kw_only=True):
     value: Positive
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The nearest step."""
-        # NaN and infinity have no nearest step.
+        """Round to the nearest step."""
+        # NaN and infinity stay.
         return round(healthy / self.value) * self.value if math.isfinite(healthy) else healthy
 
 
 class Saturate(ValueFault, frozen=True, kw_only=True):
-    """Limit to a range, `low` to `high` (plus and minus `value` if only that is given)."""
+    """Limit to the range `low` to `high`, or to plus and minus `value`."""
 
     name: ClassVar[str] = "saturate"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
@@ -38,23 +38,23 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
             raise ValueError("needs a range; give value, low or high")
         low, high = self._range()
         if low > high:
-            raise ValueError(f"low = {low} is above high = {high}; the range must not be empty")
+            raise ValueError(f"low = {low} is above high = {high}; give a low below high")
 
     def _range(self) -> tuple[float, float]:
-        # One number gives both sides; `low` or `high` alone leaves the other side open.
+        # `low` or `high` alone leaves the other side open.
         width = math.inf if self.value is None else self.value
         low = -width if self.low is None else self.low
         return low, width if self.high is None else self.high
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """The nearest value within the range."""
+        """Return the nearest value in the range."""
         low, high = self._range()
-        # NaN is neither beyond the one nor the other, and passes.
+        # NaN fails both comparisons and stays.
         return low if healthy < low else high if healthy > high else healthy
 
 
 class DeadBand(ValueFault, frozen=True, kw_only=True):
-    """Nothing (zero) within plus or minus `value`; outside, the value less the band."""
+    """Output zero within plus or minus `value`, and the value less the band outside."""
 
     name: ClassVar[str] = "dead-band"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
@@ -62,6 +62,6 @@ class DeadBand(ValueFault, frozen=True, kw_only=True):
     value: NotNegative
 
     def of(self, healthy: Number, t_s: float) -> Number:
-        """What stands out of the band."""
-        # The sign stays, also of a zero.
+        """Return the part outside the band."""
+        # The sign stays, also that of a zero.
         return math.copysign(max(abs(healthy) - self.value, 0.0), healthy)

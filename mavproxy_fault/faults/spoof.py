@@ -1,9 +1,9 @@
-"""A coherent GNSS spoof: every message that tells position or velocity is moved alike.
+"""A coherent GNSS spoof: moves every message with position or velocity by the same offset.
 
-The offset lies in the local level frame (north, east, down). Where the position moves with time the
-velocity moves with it, so that each message stays consistent in itself and with the others.
-Metres become degrees on the WGS 84 ellipsoid with its radii of curvature [1]_. Values that a
-message marks as unknown stay unknown.
+The offset is in the local level frame (north, east, down). While it changes, the velocity changes
+accordingly, so that each message is consistent in itself and with the others. Metres are converted
+to degrees with the radii of curvature of the WGS 84 ellipsoid [1]_. Values that a message marks as
+unknown stay unknown.
 
 References
 ----------
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 class Shift(NamedTuple):
-    """How far positions and velocities are off, north, east and down."""
+    """Errors of position and velocity, NED."""
 
     offset_m: Three
     velocity_mps: Three
 
 
 class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
-    """Move the position by `offset_m` within `ramp_s`, then on with `velocity_mps`, everywhere.
+    """Move all positions by `offset_m` within `ramp_s`, then further at `velocity_mps`.
 
     Both are [north, east, down]. Without `ramp_s` the offset is a jump. `value` is short for an
-    offset to the north. `velocity_error_mps` is added to the velocity alone. Acts on HIL_GPS,
-    GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT, LOCAL_POSITION_NED and ODOMETRY that does
-    not come from vision, motion capture or lidar, or those of these messages named as target.
+    offset to the north. `velocity_error_mps` is added to the velocity only. Acts on HIL_GPS,
+    GPS_RAW_INT, GPS2_RAW, GPS_INPUT, GLOBAL_POSITION_INT, LOCAL_POSITION_NED and ODOMETRY (but not
+    from vision, motion capture or lidar), or on those of these messages given as target.
     """
 
     name: ClassVar[str] = "gps-spoof"
@@ -56,31 +56,29 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         moves = (*self.offset_m, *self.velocity_mps, *self.velocity_error_mps)
         if self.value is None and not any(moves):
             raise ValueError(
-                "moves nothing; give value, offset_m, velocity_mps or velocity_error_mps"
+                "has no effect; give value, offset_m, velocity_mps or velocity_error_mps"
             )
 
     def shift(self, t_s: float) -> Shift:
-        """The offset and its rate, `t_s` after the spoof began."""
-        # `value` alone: metres north.
+        """Return the offset and its rate, `t_s` after the start of the spoof."""
         aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
-        t_s = max(t_s, 0.0)  # a sender whose clock is behind the one that started the fault
+        t_s = max(t_s, 0.0)  # the sender's clock may be behind the one that started the fault
         if t_s < self.ramp_s:
-            # While it is dragged off, the velocity must fit, or innovation checks see the spoof.
+            # Consistent with the moving position, or innovation tests would detect the spoof.
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
             return Shift(_scaled(aim, share), _scaled(aim, rate))
-        # From the end of the ramp on.
         further = _scaled(self.velocity_mps, t_s - self.ramp_s)
         moved = (aim[0] + further[0], aim[1] + further[1], aim[2] + further[2])
         return Shift(moved, self.velocity_mps)
 
     def new_state(self, start_us: int) -> int:
-        """When the spoof began."""
+        """Return the start time."""
         return start_us
 
     def apply(
         self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
-        """Move one frame; a message that tells no position passes."""
+        """Move one frame; forward messages without a position."""
         mover = MOVERS.get(frame.layout.name)
         if mover is None:
             return [Outgoing(t_us, frame)], state
@@ -89,10 +87,10 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         north, east, down = (velocity + error for velocity, error in pairs)
         shift = Shift(moved.offset_m, (north, east, down))
         out = rewrite_fields(frame, t_us, mover(frame, Move(*shift)))
-        # It marks position and velocity as unknown: nothing was moved.
+        # Position and velocity are unknown in this frame.
         if out.frame is frame:
             return [out], state
-        # The whole offset is the magnitude, not what one field of the message shows of it.
+        # The magnitude is the norm of the offset, not the change of a single field.
         size = math.hypot(*shift.offset_m) or math.hypot(*self.velocity_error_mps)  # m, or m/s
         return [Outgoing(t_us, out.frame, size, out.saturated)], state
 

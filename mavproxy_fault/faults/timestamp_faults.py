@@ -1,7 +1,7 @@
-"""Wrong time stamps: a jump, a clock that drifts, time that runs backwards.
+"""Timestamp faults: a jump, a clock drift, time that runs backwards.
 
-Every field that holds the sender's time is changed, whatever its unit: `time_usec`, `usec`,
-`time_boot_us`, `timestamp`, `time_boot_ms`.
+They change every field with the sender's time, in any unit: `time_usec`, `usec`, `time_boot_us`,
+`timestamp`, `time_boot_ms`.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,29 +20,29 @@ COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
 
 
 class TimestampFault(LinkFault, frozen=True, kw_only=True):
-    """What the three faults share: how far the stamps are off at a time."""
+    """Base of the timestamp faults."""
 
     takes_bytes: ClassVar[bool] = False
     takes_sealed: ClassVar[bool] = False
 
     def new_state(self, start_us: int) -> int:
-        """When the fault began."""
+        """Return the start time."""
         return start_us
 
     def off_s(self, t_s: float) -> float:
-        """How far the stamps are off, `t_s` after the fault began."""
+        """Return the timestamp error [s], `t_s` after the start of the fault."""
         raise NotImplementedError
 
     def apply(
         self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
-        """Move every stamp of the frame; a message without one passes."""
+        """Shift every timestamp of the frame; forward messages without one."""
         off_s = self.off_s((t_us - state) / 1e6)
         scales = stamp_fields(frame.layout)
         out = rewrite_fields(
             frame,
             t_us,
-            # Whole counts: stamps are integers.
+            # Timestamps are integers.
             {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
         )
         if out.frame is frame:
@@ -51,9 +51,9 @@ class TimestampFault(LinkFault, frozen=True, kw_only=True):
 
 
 def stamp_fields(layout: Layout) -> dict[str, float]:
-    """The fields of a message that hold its sender's time, and their counts per second."""
+    """Return the fields of a message with its sender's time, and their counts per second."""
     return {
-        # A unit that is not a time, by MAVLink's definitions, leaves the field alone.
+        # Only fields whose unit in MAVLink's definitions is a time.
         name: COUNTS_PER_S[layout.fields[name].unit]
         for name in NAMES
         if name in layout.fields and layout.fields[name].unit in COUNTS_PER_S
@@ -61,7 +61,7 @@ def stamp_fields(layout: Layout) -> dict[str, float]:
 
 
 class TimeJump(TimestampFault, frozen=True, kw_only=True):
-    """Stamps jump by `value` seconds, forwards or backwards, and stay off."""
+    """Shift timestamps by `value` seconds, forwards or backwards."""
 
     name: ClassVar[str] = "time-jump"
     example: ClassVar[dict[str, Any]] = {"value": 5.0}
@@ -69,12 +69,12 @@ class TimeJump(TimestampFault, frozen=True, kw_only=True):
     value: float
 
     def off_s(self, t_s: float) -> float:
-        """Always the same."""
+        """Return the constant error."""
         return self.value
 
 
 class TimeDrift(TimestampFault, frozen=True, kw_only=True):
-    """The sender's clock runs `value` seconds per second too fast (or, negative, too slow)."""
+    """Make the sender's clock drift by `value` seconds per second (negative: too slow)."""
 
     name: ClassVar[str] = "time-drift"
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
@@ -82,12 +82,12 @@ class TimeDrift(TimestampFault, frozen=True, kw_only=True):
     value: float
 
     def off_s(self, t_s: float) -> float:
-        """Grows with time."""
+        """Return the error, which grows with time."""
         return self.value * t_s
 
 
 class TimeBackwards(TimestampFault, frozen=True, kw_only=True):
-    """Stamps run backwards, `value` seconds per second, from where the fault found them."""
+    """Make timestamps run backwards by `value` seconds per second from the start of the fault."""
 
     name: ClassVar[str] = "time-backwards"
     example: ClassVar[dict[str, Any]] = {}
@@ -95,6 +95,5 @@ class TimeBackwards(TimestampFault, frozen=True, kw_only=True):
     value: Positive = 1.0
 
     def off_s(self, t_s: float) -> float:
-        """Undo the time that passed, and as much again."""
-        # Once to stand still, and `value` times to run back.
+        """Return the error that cancels the elapsed time and runs back at `value`."""
         return -(1.0 + self.value) * t_s

@@ -1,4 +1,4 @@
-"""Frames at the wrong time: late, jittered, out of order, twice."""
+"""Timing faults of frames: delay, jitter, reordering, duplication."""
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Delay(LinkFault, frozen=True, kw_only=True):
-    """Hold every frame back by `value` seconds."""
+    """Delay every frame by `value` seconds."""
 
     name: ClassVar[str] = "delay"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
@@ -24,16 +24,16 @@ class Delay(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """The same frame, later."""
+        """Delay the frame."""
         return [delay_frame(frame, t_us, self.value)], None
 
 
 class Jitter(LinkFault, frozen=True, kw_only=True):
-    """Hold frames back by a random time on top of `base_s`.
+    """Delay frames by `base_s` plus a random time.
 
-    `value` is the greatest delay (uniform), the mean (exponential), the sigma of the normal
-    distribution (cut at zero), or the scale of the Pareto one (of `shape`, heavy-tailed). With
-    `keep_order` no frame overtakes another.
+    `value` is the largest delay (uniform), the mean (exponential), the sigma (normal, clipped at
+    zero), or the scale (Pareto of `shape`, heavy-tailed). With `keep_order` no frame overtakes
+    another.
     """
 
     name: ClassVar[str] = "jitter"
@@ -46,24 +46,24 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     keep_order: bool = True
 
     def new_state(self, start_us: int) -> int:
-        """When the frame before is due."""
+        """Return the due time of the previous frame."""
         return start_us
 
     def apply(
         self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
-        """The same frame, a random time later."""
+        """Delay the frame by a random time."""
         out = delay_frame(frame, t_us, self.base_s + self._draw(rng))
-        # It would overtake the frame before, so it waits until that one leaves.
+        # It would overtake the previous frame, so it waits for that one.
         if self.keep_order and out.due_us < state:
-            # Equal due times leave in the order in which they came.
+            # Frames with equal due times are sent in order of arrival.
             out = delay_frame(frame, t_us, (state - t_us) * 1e-6)
         return [out], max(out.due_us, state)
 
     def _draw(self, rng: "Generator") -> float:
         if self.distribution == "uniform":
             return float(rng.uniform(0.0, self.value))
-        # Cut at zero: a frame cannot leave before it came.
+        # Clipped at zero: a frame cannot be sent before it arrives.
         if self.distribution == "normal":
             return max(float(rng.normal(0.0, self.value)), 0.0)
         if self.distribution == "exponential":
@@ -72,7 +72,7 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
 
 
 class Reorder(LinkFault, frozen=True, kw_only=True):
-    """Hold a share `value` of the frames back by `by_s`, so that later ones overtake them."""
+    """Delay a fraction `value` of the frames by `by_s`, so that later ones overtake them."""
 
     name: ClassVar[str] = "reorder"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
@@ -83,12 +83,12 @@ class Reorder(LinkFault, frozen=True, kw_only=True):
     def apply(
         self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
     ) -> tuple[list[Outgoing], Any]:
-        """Hold this frame back or not."""
+        """Delay the frame at random."""
         return [delay_frame(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
 
 
 class Duplicate(LinkFault, frozen=True, kw_only=True):
-    """Send a share `value` of the frames more than once: `copies` more, the last `by_s` later."""
+    """Repeat a fraction `value` of the frames: `copies` more, the last `by_s` later."""
 
     name: ClassVar[str] = "duplicate"
     example: ClassVar[dict[str, Any]] = {"copies": 2, "by_s": 0.01}
@@ -104,11 +104,11 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
         state: Any,
         rng: "Generator",
     ) -> tuple[list[Outgoing], Any]:
-        """The frame, and its copies."""
+        """Send the frame, and its copies at random."""
         first = Outgoing(t_us, frame)
         if self.value < 1.0 and rng.random() >= self.value:
             return [first], None
-        # The copies spread evenly up to `by_s`.
+        # The copies are spread evenly up to `by_s`.
         step_s = self.by_s / self.copies
         return [
             first,
@@ -117,7 +117,7 @@ class Duplicate(LinkFault, frozen=True, kw_only=True):
 
 
 def delay_frame(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:
-    """A frame held back by so many seconds."""
+    """Return a frame delayed by `by_s` seconds."""
     by_us = round(by_s * 1e6)
-    # The label counts the delay as magnitude; a frame that is not late was not touched.
+    # The magnitude of the label is the delay; a frame without delay is unchanged.
     return Outgoing(t_us + by_us, frame, by_us * 1e-6 if by_us else None)

@@ -1,8 +1,8 @@
 """Commands to the vehicle as steps of a schedule: arm, take off, inject, land.
 
-A command rides on the autopilot's HEARTBEAT, which tells whose dialect of modes to speak, and is
-repeated with it, once a second, until COMMAND_ACK accepts it; then it is over, so that the next
-step may follow. It falsifies nothing.
+A command is sent in reply to the autopilot's HEARTBEAT, which identifies the autopilot, and is
+repeated once a second until COMMAND_ACK accepts it; then the entry ends, so that the next step may
+follow. No frame is changed.
 
 References
 ----------
@@ -29,7 +29,7 @@ COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 INVALID, ARDUPILOT = 8, 3  # MAV_AUTOPILOT_
 FIXED_WING = 1  # MAV_TYPE_
 ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
-RETRY_US = 900_000  # heartbeats come once a second, more or less
+RETRY_US = 900_000  # just below the period of heartbeats, 1 s
 LOITER, RETURN, LAND, TAKE_OFF = 17, 20, 21, 22  # MAV_CMD_NAV_
 SET_MODE, MISSION_START, ARM = 176, 300, 400  # MAV_CMD_
 GUIDED, PLANE_TAKE_OFF = 4, 13  # modes of ArduCopter, of ArduPlane
@@ -47,8 +47,7 @@ SIMPLE_COMMANDS: dict[str, CommandCall] = {
 
 
 class CommandState(NamedTuple):
-    """How far it is: calls granted of how many, when and to whom the last one went, the field's
-    height."""
+    """Progress: accepted calls of how many, time and target of the last one, home altitude."""
 
     granted: int = 0
     calls: int = 1
@@ -70,26 +69,28 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
     height_m: float = 10.0  # of a take-off, above the field
     number: int | None = None
     params: Parameters = ()
-    afterwards: Parameters | None = None  # the parameters of `number` once it ends
+    afterwards: Parameters | None = None  # params of `number` sent when the entry ends
 
     def __post_init__(self) -> None:
         if (self.do is None) == (self.number is None):
-            raise ValueError("takes either do or number")
+            raise ValueError("needs exactly one of do and number")
         if self.number is None and (self.params or self.afterwards is not None):
-            raise ValueError("params and afterwards are those of number")
+            raise ValueError("params and afterwards need number; give it instead of do")
         if max(len(self.params), len(self.afterwards or ())) > 7:
-            raise ValueError("a command has seven params at most")
+            raise ValueError("a command has at most seven params")
         if not 0.0 < self.height_m < 1e4:
-            raise ValueError(f"height_m = {self.height_m:g} is no height; above 0, below 10000")
+            raise ValueError(
+                f"height_m = {self.height_m:g} is out of range; give 0 to 10000, exclusive"
+            )
 
     def new_state(self, start_us: int) -> CommandState:
-        """Nothing asked yet."""
+        """Return the state before the first command."""
         return CommandState()
 
     def apply(
         self, frame: Frame, t_us: int, state: CommandState, rng: "Generator"
     ) -> tuple[list[Outgoing], CommandState]:
-        """Pass the frame; with a heartbeat goes the command that is not granted yet."""
+        """Forward the frame; reply to a heartbeat with the command that is not accepted yet."""
         passed = Outgoing(t_us, frame)
         name = frame.layout.name
         if frame.component != AUTOPILOT:
@@ -111,21 +112,21 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         return [passed, asked], state._replace(at_us=t_us, target=target, calls=len(calls))
 
     def done(self, state: CommandState) -> bool:
-        """Whether all is granted; what is to be taken back stays until its time is over."""
+        """Whether all commands are accepted; an entry with `afterwards` lasts for its `for_s`."""
         return state.granted >= state.calls and self.afterwards is None
 
     def _acknowledged(self, frame: Frame, state: CommandState) -> CommandState:
-        """The next call is due once the one before was granted."""
+        """Count an acceptance; the next call is then due."""
         if state.at_us is None or frame.number("result") not in (ACCEPTED, IN_PROGRESS):
             return state
-        # Whose answer it is: with several calls the first stands for one of them at a time.
+        # Only acknowledgements of this command.
         expected = {self.number} if self.number is not None else NUMBERS[self.do or "arm"]
         if int(frame.number("command")) not in expected:
             return state
         return state._replace(granted=state.granted + 1, at_us=None)
 
     def _calls(self, autopilot: int, kind: int, field_m: float) -> list[CommandCall]:
-        """The commands, one after the other; empty while something is not known yet."""
+        """Return the commands in sequence; empty while a value is unknown."""
         if self.number is not None:
             return [(self.number, self.params)]
         ardupilot = autopilot == ARDUPILOT
@@ -139,16 +140,16 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         if ardupilot:
             above = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, self.height_m)
             return [(SET_MODE, (1.0, float(GUIDED))), (TAKE_OFF, above)]
-        # PX4 counts heights of a take-off from the sea.
+        # PX4 expects the take-off altitude above mean sea level.
         if math.isnan(field_m):
             return []
         return [(TAKE_OFF, (*height, field_m + self.height_m))]
 
     def release_us(self, state: CommandState) -> None:
-        """It keeps nothing back."""
+        """Return None: no frames are buffered."""
 
     def release(self, t_us: int, state: CommandState) -> tuple[list[Outgoing], CommandState]:
-        """At the end: the command with the parameters for afterwards, if it was given."""
+        """Send the command with the params `afterwards` at the end, if they are given."""
         if self.number is None or self.afterwards is None or not state.granted:
             return [], state
         last = command_frame(self.number, self.afterwards, state.target)
@@ -163,7 +164,7 @@ NUMBERS = {
 
 
 def command_frame(number: int, parameters: Parameters, target: tuple[int, int]) -> Frame:
-    """A COMMAND_LONG to a component, from the vehicle's own onboard computer."""
+    """Return a COMMAND_LONG to a component, sent as the vehicle's onboard computer."""
     system, component = target
     values: dict[str, float] = {
         "command": number,

@@ -1,6 +1,6 @@
-"""Faults while the proxy runs: requests from outside become edits of the schedule.
+"""Live control: requests that set, change or clear faults while the proxy runs.
 
-A *session* joins the bus and RflySim's port to the server's loop. *Control* turns requests into
-edits; the *failure command* is MAV_CMD_INJECT_FAILURE. The *journal* records each edit so that a
-replay repeats it. *Watching* hands chosen messages to viewers at a bounded rate.
+A *session* connects Zenoh and RflySim's UDP port to the server's loop. `LiveControl` turns requests
+into edits of the schedule; the *failure command* is MAV_CMD_INJECT_FAILURE. The *edit log* records
+each edit, so that a replay repeats it. *Subscriptions* give viewers samples of chosen messages.
 """

@@ -1,10 +1,10 @@
-"""The shape of what a proxy tells the bus besides labels and watched messages."""
+"""Types of the state and statistics that a proxy publishes on Zenoh."""
 
 from typing import Any, Required, TypedDict
 
 
 class FaultState(TypedDict, total=False):
-    """One fault; before the first stamp of the vehicle only `id`, `fault` and `state` are known."""
+    """State of one fault; before the vehicle's first timestamp only the required keys exist."""
 
     id: Required[str]
     fault: Required[str]
@@ -25,7 +25,7 @@ class FaultState(TypedDict, total=False):
 
 
 class ScheduleState(TypedDict):
-    """Every fault, by the vehicle's clock; `revision` counts the edits."""
+    """State of all faults on the vehicle's clock; `revision` counts the edits."""
 
     t0_us: int | None
     now_us: int | None
@@ -42,9 +42,9 @@ Latencies = TypedDict(
 
 
 class EndpointStatistics(Latencies, total=False):
-    """What one endpoint has counted since the start; latencies are of the frames it received.
+    """Counters of one endpoint since the start; the latencies are those of its received frames.
 
-    A `run` has no sockets of its own: what only those count is not there.
+    The optional counters belong to sockets and are absent under `run`, which has none.
     """
 
     name: Required[str]
@@ -70,7 +70,7 @@ class EndpointStatistics(Latencies, total=False):
 
 
 class Recording(TypedDict):
-    """Whether what passes is recorded: why not, and how many records were lost."""
+    """State of the recording: why it fails (None if it works) and how many records were lost."""
 
     failing: str | None
     lost_records: int

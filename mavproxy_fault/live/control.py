@@ -1,7 +1,7 @@
-"""Live control: requests of ground stations, of RflySim's scripts and of the bus become edits.
+"""Live control: turn requests from ground stations, RflySim and Zenoh into schedule edits.
 
-Everything here runs in the thread of the proxy's loop and does no I/O. `LiveControl` looks at
-commands that pass (MAV_CMD_INJECT_FAILURE and nothing else) and answers them in the vehicle's name.
+All of it runs in the thread of the proxy's loop and does no I/O. `LiveControl` intercepts one
+MAVLink command, MAV_CMD_INJECT_FAILURE, and acknowledges it in the vehicle's name.
 """
 
 import math
@@ -39,18 +39,18 @@ ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
 COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
 PARAMETER = message_layout("PARAM_VALUE").id
 FAILURE_PARAMETER = (
-    b"SYS_FAILURE_EN"  # PX4's parameter; 0 in whatever type, is 0 in the bytes of all
+    b"SYS_FAILURE_EN"  # PX4's parameter; 0 has the same bytes in every parameter type
 )
 NAMES = {message_layout(name).id: name for name in MESSAGES}
-READ_ONLY_REQUESTS = ("state", "schedule/save")  # these change nothing
+READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
 LARGEST = sys.float_info.max
-AUTOPILOT = 1  # component that answers a command to all
+AUTOPILOT = 1  # the component that acknowledges a broadcast command
 
 
 class LiveControl:
-    """Joins what asks for faults to the engine; with `allowed` false it denies.
+    """Applies live requests to the engine; denies them unless `allowed`.
 
-    Requests may name files of `folders` only; None allows all.
+    Requests may name files below `folders` only; None allows any file.
     """
 
     def __init__(
@@ -66,24 +66,24 @@ class LiveControl:
         self.rflysim = rflysim
         self.folders = folders
         self.view = SubscribedMessages()
-        # Names of messages that have come, by which a failure command finds what it can act on.
+        # Names of the messages seen so far, on which a failure command can act.
         self._passed: set[str] = set()
         self._latched: set[str] = set()
-        # Units are supported once one of their messages has passed; each is looked at only once.
+        # A failure unit is supported once one of its messages has passed.
         self._unheard: frozenset[int] = frozenset(NAMES)
-        self._enabled = True  # until the vehicle tells that it wants no failures
+        self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
         self.wanted: frozenset[int] = COMMANDS | {PARAMETER} | self._unheard
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
     def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
-        """The answer to a command for the proxy; None for every other frame, which goes on."""
+        """Return the reply to a command for the proxy; None for a frame to be forwarded."""
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
         if frame.id not in COMMANDS:
             if frame.id in self._unheard:
                 self._passed.add(frame.layout.name)
-                # Looked at once: from then on frames of this message pass without coming here.
+                # Noted once; later frames of this message bypass this function.
                 self._unheard -= {frame.id}
                 self._want()
             if frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
@@ -91,7 +91,7 @@ class LiveControl:
             return None
         if frame.number("command") != INJECT_FAILURE:
             return None
-        # COMMAND_INT has whole numbers where the duration would be.
+        # COMMAND_INT has integer coordinates in place of params 5 and 6.
         several = range(1, 6 if "param5" in frame.layout.fields else 5)
         result = self._inject([frame.number(f"param{n}") for n in several], t_us)
         return [acknowledge_command(frame, result)]
@@ -99,10 +99,10 @@ class LiveControl:
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
         if not self.allowed or not self._enabled:
             return DENIED
-        # NaN is MAVLink's "not given": -1 is no unit and no kind.
+        # NaN means "not given" in MAVLink; -1 is neither a unit nor a type.
         numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
         unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
-        # NaN is "not given", which means all.
+        # An instance that is not given means all.
         instance = 0 if math.isnan(parameters[2]) else numbers[2]
         if unit is None or kind is None or instance < 0:
             return UNSUPPORTED
@@ -113,17 +113,17 @@ class LiveControl:
             extent = extent_of(kind, parameters[3:])
             entries = faults_for(unit, kind, instance, self._passed, extent)
         except ValueError:
-            return UNSUPPORTED  # no such instance, for example the seventeenth motor
+            return UNSUPPORTED  # the instance does not exist, e.g. the seventeenth motor
         if not entries:
             return UNSUPPORTED
-        # A new failure of a unit takes the place of the one before, as in PX4.
+        # A new failure of a unit replaces the previous one, as in PX4.
         self.engine.clear(failure_id(unit, instance))
         for entry in entries:
             self.engine.arm(entry)
         return ACCEPTED
 
     def _clear(self, unit: str, instance: int) -> int:
-        """End the failures of one instance, or of all of a unit."""
+        """End the failures of one instance of a unit, or of all its instances."""
         head = failure_id(unit, instance)
         # Ids are `unit-instance.part`; instance 0 ends those of every instance.
         for id in self.engine.ids():
@@ -134,14 +134,14 @@ class LiveControl:
     # -- RflySim ---------------------------------------------------------------------------------
 
     def packet(self, data: bytes, t_us: int) -> list[str]:
-        """Carry out one RflySim packet; the ids of the faults it set. Others are passed over."""
+        """Apply one RflySim packet and return the ids of its faults; ignore other datagrams."""
         packet = Packet.read(data)
-        # Others speak to that port too, and a proxy without a map has no use for it.
+        # Other datagrams reach that port too; without an id map none can be applied.
         if packet is None or self.rflysim is None or not self.allowed:
             return []
         self.engine.advance_time(t_us)
         wanted = self.rflysim.entries(packet)
-        # A packet names all its faults; those that it no longer names are over.
+        # A packet lists all active faults; those no longer listed have ended.
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
             self.engine.clear(id)
             self._latched.discard(id)
@@ -153,28 +153,28 @@ class LiveControl:
     # -- viewers ---------------------------------------------------------------------------------
 
     def sent(self, raw: bytes, t_us: int) -> None:
-        """Let viewers see what leaves."""
+        """Sample a sent frame for viewers."""
         if self.view.ids:
             self.view.sent(raw, t_us)
 
     def watch(self, payload: bytes, now_s: float) -> Any:
-        """Watch the messages named in a JSON list, for some seconds from `now_s` on.
+        """Subscribe a viewer to the messages of a JSON list until the lease from `now_s` ends.
 
         Raises
         ------
         ConfigError
-            If they are not such a list, do not exist or are too many.
+            If the payload is not such a list, a message does not exist or there are too many.
         """
         try:
             names = msgspec.json.decode(payload, type=list[str])
         except msgspec.MsgspecError as error:
-            raise ConfigError(f"@ctl/watch: {error}; send a list of messages as JSON") from None
+            raise ConfigError(f"@ctl/watch: {error}; send a JSON list of message names") from None
         self.view.watch(names, now_s)
         self._want()
         return {"watched": len(self.view.ids)}
 
     def watched(self, now_s: float) -> list[Watched]:
-        """What viewers have not been shown yet."""
+        """Return the samples since the last call."""
         if not self.view.ids:
             return []
         self.view.expire(now_s)
@@ -184,10 +184,10 @@ class LiveControl:
     def _want(self) -> None:
         self.wanted = COMMANDS | {PARAMETER} | self._unheard | self.view.ids
 
-    # -- the bus ---------------------------------------------------------------------------------
+    # -- Zenoh -----------------------------------------------------------------------------------
 
     def answer(self, key: str, payload: bytes, t_us: int) -> Any:
-        """The answer to a query whose key ends in `@ctl/<what>`.
+        """Apply a query whose key ends in `@ctl/<what>` and return the reply.
 
         `fault/{id}/arm` (an entry as JSON), `fault/{id}/value` (`{"value": 1.5, "sent_us": ...}`),
         `fault/{id}/disarm`, `schedule/load` (YAML, its times count from the schedule's start),
@@ -197,29 +197,29 @@ class LiveControl:
         Raises
         ------
         ConfigError
-            If there is no such key, or the payload is wrong; nothing has changed then.
+            If the key or the payload is wrong; the schedule is then unchanged.
         """
         return self.prepare(key, payload)(t_us)
 
     def prepare(self, key: str, payload: bytes) -> Callable[[int], Any]:
-        """The same in two steps: what it gives is called with the vehicle's time.
+        """Check a query and return the function that applies it at the vehicle's time.
 
-        Reading and checking a payload, which may take long, is the first step and touches nothing
-        of the engine, so it may be made in any thread.
+        Parsing and checking a payload may take long and does not touch the engine, so this may
+        be called in any thread.
         """
         _, _, what = key.partition("@ctl/")
-        if len(payload) > MOST_BYTES:  # it would be recorded with the edit
+        if len(payload) > MOST_BYTES:  # the edit log would record it
             raise ConfigError(f"{what}: is too large; at most {MOST_BYTES >> 20} MB are read")
         if what == "state":
-            # State and schedule change nothing, so a proxy that takes no faults answers them too.
+            # Read-only queries are answered even with live control disabled.
             return lambda t_us: {
-                # The later of both: the engine's time stands still while nothing passes.
+                # The later of both: the engine's time stops while no frames arrive.
                 **self.engine.state(), "now_us": max(self.engine.now_us, t_us)
             }  # fmt: skip
         if what == "schedule/save":
             return lambda _: {"yaml": self.engine.save(), "anew": self.engine.save(anew=True)}
         if not self.allowed:
-            raise ConfigError(f"{what}: live control is switched off; start without --no-inject")
+            raise ConfigError(f"{what}: live control is disabled; start without --no-inject")
         head, _, action = what.rpartition("/")
         edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
             "schedule/load": partial(self._load, what, anew=False),
@@ -251,11 +251,11 @@ class LiveControl:
         if action == "arm":
             check_id(id, "arm")
             check_files(data, self.folders, "arm")
-            # The id of the key wins over one in the payload.
+            # The id in the key takes precedence over one in the payload.
             entries = parse_entry({**data, "id": id}, "arm")
             return lambda: {"armed": self.engine.arm(entries)}
         value = data.get("value")
-        # JSON knows whole numbers that no float can hold.
+        # JSON integers may exceed the range of a float.
         if action != "value" or not isinstance(value, int | float) or abs(value) > LARGEST:
             raise ConfigError(
                 f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
@@ -263,18 +263,20 @@ class LiveControl:
         sent_us = data.get("sent_us")
         if not isinstance(sent_us, int | None) or not 0 <= (sent_us or 0) < 1 << 63:
             raise ConfigError(
-                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is no stamp; give whole "
-                "microseconds of Unix time"
+                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is not a timestamp; give "
+                "integer microseconds of Unix time"
             )
         return lambda: self._update(id, value, sent_us)
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
-            raise ConfigError(f"disarm: {id} is no fault; {suggest_known(id, self.engine.ids())}")
+            raise ConfigError(
+                f"disarm: {id} is not a fault; {suggest_known(id, self.engine.ids())}"
+            )
         return {"cleared": id}
 
     def _update(self, id: str, value: float, sent_us: int | None) -> Any:
-        # By the wall clock of both: the vehicle's goes in steps, and at any speed.
+        # By the wall clocks of sender and proxy: the vehicle's clock may run at another speed.
         latency_us = None if sent_us is None else time.time_ns() // 1000 - sent_us
         self.engine.update(id, value, latency_us)
         return {"id": id, "value": value}
@@ -283,8 +285,8 @@ class LiveControl:
         document = read_yaml(payload.decode("utf-8", "replace"), what)
         check_files(document.data, self.folders, what)
         schedule = parse_schedule(document)
-        # A thousand entries would hold the loop up for milliseconds: they are made here, and those
-        # that they replace are let go of here.
+        # A thousand entries would block the loop for milliseconds: the new ones are built, and the
+        # replaced ones released, in this thread.
         prepared = self.engine.prepare_entries(schedule)
         replaced: list[object] = []
 
@@ -296,7 +298,7 @@ class LiveControl:
 
 
 def acknowledge_command(command: Frame, result: int) -> Frame:
-    """The COMMAND_ACK to whoever sent a command, from the one it was for."""
+    """Return the COMMAND_ACK to the sender of a command, from the command's target."""
     values = {
         "command": int(command.number("command")),
         "result": result,
@@ -307,7 +309,7 @@ def acknowledge_command(command: Frame, result: int) -> Frame:
     raw = build_frame(
         layout,
         values,
-        # A command to all (0) is answered as the usual vehicle would.
+        # A broadcast command (0) is acknowledged as system 1, autopilot.
         system=int(command.number("target_system")) or 1,
         component=int(command.number("target_component")) or AUTOPILOT,
     )

@@ -1,7 +1,7 @@
-"""Edits: what was asked of a running proxy, recorded so that a replay can ask it again.
+"""The edit log: the live requests of a session, recorded so that a replay can repeat them.
 
-Commands that passed as frames (MAV_CMD_INJECT_FAILURE) are in the log already; requests of the bus
-and RflySim's packets are not, nor is the moment from which live control took part.
+MAV_CMD_INJECT_FAILURE is a frame and already in the tlog; Zenoh queries, RflySim packets and the
+time at which live control started are not.
 """
 
 import contextlib
@@ -20,10 +20,9 @@ MOST_LISTED = 5
 
 
 class Edit(msgspec.Struct, frozen=True):
-    """One request: after how many received records, when, and what.
+    """One request: the number of records received before it, its time and its content.
 
-    `what` is a key of the bus, `rflysim` or `join_live_control`; `payload` is text, of a packet its
-    digits.
+    `what` is a Zenoh key, `rflysim` or `join`; `payload` is text, or a packet in hexadecimal.
     """
 
     at: int
@@ -33,12 +32,12 @@ class Edit(msgspec.Struct, frozen=True):
     payload: str = ""
 
     def at_record(self, count: int) -> "Edit":
-        """The same after no more than so many records, where later ones were not kept."""
+        """Limit the record count, where later records were not written."""
         return msgspec.structs.replace(self, at=min(self.at, count))
 
 
 class EditLog:
-    """Notes the edits of a session, for its recorder; without a tape there is nothing to note."""
+    """Collects the edits of a session for its recorder; inactive without a capture buffer."""
 
     def __init__(self, core: Core, tape: CaptureBuffer | None) -> None:
         self._core = core
@@ -47,38 +46,38 @@ class EditLog:
         self._now_us = 0
 
     def begin(self, now_us: int) -> int:
-        """The vehicle's time (the wall clock before it is known), at which an edit may be made.
+        """Return the vehicle's time for an edit (the wall clock until that is known).
 
-        What was due by `now_us` must have left, as it has when the session is replayed.
+        Frames due by `now_us` must have been sent already, as in the replay.
         """
         self._now_us = now_us
         clock = self._core.clock
         return now_us if clock.t0_us is None else clock.t_us
 
     def note(self, what: str, payload: bytes, t_us: int) -> None:
-        """Keep one edit, made at the vehicle's time `t_us`."""
+        """Append one edit, made at the vehicle's time `t_us`."""
         if self._tape is not None:
-            # Digits, since a packet is no text.
+            # A packet is binary and stored as hexadecimal digits.
             text = payload.hex() if what == RFLYSIM else payload.decode("utf-8", "replace")
             self._edits.append(Edit(self._tape.count, self._now_us, t_us, what, text))
 
     def drain(self) -> list[Edit]:
-        """The edits since the last call."""
+        """Return the edits since the last call."""
         edits, self._edits = self._edits, []
         return edits
 
 
 def read_edits(path: Path) -> list[Edit]:
-    """The whole lines of a file of edits; none if there is no such file."""
+    """Read the complete lines of an edit log; empty if the file does not exist."""
     lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
-    # A kill may have cut the last line.
+    # A kill may have truncated the last line.
     return [msgspec.json.decode(line, type=Edit) for line in lines if line.endswith(b"\n")]
 
 
 def describe_edits(edits: Iterable[Edit], t0_us: int) -> list[str]:
-    """What was asked from outside, for people: the first few with their seconds, and how many more.
+    """Describe the edits for the summary: the first few with their times, and how many more.
 
-    A run that somebody else edits is no longer what its scenario says.
+    They show that the run deviated from its scenario.
     """
     asked = [edit for edit in edits if edit.what != JOIN]
     lines = [
@@ -90,11 +89,11 @@ def describe_edits(edits: Iterable[Edit], t0_us: int) -> list[str]:
 
 
 def apply_edit(edit: Edit, core: Core, control: LiveControl) -> None:
-    """Do once more what was asked for; what was refused is refused again."""
+    """Apply a recorded edit; an edit that was refused is refused again."""
     if edit.what == JOIN:
         join_live_control(core, control)
         return
-    # What the running proxy refused, the replay refuses as well.
+    # The replay refuses what the running proxy refused.
     with contextlib.suppress(ConfigError):
         if edit.what == RFLYSIM:
             control.packet(bytes.fromhex(edit.payload), edit.t_us)
@@ -103,10 +102,10 @@ def apply_edit(edit: Edit, core: Core, control: LiveControl) -> None:
 
 
 def join_live_control(core: Core, control: LiveControl) -> None:
-    """Let live control take part; its engine takes over if there was none."""
+    """Attach live control to the core; its engine is used if the core has none."""
     if core.engine is None:
         if core.clock.t0_us is not None:
-            # The engine's time counts from the vehicle's first stamp, which may have come long ago.
+            # The engine's time counts from the vehicle's first timestamp, which may be long past.
             control.engine.start_at(core.clock.t0_us)
         core.engine = control.engine
     core.control = control

@@ -1,10 +1,10 @@
-"""MAV_CMD_INJECT_FAILURE: what each unit and type of failure means on the messages that pass.
+"""MAV_CMD_INJECT_FAILURE: the faults on forwarded messages for each failure unit and type.
 
-The standard has no magnitudes, so each unit has some that a vehicle notices; params 4 and 5, which
-it leaves free, are a magnitude and a duration of one's own. A unit that has a
-message of its own is switched off by losing it; a sensor that shares HIL_SENSOR with others loses
-its `fields_updated` bits instead, and is late or slow by its values, since that message is also the
-vehicle's clock [1]_.
+The standard [1]_ defines no magnitudes, so each unit has default ones that a vehicle notices;
+params 4 and 5, which it leaves unused, override magnitude and duration. A unit with its own message
+is switched off by dropping that message. A sensor that shares HIL_SENSOR loses its `fields_updated`
+bits instead, and its values, not its frames, are delayed or held: that message is also the
+vehicle's clock.
 
 References
 ----------
@@ -30,24 +30,24 @@ TYPES = {
 }  # fmt: skip
 
 SIGNED = ("wrong", "drift")
-SLOW_S = 1.0  # a slow sensor renews its values this often
+# Default magnitudes, chosen large enough for a vehicle to notice.
+SLOW_S = 1.0  # update period of a slow sensor
 DELAY_S = 0.5
-LINK_HZ = 10.0  # of a slow link
+LINK_HZ = 10.0  # frame rate of a slow link
 INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
 
-M_PER_HPA = 8.4  # of height, near the ground
-# One degree of latitude is about 111 km.
-DEGE7_PER_M = 90.0  # of latitude
+M_PER_HPA = 8.4  # height per pressure at sea level, ISO 2533
+DEGE7_PER_M = 90.0  # latitude: one degree is about 111 km
 
 
 @dataclass(frozen=True, slots=True)
 class UnitPart:
-    """A unit's share of one message.
+    """The fields of one message that belong to a failure unit.
 
-    `parse_field_targets` come with the field's counts per unit of the magnitudes; `group` is the
-    unit's group of bits in `fields_updated`; `shared` says that the message carries other things
-    too; `instance` is the number of the unit whose message it is, 0 where an id or an index tells;
-    of an `indexed` part the elements are the units after the first `skipped` ones.
+    `fields` are (name, counts per unit of magnitude); `group` is the unit's bit group in
+    `fields_updated`; `shared` means that the message carries other units too; `instance` is the
+    instance that the message belongs to, 0 if an id or index selects it; in an `indexed` part,
+    element i is instance `skipped` + i + 1.
     """
 
     message: str
@@ -59,7 +59,7 @@ class UnitPart:
     skipped: int = 0
 
     def has(self, instance: int) -> bool:
-        """Whether it tells of this instance; 0 is all of them."""
+        """Whether the part contains this instance; 0 means any."""
         if self.indexed and instance:
             elements = [message_layout(self.message).fields[name].count for name, _ in self.fields]
             return 0 < instance - self.skipped <= min(elements)
@@ -68,7 +68,7 @@ class UnitPart:
 
 @dataclass(frozen=True, slots=True)
 class FailureUnit:
-    """The parts of a unit, and how wrong (offset), noisy (sigma) and drifting (per s) it gets."""
+    """The parts of a unit and its default offset (wrong), sigma (noise) and drift per second."""
 
     parts: tuple[UnitPart, ...]
     wrong: float = 1.0
@@ -81,7 +81,7 @@ def _axes(stem: str, scale: float = 1.0) -> tuple[tuple[str, float], ...]:
 
 
 def _imu(stem: str, group: str, scaled: float) -> tuple[UnitPart, ...]:
-    """HIL_SENSOR, HIGHRES_IMU and the scaled and raw messages of the IMU or magnetometer."""
+    """Return the parts of an IMU sensor or magnetometer in all messages that carry it."""
     rows = [
         UnitPart("HIL_SENSOR", _axes(stem), group, True),
         UnitPart("HIGHRES_IMU", _axes(stem), "", True),
@@ -154,27 +154,27 @@ MESSAGES = frozenset(part.message for unit in FAILURE_UNITS.values() for part in
 
 
 def failure_id(unit: str, instance: int) -> str:
-    """The id of the faults of one failure; a second failure of a unit replaces the first."""
+    """Return the id of a failure's faults; a second failure of a unit replaces the first."""
     return f"mav-{unit}-{instance}" if instance else f"mav-{unit}"
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How large and how long; None for what the unit has, and for good."""
+    """Magnitude and duration; None means the unit's default, and no end."""
 
     magnitude: float | None = None
     for_s: float | None = None
 
     def of(self, usual: float) -> float:
-        """The magnitude, or the usual one."""
+        """Return the magnitude, or the default."""
         return usual if self.magnitude is None else self.magnitude
 
 
 def extent_of(kind: str, given: Sequence[float]) -> Extent:
-    """Magnitude and duration as params 4 and 5 give them.
+    """Read magnitude and duration from params 4 and 5.
 
-    0 stands for "not given" as NaN does: what does not fill a field leaves it 0. Only an offset and
-    a drift have a sign.
+    0 means "not given", like NaN: senders leave unused params at 0. Only an offset and a drift
+    have a sign.
     """
     magnitude, for_s = [
         one if math.isfinite(one) and one != 0.0 else None for one in (*given, 0.0, 0.0)[:2]
@@ -187,19 +187,18 @@ def extent_of(kind: str, given: Sequence[float]) -> Extent:
 def faults_for(
     unit: str, kind: str, instance: int, passed: Collection[str], extent: Extent = Extent()
 ) -> list[dict[str, Any]]:
-    """The entries of a schedule that carry out a failure on the messages that have passed.
+    """Return the schedule entries that apply a failure to the messages seen so far.
 
     Parameters
     ----------
     unit, kind : str
-        A unit and a type by name; not the type `ok`.
+        Failure unit and type by name; any type but `ok`.
     instance : int
         1 for the first sensor or motor, 0 for all.
     passed : collection of str
         Names of the messages seen so far.
     extent : Extent
-        In the unit's own measure (as `FAILURE_UNITS` has it), or seconds for what is slow or
-        delayed.
+        Magnitude in the unit's measure, or in seconds for slow and delayed.
 
     Returns
     -------
@@ -209,20 +208,20 @@ def faults_for(
     if unit == "mavlink":
         whole = {"id": f"{failure_id(unit, instance)}.1", **_of_the_link(kind, extent)}
         return [_lasting(whole, extent)] if passed else []
-    # A part of one instance is left alone when another instance is meant.
+    # Parts of other instances are not affected.
     chosen = [p for p in FAILURE_UNITS[unit].parts if p.message in passed and p.has(instance)]
     entries = []
     for number, part in enumerate(chosen, 1):
         entry = _lasting(_of_a_part(FAILURE_UNITS[unit], part, kind, instance, extent), extent)
         if instance and not part.instance and not part.indexed:
-            # MAVLink's instances count from 1, the messages' ids from 0.
+            # Instances in the command count from 1, ids in the messages from 0.
             entry["where"] = {"id": instance - 1}
         entries.append({"id": f"{failure_id(unit, instance)}.{number}", **entry})
     return entries
 
 
 def _lasting(entry: dict[str, Any], extent: Extent) -> dict[str, Any]:
-    """An entry that ends in time; what comes and goes by itself has a time of its own."""
+    """Add the duration to an entry; an intermittent one has its own."""
     if extent.for_s is None or "repeat" in entry:
         return entry
     return {**entry, "for_s": extent.for_s}
@@ -247,7 +246,7 @@ def _of_a_part(
 ) -> dict[str, Any]:
     if kind == "intermittent":
         return {**_of_a_part(unit, part, "off", instance, extent), **INTERMITTENT}
-    # A message of its own can be lost or late as a whole.
+    # A message that carries only this unit can be dropped or delayed as a frame.
     if not part.shared and kind in ("off", "slow", "delayed"):
         whole: dict[str, dict[str, Any]] = {
             "off": {"fault": "drop"},
@@ -261,7 +260,7 @@ def _of_a_part(
     fields, scales = _elements(part, instance)
     target: dict[str, Any] = {"target": fields}
     if kind == "off":
-        # A shared message without flags: zero is the nearest to silence.
+        # A shared message without flags: zero is the closest to no data.
         return {**target, "fault": "constant", "value": 0.0}
     if kind == "stuck":
         return {**target, "fault": "freeze"}
@@ -281,7 +280,7 @@ def _of_a_part(
 
 
 def _elements(part: UnitPart, instance: int) -> tuple[list[str], list[float]]:
-    """The targets of a part and the scale of each element they name."""
+    """Return the targets of a part and the scale of each of their elements."""
     from mavproxy_fault.fault_parts.target import parse_field_targets
 
     found: list[str] = []
@@ -289,7 +288,7 @@ def _elements(part: UnitPart, instance: int) -> tuple[list[str], list[float]]:
     for name, scale in part.fields:
         chosen = f"[{instance - 1 - part.skipped}]" if part.indexed and instance else ""
         found.append(f"{part.message}.{name}{chosen}")
-        # One number per element: an array field has as many.
+        # One scale per element of an array field.
         (elements,) = parse_field_targets([found[-1]]).values()
         scales += [scale] * len(elements)
     return found, scales

@@ -1,4 +1,4 @@
-"""Files that a request names: only those of folders that whoever started the proxy allowed."""
+"""Access check for files named in live requests: only folders given by --files are allowed."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -6,34 +6,34 @@ from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
 
-LARGEST_BYTES = 256 << 20
+LARGEST_BYTES = 256 << 20  # chosen: far above any table that a schedule needs
 
 
 def check_files(data: Any, folders: Sequence[Path] | None, where: str) -> None:
-    """Refuse an entry or a schedule, as data, that names a file it may not; None allows all.
+    """Refuse an entry or a schedule that names a file outside `folders`; None allows any file.
 
     Raises
     ------
     ConfigError
-        If a file lies in none of the folders, or is too large. Nothing of its content is told.
+        If a file is in none of the folders, or too large. The text reveals none of its content.
     """
     for name in _files(data) if folders is not None else ():
-        # Resolved first: `..` and links must not lead out of the folders.
+        # Resolved first, so that `..` and links cannot leave the folders.
         path = Path(name).resolve()
         if not any(path.is_relative_to(folder.resolve()) for folder in folders or ()):
             raise ConfigError(
-                f"{where}: {name} must not be named over the bus; allowed: files of the folders "
-                "that the proxy was started with (--files DIR)"
+                f"{where}: {name} must not be named in a request; allowed: files below the folders "
+                "given to the proxy by --files DIR"
             )
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             raise ConfigError(
-                f"{where}: {name} is no file of at most {LARGEST_BYTES >> 20} MiB; give another"
+                f"{where}: {name} is not a file of at most {LARGEST_BYTES >> 20} MiB; give another"
             )
 
 
 def _files(data: Any) -> Iterator[str]:
-    """Every value under a key `file`, however deep."""
-    # Without recursion: the depth of a payload is the sender's choice.
+    """Yield every value under a key `file` at any depth."""
+    # Without recursion, since the sender chooses the depth.
     waiting = [data]
     while waiting:
         one = waiting.pop()

@@ -1,4 +1,4 @@
-"""RflySim's fault packets, and the map from its fault ids to ours.
+"""RflySim's fault packets and the map from its fault ids to our faults.
 
 A `PX4SILIntFloat` is 120 bytes: checksum, CopterID, eight fault ids and twenty parameters; slot i
 of the ids owns parameters 2i and 2i + 1, and a fault with more parameters repeats its id. Faults
@@ -22,7 +22,7 @@ from mavproxy_fault.documents.yaml_document import read_document
 PACKED = struct.Struct("<10i20f")
 CHECKSUM = 1234567897
 NO_FAULT = 123549
-FIRST_PORT = 30100  # of vehicle 1; two more for each further one
+FIRST_PORT = 30100  # of vehicle 1; each further vehicle adds two
 SLOTS = 8
 
 # First parameter of a sensor fault.
@@ -31,7 +31,7 @@ DEFAULT_MAP = Path(__file__).parents[1] / "schedule" / "presets" / "rflysim" / "
 
 
 class Packet(msgspec.Struct, frozen=True):
-    """One packet: the vehicle, and the parameters of each fault id in it."""
+    """One packet: the vehicle and the parameters of each of its fault ids."""
 
     vehicle: int
     faults: dict[int, tuple[float, ...]]
@@ -39,7 +39,7 @@ class Packet(msgspec.Struct, frozen=True):
 
     @staticmethod
     def read(data: bytes) -> "Packet | None":
-        """The packet in a datagram; None if it is one of RflySim's other structs."""
+        """Parse a datagram; None if it is one of RflySim's other structs."""
         if len(data) != PACKED.size:
             return None
         numbers = PACKED.unpack(data)
@@ -49,18 +49,17 @@ class Packet(msgspec.Struct, frozen=True):
         faults: dict[int, tuple[float, ...]] = {}
         for slot, id in enumerate(ids):
             if id not in (0, NO_FAULT):
-                # A fault with more than two parameters repeats its id: the pairs are joined in
-                # order.
+                # A fault with more than two parameters repeats its id; its pairs are joined.
                 faults[id] = faults.get(id, ()) + parameters[2 * slot : 2 * slot + 2]
         return Packet(numbers[1], faults, NO_FAULT in ids)
 
 
 class FaultMeaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an id stands for.
+    """The meaning of a fault id.
 
-    A motor's parameters are factors on its commands; a sensor's are a mode (3: noise and bias per
-    axis, 4: scale factor) and numbers per axis, `sigma` its noise at gain 1; a plant fault's are
-    the values of the parameters named, times `scale`, or always `value`.
+    The parameters of a motor fault are factors on its commands; those of a sensor fault are a mode
+    (3: noise and bias per axis, 4: scale factor) and numbers per axis, `sigma` is the noise at
+    gain 1; those of a plant fault are the targets' values times `scale`, unless `value` is given.
     """
 
     kind: Literal["motor", "sensor", "plant"]
@@ -72,7 +71,7 @@ class FaultMeaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def targets(self) -> list[str]:
-        """The target as a list."""
+        """The targets as a list."""
         return [self.target] if isinstance(self.target, str) else list(self.target)
 
 
@@ -82,7 +81,7 @@ class IdMap(msgspec.Struct, frozen=True):
     meanings: dict[int, FaultMeaning]
 
     def entries(self, packet: Packet) -> list[dict[str, Any]]:
-        """The entries of a schedule that a packet asks for; ids not in the map are passed over."""
+        """Return the schedule entries of a packet; ids missing from the map are ignored."""
         found = []
         for id, parameters in packet.faults.items():
             meaning = self.meanings.get(id)
@@ -96,20 +95,20 @@ class IdMap(msgspec.Struct, frozen=True):
 
 
 def read_map(path: Path | str = DEFAULT_MAP) -> IdMap:
-    """The id map of a YAML file.
+    """Read the id map of a YAML file.
 
     Raises
     ------
     ConfigError
-        With every error of the file and its line.
+        If the file has errors: all of them, with their lines.
     """
     document = read_document(path)
     check = DocumentCheck(document.where, document.lines)
     meanings = {}
     for id, value in document.data.items() if isinstance(document.data, dict) else ():
-        # Only ASCII digits: `int` would take others too.
+        # Only ASCII digits: `int` accepts others too.
         if not (id.isascii() and id.isdigit()):
-            check.wrong((id,), "is no fault id; they are whole numbers such as 123450")
+            check.wrong((id,), "is not a fault id; give an integer such as 123450")
             continue
         meanings[int(id)] = check.struct(value, FaultMeaning, (id,))
     check.finish()
@@ -117,7 +116,7 @@ def read_map(path: Path | str = DEFAULT_MAP) -> IdMap:
 
 
 def _motor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
-    """A factor for each motor."""
+    """Return one scale fault for each motor."""
     return [
         {"fault": "scale", "target": f"{target}[{motor}]", "value": factor}
         for target in meaning.targets
@@ -126,7 +125,7 @@ def _motor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[st
 
 
 def _sensor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Noise and bias per axis as y = (floor + (1 - floor) gain) noise + bias, or a scale factor."""
+    """Return noise (floor + (1 - floor) gain) sigma and bias per axis, or a scale factor."""
     mode, numbers = round(parameters[0]), parameters[1:]
     targets = meaning.targets
     if mode == SCALE_FACTOR:
@@ -134,7 +133,7 @@ def _sensor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[s
     if mode != NOISE_AND_BIAS:
         return []
     entries: list[dict[str, Any]] = []
-    # A gain that is missing is zero: then only the floor of the noise is left.
+    # A missing gain is zero, which leaves the floor of the noise.
     for target, bias, gain in zip(targets, numbers[::2], (*numbers[1::2], 0.0), strict=False):
         share = meaning.floor + (1.0 - meaning.floor) * gain
         entries.append({"fault": "bias", "target": target, "value": bias * meaning.scale})
@@ -151,6 +150,6 @@ def _plant(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[st
         values = [meaning.value] * len(meaning.targets)
     return [
         {"fault": "plant", "target": target, "value": value}
-        # Fewer values than targets: the others stay healthy.
+        # Targets without a value stay healthy.
         for target, value in zip(meaning.targets, values, strict=False)
     ]

@@ -1,7 +1,7 @@
-"""Live control of a running proxy: the bus and RflySim's port, joined to the loop.
+"""Live control of a running proxy: connects Zenoh and RflySim's UDP port to the loop.
 
-Zenoh answers queries on threads of its own, the engine belongs to the loop's thread. A request
-therefore waits until the loop, woken by a socket, has carried it out.
+Zenoh handles queries in its own threads, but the engine belongs to the loop's thread. A query
+therefore waits until the loop, woken by a socket, has applied it.
 """
 
 import contextlib
@@ -27,33 +27,33 @@ from mavproxy_fault.live.rflysim import FIRST_PORT, PACKED
 from mavproxy_fault.live.subscriptions import Watched
 from mavproxy_fault.wire.label import Label
 
-REQUEST_TIMEOUT_S = 3.0
-ROUTER_CHECK_S = 1.0  # between two looks whether the bus has its router
+REQUEST_TIMEOUT_S = 3.0  # chosen: far above the loop's longest step
+ROUTER_CHECK_S = 1.0  # interval between checks for the Zenoh router
 DEFAULT_RUN = "live"
-# Python's default of 5 ms would hold a frame up for as long.
+# Python's default of 5 ms would delay a frame by as much.
 SWITCH_INTERVAL_S = 2e-4
 WATCH = "@ctl/watch"
-PUBLISH_PERIOD_S = 0.04  # between two looks at what viewers watch
+PUBLISH_PERIOD_S = 0.04  # interval between updates for viewers: 25 Hz
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 
 
 class Listener(Protocol):
-    """Who is shown what a proxy says of itself; called in the loop's thread."""
+    """Receives the labels and samples of a proxy; called in the loop's thread."""
 
     def add_labels(self, labels: Sequence[Label]) -> None:
-        """Labels that began or ended."""
+        """Receive labels that began or ended."""
 
     def add_samples(self, samples: Sequence[Watched]) -> None:
-        """Samples of watched messages."""
+        """Receive samples of watched messages."""
 
 
 @contextlib.contextmanager
 def short_thread_turns() -> Iterator[None]:
-    """Let threads take short turns, so that one that imports or parses holds no frame up."""
+    """Shorten the threads' time slices, so that imports and parsing do not delay frames."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    # What they make would be looked through for garbage meanwhile, in one long turn.
+    # A garbage collection would be one long slice.
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -65,37 +65,37 @@ def short_thread_turns() -> Iterator[None]:
 
 
 class LoopCalls:
-    """Hands work of other threads to the loop, and its outcome back."""
+    """Runs calls of other threads in the loop's thread and returns their results."""
 
     def __init__(self) -> None:
         self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
-        self._asking = 0  # threads that wait for an outcome
+        self._asking = 0  # number of threads that wait for a result
         self._changed = threading.Condition()
         self._closed = False
         self._reads, self._wakes = socket.socketpair()
-        # Never waited on: a full socket has bytes enough to wake the loop.
+        # Non-blocking: a full socket wakes the loop just as well.
         self._reads.setblocking(False)
         self._wakes.setblocking(False)
 
     def fileno(self) -> int:
-        """Readable while something waits."""
+        """Descriptor that is readable while a call waits."""
         return self._reads.fileno()
 
     def call(self, act: Callable[[], Any]) -> Any:
-        """Have the loop call `act`; its value, or what it raised.
+        """Run `act` in the loop's thread; return its value or raise its exception.
 
         Raises
         ------
         ConfigError
-            If the loop does not come to it in three seconds, or ends.
+            If the loop does not run it within three seconds, or ends.
         """
         outcome: Future[Any] = Future()
-        # Under the lock: nothing may be put in after `close` has emptied the queue.
+        # Under the lock, since nothing may be queued after `close` has emptied the queue.
         with self._changed:
             if self._closed:
-                raise ConfigError("the proxy is ending; ask another")
+                raise ConfigError("the proxy is shutting down; start it again")
             self._asking += 1
             self._waiting.put((act, outcome))
         with contextlib.suppress(BlockingIOError):
@@ -103,37 +103,37 @@ class LoopCalls:
         try:
             return outcome.result(REQUEST_TIMEOUT_S)
         except TimeoutError:
-            # Or the loop would carry out what nobody waits for any more.
+            # Cancelled, so that the loop does not run it after its caller has given up.
             outcome.cancel()
-            raise ConfigError(f"the proxy did not answer within {REQUEST_TIMEOUT_S} s") from None
+            raise ConfigError(f"no reply within {REQUEST_TIMEOUT_S:g} s; try again") from None
         except CancelledError:
-            raise ConfigError("the proxy has ended; ask another") from None
+            raise ConfigError("the proxy has ended; start it again") from None
         finally:
             with self._changed:
                 self._asking -= 1
                 self._changed.notify_all()
-            del outcome  # it holds the exception, which holds this frame and all that it refers to
+            del outcome  # breaks the reference cycle of exception and frame
 
     def serve(self) -> None:
-        """Carry out all that waits; called by the loop."""
-        # The bytes only wake; how many there are does not matter.
+        """Run all waiting calls; called by the loop."""
+        # The bytes only wake the loop; their number is irrelevant.
         with contextlib.suppress(BlockingIOError):
             while self._reads.recv(4096):
                 pass
         while not self._waiting.empty():
             act, outcome = self._waiting.get()
             if not outcome.set_running_or_notify_cancel():
-                continue  # whoever asked has given up
+                continue  # the caller has given up
             try:
                 outcome.set_result(act())
-            # Also mistakes of ours: they belong to whoever asked, not to the loop.
+            # Bugs included: the exception goes to the caller and must not end the loop.
             except Exception as error:
                 outcome.set_exception(error)
 
     def close(self) -> None:
-        """Refuse what still waits, and let those go who asked.
+        """Cancel waiting calls and wait for their threads to return.
 
-        Their threads are Zenoh's: one that came back to Python after the interpreter has ended
+        These are Zenoh's threads: one that returned to Python after the interpreter's shutdown
         would abort the process.
         """
         with self._changed:
@@ -147,10 +147,10 @@ class LoopCalls:
 
 
 class LiveSession:
-    """What a running proxy offers besides forwarding: control by the bus and by RflySim, and news.
+    """Control of a running proxy over Zenoh and RflySim, and publication of its state.
 
-    `now_us` tells the vehicle's time; `edit_log` takes every request that may change something;
-    `listener` is shown, in this process, what the bus is told of labels and watched messages.
+    `now_us` returns the vehicle's time; `edit_log` records every request that may change the
+    schedule; `listener` receives, in this process, the labels and samples published on Zenoh.
     """
 
     def __init__(
@@ -168,25 +168,25 @@ class LiveSession:
         self._bus: Bus | None = None
         self._port: socket.socket | None = None
         self._config_file = ""
-        self._successor = threading.Thread()  # that takes over from a router that ended
+        self._successor = threading.Thread()  # takes over from a router that has ended
         self._look_s = self._show_s = 0.0
         self._shown = (0, 0)  # revision and changes of the engine
 
     def open_bus(self, zenoh: str, run: str | None = None, config_file: str = "") -> None:
-        """Offer control on the bus: `auto` (the router here, or another's), `off`, or a URL.
+        """Open live control on Zenoh: `auto` (become the router or join it), `off`, or a URL.
 
-        Without a name the run is called `live`, or `live-2` where there is one already.
+        The default name of the run is `live`, or `live-2` if that is taken.
 
         Raises
         ------
         ConfigError
-            If a URL was given and cannot be used, or the run's name is another proxy's.
+            If a given URL cannot be used, or the run's name is taken.
         """
         if zenoh == "off":
             return
         try:
             bus = join_bus(zenoh, run or DEFAULT_RUN, config_file)
-        # Asked for by name it must work; `auto` may do without.
+        # A given URL must work; `auto` may fail.
         except ConfigError as error:
             if zenoh != "auto" or config_file:
                 raise
@@ -195,29 +195,29 @@ class LiveSession:
         names = [] if bus.is_router else running_proxies(bus.list_components())
         if run in names:
             bus.close()
-            raise ConfigError(f"--run {run} is another proxy's here; known: {', '.join(names)}")
+            raise ConfigError(f"--run {run} is taken; use a name other than {', '.join(names)}")
         if bus.run in names:
             bus.run = next(name for n in itertools.count(2) if (name := f"live-{n}") not in names)
-            LOG.warning("another proxy is called live: this one is --run %s", bus.run)
+            LOG.warning("another proxy is named live: this one is --run %s", bus.run)
         self._config_file = config_file
         self.offer(bus)
 
     def offer(self, bus: Bus) -> None:
-        """Answer queries on a bus that is open."""
+        """Answer queries on an open bus."""
         self._bus = bus
         bus.serve_queries("@ctl/**", self.query)
         bus.declare_alive("proxy")
 
     def _become_router(self, bus: Bus) -> None:
-        """Be the router where the one there was has ended; unless another was faster."""
+        """Become the router after it has ended, unless another proxy was faster."""
         with short_thread_turns(), contextlib.suppress(ConfigError):
             fresh = open_bus(bus.url, run=bus.run, router=True, config_file=self._config_file)
             self.do(lambda: self.offer(fresh))
             bus.close()
 
     def _look_after_bus(self, now_s: float) -> None:
-        """See that somebody is the router; the proxies that have lost theirs try to be it."""
-        # A look each second, and one successor at a time.
+        """Check the connection to the router; without one, try to become the router."""
+        # Once a second, and one attempt at a time.
         if self._bus is None or now_s < self._look_s or self._successor.is_alive():
             return
         self._look_s = now_s + ROUTER_CHECK_S
@@ -228,56 +228,56 @@ class LiveSession:
             self._successor.start()
 
     def open_rflysim(self, port: int = FIRST_PORT) -> int:
-        """Listen for RflySim's packets on loopback; the port."""
+        """Listen for RflySim's packets on loopback and return the port."""
         self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._port.setblocking(False)
         try:
             self._port.bind(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:  # the second where it is no port at all
+        except (OSError, OverflowError) as error:  # OverflowError: not a port number
             self._port.close()
             raise ConfigError(f"--rflysim {port}: {error}; give a free UDP port") from None
         return int(self._port.getsockname()[1])
 
     def query(self, key: str, payload: bytes) -> Any:
-        """The answer to a request of another thread, whose key ends in `@ctl/<what>`.
+        """Answer a query of another thread, whose key ends in `@ctl/<what>`.
 
         Raises
         ------
         ConfigError
-            If it is refused.
+            If the query is refused.
         """
         with short_thread_turns():
-            # Reading and checking happens on the asker's thread: the loop must not wait for it.
+            # Parsing and checking happen in the caller's thread, so the loop need not wait.
             act = None if key.endswith(WATCH) else self.control.prepare(key, payload)
         return self.do(lambda: self._act(key, payload, act))
 
     def do(self, act: Callable[[], Any]) -> Any:
-        """Have the loop's thread call `act`; its value, or what it raised."""
+        """Run `act` in the loop's thread; return its value or raise its exception."""
         return self._requests.call(act)
 
     def _act(self, key: str, payload: bytes, act: Callable[[int], Any] | None) -> Any:
-        """Carry out one request in the loop's thread."""
+        """Apply one query in the loop's thread."""
         if act is None:
             return self.control.watch(payload, time.monotonic())
-        # The time is taken in the loop's thread, just before the edit.
+        # The time is read in the loop's thread, just before the edit.
         t_us = self._now_us()
         if self.edit_log is not None and not key.endswith(READ_ONLY_REQUESTS):
             self.edit_log.note(key, payload, t_us)
         return act(t_us)
 
     def filenos(self) -> list[int]:
-        """What the loop waits on besides its links."""
+        """Descriptors that the loop waits on besides its links."""
         ports = [] if self._port is None else [self._port.fileno()]
         return [self._requests.fileno(), *ports]
 
     def serve(self) -> None:
-        """Carry out what has been asked for."""
+        """Apply waiting queries and RflySim packets."""
         self._requests.serve()
         if self._port is None:
             return
         with contextlib.suppress(BlockingIOError):
             while True:
-                # One byte more than a packet: what is longer is none.
+                # One byte more than a packet, to recognise longer datagrams.
                 data = self._port.recv(PACKED.size + 1)
                 t_us = self._now_us()
                 if self.edit_log is not None:
@@ -288,17 +288,17 @@ class LiveSession:
                     LOG.warning("RflySim: %s", error)
 
     def edits(self) -> list[Edit]:
-        """What was asked for since the last call, for a recorder."""
+        """Return the edits since the last call, for the recorder."""
         return [] if self.edit_log is None else self.edit_log.drain()
 
     def show(self, now_s: float) -> None:
-        """Tell the bus at once of faults that begin, end or change, and what viewers watch."""
+        """Publish changes of faults and the samples of watched messages."""
         if now_s < self._show_s:
             return
         self._show_s = now_s + PUBLISH_PERIOD_S
         self._look_after_bus(now_s)
         engine = self.control.engine
-        # Only where something changed since the last look.
+        # Only after a change.
         if self._bus is not None and self._shown != (engine.revision, engine.changes):
             self._show_faults(self._bus)
         samples = self.control.watched(now_s)
@@ -310,12 +310,12 @@ class LiveSession:
     def _show_faults(self, bus: Bus) -> None:
         engine = self.control.engine
         self._shown = (engine.revision, engine.changes)
-        # The newest state is kept for those who join later.
+        # Late joiners receive the newest state.
         state = msgspec.json.encode(engine.state())
         bus.put("schedule/state", state, "mavfault.v1.ScheduleState", history=1)
 
     def publish(self, stats: object, labels: Sequence[Label]) -> None:
-        """Tell the bus how the links and the faults are doing."""
+        """Publish the link statistics, the state of the faults and new labels."""
         if self._listener is not None:
             self._listener.add_labels(labels)
         if self._bus is None:
@@ -328,29 +328,29 @@ class LiveSession:
             )
 
     def publish_recording(self, failing: str | None, lost: int) -> None:
-        """Tell the bus whether what passes is being recorded."""
+        """Publish the state of the recording."""
         if self._bus is not None:
             state = {"failing": failing, "lost_records": lost}
             self._bus.put("proxy/recording", msgspec.json.encode(state), "mavfault.v1.Recording")
 
     @property
     def url(self) -> str | None:
-        """Where the bus is, once open."""
+        """Address of the Zenoh router; None if Zenoh is off."""
         return None if self._bus is None else self._bus.url
 
     @property
     def run(self) -> str | None:
-        """What this proxy is called there."""
+        """Name of this proxy on Zenoh; None if Zenoh is off."""
         return None if self._bus is None else self._bus.run
 
     @property
     def is_router(self) -> bool:
-        """Whether the others hang on this proxy."""
+        """Whether this proxy is the router for the others."""
         return self._bus is not None and self._bus.is_router
 
     def close(self) -> None:
-        """Close the bus and the port; requests that wait are given up."""
-        # The successor waits for this very thread to carry out its offer.
+        """Close Zenoh and the port, and cancel waiting queries."""
+        # The successor's thread waits for this thread to run its call.
         while self._successor.is_alive():
             self._requests.serve()
             self._successor.join(0.01)

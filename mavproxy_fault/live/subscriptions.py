@@ -1,8 +1,8 @@
-"""What viewers watch: chosen messages as they came and as they left, at a bounded rate.
+"""Viewer subscriptions: samples of chosen messages, as received and as sent, at a bounded rate.
 
-On either side the first frame in each fiftieth of a second of the vehicle's time is taken, so
-that a frame which no fault touched is the same sample on both. A message is watched as long as
-somebody goes on asking for it; without a viewer nothing is looked at.
+On either side the first frame in each 20 ms of the vehicle's time is sampled, so that a frame
+without a fault gives the same sample on both. A subscription expires unless it is renewed;
+without subscriptions no frame is sampled.
 """
 
 import struct
@@ -18,11 +18,11 @@ from mavproxy_fault.wire.frame import STX_V2, Frame, Number
 if TYPE_CHECKING:
     from mavproxy_fault.live.watched_ranges import RangeSampler
 
-PERIOD_US = 20_000
-LEASE_S = 5.0  # how long a message stays watched after the last request for it
+PERIOD_US = 20_000  # 50 Hz: enough for a plot
+LEASE_S = 5.0  # a subscription expires this long after its last renewal
 MOST_MESSAGES = 32
 MOST_SAMPLERS = 256
-MOST_ROWS = 100  # kept for a viewer's next look: two seconds
+MOST_ROWS = 100  # buffered between two reads: two seconds
 
 RANGES = "PSEUDORANGE"
 
@@ -30,11 +30,10 @@ Row = tuple[Number | None, ...]
 
 
 class Watched(msgspec.Struct, frozen=True, kw_only=True):
-    """Samples of one message of one source since the last look.
+    """Samples of one message of one sender since the last read.
 
-    `instance` tells sensors of one kind apart, or named values. A row is the stamp in microseconds
-    on the vehicle's clock, then the values by `fields`. `sent` is None where what left is what
-    came.
+    `instance` distinguishes sensors of one kind, or named values. A row is the timestamp [us] on
+    the vehicle's clock, then the values of `fields`. `sent` is None if it equals `received`.
     """
 
     message: str
@@ -47,7 +46,7 @@ class Watched(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MessageSampler:
-    """One message of one sender: how its payload is read, and its samples not yet drained."""
+    """Samples one message of one sender."""
 
     def __init__(self, described: Layout) -> None:
         fields = described.fields.values()
@@ -57,7 +56,7 @@ class MessageSampler:
             if field.type != "char"
             for n in range(max(field.count, 1))
         )
-        # Text has no place in a row of numbers: it is skipped by its length.
+        # Rows hold numbers only; text fields are skipped.
         self._payload = struct.Struct(
             "<"
             + "".join(
@@ -70,27 +69,27 @@ class MessageSampler:
         self._periods = [-1, -1]
 
     def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
-        """Take a sample, unless its fiftieth of a second has one."""
+        """Take a sample, unless this period already has one."""
         period = t_us // PERIOD_US
         rows = self.sent if sent else self.received
-        # Rows are bounded: a viewer may be slow or gone.
+        # Bounded: a viewer may be slow or gone.
         if period == self._periods[sent] or len(rows) >= MOST_ROWS:
             return
         self._periods[sent] = period
         size = self._payload.size
-        # MAVLink 2 cuts trailing zeros; fields of a newer dialect behind ours are cut off.
+        # MAVLink 2 truncates trailing zeros; extra fields of a newer dialect are ignored.
         values = self._payload.unpack(frame.payload[:size].ljust(size, b"\0"))
         rows.append((t_us, *values))
 
     def drain(self) -> tuple[tuple[str, ...], list[Row], list[Row]]:
-        """Fields, and rows of both sides since the last call."""
+        """Return the fields and the received and sent rows since the last call."""
         received, sent = self.received, self.sent
         self.received, self.sent = [], []
         return self.fields, received, sent
 
 
 class SubscribedMessages:
-    """The messages that are watched and their samples; `ids` are those of the frames to look at."""
+    """The subscribed messages and their samples; `ids` are the message ids to sample."""
 
     def __init__(self) -> None:
         self.ids: frozenset[int] = frozenset()
@@ -99,12 +98,12 @@ class SubscribedMessages:
         self._sources: dict[tuple[str, int, int, Number | str], MessageSampler | RangeSampler] = {}
 
     def watch(self, names: Iterable[str], now_s: float) -> None:
-        """Watch messages (or PSEUDORANGE, what is in TUNNEL) from now on, or go on doing so.
+        """Subscribe to messages (PSEUDORANGE: ranges in TUNNEL) or renew their subscriptions.
 
         Raises
         ------
         ConfigError
-            If one does not exist, or they are too many.
+            If a message does not exist or there are too many.
         """
         wanted = set(names)
         for name in wanted - {RANGES}:
@@ -114,18 +113,20 @@ class SubscribedMessages:
                 )
 
                 raise ConfigError(
-                    f"watch: {name} is no message; {suggest_known(name, message_names())}"
+                    f"watch: {name} is not a message; {suggest_known(name, message_names())}"
                 )
-        # Of all viewers together.
+        # The limit counts all viewers.
         count = len(wanted | self._until_s.keys())
         if count > MOST_MESSAGES:
-            raise ConfigError(f"watch: {count} messages are too many; at most {MOST_MESSAGES}")
+            raise ConfigError(
+                f"watch: {count} messages are too many; request at most {MOST_MESSAGES}"
+            )
         self._until_s |= dict.fromkeys(wanted, now_s + LEASE_S)
         self._index()
 
     def expire(self, now_s: float) -> None:
-        """Forget the messages that nobody asks for any more."""
-        # The usual case, without building anything.
+        """Drop expired subscriptions."""
+        # Fast path: none has expired.
         if all(until_s > now_s for until_s in self._until_s.values()):
             return
         self._until_s = {name: until for name, until in self._until_s.items() if until > now_s}
@@ -140,15 +141,15 @@ class SubscribedMessages:
         self.ids = frozenset(self._names)
 
     def received(self, frame: Frame, t_us: int) -> None:
-        """Look at a frame of a watched message that came."""
+        """Sample a received frame of a subscribed message."""
         self._note(frame, t_us, sent=False)
 
     def sent(self, raw: bytes, t_us: int) -> None:
-        """Look at bytes that left."""
-        # Too short for the header of a frame.
+        """Sample sent bytes if they are a frame of a subscribed message."""
+        # Too short for a frame header.
         if len(raw) < 8:
             return
-        # Only the id is read: most bytes that leave are watched by nobody.
+        # Only the id is read, since most messages have no viewer.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
             self._note(Frame(raw, message_layout(number)), t_us, sent=True)
@@ -161,14 +162,14 @@ class SubscribedMessages:
             key = (name, frame.system, frame.component, instance)
             source = self._sources.get(key)
             if source is None:
-                # Anybody on a link can make up senders.
+                # Bounded: a peer can send frames with any number of sender ids.
                 if len(self._sources) >= MOST_SAMPLERS:
                     return
                 source = self._sources[key] = new_sampler(name)
             source.note(frame, t_us, sent=sent)
 
     def drain(self) -> list[Watched]:
-        """The samples since the last call."""
+        """Return the samples since the last call."""
         found = []
         for (name, system, component, instance), source in self._sources.items():
             fields, received, sent = source.drain()
@@ -189,7 +190,7 @@ class SubscribedMessages:
 
 
 def new_sampler(name: str) -> "MessageSampler | RangeSampler":
-    """What reads the frames of one sender."""
+    """Return the sampler for one message of one sender."""
     if name != RANGES:
         return MessageSampler(message_layout(name))
     from mavproxy_fault.live.watched_ranges import (

@@ -1,33 +1,33 @@
-"""Pseudoranges that viewers watch: TUNNEL fragments of RTCM to rows of metres by satellite."""
+"""Pseudoranges for viewers: TUNNEL fragments of RTCM to rows of metres by satellite."""
 
 from mavproxy_fault.rtcm.msm7 import decode_msm7
 from mavproxy_fault.rtcm.transport import Reassembler, tunnel_payload
 from mavproxy_fault.wire.frame import Frame
 
-MOST_EPOCHS = 100  # kept for a viewer's next look
+MOST_EPOCHS = 100  # buffered between two reads: 20 s at 5 Hz
 
-Epochs = dict[int, dict[str, float]]  # metres by satellite, by stamp
+Epochs = dict[int, dict[str, float]]  # timestamp [us] to satellite to pseudorange [m]
 
 
 class RangeSampler:
-    """One receiver's ranges, as they came and as they left."""
+    """Samples the pseudoranges of one receiver, as received and as sent."""
 
     def __init__(self) -> None:
         self._messages = (Reassembler(), Reassembler())
         self._epochs: tuple[Epochs, Epochs] = ({}, {})
 
     def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
-        """Take a fragment; the ranges of the message that it completes."""
+        """Add a fragment and store the ranges of a completed message."""
         payload = tunnel_payload(frame)
         epochs = self._epochs[sent]
-        # A viewer that does not look loses epochs, not the proxy its memory.
+        # Bounded: a viewer that stops reading loses epochs.
         if payload is None or len(epochs) >= MOST_EPOCHS:
             return
         for message in self._messages[sent].add(payload):
             try:
                 data = decode_msm7(message)
             except ValueError:
-                continue  # an ephemeris, or nothing known
+                continue  # an ephemeris or an unknown message
             ranges = zip(data.satellites, data.pseudorange_m, strict=True)
             epochs.setdefault(t_us, {}).update(ranges)
 
@@ -38,7 +38,10 @@ class RangeSampler:
         list[tuple[int | float | None, ...]],
         list[tuple[int | float | None, ...]],
     ]:
-        """Satellites, and rows of both sides since the last call; None where one is missing."""
+        """Return the satellites and the received and sent rows since the last call.
+
+        A missing satellite is None.
+        """
         epochs, self._epochs = self._epochs, ({}, {})
         names = sorted({name for side in epochs for ranges in side.values() for name in ranges})
         received, sent = (

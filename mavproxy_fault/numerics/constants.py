@@ -1,6 +1,6 @@
-"""Constants that several parts share, each with its source; SI units.
+"""Shared physical constants in SI units, each with its source.
 
-Kernels of numba freeze them when they are compiled.
+Numba kernels fix their values at compilation.
 """
 
 # CGPM 1901, resolution 3: the standard acceleration of gravity, by definition.
@@ -17,11 +17,11 @@ WGS84_ECCENTRICITY2 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 # The same document, table 3.1; the Galileo OS SIS ICD 2.1 and BDS-SIS-ICD-B1I 3.0 give it too.
 WGS84_GM_M3PS2 = 3.986004418e14
 
-# The sphere on which differences of degrees become metres where a part in 300 does not matter:
-# the mean radius of the International Union of Geodesy and Geophysics, to a kilometre.
+# Mean radius by the International Union of Geodesy and Geophysics, rounded to a kilometre, for
+# conversions of small angles to metres where a relative error of 1/300 does not matter.
 MEAN_EARTH_RADIUS_M = 6_371_000.0
 
-# IS-GPS-200N, table 20-IV: GPS keeps the value of 1984, with which its orbits are fitted.
+# IS-GPS-200N, table 20-IV: GPS orbits are fitted with this value of 1984.
 GPS_GM_M3PS2 = 3.986005e14
 
 # IS-GPS-200N, table 20-IV, and the Galileo OS SIS ICD 2.1, section 5.1.1: for broadcast orbits.

@@ -22,14 +22,14 @@ _GRAVITY_M = 0.00344978650684  # omega^2 a^2 b / mu
 
 
 def curvature_radii(lat_rad: ArrayLike) -> tuple[Array, Array]:
-    """Radii of curvature in the meridian and in the prime vertical [m]."""
+    """Return the radii of curvature in the meridian and in the prime vertical [m]."""
     w2 = 1.0 - WGS84_ECCENTRICITY2 * np.sin(lat_rad) ** 2
     prime = WGS84_SEMI_MAJOR_M / np.sqrt(w2)
     return np.asarray(prime * (1.0 - WGS84_ECCENTRICITY2) / w2), np.asarray(prime)
 
 
 def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike) -> Array:
-    """Earth-centred, Earth-fixed position (..., 3) [m]."""
+    """Convert geodetic coordinates to ECEF positions (..., 3) [m]."""
     lat, lon, height = np.broadcast_arrays(
         np.asarray(lat_rad, dtype=float),
         np.asarray(lon_rad, dtype=float),
@@ -39,7 +39,7 @@ def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLi
 
 
 def ecef_of(lat_rad: Array, lon_rad: Array, height_m: Array) -> tuple[Array, Array, Array]:
-    """Earth-fixed x, y, z [m] of geodetic coordinates; scalars and arrays (n,), also compiled."""
+    """Convert geodetic coordinates to ECEF x, y, z [m]; scalars or arrays (n,), also compiled."""
     s = np.sin(lat_rad)
     prime = WGS84_SEMI_MAJOR_M / np.sqrt(1.0 - WGS84_ECCENTRICITY2 * s * s)
     across = (prime + height_m) * np.cos(lat_rad)
@@ -48,10 +48,10 @@ def ecef_of(lat_rad: Array, lon_rad: Array, height_m: Array) -> tuple[Array, Arr
 
 
 def geodetic_of(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Latitude, longitude [rad] and height [m] of Earth-fixed coordinates [m].
+    """Convert ECEF coordinates [m] to latitude, longitude [rad] and height [m].
 
-    Bowring's iteration on the reduced latitude (Survey Review 23, 1976); three rounds leave less
-    than a nanometre up to 10,000 km. Scalars and arrays (n,) alike; the simulator compiles it.
+    Bowring's iteration on the reduced latitude (Survey Review 23, 1976); after three iterations
+    the error is below a nanometre up to 10,000 km. Scalars or arrays (n,), also compiled.
     """
     p = np.sqrt(x * x + y * y)
     second = WGS84_ECCENTRICITY2 / (1.0 - WGS84_ECCENTRICITY2)
@@ -73,13 +73,13 @@ def geodetic_of(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
 
 
 def geodetic_from_ecef(r_ecef_m: ArrayLike) -> tuple[Array, Array, Array]:
-    """Latitude, longitude [rad] and height above the ellipsoid [m] of positions (..., 3) [m]."""
+    """Convert ECEF positions (..., 3) [m] to latitude, longitude [rad] and height [m]."""
     r = np.asarray(r_ecef_m, dtype=float)
     return geodetic_of(r[..., 0], r[..., 1], r[..., 2])
 
 
 def rot_en(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """Matrix (..., 3, 3) that takes local NED vectors to Earth-fixed axes."""
+    """Return the matrix (..., 3, 3) that rotates local NED vectors to ECEF axes."""
     sp, cp = np.sin(lat_rad), np.cos(lat_rad)
     sl, cl = np.sin(lon_rad), np.cos(lon_rad)
     zero = np.zeros_like(sp * sl)
@@ -92,9 +92,9 @@ def rot_en(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
 
 
 def gravity(lat_rad: ArrayLike, height_m: ArrayLike) -> Array:
-    """Normal gravity along the local vertical [m/s^2]: Somigliana, with height to second order.
+    """Return normal gravity along the vertical [m/s^2]: Somigliana, second order in height.
 
-    Scalars and arrays alike; the simulator compiles it.
+    Scalars or arrays, also compiled.
     """
     s2 = np.sin(lat_rad) ** 2
     surface = (

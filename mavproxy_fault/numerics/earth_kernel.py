@@ -1,4 +1,4 @@
-"""The Earth's coordinates one place at a time, for compiled callers; `earth` has the formulas."""
+"""Coordinate conversions of single positions for compiled callers; formulas in `earth`."""
 
 from collections.abc import Callable
 from math import cos, sin
@@ -13,20 +13,20 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 Vector = NDArray[np.float64]
 _Coordinates = Callable[[float, float, float], tuple[float, float, float]]
 
-# The formulas serve arrays and scalars alike, so that compiling them is all they need.
+# The formulas accept scalars and arrays, so they only need compiling.
 geodetic_of = cast(_Coordinates, inlined(earth.geodetic_of))
 ecef_of = cast(_Coordinates, inlined(earth.ecef_of))
 
 
 @compiled
 def geodetic_position(r_ecef_m: Vector) -> tuple[float, float, float]:
-    """Latitude and longitude in rad and ellipsoidal height in m of a place (3,) in ECEF."""
+    """Convert an ECEF position (3,) [m] to latitude, longitude [rad] and height [m]."""
     return geodetic_of(r_ecef_m[0], r_ecef_m[1], r_ecef_m[2])
 
 
 @compiled
 def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
-    """Rows (3, 3): north, east and down in ECEF."""
+    """Return the matrix (3, 3) whose rows are north, east and down in ECEF axes."""
     sl, cl = sin(lat_rad), cos(lat_rad)
     so, co = sin(lon_rad), cos(lon_rad)
     out = np.zeros((3, 3))

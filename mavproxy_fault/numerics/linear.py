@@ -1,4 +1,4 @@
-"""Small dense linear algebra for the kernels: plain loops, which compile fast and stay in cache."""
+"""Small dense linear algebra for the kernels, as plain loops that compile fast."""
 
 import math
 
@@ -12,7 +12,7 @@ Vector = NDArray[np.float64]
 
 @compiled
 def multiply_matrices(a: Vector, b: Vector) -> Vector:
-    """a b (n, m) of a (n, k) and b (k, m)."""
+    """Return the product a b (n, m) of a (n, k) and b (k, m)."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -35,7 +35,7 @@ def add_product(out: Vector, scale: float, a: Vector, b: Vector) -> None:
 
 @compiled
 def transpose_matrix(a: Vector) -> Vector:
-    """a' (m, n) as an array of its own."""
+    """Return a copy (m, n) of the transpose of a (n, m)."""
     out = np.empty((a.shape[1], a.shape[0]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -45,7 +45,7 @@ def transpose_matrix(a: Vector) -> Vector:
 
 @compiled
 def multiply_vector(a: Vector, v: Vector) -> Vector:
-    """a v (n,) of a (n, k) and v (k,)."""
+    """Return the product a v (n,) of a (n, k) and v (k,)."""
     out = np.zeros(a.shape[0])
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -55,12 +55,12 @@ def multiply_vector(a: Vector, v: Vector) -> Vector:
 
 @compiled
 def cholesky_factor(s: Vector) -> Vector:
-    """Cholesky's lower triangle of a positive definite matrix (n, n); NaN where it is not."""
+    """Return the lower Cholesky factor (n, n) of a matrix; NaN if not positive definite."""
     n = s.shape[0]
     low = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
-            # Rounding leaves a covariance a little asymmetric: the mean of both halves counts.
+            # Mean of both triangles, since rounding makes a covariance slightly asymmetric.
             total = 0.5 * (s[i, j] + s[j, i])
             for k in range(j):
                 total -= low[i, k] * low[j, k]
@@ -73,7 +73,7 @@ def cholesky_factor(s: Vector) -> Vector:
 
 @compiled
 def invert_lower(low: Vector) -> Vector:
-    """The inverse of a lower triangle (n, n)."""
+    """Return the inverse of a lower triangular matrix (n, n)."""
     n = low.shape[0]
     root = np.zeros((n, n))
     for i in range(n):
@@ -89,7 +89,7 @@ def invert_lower(low: Vector) -> Vector:
 
 @compiled
 def gram_matrix(a: Vector) -> Vector:
-    """a' a (n, n)."""
+    """Return the Gram matrix a' a (n, n) of a (m, n)."""
     n = a.shape[1]
     out = np.zeros((n, n))
     for k in range(a.shape[0]):
@@ -103,5 +103,5 @@ def gram_matrix(a: Vector) -> Vector:
 
 @compiled
 def invert_positive_definite(s: Vector) -> Vector:
-    """The inverse of a positive definite matrix (n, n), by Cholesky; NaN where it is not."""
+    """Invert a positive definite matrix (n, n) by Cholesky; NaN if it is not."""
     return gram_matrix(invert_lower(cholesky_factor(s)))

@@ -10,10 +10,10 @@ UNKNOWN_DATE = datetime(2025, 1, 1, tzinfo=UTC)  # the newest model's epoch
 
 
 def date_of(stamp_us: int) -> datetime:
-    """The day of a stamp in Unix time; 1 January 2025 for a clock that counts from boot.
+    """Return the date of a Unix timestamp; 1 January 2025 for a clock that counts from boot.
 
-    So it is too for years that no model covers. Recordings on GPS time would be read ten years
-    early; they hold no magnetometer.
+    The same date is used for years outside all models. Timestamps in GPS time would give a date
+    ten years early, but recordings with GPS time have no magnetometer.
     """
     first_us, end_us = MODELLED_US
     if not first_us <= stamp_us < end_us:
@@ -25,7 +25,7 @@ def date_of(stamp_us: int) -> datetime:
 def magnetic_field_gauss(
     lat_deg: float, lon_deg: float, height_m: float, time: datetime
 ) -> tuple[float, float, float]:
-    """Field vector at a place and time, north, east, down [gauss].
+    """Return the field vector at a place and time, NED [gauss].
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""Elementary functions as branch-free polynomials, so that LLVM can vectorise loops that use them.
+"""Elementary functions as branch-free polynomials, so that LLVM can vectorise loops with them.
 
-Numba ships no vector mathematics library: a call of `math.sin` inside a loop keeps LLVM from
-turning the loop into SIMD code. These forms use arithmetic, comparisons that become selects, and
-bit patterns only. The sine's and cosine's coefficients are those of the Cephes library (S. Moshier,
-Methods and Programs for Mathematical Functions, 1989: sin.c). Cephes' exp.c and atan.c divide two
-polynomials, which costs a SIMD unit more than a longer polynomial does: those here are minimax fits
-(Lawson's reweighting in 40 digits). Errors stay below 1e-15.
+Numba has no vector mathematics library: a call of `math.sin` in a loop prevents SIMD code. These
+functions use arithmetic, comparisons that become selects, and bit patterns only. The coefficients
+of sine and cosine are those of the Cephes library (S. Moshier, Methods and Programs for
+Mathematical Functions, 1989: sin.c). Cephes' exp.c and atan.c divide two polynomials, which is
+slower in SIMD than a longer polynomial: those here are minimax fits (Lawson's reweighting in 40
+digits). Errors are below 1e-15.
 """
 
 import math
@@ -21,7 +21,7 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it leaves the nearest integer 
 _HALF_PI_HEAD = 2.0 * 7.85398125648498535156e-1
 _HALF_PI_MIDDLE = 2.0 * 3.77489470793079817668e-8
 _HALF_PI_TAIL = 2.0 * 2.69515142907905952645e-15
-_TINY = 1e-300  # keeps 0 / 0 out of the angle at the origin
+_TINY = 1e-300  # avoids 0 / 0 in the angle of the origin
 _intrinsic: Callable[[Any], Callable[..., Any]] = intrinsic
 
 
@@ -47,8 +47,8 @@ def _float(_context: Any, _i: Any) -> Any:
 
 @_intrinsic
 def fma(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
-    """a * b + c, rounded once: a third of the time of a polynomial, and the same bits wherever it
-    is inlined, which LLVM's own choice of what to fuse would not give."""
+    """Return a * b + c, rounded once: faster polynomials with the same bits wherever they are
+    inlined, which LLVM's automatic contraction does not guarantee."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.fma(*args)
@@ -59,11 +59,11 @@ def fma(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
 
 @inlined
 def sin_cos(x: float) -> tuple[float, float]:
-    """Sine and cosine of an angle in radians; |x| up to about 1e5."""
+    """Return sine and cosine of an angle [rad], |x| up to about 1e5."""
     shifted = x * (2.0 / math.pi) + _ROUND
     k = shifted - _ROUND
     quadrant = _bits(shifted)
-    # Half pi in three parts (Cody and Waite): one rounded constant would cost digits of r.
+    # Half pi in three parts (Cody and Waite), since one rounded constant would lose digits of r.
     r = ((x - k * _HALF_PI_HEAD) - k * _HALF_PI_MIDDLE) - k * _HALF_PI_TAIL
     z = r * r
     s = fma(1.58962301576546568060e-10, z, -2.50507477628578072866e-8)
@@ -84,19 +84,19 @@ def sin_cos(x: float) -> tuple[float, float]:
 
 @inlined
 def exp(x: float) -> float:
-    """Exponential for |x| < 700."""
+    """Return the exponential, |x| < 700."""
     shifted = x * 1.4426950408889634073599 + _ROUND
     k = shifted - _ROUND
     r = x - k * 6.93145751953125e-1 - k * 1.42860682030941723212e-6
     z = r * r
-    # two chains, even and odd powers, so that they run side by side
+    # two independent chains, of even and odd powers, run in parallel
     even = fma(2.7620062488319502291e-7, z, 2.4801521354428684041e-5)
     even = fma(fma(even, z, 1.3888888917172766157e-3), z, 4.1666666666624219037e-2)
     even = fma(even, z, 5.000000000000001019e-1)
     odd = fma(2.5108784815228029737e-8, z, 2.7557245762879120345e-6)
     odd = fma(fma(odd, z, 1.9841269883495880177e-4), z, 8.3333333333232438988e-3)
     odd = fma(odd, z, 1.6666666666666673591e-1)
-    # Two to the k, made of its exponent bits.
+    # 2^k from its exponent bits.
     power: float = _float((_bits(shifted) + 1023) << 52)
     result: float = (1.0 + fma(z, fma(r, odd, even), r)) * power
     return result
@@ -104,18 +104,18 @@ def exp(x: float) -> float:
 
 @inlined
 def atan2(y: float, x: float) -> float:
-    """Angle of the point (x, y) in (-pi, pi]; zero at the origin."""
+    """Return the angle of the point (x, y) in (-pi, pi]; zero at the origin."""
     ax = abs(x)
     ay = abs(y)
     steep = ay > ax
     small = ax if steep else ay
     large = (ay if steep else ax) + _TINY
-    middle = small > 0.41421356237309504880 * large  # beyond pi/8: turn by pi/4
+    middle = small > 0.41421356237309504880 * large  # beyond pi/8: rotate by pi/4
     numerator = small - large if middle else small
     denominator = small + large if middle else large
     t = numerator / denominator
     z = t * t
-    y2 = z * z  # two chains here too
+    y2 = z * z  # two independent chains
     even = fma(-1.9224032802665330409e-2, y2, -5.0869019974783451099e-2)
     even = fma(fma(even, y2, -6.6645465124563498738e-2), y2, -9.0909046966065577224e-2)
     even = fma(fma(even, y2, -1.4285714284706852364e-1), y2, -3.3333333333333330327e-1)

@@ -1,4 +1,4 @@
-"""Thermal noise of a receiver's code and frequency loops by carrier-to-noise density.
+"""Thermal noise of a receiver's code and frequency loops as a function of C/N0.
 
 References
 ----------
@@ -15,25 +15,24 @@ from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 
 Vector = NDArray[np.float64]
 
-# The C/A code's rate; E1's is the same.
+# The code rate of C/A and E1.
 CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
 L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
-CORRELATOR_CHIPS = 0.1  # early to late
-CODE_LOOP_HZ = 0.25  # aided by the carrier
+CORRELATOR_CHIPS = 0.1  # early-late spacing; with the bandwidths, chosen as usual values of [1]_
+CODE_LOOP_HZ = 0.25  # carrier-aided
 FREQUENCY_LOOP_HZ = 2.0
 INTEGRATION_S = 0.02
 
 
 def code_sigma_m(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise (n,) of the pseudorange [1]_; scalars and arrays alike, here and below."""
+    """Return the thermal noise [m] of the pseudorange [1]_ for a C/N0 (scalar or (n,))."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
-    # Grows with the correlators' spacing and the loop's bandwidth, falls with the signal.
     sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
     return sigma
 
 
 def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
-    """Thermal noise (n,) of the range rate [1]_."""
+    """Return the thermal noise [m/s] of the range rate [1]_ for a C/N0 (scalar or (n,))."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
     scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
     sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)

@@ -1,5 +1,5 @@
-"""RINEX files: their text, and observations with faults in them.
+"""RINEX files: their text, and faults on their observations.
 
-An *epoch of ranges* passes through the fault engine as a message does; what the faults made of it
-is written back into the lines it came from.
+A *range epoch* passes through the fault engine like a message; the changes are then written back
+to its lines.
 """

@@ -1,4 +1,4 @@
-"""The numbers behind the first line of a record of a navigation file.
+"""The numbers of a navigation record, after its first line.
 
 References
 ----------
@@ -8,17 +8,17 @@ References
 from collections.abc import Sequence
 from typing import TypedDict
 
-# Four a line. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1; DELAY_B is Galileo's BGD(E1,E5b) and
-# stands where GPS has the IODC; SOURCE is Galileo's, where GPS tells the codes on L2.
+# Four per line. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1; DELAY_B is Galileo's BGD(E1,E5b), for
+# GPS the IODC; SOURCE is Galileo's data source, for GPS the codes on L2.
 (IODE, CRS, DELTA_N, M0, CUC, ECCENTRICITY, CUS, SQRT_A) = range(8)
 (TOE, CIC, OMEGA0, CIS, I0, CRC, OMEGA, OMEGA_DOT) = range(8, 16)
 (IDOT, SOURCE, WEEK, L2P, ACCURACY, HEALTH, DELAY, DELAY_B) = range(16, 24)
-SENT, FIT = 24, 25  # when it was sent, and for how many hours GPS's holds
+SENT, FIT = 24, 25  # transmission time, and GPS's fit interval [h]
 
 
 class OrbitElements(TypedDict):
-    """Of an orbit, by the names of `Ephemeris`; second harmonics of radius, argument of latitude
-    and inclination are the last six."""
+    """Orbital elements with the names of `Ephemeris`; the last six are the second harmonics of
+    radius, argument of latitude and inclination."""
 
     sqrt_a: float
     eccentricity: float
@@ -38,7 +38,7 @@ class OrbitElements(TypedDict):
 
 
 def orbit_elements(v: Sequence[float]) -> OrbitElements:
-    """The orbit's elements in a record's numbers."""
+    """Return the orbital elements of a record's numbers."""
     return OrbitElements(
         sqrt_a=v[SQRT_A],
         eccentricity=v[ECCENTRICITY],

@@ -1,7 +1,7 @@
-"""Where the observations of a RINEX 2, 3 or 4 observation file stand, and how they are changed.
+"""Finds the observations in the lines of a RINEX 2, 3 or 4 observation file.
 
-Every code of a satellite is one range to faults: a bias is added to all of them, phase and Doppler
-stay. What a spoofer sends is another signal, whose phase and Doppler are others too.
+A range fault changes all codes of a satellite alike, but not its phase and Doppler. A spoofed
+signal has another phase and Doppler too.
 
 References
 ----------
@@ -16,27 +16,27 @@ from mavproxy_fault.rinex.rinex_text import types_2, types_3
 from mavproxy_fault.rinex.signal_fields import FIELD, ObservationField
 
 GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
-NAME = 3  # the satellite's name begins a line of RINEX 3
+NAME = 3  # a line of RINEX 3 begins with the satellite's name
 PER_LINE_2 = 5  # observations in a line of RINEX 2
 HEAD_NAMES_2, NAMES_AT_2 = 12, 32
-CENTURY_2 = 80  # years from here on are of the twentieth
+CENTURY_2 = 80  # years from here on are in the twentieth century
 
 
 class FileEpoch(NamedTuple):
-    """Stamp in us since the start of GPS time, and the observations of each satellite."""
+    """Timestamp [us] since the start of GPS time, and the observations of each satellite."""
 
     t_us: int
     observations: dict[str, list[ObservationField]]
 
 
 def file_epochs(lines: Sequence[str], version: float, start: int) -> Iterator[FileEpoch]:
-    """The epochs behind a header that ends before line `start`."""
+    """Yield the epochs after a header that ends before line `start`."""
     header = lines[:start]
     return _epochs_3(lines, start, header) if version >= 3.0 else _epochs_2(lines, start, header)
 
 
 def _stamp_us(year: int, words: Sequence[str]) -> int:
-    """Of month, day, hour, minute and second in GPS time."""
+    """Convert month, day, hour, minute and second in GPS time to a timestamp [us]."""
     month, day, hour, minute = (int(word) for word in words[:4])
     since = datetime(year, month, day, hour, minute, tzinfo=UTC) - GPS_ZERO
     return since // timedelta(microseconds=1) + round(float(words[4]) * 1e6)
@@ -82,7 +82,7 @@ def _epochs_2(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[
         found: dict[str, list[ObservationField]] = {}
         for k in range(count if flag <= 1 else 0):
             name = names[3 * k : 3 * k + 3].replace(" ", "0")
-            name = "G" + name[1:] if name[:1] == "0" else name  # GPS's letter may be left out
+            name = "G" + name[1:] if name[:1] == "0" else name  # the letter of GPS is optional
             found[name] = [
                 ObservationField(kind, at + i // PER_LINE_2, FIELD * (i % PER_LINE_2))
                 for i, kind in enumerate(types)

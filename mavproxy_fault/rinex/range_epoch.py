@@ -1,4 +1,4 @@
-"""The ranges of one epoch as the fault engine sees them: a message of its own, on no link."""
+"""The ranges of one epoch of a file, as a message for the fault engine."""
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -10,7 +10,7 @@ from mavproxy_fault.wire.dialect import message_layout
 
 
 class Setting(NamedTuple):
-    """A parameter of the plant, and how fast it changes per second."""
+    """The value of a plant parameter and its rate per second."""
 
     value: float
     rate: float
@@ -21,10 +21,10 @@ UNSET: Mapping[str, Setting] = MappingProxyType({})
 
 
 class RangeEpoch(msgspec.Struct, frozen=True):
-    """Satellites by name, metres added to their ranges, those that are lost, and the plant's
-    parameters (`spoof_north_m[all]`) that are set."""
+    """Satellites by name, metres added to their ranges, lost satellites, and plant parameters such
+    as `spoof_north_m[all]`."""
 
-    # Faults of satellites ask for the message that carries raw ranges on a link.
+    # Satellite faults act on the message that carries raw ranges on a link.
     id: ClassVar[int] = message_layout("TUNNEL").id
     system: ClassVar[int] = 0
     component: ClassVar[int] = 0
@@ -35,12 +35,12 @@ class RangeEpoch(msgspec.Struct, frozen=True):
     settings: Mapping[str, Setting] = UNSET
 
     def changed(self, added_m: Mapping[str, float], lost: Iterable[str]) -> "RangeEpoch":
-        """The epoch with more metres on some ranges, and without some satellites."""
+        """Return the epoch with metres added to ranges and further satellites lost."""
         sums = dict(self.added_m)
         for name, metres in added_m.items():
             sums[name] = sums.get(name, 0.0) + metres
         return msgspec.structs.replace(self, added_m=sums, lost=self.lost | frozenset(lost))
 
     def with_settings(self, settings: Mapping[str, Setting]) -> "RangeEpoch":
-        """The epoch with more of the plant's parameters set; the newest of a name holds."""
+        """Return the epoch with further plant parameters; the newest value of a name counts."""
         return msgspec.structs.replace(self, settings={**self.settings, **settings})

@@ -1,4 +1,4 @@
-"""The lines of a RINEX file, unpacked where it is packed, and what its header says of itself."""
+"""Reads the lines of a RINEX file, compressed or not, and its header."""
 
 import re
 import zlib
@@ -12,7 +12,7 @@ PACKED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
 
 
 def read_rinex_text(path: Path) -> list[str]:
-    """The lines of a RINEX file, unpacked where it is compressed.
+    """Read the lines of a RINEX file, decompressed if necessary.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def read_rinex_text(path: Path) -> list[str]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read; {error.strerror}") from error
+        raise ConfigError(f"{path}: {error.strerror}; give a RINEX file") from error
     if path.name.lower().endswith(PACKED) or b"CRINEX" in data[:80]:
         data = _decompressed(data, path)
     lines = data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
@@ -40,43 +40,43 @@ def _decompressed(data: bytes, path: Path) -> bytes:
         reason = str(error).strip().splitlines()
         raise ConfigError(
             f"{path}: cannot be decompressed ({reason[-1] if reason else type(error).__name__});"
-            " a whole gzip, zip, bzip2, compress or Hatanaka file can"
+            " give a complete gzip, zip, bzip2, compress or Hatanaka file"
         ) from error
     return unpacked
 
 
 def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[float, int]:
-    """The version of a RINEX file and where its header ends.
+    """Return the version of a RINEX file and the line at which its header ends.
 
     Raises
     ------
     ConfigError
-        If the file is of none of the `kinds`, or its header is no header.
+        If the file is of none of the `kinds`, or its header is invalid.
     """
     version, kind = lines[0][:9].strip(), lines[0][20:21]
     if kind not in kinds or not kind.strip():
-        raise ConfigError(f"{path}: has type {kind!r}; {called} has {kinds[0]}")
+        raise ConfigError(f"{path}: has type {kind!r}; give {called}, type {kinds[0]}")
     if not re.fullmatch(r"[234](\.\d+)?", version):
-        raise ConfigError(f"{path}: has version {version!r}; 2.00 to 4.02 can be read")
+        raise ConfigError(f"{path}: has version {version!r}; supported: 2.00 to 4.02")
     end = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
     if end is None:
-        raise ConfigError(f"{path}: has no END OF HEADER; the header is cut short")
+        raise ConfigError(f"{path}: has no END OF HEADER; give a file with a complete header")
     return float(version), end
 
 
 def types_3(header: Sequence[str]) -> dict[str, list[str]]:
-    """What a RINEX 3 or 4 observation file holds of each system, in the order of its fields."""
+    """Return the observation types of each system in a RINEX 3 or 4 file, in field order."""
     types: dict[str, list[str]] = {}
     system = ""
     for line in header:
         if line[60:].startswith("SYS / # / OBS TYPES"):
-            system = line[0] if line[0] != " " else system  # blank where a list goes on
+            system = line[0] if line[0] != " " else system  # blank in continuation lines
             types.setdefault(system, []).extend(line[6:60].split())
     return types
 
 
 def types_2(header: Sequence[str]) -> list[str]:
-    """The same of a RINEX 2 file, where all systems have the same."""
+    """Return the observation types of a RINEX 2 file, the same for all systems."""
     return [
         name
         for line in header

@@ -1,6 +1,6 @@
-"""What faults make of a satellite's signal at the antenna of a recording.
+"""Computes the changes that faults make to satellite signals in a recording.
 
-A spoofed signal is that of another place and time: code, phase and Doppler move alike.
+A spoofed signal is that of another position and time: code, phase and Doppler change consistently.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,8 +13,7 @@ from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
 from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS, INDEXED, SPOOF
 
 Vector = NDArray[np.float64]
-# At a stamp: (6,) from the receiver to each satellite, north, east and down [m], and its change
-# [m/s].
+# For a timestamp: vector (6,) from the receiver to each satellite, NED [m], and its rate [m/s].
 Sky = Callable[[int], Mapping[str, Vector]]
 
 HEALTHY = Setting(0.0, 0.0)
@@ -22,8 +21,8 @@ ALL_SYSTEMS = "GEJ"  # the systems that `[all]` stands for
 
 
 class SignalChange(NamedTuple):
-    """Metres on the code alone, metres on code and phase, the range rate's part that goes with
-    them, decibels taken away, and whether the signal is lost."""
+    """Change of the code only [m], of code and phase [m], of the range rate [m/s], loss of C/N0
+    [dB], and whether the signal is lost."""
 
     code_m: float = 0.0
     signal_m: float = 0.0
@@ -35,8 +34,8 @@ class SignalChange(NamedTuple):
 def signal_changes(
     epoch: RangeEpoch, t_us: int, sky: Sky | None
 ) -> Iterator[tuple[str, SignalChange]]:
-    """Each satellite of an epoch whose signal is another one, and how; `sky` is asked for those
-    that are spoofed to another place."""
+    """Yield each satellite with a changed signal, and the change; `sky` gives the satellites'
+    positions for a spoofed receiver position."""
     for name in epoch.satellites:
         of = _settings_of(name, epoch.settings)
         spoof = np.array([of.get(base, HEALTHY) for base in SPOOF])
@@ -47,7 +46,7 @@ def signal_changes(
             if spoof[:3].any():
                 assert sky is not None
                 seen = sky(t_us).get(name)
-                # Without an orbit nobody can make its signal up: the spoofer's are all there is.
+                # A satellite without an orbit cannot be spoofed to another position.
                 moved = (0.0, 0.0) if seen is None else _moved(seen, spoof[:3])
                 signal_m, rate_mps = signal_m + moved[0], rate_mps + moved[1]
         change = SignalChange(
@@ -62,16 +61,16 @@ def signal_changes(
 
 
 def needs_sky(names: Iterable[str]) -> bool:
-    """Whether one of the plant's parameters pretends another place."""
+    """Whether one of the plant parameters spoofs another position."""
     return any(name.startswith(SPOOF[:3]) for name in names)
 
 
 def _settings_of(satellite: str, settings: Mapping[str, Setting]) -> dict[str, Setting]:
-    """The plant's parameters of one satellite by their name without the index."""
+    """Return the plant parameters of one satellite by name without index."""
     found = {}
     for name, setting in settings.items():
         parts = INDEXED.fullmatch(name)
-        assert parts is not None  # `check_plant_name` has seen it
+        assert parts is not None  # by `check_plant_name`
         everybody = parts[2] == "all" and satellite[0] in ALL_SYSTEMS
         if everybody or parts[2] in (satellite[0], satellite):
             found[parts[1]] = setting
@@ -79,8 +78,8 @@ def _settings_of(satellite: str, settings: Mapping[str, Setting]) -> dict[str, S
 
 
 def _moved(seen: Vector, spoof: Vector) -> tuple[float, float]:
-    """How much longer a range (m) and its rate (m/s) are from the pretended place; `spoof` (3, 2)
-    is that place north, east and down of the true one, and its velocity."""
+    """Return the change of range [m] and range rate [m/s] at the spoofed position; `spoof` (3, 2)
+    is its NED offset from the true position, and its velocity."""
     place, motion = seen[:3], seen[3:]
     there, passing = place - spoof[:, 0], motion - spoof[:, 1]
     here_m, there_m = float(np.linalg.norm(place)), float(np.linalg.norm(there))

@@ -1,4 +1,4 @@
-"""The observations of one satellite in a RINEX file, and what a changed signal makes of them."""
+"""Writes a changed signal to the observation fields of a satellite in a RINEX file."""
 
 import math
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from mavproxy_fault.numerics.signal_noise import code_sigma_m, rate_sigma_mps
 from mavproxy_fault.rinex.signal_change import SignalChange
 
 FIELD, VALUE = 16, 14  # F14.3, loss of lock, signal strength
-LOCK_DBHZ = 25.0  # weaker signals are lost, as in the simulator's receiver
-USUAL_DBHZ = 45.0  # where a file does not tell
-CODES = "CP"  # RINEX 2 calls the code on the encrypted signal P
+LOCK_DBHZ = 25.0  # weaker signals are lost; same as the simulated receiver
+USUAL_DBHZ = 45.0  # chosen: typical in the open sky, for files without S fields
+CODES = "CP"  # P is the code of the encrypted signal in RINEX 2
 # Carriers by system and band: RINEX 3.05, tables 4 (GPS), 6 (Galileo) and 8 (QZSS).
 CARRIERS_MHZ = {
     "G": {"1": 1575.42, "2": 1227.6, "5": 1176.45},
@@ -24,7 +24,7 @@ CARRIERS_MHZ = {
 
 
 class ObservationField(NamedTuple):
-    """One field of a satellite: what is observed (`C1C`, or `C1` in RINEX 2), line and column."""
+    """One field of a satellite: its type (`C1C`, or `C1` in RINEX 2), line and column."""
 
     name: str
     at: int
@@ -32,7 +32,7 @@ class ObservationField(NamedTuple):
 
     @property
     def signal(self) -> str:
-        """What all observations of one signal share."""
+        """The part of the type that all observations of one signal share."""
         return self.name[1:]
 
 
@@ -43,10 +43,10 @@ def write_change(
     change: SignalChange,
     rng: np.random.Generator,
 ) -> None:
-    """Write a changed signal into the fields of its satellite, in place.
+    """Write a changed signal to the fields of its satellite, in place.
 
-    A weaker signal is noisier, by the loops' thermal noise at its new strength beyond that at its
-    old one, and lost below `LOCK_DBHZ`; a field that is lost is blank, "not observed".
+    A weaker signal gets noise, the difference in thermal noise between the new and the old C/N0,
+    and is lost below `LOCK_DBHZ`; the fields of a lost signal are blank, "not observed".
     """
     strengths = {o.signal: _number(lines, o) for o in observations if o.name[0] == "S"}
     for signal in sorted({o.signal for o in observations}):
@@ -58,9 +58,9 @@ def write_change(
         carrier_mhz = CARRIERS_MHZ.get(satellite[0], {}).get(signal[0], math.inf)
         wave_m = SPEED_OF_LIGHT_MPS * 1e-6 / carrier_mhz
         added = {code: change.code_m + change.signal_m + float(noise_m) for code in CODES}
-        if wave_m:  # of an unknown carrier the cycles stay
+        if wave_m:  # with an unknown carrier, the phase stays
             added["L"] = change.signal_m / wave_m
-            # A positive Doppler shift is a satellite that comes nearer.
+            # The Doppler shift of an approaching satellite is positive.
             added["D"] = -(change.rate_mps + float(noise_mps)) / wave_m
         added["S"] = -change.drop_db
         for observation in own:
@@ -68,14 +68,14 @@ def write_change(
 
 
 def _extra_sigma(before_dbhz: float, after_dbhz: float) -> NDArray[np.float64]:
-    """Standard deviations (2,) of the noise of range [m] and rate [m/s] that is added."""
+    """Return the standard deviations (2,) of the added noise of range [m] and rate [m/s]."""
     strengths = np.array([after_dbhz, before_dbhz])
     variances = np.array([code_sigma_m(strengths), rate_sigma_mps(strengths)]) ** 2
     return np.asarray(np.sqrt(variances[:, 0] - variances[:, 1]))
 
 
 def _number(lines: Sequence[str], observation: ObservationField) -> float | None:
-    """What a field holds; None where it is blank or zero, which RINEX knows as "not observed"."""
+    """Read a field; None if it is blank or zero, "not observed" in RINEX."""
     column = observation.column
     try:
         value = float(lines[observation.at][column : column + VALUE])
@@ -85,7 +85,7 @@ def _number(lines: Sequence[str], observation: ObservationField) -> float | None
 
 
 def _write(lines: list[str], observation: ObservationField, added: float) -> None:
-    """Add to a field that holds a number; NaN makes it blank."""
+    """Add to the number of a field; NaN makes it blank."""
     before, column = _number(lines, observation), observation.column
     if before is None or added == 0.0:
         return

@@ -4,17 +4,17 @@ from collections.abc import Iterable, Sequence
 
 
 class BitReader:
-    """Reads fields one after another from the first bit of `data`."""
+    """Reads consecutive fields from the first bit of `data`."""
 
     __slots__ = ("_remaining_bits", "_value")
 
     def __init__(self, data: bytes) -> None:
-        # One large integer: a field is a shift and a mask, wherever it begins.
+        # As one large integer, a field at any offset is a shift and a mask.
         self._value = int.from_bytes(data, "big")
         self._remaining_bits = 8 * len(data)
 
     def unsigned(self, width: int) -> int:
-        """The next `width` bits.
+        """Read an unsigned number of `width` bits.
 
         Raises
         ------
@@ -27,23 +27,23 @@ class BitReader:
         return (self._value >> self._remaining_bits) & ((1 << width) - 1)
 
     def signed(self, width: int) -> int:
-        """The next `width` bits as a two's complement number."""
+        """Read a two's complement number of `width` bits."""
         value = self.unsigned(width)
         return value - (1 << width) if value >> (width - 1) else value
 
     def many(self, count: int, width: int) -> list[int]:
-        """`count` unsigned fields of one width."""
+        """Read `count` unsigned fields of one width."""
         return [self.unsigned(width) for _ in range(count)]
 
     def many_signed(self, count: int, width: int) -> list[int]:
-        """`count` signed fields of one width."""
+        """Read `count` signed fields of one width."""
         return [self.signed(width) for _ in range(count)]
 
 
 def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:
-    """Bytes of (value, width) fields, padded with zero bits to a whole byte.
+    """Pack (value, width) fields, padded with zero bits to a complete byte.
 
-    Negative values become two's complement.
+    Negative values are packed as two's complement.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:
 
 
 def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
-    """As `pack_bits`, of runs of fields that share a width.
+    """Pack columns of fields, each of one width, as `pack_bits` does.
 
     Raises
     ------
@@ -65,12 +65,12 @@ def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
     for values, width in columns:
         if not values:
             continue
-        # Whether a field is signed is not known here, so the ranges of both pass.
+        # Accepts signed and unsigned values, since the sign of a field is unknown here.
         if not (-(1 << (width - 1)) <= min(values) and max(values) < 1 << width):
             wrong = next(v for v in values if not -(1 << (width - 1)) <= v < 1 << width)
             raise ValueError(f"{wrong} does not fit {width} bits")
         mask = (1 << width) - 1
-        # A run is joined by itself first: each shift of the whole message copies all of it.
+        # Packed separately first, since each shift of the message copies all of it.
         run = 0
         for value in values:
             run = run << width | value & mask

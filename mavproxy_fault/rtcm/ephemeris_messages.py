@@ -1,15 +1,15 @@
 """Broadcast ephemerides as RTCM 1019 (GPS LNAV) and 1046 (Galileo I/NAV).
 
-The message layouts are tables of (field, bits, scale); `Ephemeris` holds the same numbers in SI
-units and radians. Semicircles become radians with the constants' own pi [1]_ [2]_ [3]_.
+The message layouts are tables of (field, bits, scale); `Ephemeris` has the same numbers in SI units
+and radians. Semicircles are converted with the standards' own value of pi [1]_ [2]_ [3]_.
 
 References
 ----------
 .. [1] RTCM 10403.3, tables 3.5-21 (1019) and 3.5-107 (1046).
 .. [2] IS-GPS-200N, section 20.3.3.
 .. [3] Galileo OS SIS ICD 2.1, sections 4.3 and 5.1.
-.. [4] IS-QZSS-PNT, ephemeris of LNAV: the six bits of health by signal. The document was not at
-   hand; claslib (`satsigexclude`) and messages of 2024, all with 1, agree with this reading.
+.. [4] IS-QZSS-PNT, ephemeris of LNAV: the six health bits by signal. The document was not
+   available; claslib (`satsigexclude`) and messages of 2024, all with 1, agree with this reading.
 """
 
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ NUMBERS = {"G": 1019, "E": 1046}
 SYSTEMS = {number: system for system, number in NUMBERS.items()}
 
 SEMICIRCLE = 3.1415926535898  # rad; IS-GPS-200N 20.3.3.4.3.3 and Galileo OS SIS ICD table 66
-ROLLOVER_WEEK = 2048  # GPS's ten bits count from here until November 2038
+ROLLOVER_WEEK = 2048  # start of the ten-bit GPS week until November 2038
 GALILEO_WEEK_OFFSET = 1024  # GPS week of Galileo week 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ephemeris:
-    """The broadcast orbit and clock of a GPS, Galileo or QZSS satellite, named as in the standards.
+    """The broadcast orbit and clock of a GPS, Galileo or QZSS satellite; names of the standards.
 
     Angles in rad, rates in rad/s, correction amplitudes `crs`, `crc` in m and `cuc` ... `cis` in
     rad, `sqrt_a` in m^0.5. `week` is the full GPS week of `toe_s` and `toc_s` (seconds of week).
-    `group_delay_s` is what a single-frequency user of L1 or E1 takes off the clock: T_GD, or
+    `group_delay_s` is what a single-frequency user of L1 or E1 subtracts from the clock: T_GD, or
     BGD(E1,E5b); `group_delay_e5a_s` is BGD(E1,E5a). `accuracy` is the URA or SISA index, `health`
     is 0 for a healthy satellite (GPS six bits; QZSS `l1_health` of them; Galileo E5b health and
-    data validity, then E1's).
-    `codes` holds GPS's code on L2 and L2 P flag; `long_fit` its fit interval flag.
+    data validity, then E1's). `codes` are GPS's code on L2 and L2 P flag; `long_fit` is its fit
+    interval flag.
     """
 
     satellite: str
@@ -72,8 +72,7 @@ class Ephemeris:
 
     @property
     def fit_half_s(self) -> float:
-        """How far from `toe_s` the elements hold: 2 h (GPS, 3 h with the long fit; QZSS), 4 h
-        (Galileo).
+        """Validity before and after `toe_s`: 2 h (GPS, 3 h with the long fit; QZSS), 4 h (Galileo).
 
         IS-GPS-200N 20.3.4.4; Galileo OS SDD 1.3, 2.4.2: navigation data is used for up to 4 h.
         """
@@ -82,9 +81,9 @@ class Ephemeris:
         return 10_800.0 if self.long_fit and self.satellite[0] == "G" else 7_200.0
 
 
-Row = tuple[str, int, float]  # attribute, bits (negative: signed), size of one count
+Row = tuple[str, int, float]  # attribute, bits (negative: signed), scale
 
-# Galileo took these two runs of fields over from GPS, bits and scales alike.
+# Galileo has these two groups of fields with the same bits and scales as GPS.
 SHAPE_ROWS: tuple[Row, ...] = (
     ("crs_m", -16, 2**-5),
     ("delta_n_rps", -16, SEMICIRCLE * 2**-43),
@@ -146,13 +145,13 @@ GALILEO_ROWS: tuple[Row, ...] = (
     ("reserved", 2, 1),
 )
 
-QZSS_L1, QZSS_CA, QZSS_CB = 0b100000, 0b010000, 0b000001  # what bits of its health speak of
+QZSS_L1, QZSS_CA, QZSS_CB = 0b100000, 0b010000, 0b000001  # health bits of these signals
 _ROWS = {"G": GPS_ROWS, "E": GALILEO_ROWS}
-_WRAPPED = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a turn
+_WRAPPED = {"m0_rad", "omega0_rad", "omega_rad"}  # wrap at half a revolution
 
 
 def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
-    """The whole RTCM message, 1019 or 1046 by the satellite's system.
+    """Encode the complete RTCM message, 1019 or 1046 by the satellite's system.
 
     Raises
     ------
@@ -162,7 +161,7 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
         If a value does not fit its field.
     """
     system = ephemeris.satellite[0]
-    # GPS sends ten bits of its week, Galileo twelve bits of a week that it counts itself.
+    # GPS sends ten bits of its week, Galileo twelve bits of its own week count.
     week = ephemeris.week % 1024 if system == "G" else ephemeris.week - GALILEO_WEEK_OFFSET
     extra = {
         "number": NUMBERS[system],
@@ -177,26 +176,26 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
         value = extra[name] if name in extra else getattr(ephemeris, name)
         count = round(value / step)
         if name in _WRAPPED:
-            # Half a turn would round to one count more than the field holds.
+            # Half a revolution would round to one count more than the field can hold.
             count = (count + 2**31) % 2**32 - 2**31
         fields.append((count, abs(bits)))
     return wrap_message(pack_bits(fields))
 
 
 def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephemeris:
-    """The ephemeris of a whole 1019 or 1046 message; GPS weeks count from `rollover_week`.
+    """Decode a complete 1019 or 1046 message; GPS weeks count from `rollover_week`.
 
     Raises
     ------
     ValueError
-        If it is not such a message with a right CRC.
+        If it is not such a message with a valid CRC.
     """
     body = unwrap_message(message)
     number = BitReader(body).unsigned(12)
     if number not in SYSTEMS:
-        raise ValueError(f"RTCM {number} is no ephemeris of GPS or Galileo (1019, 1046)")
+        raise ValueError(f"RTCM {number} is not an ephemeris of GPS or Galileo (1019, 1046)")
     system = SYSTEMS[number]
-    # From the beginning again, as the tables start with the message's number.
+    # From the start again, since the tables include the message number.
     values = read_fields(BitReader(body), _ROWS[system])
     offset = GALILEO_WEEK_OFFSET if system == "E" else rollover_week
     name = f"{system}{int(values['prn']):02d}"
@@ -204,7 +203,7 @@ def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephe
 
 
 def read_fields(bits: BitReader, rows: tuple[Row, ...]) -> dict[str, float]:
-    """The fields of a table one after another, in its units."""
+    """Read the fields of a table in their units."""
     values: dict[str, float] = {}
     for name, width, step in rows:
         values[name] = (bits.signed(-width) if width < 0 else bits.unsigned(width)) * step
@@ -212,9 +211,10 @@ def read_fields(bits: BitReader, rows: tuple[Row, ...]) -> dict[str, float]:
 
 
 def l1_health(satellite: str, bits: int) -> int:
-    """A satellite's health without what QZSS says in the same bits of its other signals [4]_.
+    """Return a satellite's L1 health, without QZSS's health bits of other signals [4]_.
 
-    A satellite of QZSS sends C/A or C/B on L1 and calls the other unhealthy; both are none.
+    A QZSS satellite sends either C/A or C/B on L1 and marks the other one unhealthy; L1 is
+    unhealthy only if both are.
     """
     if satellite[0] != "J":
         return bits
@@ -223,7 +223,7 @@ def l1_health(satellite: str, bits: int) -> int:
 
 
 def ephemeris_of(satellite: str, week: int, values: dict[str, float]) -> Ephemeris:
-    """The ephemeris of the fields that a message holds; those it does not know are passed over."""
+    """Build the ephemeris from the fields of a message; other fields are ignored."""
     counts = {name: int(values[name]) for name in ("iode", "accuracy")}
     reals = {
         name: float(value)

@@ -1,10 +1,10 @@
-"""RTCM 3 MSM7, full pseudoranges, phase ranges, Doppler and C/N0 of one system: GPS and Galileo.
+"""RTCM 3 MSM7: pseudoranges, phase ranges, Doppler and C/N0 of one system, GPS or Galileo.
 
 Every range is a rough part in steps of 1/1024 light-millisecond, common to all signals of a
 satellite, and a fine part per signal: 2^-29 ms (0.56 mm) for the pseudorange, 2^-31 ms for the
-phase range. A rate is whole m/s per satellite plus 0.1 mm/s per signal [1]_. `encode_msm7` writes
-one signal per satellite, GPS L1 C/A or Galileo E1 C; `patch_msm7` takes any message of these two
-numbers.
+phase range. A rate is an integer in m/s per satellite plus 0.1 mm/s per signal [1]_. `encode_msm7`
+writes one signal per satellite, GPS L1 C/A or Galileo E1 C; `patch_msm7` accepts any message with
+one of the two numbers.
 
 References
 ----------
@@ -46,9 +46,9 @@ class Msm7:
     """One epoch of one system, one signal per satellite; the tuples run in parallel.
 
     `tow_s` is GPS time of week by the receiver's clock (Galileo's differs by nanoseconds), sent in
-    whole milliseconds. `doppler_mps` is the range rate. NaN stands for what is not given; `lock_s`
-    is the time the carrier has been tracked without a slip. `more` says that another message of the
-    same epoch follows.
+    integer milliseconds. `doppler_mps` is the range rate. NaN means "not given"; `lock_s` is the
+    time of carrier tracking without a cycle slip. `more` means that another message of the same
+    epoch follows.
     """
 
     system: str
@@ -63,8 +63,8 @@ class Msm7:
 
 
 class _Satellite(NamedTuple):
-    """The integers of one satellite as they are sent; `cells` holds [fine, phase, lock, half-cycle
-    flag, C/N0, fine rate] by signal."""
+    """The integers of one satellite as sent; `cells` has [fine, phase, lock, half-cycle flag, C/N0,
+    fine rate] by signal."""
 
     rough_ms: int
     info: int
@@ -75,7 +75,7 @@ class _Satellite(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Message:
-    """A message as integers: (station, epoch time), the flags after it, satellites by number."""
+    """A message as integers: station, epoch time, flags, and satellites by number."""
 
     number: int
     station: int
@@ -86,9 +86,9 @@ class _Message:
 
 
 def encode_msm7(data: Msm7) -> bytes:
-    """The whole RTCM message of one epoch of one system.
+    """Encode the complete RTCM message of one epoch of one system.
 
-    A satellite without a finite pseudorange, or of another system, is left out.
+    Satellites without a valid pseudorange, or of another system, are omitted.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def encode_msm7(data: Msm7) -> bytes:
                 data.cn0_dbhz[i],
                 data.lock_s[i],
             )
-    # The second before the week's end may round up to the next one.
+    # The end of the week may round up to the next week.
     epoch_ms = round(data.tow_s * 1000.0) % WEEK_MS
     return _encode(
         _Message(
@@ -121,7 +121,7 @@ def encode_epoch(
     doppler_mps: Sequence[float],
     cn0_dbhz: Sequence[float],
 ) -> list[bytes]:
-    """The messages of one epoch without phase: 1077, then 1097, each only if it has satellites."""
+    """Encode the messages of one epoch without phase: 1077 and 1097, if they have satellites."""
     found = [s for s in NUMBERS if any(name[0] == s for name in satellites)]
     messages = []
     for system in found:
@@ -132,7 +132,7 @@ def encode_epoch(
             )
             if name[0] == system and 0.0 <= range_m < ROUGH_INVALID * MS_M
         )
-        # Six columns even without satellites, so that what follows needs no case of its own.
+        # Six columns even without satellites, so that no special case is needed.
         columns = list(zip(*rows, strict=True)) or [()] * 6
         numbers, rough, fine, rate, fine_rate, cn0 = columns
         nothing = (0,) * len(rows)
@@ -144,12 +144,12 @@ def encode_epoch(
 
 
 def decode_msm7(message: bytes) -> Msm7:
-    """One signal per satellite, the first in the order of the signal mask that has a pseudorange.
+    """Decode one signal per satellite: the first one in the signal mask with a pseudorange.
 
     Raises
     ------
     ValueError
-        If it is not a whole 1077 or 1097 message with a right CRC.
+        If it is not a complete 1077 or 1097 message with a valid CRC.
     """
     raw = _decode(message)
     system = SYSTEMS[raw.number]
@@ -159,7 +159,7 @@ def decode_msm7(message: bytes) -> Msm7:
         if values is not None:
             names.append(f"{system}{number:02d}")
             rows.append(values)
-    # A message without satellites is allowed: the masks are then empty.
+    # A message without satellites is valid; its masks are empty.
     ranges, phases, rates, cn0s, locks = zip(*rows, strict=True) if rows else ((),) * 5
     return Msm7(
         system,
@@ -175,24 +175,24 @@ def decode_msm7(message: bytes) -> Msm7:
 
 
 def msm7_satellites(message: bytes) -> tuple[str, ...]:
-    """Names of the satellites of a message, in its order."""
+    """Return the names of the satellites of a message, in its order."""
     raw = _decode(message)
     return tuple(f"{SYSTEMS[raw.number]}{number:02d}" for number in raw.satellites)
 
 
 def patch_msm7(message: bytes, changes_m: Mapping[str, float], lost: Collection[str] = ()) -> bytes:
-    """A message with metres added to the pseudoranges of some satellites, and some satellites lost.
+    """Add metres to pseudoranges of a message, and remove lost satellites.
 
-    All signals of a satellite change alike. Where the fine field overflows, the rough range takes
-    the whole steps and the phase gives them back, so the phase range stays as it was; beyond about
-    1.1 km it cannot be expressed any more and is marked invalid. A lost satellite is removed from
-    the masks, which is how a receiver that does not track it would send it. Satellites that are not
-    in the message are passed over; with nothing to do the message comes back as it is.
+    All signals of a satellite change alike. If the fine field overflows, the rough range takes the
+    complete steps and the phase field is reduced by them, so that the phase range is unchanged;
+    beyond about 1.1 km the phase cannot be represented and is marked invalid. A lost satellite is
+    removed from the masks, as if the receiver did not track it. Satellites that are not in the
+    message are ignored; without changes the message is returned as it is.
 
     Raises
     ------
     ValueError
-        If it is not a whole 1077 or 1097 message with a right CRC.
+        If it is not a complete 1077 or 1097 message with a valid CRC.
     """
     raw = _decode(message)
     system = SYSTEMS[raw.number]
@@ -201,22 +201,22 @@ def patch_msm7(message: bytes, changes_m: Mapping[str, float], lost: Collection[
         name = f"{system}{number:02d}"
         if name not in lost:
             satellites[number] = _moved(satellite, changes_m.get(name, 0.0))
-    # Not encoded anew: what no fault touched leaves byte for byte as it came.
+    # An unchanged message must stay byte for byte.
     if satellites == raw.satellites:
         return message
     return _encode(replace(raw, satellites=satellites))
 
 
 def _range_counts(range_m: float) -> tuple[int, int]:
-    """Rough steps of 1/1024 ms, and the counts of 2^-29 ms beyond them."""
+    """Split a range into rough steps of 1/1024 ms and the remaining counts of 2^-29 ms."""
     counts = round(range_m / MS_M * ROUGH * FINE_PER_ROUGH)
     rough = (counts + FINE_PER_ROUGH // 2) // FINE_PER_ROUGH
     return rough, counts - rough * FINE_PER_ROUGH
 
 
 def _rate_counts(rate: float) -> tuple[int, int]:
-    """Whole metres per second, and tenths of millimetres per second beyond them."""
-    # Written so that NaN is out of range, too.
+    """Split a rate into integer m/s and the remaining counts of 0.1 mm/s."""
+    # Written so that NaN is out of range too.
     if not abs(rate) < -RATE_INVALID:
         return RATE_INVALID, FINE_RATE_INVALID
     whole = round(rate)
@@ -240,7 +240,7 @@ def _satellite(range_m: float, phase_m: float, rate: float, cn0: float, lock: fl
 
 
 def _values(satellite: _Satellite) -> tuple[float, float, float, float, float] | None:
-    """Pseudorange, phase, rate, C/N0 and lock time of the first usable signal; None without one."""
+    """Return range, phase, rate, C/N0 and lock time of the first valid signal; None without one."""
     if satellite.rough_ms == ROUGH_INVALID:
         return None
     rough = satellite.rough_ms * ROUGH + satellite.rough
@@ -263,14 +263,14 @@ def _values(satellite: _Satellite) -> tuple[float, float, float, float, float] |
 
 
 def _moved(satellite: _Satellite, change_m: float) -> _Satellite:
-    """The satellite with `change_m` added to the pseudorange of each of its signals."""
+    """Add `change_m` to the pseudorange of each signal of a satellite."""
     counts = round(change_m / MS_M * ROUGH * FINE_PER_ROUGH)
     if counts == 0 or satellite.rough_ms == ROUGH_INVALID:
         return satellite
     fines = [cell[0] + counts for cell in satellite.cells.values() if cell[0] != FINE_INVALID]
     steps = 0
     if fines and not all(FINE_INVALID < fine < -FINE_INVALID for fine in fines):
-        # One number of steps for all signals, since they share the rough range.
+        # The same number of steps for all signals, since they share the rough range.
         steps = round(sum(fines) / len(fines) / FINE_PER_ROUGH)
     rough = satellite.rough_ms * ROUGH + satellite.rough + steps
     if not 0 <= rough < ROUGH_INVALID * ROUGH:
@@ -286,12 +286,12 @@ def _moved(satellite: _Satellite, change_m: float) -> _Satellite:
 
 
 def _within(value: int, invalid: int) -> int:
-    """`value`, or the field's mark for invalid where it does not fit."""
+    """Return `value`, or the field's invalid mark if it is out of range."""
     return value if invalid < value < -invalid else invalid
 
 
 def _lock_indicator(lock_s: float) -> int:
-    """DF407: milliseconds up to 64, then in steps that double with each further 32 counts."""
+    """Encode DF407: milliseconds up to 64, then in steps that double every 32 counts."""
     if not lock_s > 0.0:
         return 0
     lock_ms = int(lock_s * 1000.0)
@@ -302,7 +302,7 @@ def _lock_indicator(lock_s: float) -> int:
 
 
 def _lock_time(indicator: int) -> float:
-    """The least time in seconds a DF407 indicator stands for."""
+    """Return the minimum lock time [s] of a DF407 indicator."""
     if indicator < 64:
         return indicator / 1000.0
     doublings = min(indicator // 32 - 1, 21)
@@ -331,7 +331,7 @@ def _packed(
     satellites: Sequence[Sequence[int]],
     cells: Sequence[Sequence[int]],
 ) -> bytes:
-    """The whole message: masks, then columns of satellites, then columns of signals."""
+    """Pack the complete message: masks, columns of satellites, columns of signals."""
     return wrap_message(
         pack_columns(
             [
@@ -376,5 +376,5 @@ def _decode(message: bytes) -> _Message:
 
 
 def _numbers(mask: int, width: int) -> list[int]:
-    """Numbers, from 1, of the bits set in a mask whose first bit is its most significant."""
+    """Return the numbers (from 1) of the bits set in a mask, most significant bit first."""
     return [i + 1 for i in range(width) if mask >> (width - 1 - i) & 1]

@@ -1,6 +1,6 @@
-"""The pseudoranges of MSM7 messages by the thousand, compiled: what a monitor wants of them.
+"""Compiled reader of the pseudoranges of many MSM7 messages, for the monitor.
 
-The same values as `msm7.decode_msm7` gives. Importing this imports numba.
+It gives the same values as `msm7.decode_msm7`. Importing this imports numba.
 """
 
 from typing import NamedTuple
@@ -27,9 +27,9 @@ Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-MASK_BIT, SIGNAL_BIT, CELL_BIT = 73, 137, 169  # of satellites, signals and cells
+MASK_BIT, SIGNAL_BIT, CELL_BIT = 73, 137, 169  # masks of satellites, signals and cells
 SATELLITE_BITS, SIGNAL_BITS = 36, 80
-LEAST_BYTES = 14  # what one satellite with one signal takes
+LEAST_BYTES = 14  # size of one satellite with one signal
 # Widths in bits
 FLAG, MS, ROUGH_PART, CN0, NUMBER, RATE, HALF_EPOCH, FINE_RATE, FINE = (
     constant(bits) for bits in (1, 8, 10, 10, 12, 14, 15, 15, 20)
@@ -41,12 +41,11 @@ _SYSTEM_NUMBERS = np.array(list(NUMBERS.values()))
 
 
 class RangeColumns(NamedTuple):
-    """Observations of k messages in a row, one signal per satellite, the first with a pseudorange.
+    """Observations of k messages: of each satellite, the first signal with a pseudorange.
 
-    By message `tow_ms` (k,), NO_MSM7 where it is none of GPS or Galileo or ends early; `more` (k,),
-    whether another message of the same epoch follows; `ends` (k,), where its rows end. By row
-    `code` (n,), the satellite's place in NAMES, and what was observed (n,); NaN stands for what is
-    not given.
+    Per message: `tow_ms` (k,), NO_MSM7 if it is not of GPS or Galileo or is truncated; `more` (k,),
+    whether another message of the same epoch follows; `ends` (k,), the end of its rows. Per row:
+    `code` (n,), the satellite's index in NAMES, and the observations (n,); NaN means "not given".
     """
 
     tow_ms: Integers
@@ -59,9 +58,9 @@ class RangeColumns(NamedTuple):
 
 
 def read_ranges(messages: Messages) -> RangeColumns:
-    """Read all MSM7 messages among some."""
+    """Read all MSM7 messages among RTCM messages."""
     heads = np.empty((3, len(messages.ends)), np.int64)
-    # At most so many rows can be in so many bytes: no array grows in the loop.
+    # Upper bound of the number of rows, so that no array grows in the loop.
     room = len(messages.data) // LEAST_BYTES
     code, values = np.empty(room, np.int64), np.empty((3, room))
     count = _read(messages.data, messages.ends, _SYSTEM_NUMBERS, heads, code, values)
@@ -79,7 +78,7 @@ def _read(
     code: Integers,
     values: Floats,
 ) -> int:
-    """Fill the columns of `RangeColumns`; how many rows there are."""
+    """Fill the columns of `RangeColumns`; return the number of rows."""
     rows, begin = NO_ROWS, 0
     for message in range(len(ends)):
         at, end = 8 * (begin + HEADER), 8 * (ends[message] - TRAILER)
@@ -90,7 +89,7 @@ def _read(
             if end - at >= CELL_BIT and _bits(data, at, NUMBER) == numbers[i]:
                 system = i
         if system >= 0 and _whole(data, at, end):
-            # Thirty bits of milliseconds, in two halves: `_bits` reads 25 at once.
+            # Thirty bits of milliseconds in two halves, since `_bits` reads at most 25.
             heads[0, message] = _bits(data, at + 24, HALF_EPOCH) << 15
             heads[0, message] |= _bits(data, at + 39, HALF_EPOCH)
             heads[1, message] = _bits(data, at + 54, FLAG)
@@ -101,7 +100,7 @@ def _read(
 
 @compiled
 def _bits(data: Bytes, at: int, width: int) -> int:
-    """An unsigned number of up to 25 bits; the trailer follows the last."""
+    """Read an unsigned number of up to 25 bits; the trailer after it may be read too."""
     byte = at >> 3
     word = np.int64(data[byte]) << 24 | np.int64(data[byte + 1]) << 16
     word |= np.int64(data[byte + 2]) << 8 | np.int64(data[byte + 3])
@@ -110,14 +109,14 @@ def _bits(data: Bytes, at: int, width: int) -> int:
 
 @compiled
 def _signed(data: Bytes, at: int, width: int) -> int:
-    """The same of a signed number."""
+    """Read a signed number of up to 25 bits."""
     value = _bits(data, at, width)
     return value - (1 << width) if value >> (width - 1) else value
 
 
 @compiled
 def _count(data: Bytes, at: int, width: int) -> int:
-    """How many bits are set."""
+    """Count the bits that are set."""
     total = 0
     for bit in range(at, at + width):
         total += data[bit >> 3] >> (7 - (bit & 7)) & 1
@@ -126,11 +125,11 @@ def _count(data: Bytes, at: int, width: int) -> int:
 
 @compiled
 def _whole(data: Bytes, at: int, end: int) -> bool:
-    """Whether a message that begins at a bit holds everything that its masks announce."""
+    """Whether a message has room for all satellites and signals of its masks."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
     cells = count * _count(data, at + SIGNAL_BIT, CELL_BIT - SIGNAL_BIT)
     begin = at + CELL_BIT + cells
-    # The masks may claim cells that lie behind the message: count nothing there.
+    # The masks may claim cells beyond the end of the message.
     if begin > end:
         return False
     total = _count(data, at + CELL_BIT, cells)
@@ -139,19 +138,19 @@ def _whole(data: Bytes, at: int, end: int) -> bool:
 
 @compiled
 def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, rows: int) -> int:
-    """Add the satellites of a message that have a pseudorange; how many rows there are then."""
+    """Append the satellites of a message with a pseudorange; return the number of rows."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
     signals = _count(data, at + SIGNAL_BIT, CELL_BIT - SIGNAL_BIT)
     rough_at = at + CELL_BIT + count * signals
     total = _count(data, at + CELL_BIT, count * signals)
     fine_at = rough_at + SATELLITE_BITS * count
     satellite = cell = 0
-    # The mask of satellites has 64 bits, the first for number 1.
+    # The satellite mask has 64 bits, the first for number 1.
     for n in range(64):
         if not _bits(data, at + MASK_BIT + n, FLAG):
             continue
         rough_ms = _bits(data, rough_at + MS * satellite, MS)
-        # Without whole milliseconds a fine part says nothing.
+        # Without a rough range the fine part is meaningless.
         taken = rough_ms == ROUGH_INVALID
         for s in range(signals):
             if not _bits(data, at + CELL_BIT + satellite * signals + s, FLAG):
@@ -159,7 +158,7 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
             fine = _signed(data, fine_at + FINE * cell, FINE)
             if not taken and fine != FINE_INVALID:
                 taken = True
-                # Fields are sent column by column: all of one kind, then all of the next.
+                # Fields are sent column by column.
                 part_at = rough_at + 12 * count + ROUGH_PART * satellite
                 rough = ROUGH * rough_ms + _bits(data, part_at, ROUGH_PART)
                 rate = _signed(data, rough_at + 22 * count + RATE * satellite, RATE)
@@ -170,7 +169,7 @@ def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, 
                 code[rows] = first + n + 1
                 values[0, rows] = counts / (ROUGH * FINE_PER_ROUGH) * MS_M
                 values[1, rows] = rate + fine_rate / 10_000 if known else np.nan
-                # 0 is "not given", as no signal is tracked at 0 dBHz.
+                # 0 means "not given".
                 values[2, rows] = cn0 * CN0_STEP_DBHZ if cn0 else np.nan
                 rows += 1
             cell += 1

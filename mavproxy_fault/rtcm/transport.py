@@ -1,12 +1,12 @@
-"""RTCM 3 messages and how they travel in MAVLink TUNNEL.
+"""RTCM 3 messages and their transport in MAVLink TUNNEL.
 
-A message stands between a three-byte header (0xD3, six zero bits, ten bits of length) and a
-CRC-24Q of everything before it [1]_. MAVLink has no message for raw pseudoranges, so RTCM messages
-travel in TUNNEL with the payload type below (types above 32767 are for private use [2]_). The first
-byte of a TUNNEL payload is the flags byte of GPS_RTCM_DATA [2]_: bit 0 fragmented, bits 1 and 2 the
-number of the fragment, bits 3 to 7 the sequence number of the message; up to 127 bytes of the
-message follow. A fragmented message is complete when all four fragments are there, or all up to the
-first that is not full; so a fragmented message of 254 or 381 bytes ends with an empty fragment.
+A message consists of a three-byte header (0xD3, six zero bits, ten bits of length), the body and a
+CRC-24Q of both [1]_. MAVLink has no message for raw pseudoranges, so RTCM messages travel in TUNNEL
+with the payload type below (types above 32767 are for private use [2]_). The first byte of a TUNNEL
+payload is the flags byte of GPS_RTCM_DATA [2]_: bit 0 fragmented, bits 1 and 2 the fragment number,
+bits 3 to 7 the sequence number of the message; up to 127 bytes of the message follow. A fragmented
+message is complete with all four fragments, or with all up to the first one that is not full; a
+fragmented message of 254 or 381 bytes therefore ends with an empty fragment.
 
 References
 ----------
@@ -30,13 +30,13 @@ FRAGMENT_BYTES = 127
 FRAGMENTS_MAX = 4
 MESSAGE_MAX = FRAGMENTS_MAX * FRAGMENT_BYTES
 SEQUENCES = 32
-PENDING_MAX = 4  # incomplete messages kept at a time; far fewer than sequence numbers
+PENDING_MAX = 4  # incomplete messages stored per sender; far fewer than sequence numbers
 
 CRC24Q_POLYNOMIAL = 0x1864CFB
 
 
 def _crc_tables() -> tuple[tuple[int, ...], ...]:
-    """CRC of each byte, and of each byte with one, two and three zero bytes after it."""
+    """Return the CRC of each byte followed by zero, one, two and three zero bytes."""
     first = []
     for byte in range(256):
         crc = byte << 16
@@ -44,7 +44,7 @@ def _crc_tables() -> tuple[tuple[int, ...], ...]:
             crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
         first.append(crc & 0xFFFFFF)
     tables = [tuple(first)]
-    # One more zero byte behind is one more step of the register.
+    # Another zero byte is another step of the register.
     for _ in range(3):
         tables.append(tuple((crc << 8 & 0xFFFFFF) ^ first[crc >> 16] for crc in tables[-1]))
     return tuple(tables)
@@ -55,19 +55,19 @@ CRC24Q_TABLE = _TABLES[0]
 
 
 def crc24q(data: bytes) -> int:
-    """CRC-24Q, start value zero, by four bytes at a time; zeros in front change nothing."""
+    """Compute CRC-24Q with start value zero, four bytes per step."""
     last, third, second, first = _TABLES
     crc = 0
-    # Padded in front to whole words: with start value zero that leaves the CRC as it is.
+    # Leading zeros, which fill up the first word, do not change the CRC.
     for word in struct.unpack(f">{len(data) + 3 >> 2}I", bytes(-len(data) % 4) + data):
-        # The register has 24 bits: it meets the upper three bytes of the word.
+        # The 24-bit register is combined with the upper three bytes of the word.
         x = crc << 8 ^ word
         crc = first[x >> 24] ^ second[x >> 16 & 255] ^ third[x >> 8 & 255] ^ last[x & 255]
     return crc
 
 
 def wrap_message(body: bytes) -> bytes:
-    """A whole message around `body`, which starts with the twelve bits of the message number.
+    """Add header and CRC to `body`, which starts with the twelve bits of the message number.
 
     Raises
     ------
@@ -75,18 +75,18 @@ def wrap_message(body: bytes) -> bytes:
         If the body is longer than 1023 bytes.
     """
     if len(body) > BODY_MAX:
-        raise ValueError(f"an RTCM message holds {BODY_MAX} bytes, not {len(body)}")
+        raise ValueError(f"an RTCM message has at most {BODY_MAX} bytes, not {len(body)}")
     head = bytes((PREAMBLE, len(body) >> 8, len(body) & 0xFF)) + body
     return head + crc24q(head).to_bytes(TRAILER, "big")
 
 
 def unwrap_message(message: bytes) -> bytes:
-    """The body of one whole message.
+    """Return the body of one complete message.
 
     Raises
     ------
     ValueError
-        If it is not one message with a right CRC.
+        If it is not one message with a valid CRC.
     """
     if len(message) < HEADER + TRAILER or message[0] != PREAMBLE:
         raise ValueError("not an RTCM 3 message")
@@ -98,14 +98,14 @@ def unwrap_message(message: bytes) -> bytes:
 
 
 def message_number(message: bytes) -> int:
-    """The number of a whole message (1077, 1019, ...); 0 if its body is too short for one."""
+    """Return the number of a message (1077, 1019, ...); 0 if its body is too short."""
     if len(message) < HEADER + 2 + TRAILER:
         return 0
     return message[HEADER] << 4 | message[HEADER + 1] >> 4
 
 
 def split_messages(data: bytes) -> Iterator[bytes]:
-    """The whole messages with right CRC among `data`; anything else is passed over."""
+    """Yield the complete messages with valid CRC in `data`; other bytes are skipped."""
     at = data.find(PREAMBLE)
     while 0 <= at <= len(data) - HEADER - TRAILER:
         end = at + HEADER + TRAILER + ((data[at + 1] & 0x03) << 8 | data[at + 2])
@@ -115,12 +115,12 @@ def split_messages(data: bytes) -> Iterator[bytes]:
             yield message
             at = data.find(PREAMBLE, end)
         else:
-            # Again one byte on, as the length that was read may itself be junk.
+            # Continue one byte later, since the length may be junk.
             at = data.find(PREAMBLE, at + 1)
 
 
 def split_fragments(message: bytes, sequence: int) -> list[bytes]:
-    """TUNNEL payloads (flags byte and data) that carry one message.
+    """Split one message into TUNNEL payloads (flags byte and data).
 
     Raises
     ------
@@ -128,11 +128,11 @@ def split_fragments(message: bytes, sequence: int) -> list[bytes]:
         If the message is longer than four fragments (508 bytes).
     """
     if len(message) > MESSAGE_MAX:
-        raise ValueError(f"TUNNEL carries RTCM messages of {MESSAGE_MAX} bytes, not {len(message)}")
+        raise ValueError(f"an RTCM message in TUNNEL has {len(message)} > {MESSAGE_MAX} bytes")
     flags = sequence % SEQUENCES << 3
     if len(message) <= FRAGMENT_BYTES:
         return [bytes((flags,)) + message]
-    # Not rounded up: after full fragments, unless they are four, an empty one ends the message.
+    # Not rounded up: fewer than four full fragments are followed by an empty one.
     count = min(len(message) // FRAGMENT_BYTES + 1, FRAGMENTS_MAX)
     return [
         bytes((flags | number << 1 | 1,))
@@ -144,7 +144,7 @@ def split_fragments(message: bytes, sequence: int) -> list[bytes]:
 def tunnel_frames(
     message: bytes, sequence: int, *, seq: int = 0, system: int = 1, component: int = 51
 ) -> list[bytes]:
-    """MAVLink 2 TUNNEL frames, to everybody, that carry one RTCM message.
+    """Build broadcast MAVLink 2 TUNNEL frames that carry one RTCM message.
 
     `sequence` counts RTCM messages, `seq` is the MAVLink sequence number of the first frame.
     """
@@ -166,20 +166,20 @@ def tunnel_frames(
 
 
 def tunnel_payload(frame: Frame) -> bytes | None:
-    """What a TUNNEL frame of our payload type carries (flags byte and data); None for any other."""
+    """Return flags byte and data of a TUNNEL frame of our payload type; None for other frames."""
     if frame.layout.name != "TUNNEL" or frame.number("payload_type") != PAYLOAD_TYPE:
         return None
     start = frame.layout.fields["payload"].offset
     length = int(frame.number("payload_length"))
-    # MAVLink 2 cuts trailing zeros, which may belong to the RTCM message.
+    # Restore truncated trailing zeros, which may belong to the RTCM message.
     payload = frame.payload.ljust(frame.layout.length, b"\0")[start:]
     return payload[:length] if 0 < length <= len(payload) else None
 
 
 class Reassembler:
-    """Puts fragments of one sender together again; keeps at most four incomplete messages.
+    """Reassembles the fragments of one sender; stores at most four incomplete messages.
 
-    A lost fragment loses its message. Fragments may come in any order.
+    A lost fragment loses its message. Fragments may arrive in any order.
     """
 
     __slots__ = ("_pending",)
@@ -188,13 +188,13 @@ class Reassembler:
         self._pending: dict[int, dict[int, bytes]] = {}
 
     def add(self, payload: bytes) -> list[bytes]:
-        """The RTCM messages, CRC checked, that this TUNNEL payload completes."""
+        """Add a TUNNEL payload; return the RTCM messages that it completes, with valid CRC."""
         if not payload:
             return []
         flags, data = payload[0], payload[1:]
         sequence = flags >> 3
         if not flags & 1:
-            # The number has come round: whatever waited under it will never be whole.
+            # The sequence number is in use again: an older message with it stays incomplete.
             self._pending.pop(sequence, None)
             return list(split_messages(data))
         parts = self._pending.setdefault(sequence, {})
@@ -204,13 +204,13 @@ class Reassembler:
             del self._pending[sequence]
             return list(split_messages(whole))
         if len(self._pending) > PENDING_MAX:
-            # Dictionaries keep their order, so that the first is the oldest.
+            # The first key of a dictionary is the oldest.
             del self._pending[next(iter(self._pending))]
         return []
 
 
 def join_fragments(parts: dict[int, bytes]) -> bytes | None:
-    """All fragments up to the first that is not full, joined; None while one of them is missing."""
+    """Join all fragments up to the first that is not full; None while one is missing."""
     whole = b""
     for number in range(FRAGMENTS_MAX):
         if number not in parts:

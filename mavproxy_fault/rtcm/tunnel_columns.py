@@ -1,4 +1,4 @@
-"""RTCM messages out of TUNNEL payloads by the thousand: what `rtcm.Reassembler` does, compiled.
+"""Compiled reassembly of RTCM messages from many TUNNEL payloads, as `transport.Reassembler`.
 
 Importing this imports numba.
 """
@@ -23,16 +23,16 @@ from mavproxy_fault.rtcm.transport import (
 Integers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-SENDERS_MAX = 16  # further ones share their places: what is mixed has no right CRC
-PLACES = PENDING_MAX + 1  # for incomplete messages: one is let go when all are taken
-AGE, SEQUENCE, LENGTHS = 0, 1, 2  # columns of an incomplete message; an age of 0: the place is free
+SENDERS_MAX = 16  # further senders share their slots; mixed fragments fail the CRC
+PLACES = PENDING_MAX + 1  # slots for incomplete messages; the oldest is dropped when all are used
+AGE, SEQUENCE, LENGTHS = 0, 1, 2  # columns of an incomplete message; age 0: free slot
 SHORTEST = HEADER + TRAILER
 ZERO = constant(0)
 _CRC_TABLE = np.array(CRC24Q_TABLE)
 
 
 class Messages(NamedTuple):
-    """Whole RTCM messages with right CRC: message i is `data[ends[i - 1] : ends[i]]`.
+    """Complete RTCM messages with valid CRC: message i is `data[ends[i - 1] : ends[i]]`.
 
     `row` (k,) is the payload that completed each.
     """
@@ -43,19 +43,19 @@ class Messages(NamedTuple):
 
     @property
     def number(self) -> Integers:
-        """The RTCM number of each (k,); 0 if its body is too short for one."""
+        """The RTCM number of each message (k,); 0 if its body is too short."""
         begins = np.concatenate([np.zeros(1, np.int64), self.ends])[:-1]
         high, low = self.data[begins + HEADER].astype(np.int64), self.data[begins + HEADER + 1]
         return np.where(self.ends - begins >= HEADER + 2 + TRAILER, high << 4 | low >> 4, 0)
 
     def bytes(self, number: int) -> bytes:
-        """One of them."""
+        """Return one message."""
         begin = int(self.ends[number - 1]) if number else 0
         return self.data[begin : int(self.ends[number])].tobytes()
 
 
 class Assembler:
-    """Puts fragments of any number of senders together; holds what is not complete yet."""
+    """Reassembles the fragments of any number of senders."""
 
     def __init__(self) -> None:
         self._places: dict[int, int] = {}
@@ -63,14 +63,14 @@ class Assembler:
         self._kept = np.zeros((SENDERS_MAX, PLACES, FRAGMENTS_MAX, FRAGMENT_BYTES), np.uint8)
 
     def add(self, sender: Integers, payload: Bytes, length: Integers) -> Messages:
-        """The messages that payloads (m, 128), of which `length` (m,) counts, complete.
+        """Add payloads (m, 128) of `length` (m,); return the messages that they complete.
 
-        `sender` (m,) is a number of the sender of each.
+        `sender` (m,) is the number of the sender of each.
         """
         known = self._places
-        # Senders in the order they were first heard, round and round.
+        # Senders are assigned to slots in order of appearance, cyclically.
         place = [known.setdefault(n, len(known) % SENDERS_MAX) for n in sender.tolist()]
-        # What comes and what waits: no more can leave.
+        # Upper bound: the new and the stored bytes.
         room = payload.size + self._kept.size
         data, found = np.empty(room, np.uint8), np.empty((room // SHORTEST + 1, 2), np.int64)
         count = _assembled(
@@ -92,7 +92,7 @@ def _assembled(
     found: Integers,
     table: Integers,
 ) -> int:
-    """Fill `data`, and end and row of each message in `found`; how many there are."""
+    """Fill `data`, and end and row of each message in `found`; return their number."""
     count = ZERO
     whole = np.empty(MESSAGE_MAX, np.uint8)
     for row in range(len(length)):
@@ -113,7 +113,7 @@ def _assembled(
         else:
             for i in range(size):
                 whole[i] = payload[row, 1 + i]
-        # Whole, or superseded by a message of the same number that is not fragmented.
+        # Complete, or superseded by an unfragmented message with the same number.
         if at >= 0:
             mine[at, AGE] = 0
         count = _split(whole, size, row, data, found, count, table)
@@ -122,8 +122,8 @@ def _assembled(
 
 @compiled
 def _place(mine: Integers, sequence: int, begin: int) -> int:
-    """Where the fragments of a sequence number are; if there are none a free place, made ready,
-    or -1 if none is to `begin`."""
+    """Return the slot of a sequence number, if necessary a new one; -1 if it does not exist and
+    none is to `begin`."""
     free, newest = -1, 0
     for at in range(PLACES):
         newest = max(newest, mine[at, AGE])
@@ -133,7 +133,7 @@ def _place(mine: Integers, sequence: int, begin: int) -> int:
             return at
     if not begin:
         return -1
-    # Ages only grow, so that the smallest is the oldest.
+    # Ages only grow, so the smallest one is the oldest.
     mine[free, AGE], mine[free, SEQUENCE] = newest + 1, sequence
     for number in range(FRAGMENTS_MAX):
         mine[free, LENGTHS + number] = -1
@@ -142,7 +142,7 @@ def _place(mine: Integers, sequence: int, begin: int) -> int:
 
 @compiled
 def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
-    """Put fragments up to the first that is not full in `whole`; their length, -1 if one lacks."""
+    """Join fragments up to the first that is not full; return the length, -1 if one is missing."""
     size = 0
     for number in range(FRAGMENTS_MAX):
         length = lengths[LENGTHS + number]
@@ -158,7 +158,7 @@ def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
 
 @compiled
 def _let_go(mine: Integers) -> None:
-    """Free the place of the oldest message if all are taken."""
+    """Free the slot of the oldest message if none is free."""
     oldest = 0
     for at in range(PLACES):
         if mine[at, AGE] < mine[oldest, AGE]:
@@ -176,16 +176,16 @@ def _split(
     count: int,
     table: Integers,
 ) -> int:
-    """Add the messages with right CRC in `whole`; how many there are then."""
+    """Append the messages with valid CRC in `whole`; return their number."""
     at = ZERO
     while at <= size - SHORTEST:
         body = (whole[at + 1] & 3) << 8 | whole[at + 2]
         end = at + SHORTEST + body
         if whole[at] != PREAMBLE or end > size or _crc(whole, at, end, table):
-            # Whatever it was, the next preamble may lie inside.
+            # The next preamble may lie inside.
             at += 1
             continue
-        # Messages stand one behind the other, each beginning where the last one ends.
+        # Messages are stored consecutively.
         begin = found[count - 1, 0] if count else 0
         for i in range(end - at):
             data[begin + i] = whole[at + i]
@@ -197,7 +197,7 @@ def _split(
 
 @compiled
 def _crc(data: Bytes, begin: int, end: int, table: Integers) -> int:
-    """CRC-24Q of some bytes; 0 of a message with its own CRC at the end."""
+    """Compute the CRC-24Q of a range of bytes; 0 for a message that ends with its CRC."""
     crc = 0
     for i in range(begin, end):
         crc = (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ data[i]]

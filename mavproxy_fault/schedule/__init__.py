@@ -1,7 +1,6 @@
 """Schedules: which faults act, when, and on which frames.
 
-An *entry* is one fault with its target, its time or trigger, and whom it is for. *Binding* joins
-a fault to what it acts on: fields, whole messages, satellites or the plant. A *trigger* is a
-condition over telemetry. A *preset* is a named physical event, written as entries. The
-*catalogue* lists what there is; the *preview* draws it.
+An *entry* is one fault with its target, its time or trigger, and the senders it affects. *Binding*
+connects a fault to its target: fields, messages, satellites or the plant. A *trigger* is a
+condition on telemetry. A *preset* is a named physical failure, written as entries.
 """

@@ -1,4 +1,4 @@
-"""How a fault and what it acts on become one: fields, whole messages, satellites or the plant."""
+"""Binds a fault to its target: fields, messages, satellites or the plant."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,9 +11,9 @@ from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.wire.dialect import message_layout
 
-TARGET_FIELDS = ("elements", "factors", "names")  # fields of a fault that come from its target
+TARGET_FIELDS = ("elements", "factors", "names")  # fields of a fault filled from its target
 
-# What carries messages to the simulator along: whatever it sends regularly.
+# The simulator's regular messages, to which plant changes are sent as replies.
 CARRIER_IDS = frozenset(
     message_layout(name).id for name in ("HIL_SENSOR", "HIL_STATE_QUATERNION", "HIL_GPS")
 )
@@ -23,7 +23,7 @@ Ids = frozenset[int] | None
 
 
 class ResolvedTarget(NamedTuple):
-    """A target understood: what the fault is given, the messages it must see, the satellites."""
+    """A parsed target: fields for the fault, ids of the messages it needs, and satellites."""
 
     given: dict[str, Any]
     ids: Ids
@@ -31,21 +31,23 @@ class ResolvedTarget(NamedTuple):
 
 
 def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> ResolvedTarget:
-    """What the target of a fault means.
+    """Parse the target of a fault.
 
     Raises
     ------
     ValueError
-        If it fits the fault or the dialect in no way; the text starts with the target.
+        If it does not fit the fault or the dialect; the text starts with the target.
     """
-    # All or none: a fault acts on ranges or on something else.
+    # Pseudoranges cannot be mixed with other targets.
     on_ranges = [one for one in names if one.startswith(targets.RANGES + ".")]
     if on_ranges:
         if not acts_on_ranges(kind):
             able = ", ".join(one for one, kind in known_faults().items() if acts_on_ranges(kind))
-            raise ValueError(f"{on_ranges[0]} is no target for {name}; satellites take {able}")
+            raise ValueError(
+                f"{on_ranges[0]} is not a target for {name}; for satellites use {able}"
+            )
         return ResolvedTarget({}, TUNNEL, targets.parse_named_targets(names, targets.RANGES))
-    # A plant change travels in answers to the simulator, so it needs its frames.
+    # Plant changes are sent in reply to the simulator's frames.
     if kind.acts_on == "plant":
         if not names:
             raise ValueError("is missing; give PLANT.<parameter>, for example PLANT.mass_kg_add")
@@ -56,11 +58,11 @@ def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> Resolved
         if not names:
             raise ValueError("is missing; give MESSAGE.field, for example HIL_SENSOR.xgyro")
         elements = targets.parse_field_targets(names)
-        # What a fault does to the bits on the wire is the same in every unit.
+        # Faults on encoded bits need no unit conversion.
         factors = {} if getattr(kind, "on_wire", False) else factors_of(elements)
         given = {"elements": elements, "factors": factors}
         return ResolvedTarget(given, frozenset(elements))
-    # Without a target: the messages that the fault itself names, if it does.
+    # Without a target, the messages that the fault itself names, if any.
     ids = targets.parse_message_targets(names) or targets.parse_message_targets(
         getattr(kind, "messages", ())
     )
@@ -68,9 +70,9 @@ def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> Resolved
 
 
 def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
-    """What is wrong with each of the targets; empty if they are right."""
+    """Return the errors of the targets; empty if they are valid."""
     found: list[str] = []
-    # One by one first, so that the error names the very target that is wrong.
+    # Separately first, so that the error names the wrong target.
     for part in [[one] for one in names] or [[]]:
         try:
             resolve_target(name, kind, part)
@@ -79,7 +81,7 @@ def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]
     if not found:
         try:
             resolve_target(name, kind, names)
-        except ValueError as error:  # right one by one, but not together
+        except ValueError as error:  # valid separately, but not together
             found.append(str(error))
     return found
 
@@ -87,20 +89,19 @@ def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]
 def bind_fault(
     kind: type[Any], parameters: dict[str, Any], at: ResolvedTarget, via: str
 ) -> tuple[Fault, Ids]:
-    """The fault with its parameters and target, and the messages it must see.
+    """Build the fault from its parameters and target; return it with its message ids.
 
     Raises
     ------
     ValueError
-        If the parameters do not fit each other or the target.
+        If the parameters are inconsistent or do not fit the target.
     """
     fault: Any = kind(**parameters, **at.given)
     if not at.satellites:
         if via == "simulator" and kind.acts_on != "plant":
-            raise ValueError("via: simulator is for PSEUDORANGE and PLANT targets only")
+            raise ValueError("via: simulator needs a PSEUDORANGE or PLANT target; remove via")
         return fault, at.ids
     if via == "simulator":
         names = receiver_names(at.satellites, fault)
-        # The simulator's own frames carry the changes to it.
         return ReceiverFault(names=names, fault=fault), CARRIER_IDS
     return SatelliteFault(fault=fault, names=at.satellites), at.ids

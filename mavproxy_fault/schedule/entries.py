@@ -1,4 +1,4 @@
-"""Schedules: which faults, when, on which frames; read from YAML with every error and its line."""
+"""Schedules and their entries, read from YAML; all errors are reported with their lines."""
 
 import reprlib
 from collections.abc import Callable, Collection, Sequence
@@ -34,7 +34,7 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Where(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Which frames: sender, instance (the message's own `id`) and direction; None takes all."""
+    """Filter for frames: sender, instance (the message's `id`) and direction; None means any."""
 
     system: Byte | None = None
     component: Byte | None = None
@@ -51,9 +51,9 @@ class After(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Repeat(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Start again every `every_s` seconds, `times` times in all (for ever by default).
+    """Start again every `every_s` seconds, `times` times in total (default: unlimited).
 
-    Without `every_s`, which needs a `when`: each time the condition becomes true again.
+    Without `every_s`, start each time that the condition `when` becomes true again.
     """
 
     every_s: Duration | None = None
@@ -67,10 +67,10 @@ class EntryKeys(
     kw_only=True,
     rename={"count_from": "from"},
 ):
-    """What every entry of a schedule may say; the fault's own parameters stand beside it.
+    """The keys that every entry of a schedule may have, besides the parameters of its fault.
 
-    `at_s` counts from the moment `from`. With `via: simulator` a satellite fault acts in the
-    simulated receiver instead of on the wire.
+    `at_s` counts from the flight event `from`. With `via: simulator` a satellite fault acts in
+    the simulated receiver instead of on the wire.
     """
 
     id: str | None = None
@@ -95,7 +95,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """One fault of a schedule, ready to run.
 
     `ids` are the messages it acts on (None: all); `written` are the keys as the user wrote them.
-    Until its `event_condition` is true, where it has one, `at_s` does not count.
+    `at_s` counts from the time at which the condition `moment` becomes true, if there is one.
     """
 
     id: str
@@ -117,21 +117,21 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The fault's own parameters, as written."""
+        """The parameters of the fault, as written."""
         return {key: value for key, value in self.written.items() if key not in KEYS}
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """The seed and the entries, in the order in which they act on a frame."""
+    """The seed and the entries in the order in which they act on a frame."""
 
     seed: int = 0
     faults: tuple[Entry, ...] = ()
 
 
 def never_acted(schedule: Schedule, acted: Collection[str]) -> list[str]:
-    """What of a schedule met nothing, given the ids of what did: one word an entry as written.
+    """Return the entries that matched no message, given the ids of those that did.
 
-    A preset names every message in which its sensor may speak: it is enough that one part met it.
+    A preset lists every message that may carry its sensor, so one matching part is enough.
     """
     idle: dict[str, bool] = {}
     for entry in schedule.faults:
@@ -142,17 +142,17 @@ def never_acted(schedule: Schedule, acted: Collection[str]) -> list[str]:
 
 
 def read_schedule(path: FilePath | str, via: Via = "proxy") -> Schedule:
-    """The schedule of a YAML file; `via` is where satellite faults act that do not say.
+    """Read the schedule of a YAML file; `via` is the default of satellite faults.
 
     Raises
     ------
     ConfigError
-        With every error of the file and its line, or if it cannot be read.
+        If the file cannot be read or has errors: all of them, with their lines.
     """
     try:
         return parse_schedule(read_document(path), via=via)
     except FlawedDocumentError as error:
-        # What is wrong in its entries is told in the same breath.
+        # Errors of its entries are reported together with the flaws.
         return parse_schedule(error.document, via=via, flaws=error.flaws)
 
 
@@ -162,45 +162,46 @@ def parse_schedule(
     via: Via = "proxy",
     flaws: Sequence[Flaw] = (),
 ) -> Schedule:
-    """The schedule of a document, of a YAML text, or of data; `where` names those in errors,
-    `flaws` are what is known to be wrong.
+    """Parse the schedule of a document, a YAML text or data.
+
+    `where` is the name in errors; `flaws` are errors found before.
 
     Raises
     ------
     ConfigError
-        With every error, each with its line where it is known.
+        If there are errors: all of them, with their lines if known.
     """
     if isinstance(source, str):
         source = read_yaml(source, where)
-    # Data from a program have no lines.
+    # Data from a program has no lines.
     data, where, lines = source if isinstance(source, Document) else (source, where, None)
     check = DocumentCheck(where, lines, flaws)
     if not isinstance(data, dict):
-        raise ConfigError(f"{where}: is no schedule; give `seed` and a list of `faults`")
+        raise ConfigError(f"{where}: is not a schedule; give `seed` and a list of `faults`")
     refuse_other_kinds(data, SCHEDULE_KEYS, where, "a schedule")
     check.keys(data, SCHEDULE_KEYS, ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []
     entries: list[Entry] = []
-    # Every entry is read before anything is refused: one run shows all errors.
+    # All entries are read before errors are raised, to report all of them.
     if isinstance(listed, list):
         for i, item in enumerate(listed):
             entries += _entries(item, i, check, ("faults", i), via)
-        # On the data as written: an entry that is wrong in itself still counts as there.
+        # On the data as written, since an invalid entry still counts as existing.
         check_together(listed, check)
     else:
-        check.wrong(("faults",), "is no list; give `- id: ...` items")
+        check.wrong(("faults",), "is not a list; give `- id: ...` items")
     check.finish()
     return Schedule(seed, tuple(entries))
 
 
 def parse_entry(data: dict[str, Any], where: str) -> list[Entry]:
-    """One item of a schedule on its own (a preset of several parts gives several entries).
+    """Parse a single item of a schedule (several entries for a preset of several parts).
 
     Raises
     ------
     ConfigError
-        With every error.
+        If there are errors: all of them.
     """
     check = DocumentCheck(where)
     entries = _entries(data, 0, check, (), "proxy")
@@ -210,7 +211,7 @@ def parse_entry(data: dict[str, Any], where: str) -> list[Entry]:
 
 def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via) -> list[Entry]:
     if not isinstance(data, dict):
-        text = f"= {reprlib.repr(data)} is no fault; give keys such as `fault`, `target`, `at_s`"
+        text = f"= {reprlib.repr(data)} is not a fault; give keys such as `fault`, `target`, `at_s`"
         check.wrong(path, text)
         return []
     if "preset" in data:
@@ -220,18 +221,18 @@ def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via)
 
 
 def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None:
-    """Let a table's file lie beside the schedule, and see that it begins as it should."""
+    """Resolve a series file relative to the schedule, and check its first rows."""
     profile = found.get("profile")
     if not isinstance(profile, Profile) or profile.table is None:
         return
     from mavproxy_fault.fault_parts.series import read_blocks
 
-    # Beside the schedule, wherever the command was started.
+    # Relative to the schedule, not to the working directory.
     file = FilePath(check.where).parent / profile.table.file
     table = msgspec.structs.replace(profile.table, file=str(file))
     found["profile"] = msgspec.structs.replace(profile, table=table)
     try:
-        # Its first rows only: a file of hours would hold the start up.
+        # The first block only: reading a large file would delay the start.
         next(read_blocks(table), None)
     except ConfigError as error:
         check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
@@ -242,14 +243,14 @@ def _from_preset(
 ) -> list[Entry]:
     name = data["preset"]
     if "fault" in data:
-        check.wrong((*path, "fault"), "stands beside preset; give one of them")
+        check.wrong((*path, "fault"), "and preset exclude each other; give one of them")
     if name not in preset_names():
         text = f"= {reprlib.repr(name)} is unknown; {suggest_known(str(name), preset_names())}"
         check.wrong((*path, "preset"), text)
         return []
     entries = []
     parts = preset_parts(name)
-    # The keys of the item overrule those of each part.
+    # The keys of the item take precedence over those of each part.
     own = {key: value for key, value in data.items() if key != "fault"}
     before = check.count
     check.value(data.get("id"), str | None, (*path, "id"))
@@ -257,7 +258,7 @@ def _from_preset(
         entry = _entry({**part, **own, "id": id}, number, check, path, via)
         if entry is not None:
             entries.append(msgspec.structs.replace(entry, preset=name, written=data))
-        if check.count > before:  # the same would be wrong in each part
+        if check.count > before:  # the same error would repeat in each part
             break
     return entries
 
@@ -273,7 +274,7 @@ def _entry(
         keys.pop("count_from", None), check, (*path, "from"), event_condition
     )
     if keys["moment"] is not None and "after" in keys:
-        check.wrong((*path, "from"), "stands beside after; give one of them")
+        check.wrong((*path, "from"), "and after exclude each other; give one of them")
     name = keys.pop("fault", None)
     kind = _kind(name, data, check, path)
     if kind is None:
@@ -284,14 +285,14 @@ def _entry(
     _open_table(found, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
-    # A target that was refused already says nothing more.
+    # An invalid target value already has its error.
     for text in target_errors(name, kind, names) if None not in names else ():
         check.wrong((*path, "target"), f"= {text}" if names else text)
-    # Binding needs every field right.
+    # Binding needs valid fields.
     if check.count > before:
         return None
     at = resolve_target(name, kind, names)
-    # Only satellites can be falsified in two places.
+    # Only satellite faults can act in the proxy or in the simulator.
     wanted = keys.pop("via", None) or (via if at.satellites else "proxy")
     try:
         fault, ids = bind_fault(kind, found, at, wanted)
@@ -307,7 +308,7 @@ def _entry(
 def _kind(
     name: str | None, data: dict[str, Any], check: DocumentCheck, path: Path
 ) -> type[Any] | None:
-    """The class of the fault; None with the error noted if there is none of that name."""
+    """Return the class of the fault; add an error and return None if it does not exist."""
     kind = fault_class(name) if name is not None else None
     if name is not None and kind is None:
         known = [*known_faults(), *known_aliases()]
@@ -322,10 +323,10 @@ def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> Non
     if repeat is None:
         return
     if "for_s" not in keys:
-        check.wrong((*path, "repeat"), "needs for_s; a fault that never ends cannot start again")
+        check.wrong((*path, "repeat"), "needs for_s, since an endless fault cannot restart; add it")
     if repeat.every_s is None and keys.get("when") is None:
-        check.wrong((*path, "repeat"), "lacks every_s; only a fault with `when` can do without")
-    # A start before the end of the last one would be two faults in one.
+        check.wrong((*path, "repeat"), "lacks every_s, required without `when`; add it")
+    # Repetitions must not overlap.
     if repeat.every_s is not None and for_s is not None and repeat.every_s < for_s:
         text = f"= {repeat.every_s:g} is shorter than for_s = {for_s:g}; give that or more"
         check.wrong((*path, "repeat", "every_s"), text)
@@ -334,7 +335,7 @@ def _check_repeat(keys: dict[str, Any], check: DocumentCheck, path: Path) -> Non
 def _condition(
     text: str | None, check: DocumentCheck, path: Path, read: Callable[[str], Condition | None]
 ) -> Condition | None:
-    """What a text waits for; None without one, or with the error noted."""
+    """Parse a condition; None without a text, or after adding an error."""
     try:
         return None if text is None else read(text)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Schedules written back to YAML, as they stand while they run."""
+"""Writes a running schedule back to YAML."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,17 +10,16 @@ from mavproxy_fault.schedule.entries import Entry
 
 
 def write_schedule(seed: int, entries: Iterable[tuple[Entry, float]]) -> str:
-    """What `read_schedule` takes: entries, each with the seconds after which its times count."""
+    """Format entries for `read_schedule`, each with the offset [s] of its times."""
     written: dict[str, dict[str, Any]] = {}
     for entry, late_s in entries:
-        # The parts of a preset were one item of the file, and become one again.
-        whole = entry.id.rpartition(".")[0] if entry.preset else ""  # one part of several
+        # The parts of a preset were one item of the file and become one again.
+        whole = entry.id.rpartition(".")[0] if entry.preset else ""  # a part of several
         data = {"id": whole or entry.id, **entry.written}
-        # Live edits may begin long after the file's own times: they are moved by that much.
-        # A moment of the flight is the same whenever they were made.
+        # The times of live edits count from the edit and are shifted to the schedule's start,
+        # but not those that count from a flight event.
         if late_s and entry.moment is None:
             data["at_s"] = round(late_s + entry.at_s, 6)
-        # Once for all parts.
         written.setdefault(data["id"], data)
     faults = msgspec.to_builtins(list(written.values()))
     return write_yaml({"seed": seed, "faults": faults})

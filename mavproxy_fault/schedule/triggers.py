@@ -1,13 +1,12 @@
-"""Conditions over telemetry: a small expression language, parsed and walked, never evaluated.
+"""Conditions on telemetry: a small expression language, parsed without evaluating Python.
 
     GLOBAL_POSITION_INT.relative_alt > 50000 and armed
     count(HIL_SENSOR) >= 1000 or HIL_ACTUATOR_CONTROLS.controls[3] > 0.9
     mode == "AUTO.MISSION" and abs(ATTITUDE.roll) < 0.1 and altitude_m > 20
 
-A field stands for its newest value from the vehicle; a comparison with a message that has not come
-yet is false. `flight_mode` is PX4's name of the flight mode (other autopilots: the number in
-custom_mode). The syntax is Python's, read by its parser; of the syntax tree only what is listed
-here is taken.
+A field means its newest value from the vehicle; a comparison with a message that has not arrived
+yet is false. `mode` is PX4's name of the flight mode (other autopilots: the number in custom_mode).
+The syntax is Python's, read by its parser; only the listed nodes of the syntax tree are accepted.
 """
 
 import ast
@@ -35,13 +34,13 @@ ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
-    # A division by zero is no value, so that the comparison is false.
+    # A division by zero has no value, which makes the comparison false.
     ast.Div: lambda a, b: a / b if b else None,
     ast.BitAnd: lambda a, b: int(a) & int(b),
 }
-# Longer than any condition a person writes; the parser's time and depth are bounded.
+# Chosen: longer than any hand-written condition; bounds the parser's time and depth.
 LENGTH_MAX = 500
-# What Python's parser raises for hostile text.
+# Raised by Python's parser for hostile text.
 _SYNTAX = (SyntaxError, RecursionError, MemoryError)
 
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
@@ -74,15 +73,15 @@ ITEM = re.compile(r"mission-item:(\d+)")
 
 
 class Telemetry:
-    """The newest frame of each message asked for, and how many have come."""
+    """The newest frame of each message, and the number received."""
 
     def __init__(self) -> None:
         self.newest: dict[int, Frame] = {}
         self.counts: dict[int, int] = {}
 
     def note(self, frame: Frame) -> None:
-        """Take a frame in; heartbeats of what is no autopilot are passed over."""
-        # A ground station's heartbeat would disarm the vehicle in `is_armed`.
+        """Store a frame; ignore heartbeats that are not from an autopilot."""
+        # A ground station's heartbeat would make `armed` false.
         if frame.id == 0 and frame.number("autopilot") == NO_AUTOPILOT:
             return
         self.newest[frame.id] = frame
@@ -90,19 +89,19 @@ class Telemetry:
 
 
 class Condition:
-    """A parsed expression; `ids` are the messages it looks at.
+    """A parsed expression; `ids` are the messages that it uses.
 
     Raises
     ------
     ValueError
-        If the text is no expression of this language; the text says what is.
+        If the text is not a valid condition; the message says what is.
     """
 
     def __init__(self, text: str) -> None:
         self.text = text
         self.ids: set[int] = set()
         if len(text) > LENGTH_MAX:
-            raise ValueError(f"is longer than {LENGTH_MAX} characters")
+            raise ValueError(f"is longer than {LENGTH_MAX} characters; shorten it")
         try:
             self._root = self._part(ast.parse(text.strip(), mode="eval").body)
         except _SYNTAX as error:
@@ -111,7 +110,7 @@ class Condition:
                 "write for example: HIL_GPS.alt > 500000 and armed"
             ) from None
 
-    # By text: a schedule that is read twice is equal to itself.
+    # Compared by text, so that a schedule read twice is equal.
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Condition) and other.text == self.text
 
@@ -119,11 +118,11 @@ class Condition:
         return hash(self.text)
 
     def holds(self, telemetry: Telemetry) -> bool:
-        """Whether it is true now."""
+        """Whether the condition is true."""
         return bool(self._root(telemetry))
 
     def _part(self, node: ast.expr) -> Callable[[Telemetry], Value]:
-        """A closure for one node of the tree."""
+        """Compile one node of the tree to a function."""
         # `bool` is an `int` in Python: True and False are numbers here.
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float | str):
             value = node.value
@@ -143,8 +142,8 @@ class Condition:
         if isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
             return self._name(node)
         raise ValueError(
-            f"= {self.text!r} holds {ast.unparse(node)!r}, which is not allowed; "
-            "allowed are fields, numbers, and, or, not, comparisons, + - * / &, abs(), count()"
+            f"= {self.text!r} contains {ast.unparse(node)!r}, which is not allowed; "
+            "use fields, numbers, and, or, not, comparisons, + - * / &, abs(), count()"
         )
 
     def _unary(self, node: ast.UnaryOp) -> Callable[[Telemetry], Value]:
@@ -164,9 +163,9 @@ class Condition:
             self._both(COMPARE.get(type(op), _refused), left, right)
             for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
         ]
-        # `in` and `is` parse, but mean nothing here.
+        # `in` and `is` are not part of the language.
         if any(type(op) not in COMPARE for op in node.ops):
-            raise ValueError(f"= {self.text!r}: allowed comparisons are == != < <= > >=")
+            raise ValueError(f"= {self.text!r}: has another comparison; use == != < <= > >=")
         return lambda telemetry: all(step(telemetry) for step in steps)
 
     def _both(
@@ -176,7 +175,7 @@ class Condition:
 
         def joined(telemetry: Telemetry) -> Value:
             a, b = one(telemetry), two(telemetry)
-            # Text is compared with text only; anything else is no answer, so false.
+            # Text compares with text only; anything else is undefined and so false.
             if a is None or b is None or isinstance(a, str) != isinstance(b, str):
                 return None
             found: Value = act(a, b)
@@ -187,13 +186,11 @@ class Condition:
     def _call(self, node: ast.Call) -> Callable[[Telemetry], Value]:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if len(node.args) != 1 or node.keywords or name not in ("abs", "count"):
-            raise ValueError(
-                f"= {self.text!r} calls {ast.unparse(node)!r}; there are abs() and count()"
-            )
+            raise ValueError(f"= {self.text!r} calls {ast.unparse(node)!r}; use abs() or count()")
         argument = node.args[0]
         if name == "count":
             if not isinstance(argument, ast.Name):
-                raise ValueError(f"= {self.text!r}: count() takes the name of a message")
+                raise ValueError(f"= {self.text!r}: count() needs the name of a message")
             number = find_message(argument.id).id
             self.ids.add(number)
             return lambda telemetry: telemetry.counts.get(number, 0)
@@ -206,19 +203,19 @@ class Condition:
         return size
 
     def _name(self, node: ast.expr) -> Callable[[Telemetry], Value]:
-        """A word, or MESSAGE.field, or MESSAGE.field[3]."""
+        """Compile a keyword, MESSAGE.field, or MESSAGE.field[3]."""
         index = 0
         if isinstance(node, ast.Subscript):
             if not isinstance(node.slice, ast.Constant) or not isinstance(node.slice.value, int):
-                raise ValueError(f"= {self.text!r}: an index is a number")
+                raise ValueError(f"= {self.text!r}: an index must be a number")
             index, node = node.slice.value, node.value
         if isinstance(node, ast.Name):
             return self._word(node.id)
         if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
-            raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is no MESSAGE.field")
+            raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is not MESSAGE.field; give one")
         layout = find_message(node.value.id)
         field = layout.fields.get(node.attr)
-        # Text has no number, and an index must exist in the message's definition.
+        # Only numeric fields, with an index within the message's definition.
         if field is None or field.type == "char" or not 0 <= index < max(field.count, 1):
             raise ValueError(
                 f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
@@ -242,7 +239,7 @@ class Condition:
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)
-            # No heartbeat yet: nothing is known, so nothing is true.
+            # Unknown until the message arrives.
             return None if frame is None else meaning(frame)
 
         return read
@@ -253,35 +250,35 @@ def _refused(a: Any, b: Any) -> bool:
 
 
 def is_armed(heartbeat: Frame) -> bool:
-    """Whether the vehicle says that it is armed."""
+    """Whether a heartbeat reports the vehicle as armed."""
     return bool(int(heartbeat.number("base_mode")) & ARMED)
 
 
 def flight_mode(heartbeat: Frame) -> str | int:
-    """PX4's flight mode by name; of other autopilots the number."""
+    """Return the name of PX4's flight mode, or the number of another autopilot's."""
     number = int(heartbeat.number("custom_mode"))
     if heartbeat.number("autopilot") != PX4:
         return number
     main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
     name = PX4_MAIN[main] if main < len(PX4_MAIN) else str(main)
-    # Sub mode 0 means that the main mode has none.
+    # Sub mode 0 means none.
     if name == "AUTO" and 0 < sub < len(PX4_AUTO):
         return f"AUTO.{PX4_AUTO[sub]}"
     return name
 
 
 def altitude_m(position: Frame) -> float:
-    """Height above home in metres."""
+    """Return the height above home [m]."""
     return position.number("relative_alt") / 1000.0
 
 
 def event_condition(text: str) -> Condition | None:
-    """What is true from a moment of a flight on; None for the first stamp, which needs nothing.
+    """Return the condition for a flight event; None for the first timestamp, which needs none.
 
     Raises
     ------
     ValueError
-        If there is no such moment.
+        If the event does not exist.
     """
     if text == FIRST_STAMP:
         return None
@@ -289,7 +286,7 @@ def event_condition(text: str) -> Condition | None:
         return Condition(f"MISSION_ITEM_REACHED.seq >= {item[1]}")
     if text not in FLIGHT_EVENTS:
         raise ValueError(
-            f"= {text} is no moment of a flight; there are {FIRST_STAMP}, "
-            f"{', '.join(FLIGHT_EVENTS)} and mission-item:N"
+            f"= {text} is not a flight event; give {FIRST_STAMP}, "
+            f"{', '.join(FLIGHT_EVENTS)} or mission-item:N"
         )
     return Condition(FLIGHT_EVENTS[text])

@@ -1,7 +1,7 @@
-"""Turns of one vehicle at a time, in Python's own numbers.
+"""Rotations of single vectors and attitudes in Python floats.
 
-That is ten times as fast as arrays of one. A proxy with a schedule is ready without numpy, whose
-import takes a third of its start. `rotation` has the same for arrays.
+They are ten times as fast as numpy arrays of one element, and let a proxy start without numpy,
+whose import takes a third of the start-up time. `rotation` has the same for arrays.
 """
 
 import math
@@ -11,21 +11,21 @@ Matrix = tuple[tuple[float, float, float], ...]
 
 
 def euler_angles(q_nb: Sequence[float]) -> tuple[float, float, float]:
-    """Roll, pitch, yaw [rad] of one quaternion, without numpy's cost for single values."""
+    """Return roll, pitch, yaw [rad] of one quaternion."""
     w, x, y, z = q_nb
     return (
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        # Rounding may take the sine of a vertical nose beyond one.
+        # Rounding may make the sine exceed one when the nose is vertical.
         math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
         math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
     )
 
 
 def rotate_to_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float, float, float]:
-    """One NED vector in body axes, in plain floats: numpy takes ten times as long for three."""
+    """Rotate one NED vector to body axes."""
     w, x, y, z = q_nb
     n, e, d = v_ned
-    # v + 2 q x (q x v + w v), with q reversed.
+    # v + 2 q x (q x v + w v), with q conjugated.
     tn, te, td = 2.0 * (e * z - d * y), 2.0 * (d * x - n * z), 2.0 * (n * y - e * x)
     return (
         n + w * tn + te * z - td * y,
@@ -35,7 +35,7 @@ def rotate_to_body(q_nb: Sequence[float], v_ned: Sequence[float]) -> tuple[float
 
 
 def body_matrix(roll: float, pitch: float, yaw: float) -> Matrix:
-    """The matrix that takes a vector to axes turned by yaw, then pitch, then roll [rad]."""
+    """Return the matrix that rotates a vector to axes rotated by yaw, pitch, roll [rad]."""
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
     return (
@@ -48,11 +48,11 @@ def body_matrix(roll: float, pitch: float, yaw: float) -> Matrix:
 def rotate_quaternion(
     q_nb: Sequence[float], rotvec_b: Sequence[float]
 ) -> tuple[float, float, float, float]:
-    """One attitude turned by a small rotation vector in body axes [rad], in plain floats."""
+    """Rotate one attitude by a small rotation vector in body axes [rad]."""
     w, x, y, z = q_nb
     a, b, c = rotvec_b
     half = 0.5 * math.sqrt(a * a + b * b + c * c)
-    # The limit where nothing turns and the quotient is 0 / 0.
+    # The limit for no rotation, where the quotient is 0 / 0.
     scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
     a, b, c, s = scale * a, scale * b, scale * c, math.cos(half)
     return (

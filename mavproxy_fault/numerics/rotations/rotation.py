@@ -1,7 +1,7 @@
-"""Turns in space: unit quaternions (w, x, y, z), rotation matrices and 3-2-1 Euler angles.
+"""Rotations of arrays: unit quaternions (w, x, y, z), rotation matrices and 3-2-1 Euler angles.
 
-`q_nb` takes body vectors to NED. Every function works on the last axis of arrays of any shape.
-`one_rotation` has what a single vehicle needs, without numpy.
+`q_nb` rotates body vectors to NED. Every function works on the last axis of arrays of any shape.
+`one_rotation` is for single values, without numpy.
 Formulas: Diebel, Representing Attitude, Stanford, 2006.
 """
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
-    """Quaternion (..., 4) of yaw, pitch and roll [rad], applied in this order about moving axes."""
+    """Return the quaternion (..., 4) of yaw, pitch and roll [rad], in this order, moving axes."""
     half = [0.5 * np.asarray(angle, dtype=float) for angle in (roll, pitch, yaw)]
     (cr, cp, cy), (sr, sp, sy) = [np.cos(h) for h in half], [np.sin(h) for h in half]
     return np.stack(
@@ -27,17 +27,17 @@ def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
 
 
 def euler_from_quat(q: ArrayLike) -> Array:
-    """Roll, pitch, yaw (..., 3) [rad]; pitch within +-pi/2."""
+    """Return roll, pitch, yaw (..., 3) [rad] of quaternions; pitch within +-pi/2."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    # Rounding may take the sine of a vertical nose beyond one.
+    # Rounding may make the sine exceed one when the nose is vertical.
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def matrix_from_quat(q: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) that turns vectors as the quaternion does."""
+    """Return the rotation matrix (..., 3, 3) of quaternions."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     rows = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -48,10 +48,10 @@ def matrix_from_quat(q: ArrayLike) -> Array:
 
 
 def quat_from_matrix(rot: ArrayLike) -> Array:
-    """Quaternion (..., 4) with w >= 0 of a rotation matrix (..., 3, 3)."""
+    """Return the quaternion (..., 4), w >= 0, of rotation matrices (..., 3, 3)."""
     m = np.asarray(rot, dtype=float)
     d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    # Four times the square of each component; the largest is the safe one to divide by.
+    # Four times the square of each component; dividing by the largest is well conditioned.
     squares = np.stack(
         [1.0 + d0 + d1 + d2, 1.0 + d0 - d1 - d2, 1.0 - d0 + d1 - d2, 1.0 - d0 - d1 + d2], axis=-1
     )
@@ -81,7 +81,7 @@ def quat_from_matrix(rot: ArrayLike) -> Array:
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Quaternion product (..., 4): the rotation `b` followed by the rotation `a`."""
+    """Return the quaternion product (..., 4): rotation `b` followed by rotation `a`."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=float), -1, 0)
     bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=float), -1, 0)
     return np.stack(
@@ -96,37 +96,37 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
-    """The inverse rotation (..., 4)."""
+    """Return the inverse rotation (..., 4)."""
     return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Quaternion (..., 4) of a rotation vector (..., 3) [rad]."""
+    """Return the quaternion (..., 4) of rotation vectors (..., 3) [rad]."""
     v = np.asarray(rotvec, dtype=float)
     half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
-    # np.sinc(x) is sin(pi x) / (pi x), so small angles need no case of their own.
+    # np.sinc(x) is sin(pi x) / (pi x), so small angles need no special case.
     return np.concatenate([np.cos(half), 0.5 * v * np.sinc(half / np.pi)], axis=-1)
 
 
 def rotvec_from_quat(q: ArrayLike) -> Array:
-    """Rotation vector (..., 3) [rad] of length at most pi."""
+    """Return the rotation vector (..., 3) [rad] of quaternions, of length at most pi."""
     quat = np.asarray(q, dtype=float)
-    # The other sign is the same rotation the long way round, by more than pi.
+    # The negative quaternion is the same rotation by more than pi.
     quat = np.where(quat[..., :1] < 0.0, -quat, quat)
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
-    # Not by the arc cosine, which loses half the digits of small angles.
+    # The arc cosine would lose half the digits of small angles.
     half = np.arctan2(sine, quat[..., :1])
     return np.asarray(quat[..., 1:] * (2.0 / np.sinc(half / np.pi)))
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Angle (...) [rad] of the rotation that takes attitude `a` to attitude `b`, 0 to pi."""
+    """Return the angle (...) [rad], 0 to pi, of the rotation from attitude `a` to `b`."""
     return np.asarray(
         np.linalg.norm(rotvec_from_quat(quat_multiply(quat_conjugate(a), b)), axis=-1)
     )
 
 
 def wrap_angles(angle: ArrayLike) -> Array:
-    """Angle brought into [-pi, pi) [rad]."""
-    # The remainder has the divisor's sign, so negative angles need no case of their own.
+    """Wrap angles to [-pi, pi) [rad]."""
+    # The remainder has the divisor's sign, so negative angles need no special case.
     return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,6 +1,6 @@
-"""Rotations one at a time, for compiled callers; `rotation` has them for arrays and plain floats.
+"""Single rotations for compiled callers; `rotation` has them for arrays.
 
-Quaternions are (w, x, y, z), body to NED. A test holds the two forms together.
+Quaternions are (w, x, y, z), body to NED. A test compares the two implementations.
 """
 
 from math import asin, atan2, cos, pi, sin, sqrt
@@ -18,30 +18,30 @@ Errors = tuple[float, float, float, float]
 
 @compiled
 def quaternion_of_rotation(rx: float, ry: float, rz: float) -> Quaternion:
-    """The unit quaternion of a rotation vector in rad."""
+    """Return the unit quaternion of a rotation vector [rad]."""
     angle = sqrt(rx * rx + ry * ry + rz * rz)
-    # sin(angle / 2) / angle by its series where the quotient would lose digits
+    # sin(angle / 2) / angle by its series, where the quotient would lose digits
     factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else sin(0.5 * angle) / angle
     return cos(0.5 * angle), factor * rx, factor * ry, factor * rz
 
 
 @compiled
 def rotate_in_place(q: Vector, by: Quaternion) -> None:
-    """Rotate the attitude in the first four places of q (>= 4,) in place, in body axes."""
+    """Rotate the attitude q[:4] in place, in body axes."""
     w, x, y, z = by
     a, b, c, d = q[0], q[1], q[2], q[3]
     q0 = a * w - b * x - c * y - d * z
     q1 = a * x + b * w + c * z - d * y
     q2 = a * y - b * z + c * w + d * x
     q3 = a * z + b * y - c * x + d * w
-    # Over a flight's many small rotations rounding would let the length drift.
+    # Normalised, since rounding accumulates over many small rotations.
     norm = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
     q[0], q[1], q[2], q[3] = q0 / norm, q1 / norm, q2 / norm, q3 / norm
 
 
 @compiled
 def rotate_attitude(q: Vector, rx: float, ry: float, rz: float) -> Vector:
-    """q (4,) turned by the rotation vector (rx, ry, rz) in rad, given in body axes."""
+    """Return q (4,) rotated by the rotation vector (rx, ry, rz) [rad] in body axes."""
     out = q.copy()
     rotate_in_place(out, quaternion_of_rotation(rx, ry, rz))
     return out
@@ -49,17 +49,17 @@ def rotate_attitude(q: Vector, rx: float, ry: float, rz: float) -> Vector:
 
 @compiled
 def rotate_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
-    """The same for a rotation vector given in the axes that q turns to (NED, ECEF)."""
+    """Return q (4,) rotated by a rotation vector [rad] in the reference axes (NED, ECEF)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
-    # The attitude behind the rotation: its axes are then those of the reference.
+    # Rotation times attitude: the axes are then those of the reference.
     rotate_in_place(out, (q[0], q[1], q[2], q[3]))
     return out
 
 
 @compiled
 def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
-    """The rows of rot_nb of the attitude in the first four places of q (>= 4,)."""
+    """Return the rows of rot_nb of the attitude q[:4]."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -70,7 +70,7 @@ def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
 
 @compiled
 def rotation_matrix(q: Vector) -> NDArray[np.float64]:
-    """rot_nb (3, 3) of q (4,)."""
+    """Return rot_nb (3, 3) of q (4,)."""
     north, east, down = body_axes(q)
     out = np.empty((3, 3))
     for i in range(3):
@@ -82,7 +82,7 @@ def rotation_matrix(q: Vector) -> NDArray[np.float64]:
 def to_body(
     e0: float, e1: float, e2: float, e3: float, n: float, e: float, d: float
 ) -> tuple[float, float, float]:
-    """Turn a NED vector into body axes."""
+    """Rotate a NED vector to body axes."""
     x = (
         (e0 * e0 + e1 * e1 - e2 * e2 - e3 * e3) * n
         + 2.0 * (e1 * e2 + e0 * e3) * e
@@ -105,13 +105,13 @@ def to_body(
 def to_ned(
     e0: float, e1: float, e2: float, e3: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Turn a body vector into NED."""
+    """Rotate a body vector to NED."""
     return to_body(e0, -e1, -e2, -e3, x, y, z)
 
 
 @compiled
 def euler_of_quaternion(q: Vector | Quaternion) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in rad of q (4,)."""
+    """Return roll, pitch, yaw [rad] of q (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
     return (
@@ -123,7 +123,7 @@ def euler_of_quaternion(q: Vector | Quaternion) -> tuple[float, float, float]:
 
 @compiled
 def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
-    """The quaternion (4,) of Euler angles 3-2-1 in rad."""
+    """Return the quaternion (4,) of 3-2-1 Euler angles [rad]."""
     cr, sr = cos(0.5 * roll), sin(0.5 * roll)
     cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
     cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
@@ -137,8 +137,8 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
 
 @compiled
 def wrap_angle(angle_rad: float) -> float:
-    """The angle in (-pi, pi]."""
-    # Nearly always so; and an angle that needs nothing keeps its last bit.
+    """Wrap an angle to (-pi, pi] [rad]."""
+    # The usual case, and bit-exact.
     if -pi < angle_rad <= pi:
         return angle_rad
     return atan2(sin(angle_rad), cos(angle_rad))
@@ -146,7 +146,7 @@ def wrap_angle(angle_rad: float) -> float:
 
 @compiled
 def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
-    """How far the estimate must turn about down for the field (3,) to lie at the declination."""
+    """Return the rotation about down that aligns the measured field (3,) with the declination."""
     rot = rotation_matrix(q)
     north = rot[0, 0] * field[0] + rot[0, 1] * field[1] + rot[0, 2] * field[2]
     east = rot[1, 0] * field[0] + rot[1, 1] * field[1] + rot[1, 2] * field[2]
@@ -157,10 +157,10 @@ def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
 def gravity_error(
     q: Vector, accel: Vector, gyro: Vector, speed_mps: float, gravity_mps2: float
 ) -> Vector:
-    """Body rotation vector (3,) that would put the estimate's down on the measured one.
+    """Return the body rotation vector (3,) from the estimated to the measured down.
 
-    The specific force is freed of the centripetal part of a flight along the nose. Its sine is
-    scaled down as the force departs from one g, where it says little about down.
+    The centripetal part of the specific force is removed for a flight along the nose. The result
+    is scaled down as the force departs from 1 g, where it contains little information on down.
     """
     fx = accel[0]
     fy = accel[1] - gyro[2] * speed_mps
@@ -172,7 +172,7 @@ def gravity_error(
     dx, dy, dz = rot[2, 0], rot[2, 1], rot[2, 2]
     mx, my, mz = scale * fx, scale * fy, scale * fz
     out = np.empty(3)
-    # The cross product of both downs is the axis, as long as the sine of the angle between.
+    # The cross product is along the axis and has the sine of the angle as length.
     out[0] = my * dz - mz * dy
     out[1] = mz * dx - mx * dz
     out[2] = mx * dy - my * dx
@@ -181,8 +181,8 @@ def gravity_error(
 
 @compiled
 def attitude_errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
-    """Differences of roll, pitch and yaw of two quaternions (4,), wrapped, and the angle of the
-    rotation between, rad."""
+    """Return the wrapped differences of roll, pitch and yaw of two quaternions (4,), and the angle
+    of the rotation between them [rad]."""
     a, b = q_estimate, q_truth
     roll_a, pitch_a, yaw_a = euler_of_quaternion(a)
     roll_b, pitch_b, yaw_b = euler_of_quaternion(b)
@@ -190,7 +190,7 @@ def attitude_errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternio
     x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
     y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
     z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
-    # The shorter way by the absolute value; the arc cosine would lose small angles.
+    # abs: the shorter rotation; the arc cosine would lose digits of small angles.
     angle_rad = 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
     return (
         wrap_angle(roll_a - roll_b),
@@ -202,9 +202,9 @@ def attitude_errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternio
 
 @compiled
 def interpolate_attitude(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
-    """Along the shorter way from q0 (share 0) to q1 (share 1), normalised linear."""
+    """Interpolate from q0 (share 0) to q1 (share 1) along the shorter path, normalised linear."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
-    # q and -q are one attitude: the nearer of the two is meant.
+    # q and -q are the same attitude; use the nearer one.
     other = share if dot >= 0.0 else -share
     one = 1.0 - share
     w, x = one * q0[0] + other * q1[0], one * q0[1] + other * q1[1]

@@ -1,6 +1,6 @@
-"""Rotations without branches, for loops over lanes that become SIMD code.
+"""Rotations without branches, for SIMD loops over lanes.
 
-A test holds them to `rotation_kernel`, which has them one at a time.
+A test compares them with `rotation_kernel`.
 """
 
 from math import pi
@@ -15,12 +15,12 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integ
 
 @inlined
 def euler_of_quaternion(e0: float, e1: float, e2: float, e3: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in rad of a unit quaternion."""
+    """Return roll, pitch, yaw [rad] of a unit quaternion."""
     sine = 2.0 * (e0 * e2 - e3 * e1)
     rest = 1.0 - sine * sine
     return (
         atan2(2.0 * (e0 * e1 + e2 * e3), 1.0 - 2.0 * (e1 * e1 + e2 * e2)),
-        # By tangent, as no arc sine is here; a sine beyond one by a rounding is one.
+        # By the arc tangent, since there is no arc sine; a sine above one by rounding is one.
         atan2(sine, np.sqrt(rest if rest > 0.0 else 0.0)),
         atan2(2.0 * (e0 * e3 + e1 * e2), 1.0 - 2.0 * (e2 * e2 + e3 * e3)),
     )
@@ -28,7 +28,7 @@ def euler_of_quaternion(e0: float, e1: float, e2: float, e3: float) -> tuple[flo
 
 @inlined
 def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion of Euler angles 3-2-1 in rad."""
+    """Return the quaternion of 3-2-1 Euler angles [rad]."""
     sr, cr = sin_cos(0.5 * roll)
     sp, cp = sin_cos(0.5 * pitch)
     sy, cy = sin_cos(0.5 * yaw)
@@ -42,7 +42,7 @@ def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> tuple[float, f
 
 @inlined
 def wrap_angle(angle: float) -> float:
-    """The angle in [-pi, pi]."""
+    """Wrap an angle to [-pi, pi]."""
     revolutions = angle * (0.5 / pi) + _ROUND
-    # The rounded number less the constant is whole revolutions.
+    # Without the constant, the number of whole revolutions.
     return angle - 2.0 * pi * (revolutions - _ROUND)

@@ -1,4 +1,4 @@
-"""Named faults of the field as YAML files: one line about it, and entries of a schedule."""
+"""Presets: named physical failures as YAML files with a description and schedule entries."""
 
 from functools import cache
 from pathlib import Path
@@ -11,18 +11,18 @@ HERE = Path(__file__).parent
 
 @cache
 def preset_names() -> tuple[str, ...]:
-    """The names of all presets, sorted."""
+    """Return the names of all presets, sorted."""
     return tuple(sorted(path.stem for path in HERE.glob("*.yaml")))
 
 
 @cache
 def read_preset(name: str) -> dict[str, Any]:
-    """A preset as written: `about` (one line) and `faults` (entries without times)."""
+    """Read a preset as written: `about` (one line) and `faults` (entries without times)."""
     data: dict[str, Any] = read_document(HERE / f"{name}.yaml").data
     return data
 
 
 def preset_parts(name: str) -> list[dict[str, Any]]:
-    """The entries of a preset."""
+    """Return the entries of a preset."""
     parts: list[dict[str, Any]] = read_preset(name)["faults"]
     return parts
