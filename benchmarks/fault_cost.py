@@ -107,7 +107,7 @@ def stretch_s(
             # Only the first frames are handed over: they begin the faults.
             if forwarder.pending:
                 number, data, _ = forwarder.handed_over()
-                server._carry_out(server.core.received(number, data, server.now_us()))
+                server._send_all(server.core.received(number, data, server.now_us()))
             spent_s += time.thread_time() - begun_s
             with contextlib.suppress(BlockingIOError):
                 while station.recv(999):

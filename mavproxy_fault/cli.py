@@ -98,7 +98,7 @@ def _registered() -> dict[str, AddCommand]:
 
 
 @contextmanager
-def _stoppable(last: bool) -> Iterator[None]:
+def _handle_signals(last: bool) -> Iterator[None]:
     """Make SIGTERM and SIGINT end a command as Ctrl-C does.
 
     A shell starts background jobs (`&`) with SIGINT ignored; we handle it even then. Once the
@@ -150,10 +150,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        chosen = build_parser(given[0] if given else "").parse_args(given)
+        parsed = build_parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; any exception but a ConfigError is a bug and shown.
-        with _stoppable(last=arguments is None):
-            code: int = chosen.main(chosen)
+        with _handle_signals(last=arguments is None):
+            code: int = parsed.main(parsed)
     except ConfigError as error:
         print(f"mavproxy-fault: {error}", file=sys.stderr)
         return 2

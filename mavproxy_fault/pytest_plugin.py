@@ -70,7 +70,7 @@ def fault_proxy(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator["Pro
     from mavproxy_fault.api.proxy_handle import Proxy
 
     folder = tmp_path / "proxy"
-    _announce(request.node, folder, folder / "report" / "report.html")
+    _register_folder(request.node, folder, folder / "report" / "report.html")
     master, out = (request.config.getini(name) for name in (MASTER, OUT))
     with Proxy(master, out, schedule=_schedule(request.node), logdir=folder) as proxy:
         yield proxy
@@ -85,17 +85,18 @@ def autopilot(
 ) -> Iterator[ProxiedAutopilot]:
     """A vehicle behind `fault_proxy`, started by the command `fault_autopilot`."""
     vehicle, station = fault_proxy.addresses
-    words = shlex.split(request.config.getini(COMMAND).replace("{port}", vehicle.rsplit(":", 1)[1]))
+    port = vehicle.rsplit(":", 1)[1]
+    arguments = shlex.split(request.config.getini(COMMAND).replace("{port}", port))
     with (tmp_path / "autopilot.log").open("wb") as log:
         # In its own session, so that processes started by the vehicle can be ended too.
         process = subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
         )
         try:
             host = station.partition(":")[2]
             yield ProxiedAutopilot(fault_proxy, f"udpout://{host}", f"udpout:{host}")
         finally:
-            _end(process)
+            _end_process(process)
 
 
 @pytest.fixture
@@ -103,18 +104,18 @@ def flight(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., "Run
     """`mavproxy_fault.run` with the faults of the test's markers and a folder of the test's."""
     from mavproxy_fault.api.flight_run import run
 
-    flown: list[Path] = []
+    folders: list[Path] = []
 
-    def fly(scenario: Any = None, **keywords: Any) -> "Run":
-        folder = tmp_path / f"flight-{len(flown) + 1}"
-        flown.append(folder)
-        _announce(request.node, folder, folder / "report.html")
+    def run_flight(scenario: Any = None, **keywords: Any) -> "Run":
+        folder = tmp_path / f"flight-{len(folders) + 1}"
+        folders.append(folder)
+        _register_folder(request.node, folder, folder / "report.html")
         schedule = _schedule(request.node)
         if schedule["faults"]:
             keywords.setdefault("schedule", schedule)
         return run(scenario, **{"out": folder, **keywords})
 
-    return fly
+    return run_flight
 
 
 def _schedule(item: pytest.Item) -> dict[str, Any]:
@@ -130,18 +131,18 @@ def _schedule(item: pytest.Item) -> dict[str, Any]:
     return {"faults": faults}
 
 
-def _announce(item: pytest.Item, folder: Path, report: Path) -> None:
+def _register_folder(item: pytest.Item, folder: Path, report: Path) -> None:
     item.stash.setdefault(FOLDERS, {})[folder] = report
 
 
 def _write_report(folder: Path) -> None:
     """Write the report of a failed test; an error here must not hide the test's failure."""
-    words = [str(folder / "sent.tlog"), "--labels", str(folder / "labels.jsonl")]
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "report", *words]
+    arguments = [str(folder / "sent.tlog"), "--labels", str(folder / "labels.jsonl")]
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "report", *arguments]
     subprocess.run([*command, "--out", str(folder / "report")], capture_output=True, check=False)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end_process(process: subprocess.Popen[bytes]) -> None:
     """End the vehicle and all processes that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, 15)

@@ -19,7 +19,7 @@ PART = re.compile(
 TRY = """
 import socket, tempfile
 import numpy as np
-from analysis.estimators import make
+from analysis.estimators import make_estimator
 from analysis.estimators.estimator import Prior
 from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.flight_checks import _files
@@ -27,11 +27,11 @@ from analysis.report.page.panels import PANELS
 from analysis.samples.message_readers import READERS
 from analysis.samples.sample import ImuSample
 from mavproxy_fault.links.spec import open_link
-from simvehicle.hil.hil_messages import MESSAGES
-from simvehicle.scenario.scenario_file import Sensors
+from simvehicle.hil.hil_messages import READING_MESSAGES
+from simvehicle.scenario.scenario_file import SensorSuite
 from simvehicle.sensors.readings import TemperatureReading
 from simvehicle.sensors.thermometer import Thermometer
-from simvehicle.simulation.vehicle_kinds import kind_of
+from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 
 path = tempfile.mkdtemp() + "/it"
 server = socket.socket(socket.AF_UNIX)
@@ -44,7 +44,7 @@ assert there.recv(9) == b"out"
 there.sendall(b"in")
 assert link.read() == [(0, b"in")]
 
-estimator = make("gyro-only")
+estimator = make_estimator("gyro-only")
 state = estimator.start(Prior(0, np.array([1.0, 0, 0, 0])))
 for t_us in range(10_000, 1_010_000, 10_000):
     sample = ImuSample(t_us, np.array([0.0, 0.0, 0.1]), np.zeros(3))
@@ -55,10 +55,10 @@ assert READERS["VICON_POSITION_ESTIMATE"] is READERS["VISION_POSITION_ESTIMATE"]
 assert any(file.__name__.endswith("radio_checks") for file in _files())
 assert any(curve.panel == "humidity" for curve in CURVES)
 assert any(panel.key == "humidity" for panel in PANELS)
-assert Sensors(thermometer=Thermometer()).thermometer.rate_hz == 1.0
-layout, values = MESSAGES[TemperatureReading](TemperatureReading(0, 21.5), 0)
+assert SensorSuite(thermometer=Thermometer()).thermometer.rate_hz == 1.0
+layout, values = READING_MESSAGES[TemperatureReading](TemperatureReading(0, 21.5), 0)
 assert (layout.name, values["temperature"]) == ("HYGROMETER_SENSOR", 2150)
-assert kind_of("glider").read("aerosonde-2012").plant["motor_efficiency[0]"] == 0.0
+assert find_vehicle_kind("glider").read("aerosonde-2012").plant["motor_efficiency[0]"] == 0.0
 """
 
 

@@ -30,8 +30,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ((*PROXY, "udpin:127.0.0.1:0", "--logdir", "file/logs"), "file/logs: "),
         ((*PROXY, "udpin:127.0.0.1:99999"), "port 99999 is too large"),
         ((*PROXY, "udpin:127.0.0.1:0", "--run", ""), "--run ''"),
-        ((*PROXY, "udpin:127.0.0.1:0", "--files", "file"), "--files file: is no folder"),
-        ((*PROXY, "udpin:127.0.0.1:0", "--rflysim-map", "file"), "give --rflysim PORT too"),
+        ((*PROXY, "udpin:127.0.0.1:0", "--files", "file"), "--files file: is not a folder"),
+        ((*PROXY, "udpin:127.0.0.1:0", "--rflysim-map", "file"), "without --rflysim PORT"),
         (
             (*PROXY, "udpin:127.0.0.1:0", "--schedule", "not-text.yaml"),
             "not-text.yaml: is not text",
@@ -94,7 +94,7 @@ def test_an_output_that_is_full_is_told_in_a_line() -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(SCHEMA, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2
-    assert done.stderr == "mavproxy-fault: No space left on device: not all could be written\n"
+    assert done.stderr == "mavproxy-fault: No space left on device; the output is incomplete\n"
 
 
 def test_what_a_shell_has_closed_is_no_sockets_number() -> None:
@@ -127,7 +127,8 @@ def test_a_misspelt_command_is_answered_with_the_nearest(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(("injct", "bias")) == 2
-    assert capsys.readouterr().err == "mavproxy-fault: injct: is no command; did you mean inject?\n"
+    expected = "mavproxy-fault: injct: is not a command; did you mean inject?\n"
+    assert capsys.readouterr().err == expected
 
 
 @pytest.mark.parametrize(

@@ -105,30 +105,30 @@ def run(
     """
     folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
     folder.mkdir(parents=True, exist_ok=True)
-    words = [] if scenario is None else [input_file(scenario, folder / "scenario.yaml")]
+    arguments = [] if scenario is None else [input_file(scenario, folder / "scenario.yaml")]
     if schedule is not None:
-        words += ["--schedule", input_file(schedule, folder / "schedule.yaml")]
+        arguments += ["--schedule", input_file(schedule, folder / "schedule.yaml")]
     if seed is not None:
-        words += ["--seed", str(seed)]
+        arguments += ["--seed", str(seed)]
     # The same interpreter, so the same environment and packages.
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *words]
+    command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *arguments]
     # Without Zenoh, whose single address parallel tests would compete for.
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
     # Without the prefix of the command, since the exception has its own.
-    if done.returncode == WRONG_INPUT:
-        raise ConfigError(done.stderr.strip().removeprefix("mavproxy-fault: "))
+    if process.returncode == WRONG_INPUT:
+        raise ConfigError(process.stderr.strip().removeprefix("mavproxy-fault: "))
     # A FAIL writes a summary too; a missing one means that the flight itself crashed.
     if not (folder / "summary.json").exists():
-        raise RuntimeError(f"the flight in {folder} ended without a result:\n{done.stderr}")
+        raise RuntimeError(f"the flight in {folder} ended without a result:\n{process.stderr}")
     return Run(folder)
 
 
-def input_file(given: str | Path | dict[str, Any], path: Path) -> str:
+def input_file(source: str | Path | dict[str, Any], path: Path) -> str:
     """Return the file's name; a dictionary is first written to `path`."""
-    if not isinstance(given, dict):
-        return str(given)
-    path.write_text(yaml.safe_dump(given, sort_keys=False))
+    if not isinstance(source, dict):
+        return str(source)
+    path.write_text(yaml.safe_dump(source, sort_keys=False))
     return str(path)
 
 

@@ -211,7 +211,7 @@ class Proxy:
         self.close()
 
 
-def _schedule(given: str | Path | dict[str, Any] | None) -> Schedule:
-    if given is None:
+def _schedule(source: str | Path | dict[str, Any] | None) -> Schedule:
+    if source is None:
         return Schedule()
-    return parse_schedule(given) if isinstance(given, dict) else read_schedule(given)
+    return parse_schedule(source) if isinstance(source, dict) else read_schedule(source)

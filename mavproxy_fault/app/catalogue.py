@@ -129,7 +129,7 @@ def describe_entry(entry: Entry) -> str:
     else:
         moment = f" after {entry.written['from']}" if entry.moment is not None else ""
         words.append(f"from {entry.at_s:g} s{moment}")
-    words.append("for good" if entry.for_s is None else f"for {entry.for_s:g} s")
+    words.append("without end" if entry.for_s is None else f"for {entry.for_s:g} s")
     return ", ".join(words)
 
 
@@ -154,12 +154,12 @@ def schedule_schema() -> dict[str, Any]:
     found, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     keys = components[found[0]["$ref"].rsplit("/", 1)[1]]["properties"]
     # Fields filled from the target are not keys of a schedule.
-    given = set(TARGET_FIELDS)
+    hidden = set(TARGET_FIELDS)
     choices = []
     for name, ref in zip(faults, found[1:], strict=True):
         own = components[ref["$ref"].rsplit("/", 1)[1]]
-        properties = {k: v for k, v in own["properties"].items() if k not in given}
-        required = [key for key in own.get("required", []) if key not in given]
+        properties = {k: v for k, v in own["properties"].items() if k not in hidden}
+        required = [key for key in own.get("required", []) if key not in hidden]
         names = [name, *getattr(faults[name], "aliases", ())]
         choices.append(
             {

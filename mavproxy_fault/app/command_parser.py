@@ -29,18 +29,18 @@ class CommandParser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; an unknown option is reported before missing arguments."""
         # The options of a parser with subcommands end at the first positional argument.
-        ours = "--".__ne__ if self._subparsers is None else re.compile("--.").match
-        for word in itertools.takewhile(ours, args or ()):
-            self._check_option(word.partition("=")[0])
+        is_own = "--".__ne__ if self._subparsers is None else re.compile("--.").match
+        for argument in itertools.takewhile(is_own, args or ()):
+            self._check_option(argument.partition("=")[0])
         return super().parse_known_args(args, namespace)
 
-    def _check_option(self, word: str) -> None:
+    def _check_option(self, argument: str) -> None:
         known = self._option_string_actions
         # Options may be abbreviated.
-        if word.startswith("--") and not any(name.startswith(word) for name in known):
+        if argument.startswith("--") and not any(name.startswith(argument) for name in known):
             # Without the hyphens, which would make all names similar.
             names = [name[2:] for name in known if name.startswith("--")]
-            self.error(f"option {word} does not exist; {suggest_known(word[2:], names)}")
+            self.error(f"option {argument} does not exist; {suggest_known(argument[2:], names)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         # Python 3.14 and later suggest choices themselves.

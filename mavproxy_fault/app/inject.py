@@ -73,9 +73,9 @@ def build_request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         return what, {}
     id = args.fault if args.id is None else args.id
     check_id(id, "inject")
-    several = args.target.split(",") if args.target is not None else None
+    targets = args.target.split(",") if args.target is not None else None
     keys = {"for_s": args.for_s, **parse_settings(args.set)}
-    entry = live_entry(args.fault, several, args.value, keys)
+    entry = live_entry(args.fault, targets, args.value, keys)
     return f"fault/{id}/arm", entry
 
 
@@ -87,13 +87,13 @@ def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
     ConfigError
         If an argument is not such a pair, or its value is not YAML.
     """
-    found: dict[str, Any] = {}
+    parsed: dict[str, Any] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key.isidentifier():
             raise ConfigError(f"--set: {pair} is not KEY=VALUE; give for example probability=0.2")
-        found[key] = read_yaml(f"{key}: {value}", "--set").data[key]
-    return found
+        parsed[key] = read_yaml(f"{key}: {value}", "--set").data[key]
+    return parsed
 
 
 def live_entry(
@@ -117,9 +117,9 @@ def live_entry(
     as_preset = fault in preset_names() and (unchanged or fault_class(fault) is None)
     entry: dict[str, Any] = {"preset" if as_preset else "fault": fault}
     if target is not None:
-        several = [target] if isinstance(target, str) else list(target)
+        targets = [target] if isinstance(target, str) else list(target)
         # A single target is written without a list.
-        entry["target"] = several if len(several) > 1 else several[0]
+        entry["target"] = targets if len(targets) > 1 else targets[0]
     if value is not None:
         # Some faults take an integer, but the command line parses a float.
         entry["value"] = int(value) if float(value).is_integer() else value

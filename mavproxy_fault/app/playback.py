@@ -67,17 +67,17 @@ def open_log(path: Path) -> LogSource:
     session, index = path.with_name(SESSION), path.with_name(INDEX)
     # Without index or session the log is treated as foreign.
     if path.name == RECEIVED and session.is_file() and index.is_file():
-        recorded: dict[str, Any] = json.loads(session.read_text())
-        roles = tuple(LinkRole(link["name"], link["direction"]) for link in recorded["links"])
+        session_data: dict[str, Any] = json.loads(session.read_text())
+        roles = tuple(LinkRole(link["name"], link["direction"]) for link in session_data["links"])
         edits = read_edits(path.with_name(EDITS))
-        return LogSource(roles, _indexed(path, index), recorded, tuple(edits))
+        return LogSource(roles, _indexed_records(path, index), session_data, tuple(edits))
     data = path.read_bytes()
-    if _find(data, 0, None) is None:
+    if _find_record(data, 0, None) is None:
         raise ConfigError(f"{path}: contains no MAVLink record; give a tlog")
-    return LogSource(ROLES, _foreign(data), {})
+    return LogSource(ROLES, _foreign_records(data), {})
 
 
-def _indexed(path: Path, index: Path) -> Iterator[LogRecord]:
+def _indexed_records(path: Path, index: Path) -> Iterator[LogRecord]:
     with (
         path.open("rb") as log,
         path.with_name(RECEIVED_OTHER).open("rb") as other,
@@ -85,17 +85,17 @@ def _indexed(path: Path, index: Path) -> Iterator[LogRecord]:
     ):
         # A truncated index entry ends the session.
         while len(entry := entries.read(INDEX_RECORD.size)) == INDEX_RECORD.size:
-            link, elsewhere, length = INDEX_RECORD.unpack(entry)
+            link, is_other, length = INDEX_RECORD.unpack(entry)
             # A timestamp precedes every record in both files.
-            stamp = (other if elsewhere else log).read(STAMP.size)
-            raw = other.read(LENGTH.size + length)[LENGTH.size :] if elsewhere else log.read(length)
+            stamp = (other if is_other else log).read(STAMP.size)
+            raw = other.read(LENGTH.size + length)[LENGTH.size :] if is_other else log.read(length)
             # The process was killed while writing, or the file is corrupted.
             if len(raw) < length or (t_us := STAMP.unpack(stamp)[0]) >= MAX_STAMP_US:
                 return
             yield LogRecord(t_us, link, raw)
 
 
-def _foreign(data: bytes) -> Iterator[LogRecord]:
+def _foreign_records(data: bytes) -> Iterator[LogRecord]:
     simulators: set[bytes] = set()
     for t_us, raw in split_records(data):
         yield LogRecord(t_us, _link_of(raw, simulators), raw)
@@ -103,12 +103,12 @@ def _foreign(data: bytes) -> Iterator[LogRecord]:
 
 def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield timestamp and bytes of each record; all bytes after the first timestamp are kept."""
-    at = _find(data, 0, None)
+    at = _find_record(data, 0, None)
     while at is not None and len(data) - at > STAMP.size:
         t_us = STAMP.unpack_from(data, at)[0]
         body = at + STAMP.size
-        end = _end(data, body)
-        after = _find(data, end, t_us)
+        end = _record_end(data, body)
+        after = _find_record(data, end, t_us)
         # All that follows the last record found is taken as bytes.
         stop = len(data) if after is None else after
         yield t_us, data[body : min(end, stop)]
@@ -117,13 +117,13 @@ def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
         at = after
 
 
-def _end(data: bytes, at: int) -> int:
-    found = frame_span(data, at) if data[at] in (STX_V1, STX_V2) else None
+def _record_end(data: bytes, at: int) -> int:
+    header = frame_span(data, at) if data[at] in (STX_V1, STX_V2) else None
     # Without a valid header the record extends to the end of the file.
-    return len(data) if found is None else min(at + found[0], len(data))
+    return len(data) if header is None else min(at + header[0], len(data))
 
 
-def _find(data: bytes, start: int, t_us: int | None) -> int | None:
+def _find_record(data: bytes, start: int, t_us: int | None) -> int | None:
     """Return the next offset from `start` on that looks like a record."""
     for at in range(start, len(data) - STAMP.size):
         if data[at + STAMP.size] not in (STX_V1, STX_V2):
@@ -133,7 +133,7 @@ def _find(data: bytes, start: int, t_us: int | None) -> int | None:
         if stamp >= MAX_STAMP_US or (t_us is not None and abs(stamp - t_us) > NEAR_US):
             # An implausible timestamp is a chance pattern in a payload.
             continue
-        end = _end(data, at + STAMP.size)
+        end = _record_end(data, at + STAMP.size)
         # A start byte may occur anywhere, so the next record must begin where this one ends;
         # the last record has no successor.
         if end + STAMP.size >= len(data) or data[end + STAMP.size] in (STX_V1, STX_V2):

@@ -106,12 +106,12 @@ def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
     """Compute the curves of a single entry; triggers are replaced by the start time."""
     # Triggers would need telemetry, which is not simulated here.
     at_s = entry.at_s or BEFORE_S
-    alone = msgspec.structs.replace(
+    timed = msgspec.structs.replace(
         entry, when=None, condition=None, after=None, moment=None, at_s=at_s
     )
-    begin_s, end_s = preview_window(alone)
+    begin_s, end_s = preview_window(timed)
     # In its own engine, without the other entries.
-    engine = Engine(Schedule(seed, (alone,)))
+    engine = Engine(Schedule(seed, (timed,)))
     engine.start_at(0)
     if isinstance(entry.fault, SatelliteFault):
         return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
@@ -178,10 +178,10 @@ def _field_curves(
                 curve.healthy.append(float(healthy.number(field, index)))
                 curve.faulty.append(float(out.frame.number(field, index)))
     # On a latitude in 1e-7 degrees a change of metres would be invisible.
-    return [_change(curve) if max(curve.healthy, default=0) > LARGE else curve for curve in found]
+    return [_change_only(one) if max(one.healthy, default=0) > LARGE else one for one in found]
 
 
-def _change(curve: FaultCurve) -> FaultCurve:
+def _change_only(curve: FaultCurve) -> FaultCurve:
     """Replace the values by the change that the fault makes."""
     added = [after - before for before, after in zip(curve.healthy, curve.faulty, strict=True)]
     return curve._replace(name=f"change of {curve.name}", healthy=[0.0] * len(added), faulty=added)
@@ -224,7 +224,7 @@ def _satellite_curves(
 ) -> list[FaultCurve]:
     """Return the metres added to each satellite's range, at two epochs per second."""
     found = {name: FaultCurve(f"{name}, m", [], [], [], []) for name in names}
-    together = Reassembler()
+    reassembler = Reassembler()
     # Receivers send pseudoranges at a few hertz.
     for number, t_s in enumerate(sample_times(begin_s, end_s, 2)):
         for system in sorted({name[0] for name in names}):
@@ -232,18 +232,18 @@ def _satellite_curves(
             for raw in tunnel_frames(encode_test_epoch(system, ours, t_s), number):
                 for out in apply_engine(engine, Frame(raw, message_layout("TUNNEL")), t_s):
                     payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
-                    for message in together.add(payload or b""):
-                        _note(found, ours, message, t_s)
+                    for message in reassembler.add(payload or b""):
+                        _add_ranges(found, ours, message, t_s)
     return list(found.values())
 
 
 def encode_test_epoch(system: str, names: list[str], t_s: float) -> bytes:
     each = (RANGE_M,) * len(names)
-    nothing = (0.0,) * len(names)
-    return encode_msm7(Msm7(system, t_s, tuple(names), each, each, nothing, nothing, nothing))
+    zeros = (0.0,) * len(names)
+    return encode_msm7(Msm7(system, t_s, tuple(names), each, each, zeros, zeros, zeros))
 
 
-def _note(found: dict[str, FaultCurve], names: list[str], message: bytes, t_s: float) -> None:
+def _add_ranges(found: dict[str, FaultCurve], names: list[str], message: bytes, t_s: float) -> None:
     data = decode_msm7(message)
     ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
     for name in names:

@@ -55,7 +55,7 @@ class Recorder:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             # An earlier session in this folder is moved aside.
-            _set_aside(folder)
+            _move_earlier_session(folder)
             self._open()
         except OSError as error:
             raise ConfigError(f"{folder}: {error}; give a folder that can be written") from None
@@ -97,7 +97,7 @@ class Recorder:
                 LABELS: encode_lines(self._labels) if self._labels else b"",
                 EDITS: encode_lines(self._edits) if self._edits else b"",
             }
-            if self._is_gone():
+            if self._files_missing():
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
                 # The new files begin with this buffer, and so does the index.
@@ -129,7 +129,7 @@ class Recorder:
             LOG.warning("recording stopped, forwarding continues: %s", why)
         self.failing = why
 
-    def _is_gone(self) -> bool:
+    def _files_missing(self) -> bool:
         """Whether the files were removed, or a failed disk was replaced."""
         held = os.fstat(self._files[RECEIVED].fileno())
         if held.st_nlink == 0:  # deleted, although the open file still accepts writes
@@ -145,19 +145,19 @@ class Recorder:
         """Append to all files, or to none."""
         if self.failing is not None:  # truncation may have failed too
             for name in self._sizes:
-                self._cut(name)
+                self._truncate(name)
         try:
             for name, added in data.items():
-                _write_whole(self._files[name], added)
+                _write_all(self._files[name], added)
         except (OSError, MemoryError):
             for name in self._sizes:
                 with contextlib.suppress(OSError):
-                    self._cut(name)
+                    self._truncate(name)
             raise
         for name, added in data.items():
             self._sizes[name] += len(added)
 
-    def _cut(self, name: str) -> None:
+    def _truncate(self, name: str) -> None:
         """Truncate a file after its last complete record."""
         # A partial record would misalign the index.
         self._files[name].truncate(self._sizes[name])
@@ -181,7 +181,7 @@ class Recorder:
         write_atomic(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n")
 
 
-def _write_whole(file: FileIO, data: bytes) -> None:
+def _write_all(file: FileIO, data: bytes) -> None:
     """Write all data; a nearly full disk accepts a part and raises at the next attempt."""
     # A memory view avoids copies of the rest.
     rest = memoryview(data)
@@ -196,7 +196,7 @@ def encode_lines(lines: "Sequence[Label | Edit]") -> bytes:
     return b"".join(encode(line) + b"\n" for line in lines)
 
 
-def _set_aside(folder: Path) -> None:
+def _move_earlier_session(folder: Path) -> None:
     """Move the files of an earlier session to a numbered folder."""
     present = [folder / name for name in (*APPENDED, SESSION) if (folder / name).exists()]
     if not present:

@@ -46,12 +46,12 @@ class LogReplay:
         signing: Signing | None = None,
     ) -> None:
         self.source = source
-        self.repeats = _ran_with(source, schedule)
+        self.repeats = _recorded_with(source, schedule)
         self._edits = deque(source.edits if self.repeats else ())
         engine = Engine(schedule)
         # A session without a schedule had no engine until live control was attached.
-        late = bool(self._edits) and source.session["schedule"] is None
-        self.core = Core(source.roles, None if late else engine, signing=signing, tape=tape)
+        starts_late = bool(self._edits) and source.session["schedule"] is None
+        self.core = Core(source.roles, None if starts_late else engine, signing=signing, tape=tape)
         rflysim = None
         if any(edit.what == RFLYSIM for edit in self._edits):
             rflysim = read_map(source.session.get("rflysim_map", DEFAULT_MAP))
@@ -62,13 +62,13 @@ class LogReplay:
 
     def push(self, record: LogRecord) -> list[Send]:
         """Process one record after the edits before it; return what is sent."""
-        sends = self._edit()
+        sends = self._apply_due_edits()
         self._count += 1
         # The clocks of a merged log may go back; the end is the newest time.
         self._newest_us = max(self._newest_us, record.t_us)
         return sends + self.core.received(record.link, record.raw, record.t_us)
 
-    def _edit(self) -> list[Send]:
+    def _apply_due_edits(self) -> list[Send]:
         """Apply the edits that precede the next record."""
         sends = []
         while self._edits and self._edits[0].at <= self._count:
@@ -80,7 +80,7 @@ class LogReplay:
 
     def rest(self) -> Iterator[list[Send]]:
         """Yield what is sent after the last record, up to the recorded end if there is one."""
-        yield self._edit()
+        yield self._apply_due_edits()
         end_us = self.source.end_us
         # Without a recorded end, until the last delayed frame has been sent.
         while end_us is None and (due_us := self.core.next_due_us) is not None:
@@ -90,12 +90,14 @@ class LogReplay:
         yield self.core.finish(end_us or self._newest_us)
 
 
-def _ran_with(source: LogSource, schedule: Schedule) -> bool:
+def _recorded_with(source: LogSource, schedule: Schedule) -> bool:
     """Whether a session was recorded with this schedule, whatever its notation."""
-    return "schedule" in source.session and _bare(recorded_schedule(source)) == _bare(schedule)
+    if "schedule" not in source.session:
+        return False
+    return _without_notation(recorded_schedule(source)) == _without_notation(schedule)
 
 
-def _bare(schedule: Schedule) -> Schedule:
+def _without_notation(schedule: Schedule) -> Schedule:
     # Comments and the order of keys do not matter.
     entries = tuple(msgspec.structs.replace(entry, written={}) for entry in schedule.faults)
     return msgspec.structs.replace(schedule, faults=entries)

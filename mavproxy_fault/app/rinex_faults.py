@@ -48,9 +48,9 @@ def replay_rinex(args: argparse.Namespace) -> int:
     lines, labels = faulted_lines(path, schedule, navigation)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
-    beside = out.with_suffix(out.suffix + ".labels.jsonl")
-    beside.write_bytes(encode_lines(labels))
-    print(f"{out}\n{beside}")
+    labels_path = out.with_suffix(out.suffix + ".labels.jsonl")
+    labels_path.write_bytes(encode_lines(labels))
+    print(f"{out}\n{labels_path}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"fault {word} matched no observation", file=sys.stderr)
     return 0
@@ -69,7 +69,7 @@ def faulted_lines(
     ConfigError
         If a file cannot be read or is missing, or a fault does not act on satellite signals.
     """
-    faults = tuple(_on_epochs(entry) for entry in schedule.faults)
+    faults = tuple(_adapt_entry(entry) for entry in schedule.faults)
     sky = None
     for entry in faults:
         if isinstance(entry.fault, PlantFault) and needs_sky(entry.fault.names) and sky is None:
@@ -90,7 +90,7 @@ def faulted_lines(
     return lines, [msgspec.structs.replace(label, recorded=True) for label in labels]
 
 
-def _on_epochs(entry: Entry) -> Entry:
+def _adapt_entry(entry: Entry) -> Entry:
     """Adapt an entry to the epochs of a file, which then carry plant parameters too."""
     if isinstance(entry.fault, SatelliteFault):
         return entry
@@ -115,8 +115,8 @@ def _sky(path: Path, navigation: Sequence[Path], entry: Entry) -> Sky:
         )
     from importlib.metadata import entry_points
 
-    found = list(entry_points(group="mavproxy_fault.skies"))
-    if not found:
+    plugins = list(entry_points(group="mavproxy_fault.skies"))
+    if not plugins:
         raise ConfigError(f"{entry.id}: no mavproxy_fault.skies plugin; install one for orbits")
-    sky: Sky = found[0].load()(path, navigation)
+    sky: Sky = plugins[0].load()(path, navigation)
     return sky

@@ -68,7 +68,7 @@ class Server:
         # A constant offset, so that setting the system clock does not move timestamps.
         self._base_ns = time.time_ns() - time.monotonic_ns()
         self._stopping = False
-        self._tend_s = self._flush_s = 0.0
+        self._maintain_s = self._flush_s = 0.0
         self._compiler: subprocess.Popen[bytes] | None = None
         self._forwarder: Forwarder | None = None
         self._wake: int | None = None
@@ -96,7 +96,7 @@ class Server:
                 try:
                     self._step()
                 except MemoryError:
-                    self._shed()
+                    self._free_memory()
         finally:
             self._reserve = None  # shutting down needs memory too
             self._finish()
@@ -107,9 +107,9 @@ class Server:
             self._step_compiled(self._forwarder)
         else:
             self._step_interpreted()
-        self._keep_time()
+        self._run_due()
 
-    def _shed(self) -> None:
+    def _free_memory(self) -> None:
         """Free memory after it ran out: the reserve and the unwritten recording.
 
         The data being processed at that moment is lost.
@@ -118,13 +118,13 @@ class Server:
         if not self.memory_shortages:
             LOG.warning("out of memory: data in process is lost, forwarding continues")
         self.memory_shortages += 1
-        self._give_up_tape("no memory")
+        self._discard_recording("no memory")
 
-    def _give_up_tape(self, why: str) -> None:
+    def _discard_recording(self, why: str) -> None:
         """Discard the unwritten recording and count it as lost."""
-        more = 0 if self._forwarder is None else self._forwarder.drop_tape()
+        extra = 0 if self._forwarder is None else self._forwarder.drop_tape()
         if self.recorder is not None and self.tape is not None:
-            self.recorder.skip(self.tape, why, more)
+            self.recorder.skip(self.tape, why, extra)
 
     def _has_memory(self) -> bool:
         """Whether the memory reserve exists or can be allocated again."""
@@ -133,7 +133,7 @@ class Server:
                 self._reserve = bytearray(RESERVE_BYTES)
         return self._reserve is not None
 
-    def _waited(self) -> list[int]:
+    def _extra_descriptors(self) -> list[int]:
         """Return the descriptors to wait on besides the links."""
         wake = [] if self._wake is None else [self._wake]
         return wake + ([] if self.live is None else self.live.filenos())
@@ -142,7 +142,8 @@ class Server:
         """Wait for the next event and forward what arrived, on the interpreted path."""
         # Collected each time, since connections come and go.
         by_fd = {fd: number for number, link in enumerate(self.links) for fd in link.filenos()}
-        ready, _, _ = select.select([*by_fd, *self._waited()], (), (), self._patience_s())
+        watched = [*by_fd, *self._extra_descriptors()]
+        ready, _, _ = select.select(watched, (), (), self._sleep_limit_s())
         # A link with several descriptors is read once.
         for number in dict.fromkeys(by_fd[fd] for fd in ready if fd in by_fd):
             self._serve(number)
@@ -151,23 +152,23 @@ class Server:
 
     def _step_compiled(self, forwarder: "Forwarder") -> None:
         """Forward on the compiled path until something must be handled in Python."""
-        tend_ns, due_us = round(self._tend_s * 1e9), self.core.next_due_us
+        next_ns, due_us = round(self._maintain_s * 1e9), self.core.next_due_us
         # Until the next due frame or the next maintenance of the links.
-        due_ns = tend_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
+        due_ns = next_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
         if self._held_ns:  # finish the batch without a long sleep
-            tend_ns = min(tend_ns, time.monotonic_ns() + BATCH_NS)
+            next_ns = min(next_ns, time.monotonic_ns() + BATCH_NS)
         # Precise waits for due frames only.
-        forwarder.forward(min(tend_ns, due_ns), spin=self._busy_poll, precise=due_ns < tend_ns)
+        forwarder.forward(min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns)
         if forwarder.pending:
             number, data, came_ns = forwarder.handed_over()
             if data:
                 # Delayed frames may have been sent while it waited within its batch.
                 now_us = max((self._base_ns + came_ns) // 1000, self.core.last_due_us)
                 sends = self.core.received(number, data, now_us)
-                self._carry_out(sends, hold=forwarder.pending)
+                self._send_all(sends, hold=forwarder.pending)
                 self.latencies[number].add(time.monotonic_ns() - came_ns)
         if not forwarder.pending:
-            self._let_go()
+            self._send_held()
         for number in forwarder.ready():
             self._serve(number)
         if self.live is not None and forwarder.wakes_ready:
@@ -179,20 +180,20 @@ class Server:
         if not any(link.datagrams for link in self.links) or not datagram_batch.HAS_RECVMMSG:
             return
         try:
-            from mavproxy_fault.compiled import object_file as machine
+            from mavproxy_fault.compiled import object_file as kernels
 
-            made = machine.load() is not None
+            loaded = kernels.load() is not None
         except (OSError, MemoryError) as error:  # for example with a low `ulimit -v`
             _warn_interpreted(error)
             return
-        if made:
+        if loaded:
             self.use_compiled()
         elif self._compiler is None:
             LOG.warning("compiling kernels (first use only); forwarding is slower until then")
-            quiet = subprocess.DEVNULL  # it may outlive us, and a reader would wait for its output
+            devnull = subprocess.DEVNULL  # it may outlive us, and a reader would wait for it
             self._compiler = subprocess.Popen(
-                [sys.executable, "-m", machine.__name__],
-                stdin=quiet, stdout=quiet, stderr=quiet,
+                [sys.executable, "-m", kernels.__name__],
+                stdin=devnull, stdout=devnull, stderr=devnull,
                 start_new_session=True,  # so that Ctrl-C does not end the compilation
             )  # fmt: skip
 
@@ -210,7 +211,7 @@ class Server:
             self._forwarder.count()
             self.use_compiled()
 
-    def _opened_live(self) -> "LiveSession | None":
+    def _take_opened_live(self) -> "LiveSession | None":
         """Return the opened live control; None, with a log line, if the system refused it."""
         assert self.opening_live is not None
         coming, self.opening_live = self.opening_live, None
@@ -227,9 +228,9 @@ class Server:
         """Send the frames that are due, then return the vehicle's time for an edit."""
         now_us = self.now_us()
         # Edits and due frames keep their order, so that a replay can repeat it.
-        self._carry_out(self.core.due(now_us))
-        journal = None if self.live is None else self.live.edit_log
-        return now_us if journal is None else journal.begin(now_us)
+        self._send_all(self.core.due(now_us))
+        edits = None if self.live is None else self.live.edit_log
+        return now_us if edits is None else edits.begin(now_us)
 
     def use_compiled(self) -> None:
         """Switch to the compiled path; stay on the interpreted one without the memory for it."""
@@ -238,13 +239,13 @@ class Server:
 
             self._forwarder = Forwarder(
                 self.links, self.core, self.latencies, self._base_ns,
-                tape=self.tape, waited=self._waited(),
+                tape=self.tape, waited=self._extra_descriptors(),
             )  # fmt: skip
         except (OSError, MemoryError) as error:
             self._forwarder = None
             _warn_interpreted(error)
 
-    def _patience_s(self) -> float:
+    def _sleep_limit_s(self) -> float:
         """Return how long the loop may sleep [s]."""
         if self._busy_poll:
             return 0.0
@@ -265,14 +266,14 @@ class Server:
         for stream, data in link.read():
             count += 1
             try:
-                self._carry_out(core.received(number, data, now_us, stream=stream), hold=True)
+                self._send_all(core.received(number, data, now_us, stream=stream), hold=True)
             except MemoryError:  # here, to keep the rest of the batch
-                self._shed()
-        self._let_go()
+                self._free_memory()
+        self._send_held()
         if count:
             self.latencies[number].add(time.monotonic_ns() - started_ns, count)
 
-    def _carry_out(self, sends: Sequence[Send], *, hold: bool = False) -> None:
+    def _send_all(self, sends: Sequence[Send], *, hold: bool = False) -> None:
         """Send; `hold` announces more data, and chunks for many peers may be collected."""
         links, held = self.links, self._held
         for send in sends:
@@ -282,9 +283,9 @@ class Server:
             else:
                 links[send.link].write(send.data)
         if self._held_ns and not (hold and time.monotonic_ns() < self._held_ns + BATCH_NS):
-            self._let_go()
+            self._send_held()
 
-    def _let_go(self) -> None:
+    def _send_held(self) -> None:
         """Send the collected chunks."""
         if not self._held_ns:
             return
@@ -295,7 +296,7 @@ class Server:
                 link.write_all(chunks)
                 chunks.clear()
 
-    def _keep_time(self) -> None:
+    def _run_due(self) -> None:
         due_us = self.core.next_due_us
         if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
             # After a delay of this process, the rest of a frame may wait in the kernel.
@@ -308,11 +309,11 @@ class Server:
             if self._forwarder is None or not sends or not self._forwarder.send_at(due_ns, sends):
                 while time.monotonic_ns() < due_ns:
                     pass
-                self._carry_out(sends)
+                self._send_all(sends)
         now_s = time.monotonic()
-        if now_s >= self._tend_s:
-            self._tend_s = now_s + RECONNECT_S
-            self._tend()
+        if now_s >= self._maintain_s:
+            self._maintain_s = now_s + RECONNECT_S
+            self._maintain_links()
         if now_s >= self._flush_s:
             self._flush_s = now_s + FLUSH_S
             self.record()
@@ -322,11 +323,11 @@ class Server:
         if (
             self.opening_live is not None
             and self.opening_live.done()
-            and (live := self._opened_live())
+            and (live := self._take_opened_live())
         ):
             self.join(live)
 
-    def _tend(self) -> None:
+    def _maintain_links(self) -> None:
         """Let links reconnect, and collect the counters of the compiled path."""
         for number in range(len(self.links)):
             # Links outside the compiled path, such as streams, are read here.
@@ -351,7 +352,7 @@ class Server:
         if self.recorder is None and self.live is None:
             return
         if not self._has_memory() and not self._stopping:
-            self._give_up_tape("no memory")
+            self._discard_recording("no memory")
             return
         labels = self.core.drain_labels()
         if self.recorder is not None and self.tape is not None:
@@ -367,10 +368,10 @@ class Server:
         if self._forwarder is not None:
             self._forwarder.count()
         # Send the delayed frames; end the faults, which write their labels.
-        self._carry_out(self.core.finish(now_us))
+        self._send_all(self.core.finish(now_us))
         if self.opening_live is not None:
             # Wait for it, since it must be closed.
-            self.live = self._opened_live()
+            self.live = self._take_opened_live()
         self.record()
         if self.recorder is not None:
             self.recorder.close(self.core.clock.t0_us, now_us)
@@ -379,10 +380,10 @@ class Server:
 
     def stats(self) -> list[dict[str, Any]]:
         """Return counters and latency percentiles of every endpoint."""
-        found = []
+        endpoints = []
         for number, link in enumerate(self.links):
             counters = link.counters
-            found.append(
+            endpoints.append(
                 {
                     **link_statistics(self.core, number),
                     "name": link.name,
@@ -398,7 +399,7 @@ class Server:
                     **self.latencies[number].summary(),
                 }
             )
-        return found
+        return endpoints
 
 
 def _warn_interpreted(error: OSError | MemoryError) -> None:

@@ -91,8 +91,8 @@ def send_failure(failure: Any, unit: Any, kind: Any, instance: int) -> str:
     try:
         failure.inject(unit, kind, instance)
     except FailureError as error:
-        found = next((one for one in error.args if isinstance(one, FailureResult)), None)
-        name = "" if found is None else found.name
+        result = next((one for one in error.args if isinstance(one, FailureResult)), None)
+        name = "" if result is None else result.name
         return REASONS.get(name, f"MAVSDK reports {name or error}")
     return ""
 

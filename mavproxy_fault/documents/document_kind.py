@@ -15,8 +15,8 @@ KINDS = {
 
 def kind_of(keys: Iterable[str]) -> str | None:
     """Return the kind of a document with these keys; None if unknown."""
-    given = set(keys)
-    return next((kind for kind, (own, _) in KINDS.items() if own & given), None)
+    present = set(keys)
+    return next((kind for kind, (own, _) in KINDS.items() if own & present), None)
 
 
 def refuse_other_kinds(keys: Iterable[str], known: Iterable[str], where: str, wanted: str) -> None:

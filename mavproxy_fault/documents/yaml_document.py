@@ -178,7 +178,7 @@ class _Builder:
         self.data: Any = None
         self.lines: Lines = {}
         self.flaws: list[Flaw] = []
-        self._open: list[_Open] = []
+        self._unfinished: list[_Open] = []
         self._anchors: dict[str, tuple[Any, int]] = {}
         self._nodes = 0
         self._documents = 0
@@ -189,8 +189,8 @@ class _Builder:
             if isinstance(event, yaml.NodeEvent):
                 self._node(event)
             elif isinstance(event, yaml.SequenceEndEvent | yaml.MappingEndEvent):
-                done = self._open.pop()
-                self._remember(done.anchor, done.items, self._nodes - done.began)
+                done = self._unfinished.pop()
+                self._store_anchor(done.anchor, done.items, self._nodes - done.began)
             elif isinstance(event, yaml.DocumentStartEvent):
                 self._documents += 1
                 if self._documents > 1:
@@ -200,7 +200,7 @@ class _Builder:
         self._nodes += 1
         if self._nodes > MOST_NODES:
             self._refuse(event, f"has more than {MOST_NODES} values; split the file")
-        parent = self._open[-1] if self._open else None
+        parent = self._unfinished[-1] if self._unfinished else None
         # In a mapping, keys and values alternate.
         if parent is not None and isinstance(parent.items, dict) and parent.key is None:
             self._key(event, parent)
@@ -220,11 +220,11 @@ class _Builder:
     def _key(self, event: Any, parent: _Open) -> None:
         if not isinstance(event, yaml.ScalarEvent):
             self._refuse(event, "has a list or mapping as a key; use a plain key")
-        self._untagged(event)
+        self._refuse_tag(event)
         line = self._line(event)
         if event.value in parent.items:
             path = (*parent.path, event.value)
-            self._note(event, path, f"{event.value} is given twice; give each key once")
+            self._add_flaw(event, path, f"{event.value} is given twice; give each key once")
         parent.key = event.value
         self.lines[(*parent.path, event.value)] = line
 
@@ -236,7 +236,7 @@ class _Builder:
             # An alias counts as its expansion, since few bytes can expand to billions.
             self._nodes += size
             return value
-        self._untagged(event)
+        self._refuse_tag(event)
         if isinstance(event, yaml.ScalarEvent):
             value = event.value
             # A quoted or block scalar is always text.
@@ -244,22 +244,22 @@ class _Builder:
                 try:
                     value = parse_scalar(event.value)
                 except ValueError as error:
-                    self._note(event, path, f"{format_path(path)} {error}".lstrip())
-            self._remember(event.anchor, value, 1)
+                    self._add_flaw(event, path, f"{format_path(path)} {error}".lstrip())
+            self._store_anchor(event.anchor, value, 1)
             return value
-        if len(self._open) == DEEPEST:
+        if len(self._unfinished) == DEEPEST:
             self._refuse(event, TOO_DEEP)
         items: Any = [] if isinstance(event, yaml.SequenceStartEvent) else {}
         # An anchor is undefined within itself: a value cannot contain itself.
         self._anchors.pop(event.anchor, None)
-        self._open.append(_Open(path, items, event.anchor, self._nodes))
+        self._unfinished.append(_Open(path, items, event.anchor, self._nodes))
         return items
 
-    def _remember(self, anchor: str | None, value: Any, size: int) -> None:
+    def _store_anchor(self, anchor: str | None, value: Any, size: int) -> None:
         if anchor is not None:
             self._anchors[anchor] = value, size
 
-    def _untagged(self, event: Any) -> None:
+    def _refuse_tag(self, event: Any) -> None:
         if event.tag is not None:
             self._refuse(event, f"has the tag {event.tag}; give a plain value")
 
@@ -268,7 +268,7 @@ class _Builder:
         line: int = event.start_mark.line + 1
         return line
 
-    def _note(self, event: Any, path: Path, text: str) -> None:
+    def _add_flaw(self, event: Any, path: Path, text: str) -> None:
         """Add a flaw and continue, so that one run reports all flaws."""
         line = self._line(event)
         self.flaws.append(Flaw(path, line, f"{self.where}:{line}: {text}"))

@@ -33,9 +33,9 @@ class Draft:
         self.came = frame
         self.id, self.layout = frame.id, frame.layout
         self.changed = False
-        self._hold(bytearray(frame.raw), frame.payload_at, frame.length)
+        self._set_data(bytearray(frame.raw), frame.payload_at, frame.length)
 
-    def _hold(self, data: bytearray, at: int, length: int) -> None:
+    def _set_data(self, data: bytearray, at: int, length: int) -> None:
         self._data, self._at, self._length = data, at, length
         self.floats = memoryview(data)[at : at + (length & ~3)].cast("f")
 
@@ -49,8 +49,8 @@ class Draft:
             if end <= length:
                 found += PACKERS[code].unpack_from(data, at + start)
             else:
-                there = bytes(data[at + start : at + length])
-                found += PACKERS[code].unpack(there.ljust(end - start, b"\0"))
+                stored = bytes(data[at + start : at + length])
+                found += PACKERS[code].unpack(stored.ljust(end - start, b"\0"))
         return found
 
     def write(
@@ -83,7 +83,7 @@ class Draft:
     def _write_several(
         self, elements: Sequence[Element], before: Sequence[Number], after: Sequence[Number]
     ) -> Change:
-        kept = bytes(self._data), self._length, self.changed
+        saved = bytes(self._data), self._length, self.changed
         step, saturated, differs = -1.0, 0, False
         try:
             for one, healthy, value in zip(elements, before, after, strict=True):
@@ -91,8 +91,8 @@ class Draft:
                 step, saturated, differs = max(step, more), saturated + cut, differs or changed
         except Exception:
             # A fault that fails midway leaves the frame unchanged.
-            self._hold(bytearray(kept[0]), self._at, kept[1])
-            self.changed = kept[2]
+            self._set_data(bytearray(saved[0]), self._at, saved[1])
+            self.changed = saved[2]
             raise
         return step, saturated, differs
 
@@ -100,7 +100,7 @@ class Draft:
         """Write a value into truncated zeros; return whether a byte differs."""
         frame = Frame(bytes(self._data), self.layout)
         patched = frame.patched({(one.name, one.item): value})
-        self._hold(bytearray(patched.raw), self._at, patched.length)
+        self._set_data(bytearray(patched.raw), self._at, patched.length)
         return patched.payload != frame.payload
 
     def sealed(self) -> Frame:

@@ -42,15 +42,15 @@ def parse_field_targets(targets: Iterable[str]) -> dict[int, tuple[Element, ...]
     ValueError
         If a message, field or index does not exist, or the field is text.
     """
-    found: dict[int, tuple[Element, ...]] = {}
+    parsed: dict[int, tuple[Element, ...]] = {}
     for target in targets:
         name, _, rest = target.partition(".")
         described = find_message(name)
-        before, more = found.get(described.id, ()), _elements(described, target, rest)
-        if set(before) & set(more):
+        before, added = parsed.get(described.id, ()), _elements(described, target, rest)
+        if set(before) & set(added):
             raise ValueError(f"{target} is given twice; give it once")
-        found[described.id] = before + more
-    return found
+        parsed[described.id] = before + added
+    return parsed
 
 
 def _elements(described: Layout, target: str, rest: str) -> tuple[Element, ...]:

@@ -24,14 +24,14 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
 
     # Checked when the schedule is read, so that no frame fails later.
     def __post_init__(self) -> None:
-        for places in self.elements.values():
-            wanted = list(range(len(places)))
-            if len(places) < 2:
+        for listed in self.elements.values():
+            indices = list(range(len(listed)))
+            if len(listed) < 2:
                 raise ValueError("needs two fields or more; add fields to target")
-            if self.order is not None and sorted(self.order) != wanted:
-                raise ValueError(f"order = {list(self.order)} must contain each of {wanted} once")
-            if self.signs is not None and len(self.signs) != len(places):
-                raise ValueError(f"signs must be {len(places)} numbers")
+            if self.order is not None and sorted(self.order) != indices:
+                raise ValueError(f"order = {list(self.order)} must contain each of {indices} once")
+            if self.signs is not None and len(self.signs) != len(listed):
+                raise ValueError(f"signs must be {len(listed)} numbers")
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
@@ -96,9 +96,9 @@ def check_vector_target(elements: Any) -> None:
     ValueError
         If a message does not have exactly three elements.
     """
-    for places in elements.values():
-        if len(places) != 3:
-            raise ValueError(f"acts on three fields, not {len(places)}; give x, y and z in target")
+    for listed in elements.values():
+        if len(listed) != 3:
+            raise ValueError(f"acts on three fields, not {len(listed)}; give x, y and z in target")
 
 
 def multiply_matrix(matrix: Matrix, vector: Sequence[float]) -> list[float]:

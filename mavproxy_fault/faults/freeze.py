@@ -42,20 +42,21 @@ class Replay(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Return the next recorded values of this sender."""
-        tapes: dict[Key, tuple[list[list[Number]], int]] = state or {}
-        tape, at = tapes.get(key, ([], 0))
+        recordings: dict[Key, tuple[list[list[Number]], int]] = state or {}
+        recording, at = recordings.get(key, ([], 0))
         # A stopped clock ends the recording when it is full.
-        if (t_s < self.value and len(tape) < MOST_ROWS) or not tape:
+        if (t_s < self.value and len(recording) < MOST_ROWS) or not recording:
             # The list is shared with older states, which read up to their own `at`: a copy per
             # frame would take quadratic time.
-            tape = [*tape, before] if len(tape) != at else _appended(tape, before)
-            return before, {**tapes, key: (tape, len(tape))}
-        return tape[at % len(tape)], {**tapes, key: (tape, at + 1)}
+            shared = len(recording) != at
+            recording = [*recording, before] if shared else _append_row(recording, before)
+            return before, {**recordings, key: (recording, len(recording))}
+        return recording[at % len(recording)], {**recordings, key: (recording, at + 1)}
 
 
-def _appended(tape: list[list[Number]], values: list[Number]) -> list[list[Number]]:
-    tape.append(values)
-    return tape
+def _append_row(recording: list[list[Number]], values: list[Number]) -> list[list[Number]]:
+    recording.append(values)
+    return recording
 
 
 class SlewLimit(ValueFault, frozen=True, kw_only=True):
@@ -94,8 +95,8 @@ class FloatToNeutral(ValueFault, frozen=True, kw_only=True):
         self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Decay exponentially from the first values, independent of the healthy ones."""
-        found: dict[Key, tuple[float, list[Number]]] = state or {}
-        start_s, start = found.get(key, (t_s, before))
+        starts: dict[Key, tuple[float, list[Number]]] = state or {}
+        start_s, start = starts.get(key, (t_s, before))
         share = math.exp(-max(t_s - start_s, 0.0) / self.settle_s)  # clocks may go back
         now = [self.neutral + (x - self.neutral) * share for x in start]
-        return now, {**found, key: (start_s, start)}
+        return now, {**starts, key: (start_s, start)}

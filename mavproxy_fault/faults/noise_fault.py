@@ -53,6 +53,6 @@ class RandomWalk(ValueFault, frozen=True, kw_only=True):
         # Variance grows with time, not with frames, so lost frames do not slow the walk.
         sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
         steps = rng.normal(0.0, 1.0, len(before)) * sigma
-        now = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))
-        after = [x + error for x, error in zip(before, now, strict=True)]
-        return after, {**walks, key: (t_s, now)}
+        walk = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))
+        after = [x + error for x, error in zip(before, walk, strict=True)]
+        return after, {**walks, key: (t_s, walk)}

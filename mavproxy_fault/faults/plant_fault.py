@@ -56,18 +56,18 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
     ) -> tuple[list[Outgoing], PlantFaultState]:
         """Forward the frame; reply to one of a simulator with the values."""
-        passed = Outgoing(t_us, frame)
+        forwarded = Outgoing(t_us, frame)
         since_us = t_us - state.at_us
         # Only a simulator accepts them, and not every frame needs a reply.
         if frame.component != SIMULATOR[1] or (state.values is not None and since_us < STEP_US):
-            return [passed], state
+            return [forwarded], state
         values, inner = self.values((t_us - state.start_us) / 1e6, state.inner, rng)
         # Repeated, since a datagram may be lost.
         if values == state.values and since_us < REPEAT_US:
-            return [passed], state._replace(inner=inner)
+            return [forwarded], state._replace(inner=inner)
         target = (frame.system, frame.component)
         messages = self._messages(values, target, t_us)
-        return [passed, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
+        return [forwarded, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
 
     def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
         """Return the state after a live value that arrived at `t_us`."""
@@ -132,12 +132,12 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
             return super().apply(frame, t_us, state, rng)
         t_s = (t_us - state.start_us) / 1e6
         values, inner = self.values(t_s, state.inner, rng)
-        later, inner = self.values(t_s + STEP_US / 1e6, inner, rng)
+        next_values, inner = self.values(t_s + STEP_US / 1e6, inner, rng)
         state = state._replace(inner=inner)
         # None is healthy, now or after the step.
         settings = {
-            name: Setting(value, 0.0 if soon is None else (soon - value) * 1e6 / STEP_US)
-            for name, value, soon in zip(self.names, values, later, strict=True)
+            name: Setting(value, 0.0 if later is None else (later - value) * 1e6 / STEP_US)
+            for name, value, later in zip(self.names, values, next_values, strict=True)
             if value is not None
         }
         if not settings:

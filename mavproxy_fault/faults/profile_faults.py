@@ -43,12 +43,12 @@ class ProfileFault(ValueFault, frozen=True, kw_only=True):
             ], None
         if state is None:
             state = self.profile.new_state(rng)
-        now = self.profile.value(t_s, state)
-        if now is None:
+        current = self.profile.value(t_s, state)
+        if current is None:
             return before, state
         # The profile's mode takes precedence: `mode: replace` in a bias.
         mode = self.profile.mode or self.mode
-        return [combine_values(mode, x, now) for x in before], state
+        return [combine_values(mode, x, current) for x in before], state
 
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
         """Return the state after a live value that arrived at `t_us`."""

@@ -76,7 +76,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
             return [Outgoing(t_us, frame)], state
         # Not fragmented: a complete message.
         if not payload[0] & 1:
-            return self._patched((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
+            return self._patch_message((frame,), payload[1:], payload[0] >> 3, t_us, state, rng)
         key = (frame.system, frame.component, payload[0] >> 3)
         # Flags byte: bit 0 fragmented, bits 1 and 2 the fragment, 3 to 7 the message.
         number = payload[0] >> 1 & 3
@@ -84,20 +84,20 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         broken: list[Outgoing] = []
         # A repeated fragment number belongs to the next message: a fragment was lost.
         if old is not None and (number in old.parts or t_us - old.since_us > HOLD_US):
-            broken, old = _unpatched(old, t_us), None
+            broken, old = _forward_all(old, t_us), None
         since_us, frames, parts = old or PartialMessage(t_us, (), {})
         new = PartialMessage(since_us, (*frames, frame), {**parts, number: payload[1:]})
-        whole = rtcm.join_fragments(dict(new.parts))
+        complete = rtcm.join_fragments(dict(new.parts))
         # The entry of this sender is replaced below.
-        rest = {sender: part for sender, part in state.partial.items() if sender != key}
-        if len(rest) >= MOST_SENDERS:  # bounded: a peer can make up any number of senders
-            broken += _unpatched(rest.pop(next(iter(rest))), t_us)
-        if whole is None:
-            return broken, state._replace(partial={**rest, key: new})
-        sends, state = self._patched(new.frames, whole, key[2], t_us, state, rng)
-        return broken + sends, state._replace(partial=rest)
+        others = {sender: part for sender, part in state.partial.items() if sender != key}
+        if len(others) >= MOST_SENDERS:  # bounded: a peer can make up any number of senders
+            broken += _forward_all(others.pop(next(iter(others))), t_us)
+        if complete is None:
+            return broken, state._replace(partial={**others, key: new})
+        sends, state = self._patch_message(new.frames, complete, key[2], t_us, state, rng)
+        return broken + sends, state._replace(partial=others)
 
-    def _patched(
+    def _patch_message(
         self,
         frames: tuple[Frame, ...],
         data: bytes,
@@ -108,7 +108,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """Return the fragments of a complete message with the fault applied."""
         healthy = [Outgoing(t_us, frame) for frame in frames]
-        present = self._present(data)
+        present = self._target_satellites(data)
         if not present:
             return healthy, state
         changes_m, lost, inner = self._errors(frames[0], present, t_us, state, rng)
@@ -140,7 +140,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         size_m = max((abs(change) for change in changes_m.values()), default=math.nan)
         return [Outgoing(t_us, epoch.changed(changes_m, lost), size_m)], state
 
-    def _present(self, data: bytes) -> list[str]:
+    def _target_satellites(self, data: bytes) -> list[str]:
         """Return the target's satellites that an MSM7 message contains."""
         if rtcm.message_number(data) not in SYSTEMS:
             return []
@@ -179,11 +179,11 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         self, t_us: int, state: SatelliteFaultState
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """Return all buffered fragments, unchanged."""
-        sends = [out for message in state.partial.values() for out in _unpatched(message, t_us)]
+        sends = [out for message in state.partial.values() for out in _forward_all(message, t_us)]
         return sends, state._replace(partial={})
 
 
-def _unpatched(message: PartialMessage, t_us: int) -> list[Outgoing]:
+def _forward_all(message: PartialMessage, t_us: int) -> list[Outgoing]:
     return [Outgoing(t_us, frame) for frame in message.frames]
 
 

@@ -61,14 +61,14 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
 
     def shift(self, t_s: float) -> Shift:
         """Return the offset and its rate, `t_s` after the start of the spoof."""
-        aim = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
+        offset = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
         t_s = max(t_s, 0.0)  # the sender's clock may be behind the one that started the fault
         if t_s < self.ramp_s:
             # Consistent with the moving position, or innovation tests would detect the spoof.
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
-            return Shift(_scaled(aim, share), _scaled(aim, rate))
-        further = _scaled(self.velocity_mps, t_s - self.ramp_s)
-        moved = (aim[0] + further[0], aim[1] + further[1], aim[2] + further[2])
+            return Shift(_scaled(offset, share), _scaled(offset, rate))
+        extra = _scaled(self.velocity_mps, t_s - self.ramp_s)
+        moved = (offset[0] + extra[0], offset[1] + extra[1], offset[2] + extra[2])
         return Shift(moved, self.velocity_mps)
 
     def new_state(self, start_us: int) -> int:

@@ -99,7 +99,7 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             above_m = frame.number("alt") - frame.number("relative_alt")
             return [passed], state._replace(field_m=above_m * 1e-3)
         if name == "COMMAND_ACK":
-            return [passed], self._acknowledged(frame, state)
+            return [passed], self._count_acceptance(frame, state)
         autopilot = int(frame.number("autopilot"))
         waited = state.at_us is None or t_us - state.at_us >= RETRY_US
         if autopilot == INVALID or not waited:
@@ -108,19 +108,19 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         if state.granted >= len(calls):
             return [passed], state
         target = frame.system, frame.component
-        asked = Outgoing(t_us, command_frame(*calls[state.granted], target), back=True)
-        return [passed, asked], state._replace(at_us=t_us, target=target, calls=len(calls))
+        request = Outgoing(t_us, command_frame(*calls[state.granted], target), back=True)
+        return [passed, request], state._replace(at_us=t_us, target=target, calls=len(calls))
 
     def done(self, state: CommandState) -> bool:
         """Whether all commands are accepted; an entry with `afterwards` lasts for its `for_s`."""
         return state.granted >= state.calls and self.afterwards is None
 
-    def _acknowledged(self, frame: Frame, state: CommandState) -> CommandState:
+    def _count_acceptance(self, frame: Frame, state: CommandState) -> CommandState:
         """Count an acceptance; the next call is then due."""
         if state.at_us is None or frame.number("result") not in (ACCEPTED, IN_PROGRESS):
             return state
         # Only acknowledgements of this command.
-        expected = {self.number} if self.number is not None else NUMBERS[self.do or "arm"]
+        expected = {self.number} if self.number is not None else COMMAND_IDS[self.do or "arm"]
         if int(frame.number("command")) not in expected:
             return state
         return state._replace(granted=state.granted + 1, at_us=None)
@@ -138,8 +138,8 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             return [(SET_MODE, (1.0, float(PLANE_TAKE_OFF)))]
         height: Parameters = (0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
         if ardupilot:
-            above = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, self.height_m)
-            return [(SET_MODE, (1.0, float(GUIDED))), (TAKE_OFF, above)]
+            climb = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, self.height_m)
+            return [(SET_MODE, (1.0, float(GUIDED))), (TAKE_OFF, climb)]
         # PX4 expects the take-off altitude above mean sea level.
         if math.isnan(field_m):
             return []
@@ -152,11 +152,11 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         """Send the command with the params `afterwards` at the end, if they are given."""
         if self.number is None or self.afterwards is None or not state.granted:
             return [], state
-        last = command_frame(self.number, self.afterwards, state.target)
-        return [Outgoing(t_us, last, back=True)], state
+        restore = command_frame(self.number, self.afterwards, state.target)
+        return [Outgoing(t_us, restore, back=True)], state
 
 
-NUMBERS = {
+COMMAND_IDS = {
     **{deed: {call[0]} for deed, call in SIMPLE_COMMANDS.items()},
     "hold": {LOITER, SET_MODE},
     "take-off": {TAKE_OFF, SET_MODE},

@@ -67,12 +67,12 @@ class LiveControl:
         self.folders = folders
         self.view = SubscribedMessages()
         # Names of the messages seen so far, on which a failure command can act.
-        self._passed: set[str] = set()
+        self._seen: set[str] = set()
         self._latched: set[str] = set()
         # A failure unit is supported once one of its messages has passed.
-        self._unheard: frozenset[int] = frozenset(NAMES)
+        self._unseen: frozenset[int] = frozenset(NAMES)
         self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
-        self.wanted: frozenset[int] = COMMANDS | {PARAMETER} | self._unheard
+        self.wanted: frozenset[int] = COMMANDS | {PARAMETER} | self._unseen
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
@@ -81,19 +81,19 @@ class LiveControl:
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
         if frame.id not in COMMANDS:
-            if frame.id in self._unheard:
-                self._passed.add(frame.layout.name)
+            if frame.id in self._unseen:
+                self._seen.add(frame.layout.name)
                 # Noted once; later frames of this message bypass this function.
-                self._unheard -= {frame.id}
-                self._want()
+                self._unseen -= {frame.id}
+                self._update_wanted()
             if frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
                 self._enabled = frame.number("param_value") != 0.0
             return None
         if frame.number("command") != INJECT_FAILURE:
             return None
         # COMMAND_INT has integer coordinates in place of params 5 and 6.
-        several = range(1, 6 if "param5" in frame.layout.fields else 5)
-        result = self._inject([frame.number(f"param{n}") for n in several], t_us)
+        positions = range(1, 6 if "param5" in frame.layout.fields else 5)
+        result = self._inject([frame.number(f"param{n}") for n in positions], t_us)
         return [acknowledge_command(frame, result)]
 
     def _inject(self, parameters: list[int | float], t_us: int) -> int:
@@ -111,7 +111,7 @@ class LiveControl:
             return self._clear(unit, instance)
         try:
             extent = extent_of(kind, parameters[3:])
-            entries = faults_for(unit, kind, instance, self._passed, extent)
+            entries = faults_for(unit, kind, instance, self._seen, extent)
         except ValueError:
             return UNSUPPORTED  # the instance does not exist, e.g. the seventeenth motor
         if not entries:
@@ -124,10 +124,10 @@ class LiveControl:
 
     def _clear(self, unit: str, instance: int) -> int:
         """End the failures of one instance of a unit, or of all its instances."""
-        head = failure_id(unit, instance)
+        prefix = failure_id(unit, instance)
         # Ids are `unit-instance.part`; instance 0 ends those of every instance.
         for id in self.engine.ids():
-            if id.rpartition(".")[0] == head or (not instance and id.startswith(f"{head}-")):
+            if id.rpartition(".")[0] == prefix or (not instance and id.startswith(f"{prefix}-")):
                 self.engine.clear(id)
         return ACCEPTED
 
@@ -170,7 +170,7 @@ class LiveControl:
         except msgspec.MsgspecError as error:
             raise ConfigError(f"@ctl/watch: {error}; send a JSON list of message names") from None
         self.view.watch(names, now_s)
-        self._want()
+        self._update_wanted()
         return {"watched": len(self.view.ids)}
 
     def watched(self, now_s: float) -> list[Watched]:
@@ -178,11 +178,11 @@ class LiveControl:
         if not self.view.ids:
             return []
         self.view.expire(now_s)
-        self._want()
+        self._update_wanted()
         return self.view.drain()
 
-    def _want(self) -> None:
-        self.wanted = COMMANDS | {PARAMETER} | self._unheard | self.view.ids
+    def _update_wanted(self) -> None:
+        self.wanted = COMMANDS | {PARAMETER} | self._unseen | self.view.ids
 
     # -- Zenoh -----------------------------------------------------------------------------------
 
@@ -220,14 +220,14 @@ class LiveControl:
             return lambda _: {"yaml": self.engine.save(), "anew": self.engine.save(anew=True)}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is disabled; start without --no-inject")
-        head, _, action = what.rpartition("/")
+        prefix, _, action = what.rpartition("/")
         edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
             "schedule/load": partial(self._load, what, anew=False),
             "schedule/begin": partial(self._load, what, anew=True),
             "schedule/stop": lambda _: lambda: {"cleared": self.engine.clear("all")},
         }
-        if head.startswith("fault/"):
-            edit = self._fault(head.removeprefix("fault/"), action, payload)
+        if prefix.startswith("fault/"):
+            edit = self._fault_edit(prefix.removeprefix("fault/"), action, payload)
         elif what in edits:
             edit = edits[what](payload)
         else:
@@ -241,7 +241,7 @@ class LiveControl:
 
         return act
 
-    def _fault(self, id: str, action: str, payload: bytes) -> Callable[[], Any]:
+    def _fault_edit(self, id: str, action: str, payload: bytes) -> Callable[[], Any]:
         if action == "disarm":
             return lambda: self._disarm(id)
         try:

@@ -79,13 +79,13 @@ def describe_edits(edits: Iterable[Edit], t0_us: int) -> list[str]:
 
     They show that the run deviated from its scenario.
     """
-    asked = [edit for edit in edits if edit.what != JOIN]
+    requests = [edit for edit in edits if edit.what != JOIN]
     lines = [
         f"{(edit.t_us - t0_us) * 1e-6:.1f} s {edit.what.rpartition('@ctl/')[2]} {edit.payload}"
-        for edit in asked[:MOST_LISTED]
+        for edit in requests[:MOST_LISTED]
     ]
-    more = len(asked) - len(lines)
-    return [*lines, f"and {more} more"] if more else lines
+    omitted = len(requests) - len(lines)
+    return [*lines, f"and {omitted} more"] if omitted else lines
 
 
 def apply_edit(edit: Edit, core: Core, control: LiveControl) -> None:

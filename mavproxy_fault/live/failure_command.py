@@ -177,7 +177,7 @@ def extent_of(kind: str, given: Sequence[float]) -> Extent:
     have a sign.
     """
     magnitude, for_s = [
-        one if math.isfinite(one) and one != 0.0 else None for one in (*given, 0.0, 0.0)[:2]
+        value if math.isfinite(value) and value != 0.0 else None for value in (*given, 0.0, 0.0)[:2]
     ]
     if magnitude is not None and kind not in SIGNED:
         magnitude = abs(magnitude)
@@ -206,13 +206,14 @@ def faults_for(
         Empty if no message of the unit has passed.
     """
     if unit == "mavlink":
-        whole = {"id": f"{failure_id(unit, instance)}.1", **_of_the_link(kind, extent)}
-        return [_lasting(whole, extent)] if passed else []
+        entry = {"id": f"{failure_id(unit, instance)}.1", **_link_fault(kind, extent)}
+        return [_with_duration(entry, extent)] if passed else []
     # Parts of other instances are not affected.
     chosen = [p for p in FAILURE_UNITS[unit].parts if p.message in passed and p.has(instance)]
     entries = []
     for number, part in enumerate(chosen, 1):
-        entry = _lasting(_of_a_part(FAILURE_UNITS[unit], part, kind, instance, extent), extent)
+        fault = _part_fault(FAILURE_UNITS[unit], part, kind, instance, extent)
+        entry = _with_duration(fault, extent)
         if instance and not part.instance and not part.indexed:
             # Instances in the command count from 1, ids in the messages from 0.
             entry["where"] = {"id": instance - 1}
@@ -220,15 +221,15 @@ def faults_for(
     return entries
 
 
-def _lasting(entry: dict[str, Any], extent: Extent) -> dict[str, Any]:
+def _with_duration(entry: dict[str, Any], extent: Extent) -> dict[str, Any]:
     """Add the duration to an entry; an intermittent one has its own."""
     if extent.for_s is None or "repeat" in entry:
         return entry
     return {**entry, "for_s": extent.for_s}
 
 
-def _of_the_link(kind: str, extent: Extent) -> dict[str, Any]:
-    whole: dict[str, dict[str, Any]] = {
+def _link_fault(kind: str, extent: Extent) -> dict[str, Any]:
+    faults: dict[str, dict[str, Any]] = {
         "off": {"fault": "outage"},
         "stuck": {"fault": "outage"},
         "garbage": {"fault": "corrupt", "count": 3},
@@ -238,22 +239,22 @@ def _of_the_link(kind: str, extent: Extent) -> dict[str, Any]:
         "intermittent": {"fault": "outage", **INTERMITTENT},
         "drift": {"fault": "jitter", "value": extent.of(DELAY_S)},
     }
-    return whole[kind]
+    return faults[kind]
 
 
-def _of_a_part(
+def _part_fault(
     unit: FailureUnit, part: UnitPart, kind: str, instance: int, extent: Extent
 ) -> dict[str, Any]:
     if kind == "intermittent":
-        return {**_of_a_part(unit, part, "off", instance, extent), **INTERMITTENT}
+        return {**_part_fault(unit, part, "off", instance, extent), **INTERMITTENT}
     # A message that carries only this unit can be dropped or delayed as a frame.
     if not part.shared and kind in ("off", "slow", "delayed"):
-        whole: dict[str, dict[str, Any]] = {
+        faults: dict[str, dict[str, Any]] = {
             "off": {"fault": "drop"},
             "slow": {"fault": "rate-limit", "value": 1.0 / extent.of(SLOW_S)},
             "delayed": {"fault": "delay", "value": extent.of(DELAY_S)},
         }
-        return {"target": part.message, **whole[kind]}
+        return {"target": part.message, **faults[kind]}
     if kind == "off" and part.group:
         flags = f"{part.message}.fields_updated"
         return {"fault": "clear-bits", "target": flags, "groups": [part.group]}
@@ -283,12 +284,12 @@ def _elements(part: UnitPart, instance: int) -> tuple[list[str], list[float]]:
     """Return the targets of a part and the scale of each of their elements."""
     from mavproxy_fault.fault_parts.target import parse_field_targets
 
-    found: list[str] = []
+    targets: list[str] = []
     scales: list[float] = []
     for name, scale in part.fields:
         chosen = f"[{instance - 1 - part.skipped}]" if part.indexed and instance else ""
-        found.append(f"{part.message}.{name}{chosen}")
+        targets.append(f"{part.message}.{name}{chosen}")
         # One scale per element of an array field.
-        (elements,) = parse_field_targets([found[-1]]).values()
+        (elements,) = parse_field_targets([targets[-1]]).values()
         scales += [scale] * len(elements)
-    return found, scales
+    return targets, scales

@@ -71,7 +71,7 @@ class LoopCalls:
         self._waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = (
             queue.SimpleQueue()
         )
-        self._asking = 0  # number of threads that wait for a result
+        self._callers = 0  # number of threads that wait for a result
         self._changed = threading.Condition()
         self._closed = False
         self._reads, self._wakes = socket.socketpair()
@@ -96,7 +96,7 @@ class LoopCalls:
         with self._changed:
             if self._closed:
                 raise ConfigError("the proxy is shutting down; start it again")
-            self._asking += 1
+            self._callers += 1
             self._waiting.put((act, outcome))
         with contextlib.suppress(BlockingIOError):
             self._wakes.send(b"!")
@@ -110,7 +110,7 @@ class LoopCalls:
             raise ConfigError("the proxy has ended; start it again") from None
         finally:
             with self._changed:
-                self._asking -= 1
+                self._callers -= 1
                 self._changed.notify_all()
             del outcome  # breaks the reference cycle of exception and frame
 
@@ -141,7 +141,7 @@ class LoopCalls:
         while not self._waiting.empty():
             self._waiting.get()[1].cancel()
         with self._changed:
-            self._changed.wait_for(lambda: not self._asking, REQUEST_TIMEOUT_S)
+            self._changed.wait_for(lambda: not self._callers, REQUEST_TIMEOUT_S)
         self._reads.close()
         self._wakes.close()
 
@@ -169,8 +169,8 @@ class LiveSession:
         self._port: socket.socket | None = None
         self._config_file = ""
         self._successor = threading.Thread()  # takes over from a router that has ended
-        self._look_s = self._show_s = 0.0
-        self._shown = (0, 0)  # revision and changes of the engine
+        self._router_check_s = self._publish_s = 0.0
+        self._published = (0, 0)  # revision and changes of the engine
 
     def open_bus(self, zenoh: str, run: str | None = None, config_file: str = "") -> None:
         """Open live control on Zenoh: `auto` (become the router or join it), `off`, or a URL.
@@ -215,12 +215,12 @@ class LiveSession:
             self.do(lambda: self.offer(fresh))
             bus.close()
 
-    def _look_after_bus(self, now_s: float) -> None:
+    def _check_router(self, now_s: float) -> None:
         """Check the connection to the router; without one, try to become the router."""
         # Once a second, and one attempt at a time.
-        if self._bus is None or now_s < self._look_s or self._successor.is_alive():
+        if self._bus is None or now_s < self._router_check_s or self._successor.is_alive():
             return
-        self._look_s = now_s + ROUTER_CHECK_S
+        self._router_check_s = now_s + ROUTER_CHECK_S
         if not self._bus.is_connected:
             self._successor = threading.Thread(
                 target=self._become_router, args=(self._bus,), daemon=True
@@ -293,13 +293,13 @@ class LiveSession:
 
     def show(self, now_s: float) -> None:
         """Publish changes of faults and the samples of watched messages."""
-        if now_s < self._show_s:
+        if now_s < self._publish_s:
             return
-        self._show_s = now_s + PUBLISH_PERIOD_S
-        self._look_after_bus(now_s)
+        self._publish_s = now_s + PUBLISH_PERIOD_S
+        self._check_router(now_s)
         engine = self.control.engine
         # Only after a change.
-        if self._bus is not None and self._shown != (engine.revision, engine.changes):
+        if self._bus is not None and self._published != (engine.revision, engine.changes):
             self._show_faults(self._bus)
         samples = self.control.watched(now_s)
         if samples and self._listener is not None:
@@ -309,7 +309,7 @@ class LiveSession:
 
     def _show_faults(self, bus: Bus) -> None:
         engine = self.control.engine
-        self._shown = (engine.revision, engine.changes)
+        self._published = (engine.revision, engine.changes)
         # Late joiners receive the newest state.
         state = msgspec.json.encode(engine.state())
         bus.put("schedule/state", state, "mavfault.v1.ScheduleState", history=1)

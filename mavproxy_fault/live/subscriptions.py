@@ -105,8 +105,8 @@ class SubscribedMessages:
         ConfigError
             If a message does not exist or there are too many.
         """
-        wanted = set(names)
-        for name in wanted - {RANGES}:
+        requested = set(names)
+        for name in requested - {RANGES}:
             if find_layout(name) is None:
                 from mavproxy_fault.documents.suggestion import (
                     suggest_known,  # who only shows need not load it
@@ -116,12 +116,12 @@ class SubscribedMessages:
                     f"watch: {name} is not a message; {suggest_known(name, message_names())}"
                 )
         # The limit counts all viewers.
-        count = len(wanted | self._until_s.keys())
+        count = len(requested | self._until_s.keys())
         if count > MOST_MESSAGES:
             raise ConfigError(
                 f"watch: {count} messages are too many; request at most {MOST_MESSAGES}"
             )
-        self._until_s |= dict.fromkeys(wanted, now_s + LEASE_S)
+        self._until_s |= dict.fromkeys(requested, now_s + LEASE_S)
         self._index()
 
     def expire(self, now_s: float) -> None:
@@ -130,7 +130,9 @@ class SubscribedMessages:
         if all(until_s > now_s for until_s in self._until_s.values()):
             return
         self._until_s = {name: until for name, until in self._until_s.items() if until > now_s}
-        self._sources = {key: one for key, one in self._sources.items() if key[0] in self._until_s}
+        self._sources = {
+            key: sampler for key, sampler in self._sources.items() if key[0] in self._until_s
+        }
         self._index()
 
     def _index(self) -> None:
@@ -142,7 +144,7 @@ class SubscribedMessages:
 
     def received(self, frame: Frame, t_us: int) -> None:
         """Sample a received frame of a subscribed message."""
-        self._note(frame, t_us, sent=False)
+        self._sample(frame, t_us, sent=False)
 
     def sent(self, raw: bytes, t_us: int) -> None:
         """Sample sent bytes if they are a frame of a subscribed message."""
@@ -152,12 +154,12 @@ class SubscribedMessages:
         # Only the id is read, since most messages have no viewer.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
-            self._note(Frame(raw, message_layout(number)), t_us, sent=True)
+            self._sample(Frame(raw, message_layout(number)), t_us, sent=True)
 
-    def _note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
+    def _sample(self, frame: Frame, t_us: int, *, sent: bool) -> None:
         field = frame.layout.instance or "id"
-        found = frame.read(field) if field in frame.layout.fields else 0
-        instance = found.decode("ascii", "replace") if isinstance(found, bytes) else found
+        value = frame.read(field) if field in frame.layout.fields else 0
+        instance = value.decode("ascii", "replace") if isinstance(value, bytes) else value
         for name in self._names[frame.id]:
             key = (name, frame.system, frame.component, instance)
             source = self._sources.get(key)
@@ -170,11 +172,11 @@ class SubscribedMessages:
 
     def drain(self) -> list[Watched]:
         """Return the samples since the last call."""
-        found = []
+        samples = []
         for (name, system, component, instance), source in self._sources.items():
             fields, received, sent = source.drain()
             if received or sent:
-                found.append(
+                samples.append(
                     Watched(
                         message=name,
                         system=system,
@@ -186,7 +188,7 @@ class SubscribedMessages:
                         sent=None if sent == received else sent,
                     )
                 )
-        return found
+        return samples
 
 
 def new_sampler(name: str) -> "MessageSampler | RangeSampler":

@@ -71,8 +71,8 @@ def _settings_of(satellite: str, settings: Mapping[str, Setting]) -> dict[str, S
     for name, setting in settings.items():
         parts = INDEXED.fullmatch(name)
         assert parts is not None  # by `check_plant_name`
-        everybody = parts[2] == "all" and satellite[0] in ALL_SYSTEMS
-        if everybody or parts[2] in (satellite[0], satellite):
+        is_all = parts[2] == "all" and satellite[0] in ALL_SYSTEMS
+        if is_all or parts[2] in (satellite[0], satellite):
             found[parts[1]] = setting
     return found
 

@@ -61,8 +61,8 @@ def read_ranges(messages: Messages) -> RangeColumns:
     """Read all MSM7 messages among RTCM messages."""
     heads = np.empty((3, len(messages.ends)), np.int64)
     # Upper bound of the number of rows, so that no array grows in the loop.
-    room = len(messages.data) // LEAST_BYTES
-    code, values = np.empty(room, np.int64), np.empty((3, room))
+    capacity = len(messages.data) // LEAST_BYTES
+    code, values = np.empty(capacity, np.int64), np.empty((3, capacity))
     count = _read(messages.data, messages.ends, _SYSTEM_NUMBERS, heads, code, values)
     tow_ms, more, ends = heads
     pseudorange_m, doppler_mps, cn0_dbhz = values[:, :count]
@@ -88,12 +88,12 @@ def _read(
         for i in range(len(numbers)):
             if end - at >= CELL_BIT and _bits(data, at, NUMBER) == numbers[i]:
                 system = i
-        if system >= 0 and _whole(data, at, end):
+        if system >= 0 and _is_complete(data, at, end):
             # Thirty bits of milliseconds in two halves, since `_bits` reads at most 25.
             heads[0, message] = _bits(data, at + 24, HALF_EPOCH) << 15
             heads[0, message] |= _bits(data, at + 39, HALF_EPOCH)
             heads[1, message] = _bits(data, at + 54, FLAG)
-            rows = _observed(data, at, NUMBERS_OF_SATELLITES * system, code, values, rows)
+            rows = _append_rows(data, at, NUMBERS_OF_SATELLITES * system, code, values, rows)
         heads[2, message] = rows
     return rows
 
@@ -124,7 +124,7 @@ def _count(data: Bytes, at: int, width: int) -> int:
 
 
 @compiled
-def _whole(data: Bytes, at: int, end: int) -> bool:
+def _is_complete(data: Bytes, at: int, end: int) -> bool:
     """Whether a message has room for all satellites and signals of its masks."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
     cells = count * _count(data, at + SIGNAL_BIT, CELL_BIT - SIGNAL_BIT)
@@ -137,7 +137,9 @@ def _whole(data: Bytes, at: int, end: int) -> bool:
 
 
 @compiled
-def _observed(data: Bytes, at: int, first: int, code: Integers, values: Floats, rows: int) -> int:
+def _append_rows(
+    data: Bytes, at: int, first: int, code: Integers, values: Floats, rows: int
+) -> int:
     """Append the satellites of a message with a pseudorange; return the number of rows."""
     count = _count(data, at + MASK_BIT, SIGNAL_BIT - MASK_BIT)
     signals = _count(data, at + SIGNAL_BIT, CELL_BIT - SIGNAL_BIT)

@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 SENDERS_MAX = 16  # further senders share their slots; mixed fragments fail the CRC
-PLACES = PENDING_MAX + 1  # slots for incomplete messages; the oldest is dropped when all are used
+SLOTS = PENDING_MAX + 1  # slots for incomplete messages; the oldest is dropped when all are used
 AGE, SEQUENCE, LENGTHS = 0, 1, 2  # columns of an incomplete message; age 0: free slot
 SHORTEST = HEADER + TRAILER
 ZERO = constant(0)
@@ -58,23 +58,24 @@ class Assembler:
     """Reassembles the fragments of any number of senders."""
 
     def __init__(self) -> None:
-        self._places: dict[int, int] = {}
-        self._pending = np.zeros((SENDERS_MAX, PLACES, LENGTHS + FRAGMENTS_MAX), np.int64)
-        self._kept = np.zeros((SENDERS_MAX, PLACES, FRAGMENTS_MAX, FRAGMENT_BYTES), np.uint8)
+        self._slots: dict[int, int] = {}
+        self._pending = np.zeros((SENDERS_MAX, SLOTS, LENGTHS + FRAGMENTS_MAX), np.int64)
+        self._stored = np.zeros((SENDERS_MAX, SLOTS, FRAGMENTS_MAX, FRAGMENT_BYTES), np.uint8)
 
     def add(self, sender: Integers, payload: Bytes, length: Integers) -> Messages:
         """Add payloads (m, 128) of `length` (m,); return the messages that they complete.
 
         `sender` (m,) is the number of the sender of each.
         """
-        known = self._places
+        known = self._slots
         # Senders are assigned to slots in order of appearance, cyclically.
-        place = [known.setdefault(n, len(known) % SENDERS_MAX) for n in sender.tolist()]
+        slot = [known.setdefault(n, len(known) % SENDERS_MAX) for n in sender.tolist()]
         # Upper bound: the new and the stored bytes.
-        room = payload.size + self._kept.size
-        data, found = np.empty(room, np.uint8), np.empty((room // SHORTEST + 1, 2), np.int64)
-        count = _assembled(
-            payload, length, np.array(place, np.int64), self._pending, self._kept,
+        capacity = payload.size + self._stored.size
+        data = np.empty(capacity, np.uint8)
+        found = np.empty((capacity // SHORTEST + 1, 2), np.int64)
+        count = _assemble(
+            payload, length, np.array(slot, np.int64), self._pending, self._stored,
             data, found, _CRC_TABLE,
         )  # fmt: skip
         ends, row = found[:count].T.copy()
@@ -82,66 +83,66 @@ class Assembler:
 
 
 @compiled
-def _assembled(
+def _assemble(
     payload: Bytes,
     length: Integers,
-    place: Integers,
+    slot: Integers,
     pending: Integers,
-    kept: Bytes,
+    stored: Bytes,
     data: Bytes,
     found: Integers,
     table: Integers,
 ) -> int:
     """Fill `data`, and end and row of each message in `found`; return their number."""
     count = ZERO
-    whole = np.empty(MESSAGE_MAX, np.uint8)
+    message = np.empty(MESSAGE_MAX, np.uint8)
     for row in range(len(length)):
         if length[row] < 1 or length[row] > payload.shape[1]:
             continue
-        flags, mine, parts = payload[row, 0], pending[place[row]], kept[place[row]]
-        at = _place(mine, flags >> 3, flags & 1)
+        flags, slots, parts = payload[row, 0], pending[slot[row]], stored[slot[row]]
+        at = _find_slot(slots, flags >> 3, flags & 1)
         # The first byte is the flags.
         size = length[row] - 1
         if flags & 1:
-            mine[at, LENGTHS + (flags >> 1 & 3)] = size
+            slots[at, LENGTHS + (flags >> 1 & 3)] = size
             for i in range(size):
                 parts[at, flags >> 1 & 3, i] = payload[row, 1 + i]
-            size = _joined(mine[at], parts[at], whole)
+            size = _join(slots[at], parts[at], message)
             if size < 0:
-                _let_go(mine)
+                _drop_oldest(slots)
                 continue
         else:
             for i in range(size):
-                whole[i] = payload[row, 1 + i]
+                message[i] = payload[row, 1 + i]
         # Complete, or superseded by an unfragmented message with the same number.
         if at >= 0:
-            mine[at, AGE] = 0
-        count = _split(whole, size, row, data, found, count, table)
+            slots[at, AGE] = 0
+        count = _append_messages(message, size, row, data, found, count, table)
     return count
 
 
 @compiled
-def _place(mine: Integers, sequence: int, begin: int) -> int:
+def _find_slot(slots: Integers, sequence: int, begin: int) -> int:
     """Return the slot of a sequence number, if necessary a new one; -1 if it does not exist and
     none is to `begin`."""
     free, newest = -1, 0
-    for at in range(PLACES):
-        newest = max(newest, mine[at, AGE])
-        if mine[at, AGE] == 0:
+    for at in range(SLOTS):
+        newest = max(newest, slots[at, AGE])
+        if slots[at, AGE] == 0:
             free = at
-        elif mine[at, SEQUENCE] == sequence:
+        elif slots[at, SEQUENCE] == sequence:
             return at
     if not begin:
         return -1
     # Ages only grow, so the smallest one is the oldest.
-    mine[free, AGE], mine[free, SEQUENCE] = newest + 1, sequence
+    slots[free, AGE], slots[free, SEQUENCE] = newest + 1, sequence
     for number in range(FRAGMENTS_MAX):
-        mine[free, LENGTHS + number] = -1
+        slots[free, LENGTHS + number] = -1
     return free
 
 
 @compiled
-def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
+def _join(lengths: Integers, parts: Bytes, message: Bytes) -> int:
     """Join fragments up to the first that is not full; return the length, -1 if one is missing."""
     size = 0
     for number in range(FRAGMENTS_MAX):
@@ -149,7 +150,7 @@ def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
         if length < 0:
             return -1
         for i in range(length):
-            whole[size + i] = parts[number, i]
+            message[size + i] = parts[number, i]
         size += length
         if length < FRAGMENT_BYTES:
             break
@@ -157,18 +158,18 @@ def _joined(lengths: Integers, parts: Bytes, whole: Bytes) -> int:
 
 
 @compiled
-def _let_go(mine: Integers) -> None:
+def _drop_oldest(slots: Integers) -> None:
     """Free the slot of the oldest message if none is free."""
     oldest = 0
-    for at in range(PLACES):
-        if mine[at, AGE] < mine[oldest, AGE]:
+    for at in range(SLOTS):
+        if slots[at, AGE] < slots[oldest, AGE]:
             oldest = at
-    mine[oldest, AGE] = 0
+    slots[oldest, AGE] = 0
 
 
 @compiled
-def _split(
-    whole: Bytes,
+def _append_messages(
+    message: Bytes,
     size: int,
     row: int,
     data: Bytes,
@@ -179,16 +180,16 @@ def _split(
     """Append the messages with valid CRC in `whole`; return their number."""
     at = ZERO
     while at <= size - SHORTEST:
-        body = (whole[at + 1] & 3) << 8 | whole[at + 2]
+        body = (message[at + 1] & 3) << 8 | message[at + 2]
         end = at + SHORTEST + body
-        if whole[at] != PREAMBLE or end > size or _crc(whole, at, end, table):
+        if message[at] != PREAMBLE or end > size or _crc(message, at, end, table):
             # The next preamble may lie inside.
             at += 1
             continue
         # Messages are stored consecutively.
         begin = found[count - 1, 0] if count else 0
         for i in range(end - at):
-            data[begin + i] = whole[at + i]
+            data[begin + i] = message[at + i]
         found[count, 0], found[count, 1] = begin + end - at, row
         count += 1
         at = end

@@ -39,12 +39,12 @@ def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> Resolved
         If it does not fit the fault or the dialect; the text starts with the target.
     """
     # Pseudoranges cannot be mixed with other targets.
-    on_ranges = [one for one in names if one.startswith(targets.RANGES + ".")]
+    on_ranges = [target for target in names if target.startswith(targets.RANGES + ".")]
     if on_ranges:
         if not acts_on_ranges(kind):
-            able = ", ".join(one for one, kind in known_faults().items() if acts_on_ranges(kind))
+            capable = ", ".join(n for n, other in known_faults().items() if acts_on_ranges(other))
             raise ValueError(
-                f"{on_ranges[0]} is not a target for {name}; for satellites use {able}"
+                f"{on_ranges[0]} is not a target for {name}; for satellites use {capable}"
             )
         return ResolvedTarget({}, TUNNEL, targets.parse_named_targets(names, targets.RANGES))
     # Plant changes are sent in reply to the simulator's frames.
@@ -73,7 +73,7 @@ def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]
     """Return the errors of the targets; empty if they are valid."""
     found: list[str] = []
     # Separately first, so that the error names the wrong target.
-    for part in [[one] for one in names] or [[]]:
+    for part in [[target] for target in names] or [[]]:
         try:
             resolve_target(name, kind, part)
         except ValueError as error:

@@ -27,8 +27,8 @@ def entry_ids(data: dict[str, Any], number: int) -> list[str]:
     preset = data.get("preset")
     if preset not in preset_names():
         return [str(data.get("id") or default_id(str(data.get("fault")), number))]
-    whole, parts = data.get("id", preset), len(preset_parts(str(preset)))
-    return [f"{whole}.{i + 1}" for i in range(parts)] if parts > 1 else [str(whole)]
+    prefix, parts = data.get("id", preset), len(preset_parts(str(preset)))
+    return [f"{prefix}.{i + 1}" for i in range(parts)] if parts > 1 else [str(prefix)]
 
 
 def check_id(id: str, where: str) -> None:
@@ -65,7 +65,7 @@ def check_together(listed: list[Any], check: DocumentCheck) -> None:
             check.wrong(("faults", i, "after"), text)
         else:
             waits.update((id, awaited) for id in entry_ids(item, i) if places[id] == i)
-    _check_circles(waits, places, check)
+    _check_cycles(waits, places, check)
 
 
 def _awaited(after: Any) -> str | None:
@@ -74,7 +74,7 @@ def _awaited(after: Any) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def _check_circles(waits: dict[str, str], places: dict[str, int], check: DocumentCheck) -> None:
+def _check_cycles(waits: dict[str, str], places: dict[str, int], check: DocumentCheck) -> None:
     # Each id is visited once, even if several chains lead to it.
     done: set[str] = set()
     for first in waits:
@@ -85,6 +85,6 @@ def _check_circles(waits: dict[str, str], places: dict[str, int], check: Documen
             chain.append(id)
             id = waits[id]
         if id in chain:
-            circle = " after ".join([*chain[chain.index(id) :], id])
-            text = f"is a cycle ({circle}); remove one of them"
+            cycle = " after ".join([*chain[chain.index(id) :], id])
+            text = f"is a cycle ({cycle}); remove one of them"
             check.wrong(("faults", places[id], "after"), text)

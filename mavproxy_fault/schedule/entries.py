@@ -220,9 +220,9 @@ def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via)
     return [] if entry is None else [entry]
 
 
-def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None:
+def _resolve_series(arguments: dict[str, Any], check: DocumentCheck, path: Path) -> None:
     """Resolve a series file relative to the schedule, and check its first rows."""
-    profile = found.get("profile")
+    profile = arguments.get("profile")
     if not isinstance(profile, Profile) or profile.table is None:
         return
     from mavproxy_fault.fault_parts.series import read_blocks
@@ -230,7 +230,7 @@ def _open_table(found: dict[str, Any], check: DocumentCheck, path: Path) -> None
     # Relative to the schedule, not to the working directory.
     file = FilePath(check.where).parent / profile.table.file
     table = msgspec.structs.replace(profile.table, file=str(file))
-    found["profile"] = msgspec.structs.replace(profile, table=table)
+    arguments["profile"] = msgspec.structs.replace(profile, table=table)
     try:
         # The first block only: reading a large file would delay the start.
         next(read_blocks(table), None)
@@ -276,13 +276,13 @@ def _entry(
     if keys["moment"] is not None and "after" in keys:
         check.wrong((*path, "from"), "and after exclude each other; give one of them")
     name = keys.pop("fault", None)
-    kind = _kind(name, data, check, path)
+    kind = _fault_kind(name, data, check, path)
     if kind is None:
         return None
     own = [field.name for field in msgspec.structs.fields(kind) if field.name not in TARGET_FIELDS]
     check.keys(data, (*KEYS, *own), path)
-    found = check.arguments(data, kind, path, TARGET_FIELDS)
-    _open_table(found, check, path)
+    arguments = check.arguments(data, kind, path, TARGET_FIELDS)
+    _resolve_series(arguments, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
     # An invalid target value already has its error.
@@ -291,11 +291,11 @@ def _entry(
     # Binding needs valid fields.
     if check.count > before:
         return None
-    at = resolve_target(name, kind, names)
+    resolved = resolve_target(name, kind, names)
     # Only satellite faults can act in the proxy or in the simulator.
-    wanted = keys.pop("via", None) or (via if at.satellites else "proxy")
+    wanted = keys.pop("via", None) or (via if resolved.satellites else "proxy")
     try:
-        fault, ids = bind_fault(kind, found, at, wanted)
+        fault, ids = bind_fault(kind, arguments, resolved, wanted)
     except ValueError as error:
         check.refused(kind, str(error), path)
         return None
@@ -305,7 +305,7 @@ def _entry(
     return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)
 
 
-def _kind(
+def _fault_kind(
     name: str | None, data: dict[str, Any], check: DocumentCheck, path: Path
 ) -> type[Any] | None:
     """Return the class of the fault; add an error and return None if it does not exist."""

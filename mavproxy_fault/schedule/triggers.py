@@ -210,7 +210,7 @@ class Condition:
                 raise ValueError(f"= {self.text!r}: an index must be a number")
             index, node = node.slice.value, node.value
         if isinstance(node, ast.Name):
-            return self._word(node.id)
+            return self._keyword(node.id)
         if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
             raise ValueError(f"= {self.text!r}: {ast.unparse(node)} is not MESSAGE.field; give one")
         layout = find_message(node.value.id)
@@ -230,12 +230,14 @@ class Condition:
 
         return read
 
-    def _word(self, word: str) -> Callable[[Telemetry], Value]:
-        if word not in KEYWORDS:
-            raise ValueError(f"= {self.text!r}: {word} is unknown; words are {', '.join(KEYWORDS)}")
-        number = message_layout(KEYWORDS[word]).id
+    def _keyword(self, keyword: str) -> Callable[[Telemetry], Value]:
+        if keyword not in KEYWORDS:
+            raise ValueError(
+                f"= {self.text!r}: {keyword} is unknown; words are {', '.join(KEYWORDS)}"
+            )
+        number = message_layout(KEYWORDS[keyword]).id
         self.ids.add(number)
-        meaning = {"armed": is_armed, "mode": flight_mode, "altitude_m": altitude_m}[word]
+        meaning = {"armed": is_armed, "mode": flight_mode, "altitude_m": altitude_m}[keyword]
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)

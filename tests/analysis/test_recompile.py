@@ -6,12 +6,15 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-# `locate` reshapes an array: numba keeps the path of its own source of that.
-CALLS = ("linear.inverse(np.eye(3))", "locate(*map(np.zeros, (13, 3, 13, 19)))")
+# `locate_state` reshapes an array: numba keeps the path of its own source of that.
+CALLS = (
+    "linear.invert_positive_definite(np.eye(3))",
+    "locate_state(*map(np.zeros, (13, 3, 13, 19)))",
+)
 DRAFT = """
 import numpy as np
 from mavproxy_fault.numerics import linear
-from simvehicle.environment.geolocation import locate
+from simvehicle.environment.geolocation import locate_state
 {}
 {}
 """
@@ -44,7 +47,7 @@ def test_two_builds_in_other_places_that_came_to_functions_in_another_order_give
         made.append(_bytes(folder))
     assert drafts[0] != drafts[1]
     assert made[0] == made[1]
-    assert {"linear.inverse", "geolocation.locate"} <= {
+    assert {"linear.invert_positive_definite", "geolocation.locate"} <= {
         name.split("/")[-1].split("-")[0] for name in made[0]
     }
     places = [str(place).encode() for place in (sys.prefix, ROOT, tmp_path)]

@@ -32,7 +32,7 @@ def test_a_limited_proxy_goes_without_live_control_and_forwards(limits: str, rea
         while "no live control" not in told:
             proxy.pass_frame()
             told = proxy.process.stderr.readline()
-        assert told.startswith("no live control, forwarding goes on: ")
+        assert told.startswith("no live control, forwarding continues: ")
         assert reason in told
         for _ in range(100):
             proxy.pass_frame()
@@ -56,7 +56,7 @@ def test_at_every_number_of_descriptors_it_forwards_or_says_why_not() -> None:
     told = [_told_with_descriptors(limit) for limit in range(5, 10)]
     assert not [one for one in told if "Traceback" in one]
     assert "Too many open files" in told[0]
-    assert "no live control, forwarding goes on" in told[-1]
+    assert "no live control, forwarding continues" in told[-1]
 
 
 def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
@@ -78,7 +78,7 @@ def test_who_makes_it_write_does_not_stop_a_proxy_that_nobody_reads() -> None:
 
 def test_live_control_asked_for_by_name_is_refused_with_the_limit() -> None:
     with (
-        pytest.raises(AssertionError, match=r"live control cannot be had: .*ulimit -n"),
+        pytest.raises(AssertionError, match=r"live control cannot start: .*ulimit -n"),
         driven("--zenoh", "tcp/127.0.0.1:0", limits="ulimit -n 16"),
     ):
         pass
@@ -143,7 +143,7 @@ def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_pat
         _, highest = resource.prlimit(number, resource.RLIMIT_AS)
         resource.prlimit(number, resource.RLIMIT_AS, (_memory_of(number), highest))
         many, told = numbered(0) * 256, ""
-        while "recording stops" not in told:
+        while "recording stopped" not in told:
             for _ in range(10):
                 proxy.vehicle.send(many)
             proxy.pass_frame()
@@ -151,7 +151,7 @@ def test_memory_that_runs_out_meanwhile_costs_the_recording_and_no_frame(tmp_pat
             if "slower way" in told:
                 pytest.skip("live control came too late: the memory ran out for something else")
         resource.prlimit(number, resource.RLIMIT_AS, (highest, highest))
-        while "recording goes on" not in told:
+        while "recording resumed" not in told:
             proxy.pass_frame()
             told += _read(proxy.process.stderr.fileno())
         came = proxy.end()[0].split("\n")[1].split()[2]

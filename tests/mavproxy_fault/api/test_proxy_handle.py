@@ -97,7 +97,7 @@ def test_a_wait_ends_when_what_left_the_proxy_meets_it() -> None:
 
 def test_what_is_wrong_is_told_as_on_the_command_line() -> None:
     with mavproxy_fault.Proxy(ANY, ANY) as proxy:
-        with pytest.raises(mavproxy_fault.ConfigError, match="nonsense is neither fault"):
+        with pytest.raises(mavproxy_fault.ConfigError, match="nonsense is neither a fault"):
             proxy.fault("nonsense")
         with pytest.raises(mavproxy_fault.ConfigError, match="fix_typ"):
             proxy.wait_for("GPS_RAW_INT.fix_typ < 3")

@@ -54,8 +54,8 @@ def test_check_says_what_a_schedule_will_do(
     assert main(["faults", "check", str(schedule)]) == 0
     text = capsys.readouterr().out
     assert "step: bias, HIL_SENSOR.xgyro, from 3 s, for 2 s" in text
-    assert "sat: satellite-ramp, PSEUDORANGE.G12, after the end of step, for good" in text
-    assert "lost: drop, everything, when armed, for good" in text
+    assert "sat: satellite-ramp, PSEUDORANGE.G12, after the end of step, without end" in text
+    assert "lost: drop, everything, when armed, without end" in text
 
 
 def test_check_of_a_wrong_schedule_ends_with_two(

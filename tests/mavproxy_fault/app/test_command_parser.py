@@ -36,12 +36,12 @@ def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
     ("words", "meant"),
     [
         (("injct",), "did you mean inject?"),
-        (("--verson",), "there is no option --verson; did you mean version"),
-        (("schedule", "--rum=x", "state"), "there is no option --rum"),
-        (("proxy", "--mastr=x"), "there is no option --mastr; did you mean master?"),
-        (("run", "--sped", "3"), "there is no option --sped; did you mean speed"),
-        (("schedule", "laod"), "there is no laod; did you mean load?"),
-        (("faults", "chek", "x.yaml"), "there is no chek; did you mean check"),
+        (("--verson",), "option --verson does not exist; did you mean version"),
+        (("schedule", "--rum=x", "state"), "option --rum does not exist"),
+        (("proxy", "--mastr=x"), "option --mastr does not exist; did you mean master?"),
+        (("run", "--sped", "3"), "option --sped does not exist; did you mean speed"),
+        (("schedule", "laod"), "laod does not exist; did you mean load?"),
+        (("faults", "chek", "x.yaml"), "chek does not exist; did you mean check"),
         (("inject", "bias", "--through", "mavsdkk"), "did you mean mavsdk?"),
     ],
 )

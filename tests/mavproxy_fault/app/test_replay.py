@@ -139,11 +139,11 @@ def test_a_log_is_sent_to_a_link(tmp_path: Path) -> None:
 def test_what_is_no_log_is_the_users_error(tmp_path: Path) -> None:
     text = tmp_path / "notes.txt"
     text.write_text("no log at all" * 10)
-    with pytest.raises(ConfigError, match="holds no MAVLink record; allowed: a tlog"):
+    with pytest.raises(ConfigError, match="contains no MAVLink record; give a tlog"):
         open_log(text)
     with pytest.raises(ConfigError, match="is not a file"):
         open_log(tmp_path / "missing.tlog")
     # Chance bytes look like a record whose stamp no clock can show (it ended in an IndexError).
     text.write_bytes((1 << 63).to_bytes(8, "big") + heartbeat(1))
-    with pytest.raises(ConfigError, match="holds no MAVLink record"):
+    with pytest.raises(ConfigError, match="contains no MAVLink record"):
         open_log(text)

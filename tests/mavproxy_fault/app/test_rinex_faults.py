@@ -52,7 +52,7 @@ def test_a_fault_on_a_satellite_that_is_not_there_is_told(recording, tmp_path, c
     )
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(out)]) == 0
     told = capsys.readouterr().err
-    assert "never acted: nowhere (bias): it met nothing that it names" in told
+    assert "fault nowhere (bias) matched no observation" in told
     assert "here (bias)" not in told.replace("nowhere (bias)", "")
 
 
@@ -61,22 +61,22 @@ def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
     faults.write_text("faults:\n  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")
     out = str(tmp_path / "faulted.21O")
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
-    assert "cannot act on a RINEX file; PSEUDORANGE targets can" in capsys.readouterr().err
+    assert "cannot act on a RINEX file; give a PSEUDORANGE target" in capsys.readouterr().err
     assert main(["replay", str(recording), "--link", "udpout:127.0.0.1:9"]) == 2
     assert "needs --schedule FILE and --out FILE" in capsys.readouterr().err
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(recording)]) == 2
-    assert "is the file that is replayed" in capsys.readouterr().err
+    assert "is the replayed file itself" in capsys.readouterr().err
 
 
 def test_what_needs_orbits_says_so_and_what_is_no_signal_is_refused(recording, tmp_path, capsys):
     faults, out = tmp_path / "faults.yaml", str(tmp_path / "faulted.21O")
     faults.write_text("faults:\n  - {preset: gnss-carry-off}\n")
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
-    assert "pretends another place" in (said := capsys.readouterr().err)
+    assert "spoofs another position" in (said := capsys.readouterr().err)
     assert "give --nav FILE" in said
     faults.write_text("faults:\n  - {fault: plant, target: PLANT.mass_kg_add, value: 1}\n")
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2
-    assert "PLANT targets of satellites" in capsys.readouterr().err
+    assert "PLANT target of satellites" in capsys.readouterr().err
 
 
 def test_a_jammed_recording_loses_its_signals(recording):

@@ -14,8 +14,8 @@ def test_the_only_proxy_is_meant_where_none_is_named() -> None:
 
 @pytest.mark.parametrize(
     ("runs", "told"),
-    [((), "no proxy is there; start one"),
-     (("a", "b"), "2 proxies are there: a, b; name one by --run")],
+    [((), "no proxy runs; start one"),
+     (("a", "b"), "2 proxies are running: a, b; choose one by --run")],
 )  # fmt: skip
 def test_none_and_several_are_told_and_nobody_is_asked(runs: tuple[str, ...], told: str) -> None:
     with pytest.raises(ConfigError, match=f"^{told}$"):

@@ -175,7 +175,7 @@ def test_what_comes_together_leaves_together_to_peers_of_a_server(
     outlet.close()
 
 
-@pytest.mark.parametrize("turn", ["_step", "_keep_time"])
+@pytest.mark.parametrize("turn", ["_step", "_run_due"])
 def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_bytes(
     turn: str,
 ) -> None:
@@ -331,8 +331,8 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
             while running._compiler is not None:
                 vehicle.sendto(heartbeat(), ("127.0.0.1", links[0].port))
                 station.recv(1000)
-    assert "first start" in caplog.text
-    assert "no machine code (`mavproxy-fault warm-up` tells why)" in caplog.text
+    assert "compiling kernels" in caplog.text
+    assert "compiling kernels failed" in caplog.text
 
 
 def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
@@ -348,10 +348,10 @@ def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
     monkeypatch.setattr(proxy, "Thread", NoThread)
     server = server_module.Server([], Core([]))
     proxy.start_live(argparse.Namespace(), None, server)
-    server._keep_time()
+    server._run_due()
     assert server.live is None
     assert (
-        "no live control, forwarding goes on: RuntimeError: can't start new thread" in caplog.text
+        "no live control, forwarding continues: RuntimeError: can't start new thread" in caplog.text
     )
 
 
@@ -375,10 +375,10 @@ from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.core import Core, LinkRole
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.capture_buffer import Tape
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.schedule.entries import parse_schedule
-from mavproxy_fault.wire.dialect import known
-from mavproxy_fault.wire.frame import build
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 tried, compiled = [], set()
 for name, kind in known_faults().items():
@@ -386,12 +386,12 @@ for name, kind in known_faults().items():
     engine = Engine(parse_schedule(json.dumps({"seed": 1, "faults": [entry]})))
     if engine.draws:
         continue
-    tape = Tape()
+    tape = CaptureBuffer()
     core = Core([LinkRole("a", "to-vehicle"), LinkRole("b", "from-vehicle")], engine, tape=tape)
     passage = Passage(core, tape)
     for n in range(100):
         values = {"time_usec": 1_000_000 + 10_000 * n, "fields_updated": 63}
-        frame = build(known("HIL_SENSOR"), values, seq=n, system=1, component=1)
+        frame = build_frame(message_layout("HIL_SENSOR"), values, seq=n, system=1, component=1)
         if passage.passed(0, frame, 10_000 * n) is None:
             core.received(0, frame, 10_000 * n)
         else:

@@ -41,7 +41,7 @@ def test_every_example_is_known_for_what_it_is() -> None:
 def test_a_document_of_another_kind_is_called_what_it_is(given: str, wanted: str) -> None:
     read = READERS[wanted][0]
     _, name, command = READERS[given]
-    says = f"{name}: is {given}, which `mavproxy-fault {command}` reads; {wanted} is needed here"
+    says = f"{name}: is {given}; give {wanted}, or run `mavproxy-fault {command}`"
     with pytest.raises(ConfigError, match=says):
         read(EXAMPLES / name)
 

@@ -12,4 +12,4 @@ def test_a_name_of_megabytes_is_answered_at_once() -> None:
 
 
 def test_without_names_there_is_nothing_to_mean() -> None:
-    assert suggest_known("bias", []) == "there is none"
+    assert suggest_known("bias", []) == "none exist"

@@ -185,5 +185,5 @@ def test_by_the_control_path_the_simulated_receiver_carries_it_out() -> None:
 
 
 def test_the_receiver_loses_a_satellite_wholly_or_not_at_all() -> None:
-    with pytest.raises(ConfigError, match=r"value = 0.5 cannot be had in the receiver"):
+    with pytest.raises(ConfigError, match=r"value = 0.5 cannot act in the receiver"):
         engine({"fault": "drop", "target": "PSEUDORANGE.G12", "value": 0.5, "via": "simulator"})

@@ -129,12 +129,12 @@ def test_a_switch_is_set_and_set_back_when_its_time_is_over():
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
-        ({}, "takes either do or number"),
-        ({"do": "arm", "number": 400}, "takes either do or number"),
+        ({}, "needs exactly one of do and number"),
+        ({"do": "arm", "number": 400}, "needs exactly one of do and number"),
         ({"do": "fly"}, "do = 'fly'"),
-        ({"do": "arm", "params": [1]}, "params and afterwards are those of number"),
-        ({"number": 1, "params": [0] * 8}, "seven params at most"),
-        ({"do": "take-off", "height_m": -3}, "height_m = -3 is no height"),
+        ({"do": "arm", "params": [1]}, "params and afterwards need number"),
+        ({"number": 1, "params": [0] * 8}, "at most seven params"),
+        ({"do": "take-off", "height_m": -3}, "height_m = -3 is out of range"),
     ],
 )
 def test_what_is_no_command_is_refused(keys, reason):

@@ -86,20 +86,20 @@ def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
     [
         (["bais"], "did you mean"),
         (["bias", "--target", "HIL_SENSOR.xgyr", "--value", "1"], "did you mean xgyro"),
-        (["--clear", "nothing"], "nothing is no fault; there is none"),
-        (["--clear", "a*"], "--clear: id = 'a*' cannot be a key"),
+        (["--clear", "nothing"], "nothing is not a fault; none exist"),
+        (["--clear", "a*"], "--clear: id = 'a*' is not valid"),
         (
             ["--clear", "\udcf0"],
-            "cannot be a key",
+            "is not valid; give up to 200",
         ),  # what is no ASCII, where the shell knows no other
-        (["baro-freeze", "--id", "@x"], "inject: id = '@x' cannot be a key"),
-        (["baro-freeze", "--id", ""], "cannot be a key"),
-        (["baro-freeze", "--id", "x" * 70_000], "cannot be a key"),
+        (["baro-freeze", "--id", "@x"], "inject: id = '@x' is not valid"),
+        (["baro-freeze", "--id", ""], "is not valid; give up to 200"),
+        (["baro-freeze", "--id", "x" * 70_000], "is not valid; give up to 200"),
         (["baro-freeze", "--run", "*"], "--run '*' cannot be a key"),
         (["baro-freeze", "--run", ""], "--run '' cannot be a key"),
-        ([], "takes one of FAULT, --clear ID and --list"),
-        (["bias", "--list"], "takes one of"),
-        (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread"], "is no KEY=VALUE"),
+        ([], "give one of FAULT, --clear ID and --list"),
+        (["bias", "--list"], "give one of"),
+        (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread"], "is not KEY=VALUE"),
         (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread=1"], "spread"),
     ],
 )
@@ -138,7 +138,7 @@ def test_a_running_schedule_is_loaded_shown_saved_and_cleared(
     good, wrong, saved = (tmp_path / name for name in ("good.yaml", "wrong.yaml", "saved.yaml"))
     good.write_text("faults:\n- {id: still, fault: freeze, target: HIL_SENSOR.zacc}\n")
     wrong.write_text("faults:\n- {id: still, fault: freeez, target: HIL_SENSOR.zacc}\n")
-    assert schedule("load", str(good)) == (0, "1 faults loaded: still\n")
+    assert schedule("load", str(good)) == (0, "1 fault loaded: still\n")
     assert schedule("load", str(wrong))[0] == 2
     assert loop.engine.ids() == ["still"]
     assert schedule("save", str(saved))[0] == 0
@@ -213,7 +213,7 @@ def test_proxies_of_one_router_have_names_of_their_own(
     loop: Loop, capsys: pytest.CaptureFixture[str]
 ) -> None:
     second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
-    with pytest.raises(ConfigError, match="--run live is another"):
+    with pytest.raises(ConfigError, match="--run live is taken"):
         second.open_bus(loop.live.url or "", "live")
     second.open_bus(loop.live.url or "")
     assert second.run == "live-2"

@@ -121,10 +121,10 @@ def test_the_command_line_sends_the_standard_failure_and_takes_it_back(tmp_path:
     port = free_port()
     with proxy(tmp_path, port) as master, flying(master):
         done = injected(port, "gyro:wrong", "--for", "0.3")
-        assert (done.returncode, done.stdout) == (0, "gyro:wrong: accepted\ngyro:wrong: over\n")
+        assert (done.returncode, done.stdout) == (0, "gyro:wrong: accepted\ngyro:wrong: ended\n")
         refused = injected(port, "battery:off")
         assert refused.returncode == 1
-        assert refused.stderr == "battery:off: the vehicle does not know this failure\n"
+        assert refused.stderr == "battery:off: the vehicle does not support this failure\n"
     labels = [json.loads(line) for line in (tmp_path / "labels.jsonl").read_text().splitlines()]
     assert labels[-1]["id"] == "mav-gyro.1"
     assert labels[-1]["end_us"] is not None
@@ -134,8 +134,8 @@ def test_the_command_line_sends_the_standard_failure_and_takes_it_back(tmp_path:
     ("failure", "reason"),
     [
         ("gps:of", "gps:of has no type; give UNIT:TYPE[:INSTANCE], such as gps:off, with ok, off"),
-        ("gyros:off", "'gyros' is no unit of MAVSDK's; did you mean gyro"),
-        ("gps:off:first", "first is no instance; 1 and up, 0 for all"),
+        ("gyros:off", "'gyros' is not a failure unit; did you mean gyro"),
+        ("gps:off:first", "instance first is not a number; give 0 for all"),
     ],
 )
 def test_a_failure_that_is_none_is_told_before_anything_is_sent(failure: str, reason: str) -> None:

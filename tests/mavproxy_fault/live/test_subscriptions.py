@@ -95,8 +95,8 @@ def test_samples_that_nobody_takes_are_bounded() -> None:
 @pytest.mark.parametrize(
     ("payload", "said"),
     [
-        (b'["HIL_SENSORS"]', "HIL_SENSORS is no message; did you mean HIL_SENSOR"),
-        (b"{}", "send a list of messages"),
+        (b'["HIL_SENSORS"]', "HIL_SENSORS is not a message; did you mean HIL_SENSOR"),
+        (b"{}", "send a JSON list of message names"),
     ],
 )
 def test_a_wrong_wish_is_explained(payload: bytes, said: str) -> None:

@@ -69,12 +69,12 @@ other: 1
     for part in [
         "night.yaml:1: seed = -1",
         "night.yaml:3: faults[0].fault = bais is unknown; did you mean bias",
-        "night.yaml:6: faults[1].target = HIL_SENSOR.xgiro is no numeric field of HIL_SENSOR; "
+        "night.yaml:6: faults[1].target = HIL_SENSOR.xgiro is not a numeric field of HIL_SENSOR; "
         "did you mean xgyro",
         "night.yaml:7: faults[1].value = 'much' does not fit",
         "night.yaml:8: faults[1].at is unknown; did you mean at_s",
         "night.yaml:9: faults[2] lacks value",
-        "night.yaml:10: faults[2].target = HIL_SENSR is no message; did you mean HIL_SENSOR",
+        "night.yaml:10: faults[2].target = HIL_SENSR is not a message; did you mean HIL_SENSOR",
         "night.yaml:11: faults[2].for_s = 0",
         "night.yaml:12: faults[2].where.sytem is unknown; did you mean system",
         "night.yaml:12: faults[2].where.direction = 'up' is unknown",
@@ -92,53 +92,53 @@ def test_text_that_is_no_yaml_is_told_with_its_line() -> None:
 
 
 def test_a_key_given_twice_is_refused() -> None:
-    assert errors("seed: 1\nseed: 2\n") == ["night.yaml:2: seed stands twice; give each key once"]
+    assert errors("seed: 1\nseed: 2\n") == ["night.yaml:2: seed is given twice; give each key once"]
 
 
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
         ("{fault: bias, value: 1}", "target is missing; give MESSAGE.field"),
-        ("{fault: bias, target: HIL_GPS.alt}", "takes either value or profile"),
-        ("{fault: drop, target: HIL_GPS.alt}", "names a field; this fault acts on whole messages"),
+        ("{fault: bias, target: HIL_GPS.alt}", "needs exactly one of value and profile"),
+        ("{fault: drop, target: HIL_GPS.alt}", "is a field; this fault needs a message"),
         ("{fault: bias, target: 'HIL_ACTUATOR_CONTROLS.controls[16]', value: 1}", "out of range"),
-        ("{fault: bias, target: STATUSTEXT.text, value: 1}", "no numeric field"),
+        ("{fault: bias, target: STATUSTEXT.text, value: 1}", "not a numeric field"),
         (
             "{fault: bias, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc], value: [1, 2, 3]}",
             "3 numbers",
         ),
         ("{fault: drift, target: [HIL_GPS.lat, HIL_GPS.lon], value: [1, 2, 3]}", "3 numbers"),
         ("{fault: noise, target: [PSEUDORANGE.G01, PSEUDORANGE.G02], value: [1]}", "1 numbers"),
-        ("{fault: clear-bits, target: HIL_SENSOR.xacc, value: 3}", "is no integer"),
+        ("{fault: clear-bits, target: HIL_SENSOR.xacc, value: 3}", "has no flags; give an integer"),
         ("{fault: rotation, target: HIL_SENSOR.xacc, angles_deg: [1, 2, 3]}", "three fields"),
         ("{fault: not-a-number, target: HIL_GPS.alt}", "is an integer"),
-        ("{fault: freeze, target: PSEUDORANGE.G12}", "is no target for freeze"),
-        ("{fault: bias, target: PSEUDORANGE.12, value: 1}", "names no satellite"),
-        ("{fault: plant, target: HIL_GPS, value: 1}", "must be PLANT.<name>"),
+        ("{fault: freeze, target: PSEUDORANGE.G12}", "is not a target for freeze"),
+        ("{fault: bias, target: PSEUDORANGE.12, value: 1}", "is not a satellite"),
+        ("{fault: plant, target: HIL_GPS, value: 1}", "give PLANT.<name>"),
         ("{fault: plant, target: PLANT.mas_kg_add, value: 1}", "did you mean mass_kg_add"),
         ("{fault: plant, target: 'PLANT.motor_efficiency[a]', value: 1}", "names no motor"),
         ("{fault: plant, target: 'PLANT.cn0_drop_db[R01]', value: 1}", "names no satellite"),
         ("{fault: plant, target: PLANT.mass_kg_add, value: .inf}", "value = inf is not finite"),
-        ("{fault: bias, target: PSEUDORANGE.G33, value: 1}", "names no satellite"),
-        ("{fault: bias, target: PSEUDORANGE.R01, value: 1}", "names no satellite"),
+        ("{fault: bias, target: PSEUDORANGE.G33, value: 1}", "is not a satellite"),
+        ("{fault: bias, target: PSEUDORANGE.R01, value: 1}", "is not a satellite"),
         (
             "{fault: bias, target: [HIL_SENSOR.xacc, HIL_SENSOR.xacc], value: 1}",
-            "HIL_SENSOR.xacc is named twice",
+            "HIL_SENSOR.xacc is given twice",
         ),
-        ("{fault: drop, target: [HIL_GPS, HIL_GPS]}", "HIL_GPS is named twice"),
+        ("{fault: drop, target: [HIL_GPS, HIL_GPS]}", "HIL_GPS is given twice"),
         ("{fault: drop, at_s: .inf}", "at_s = inf is not finite"),
         ("{fault: drop, at_s: 1e300}", "at_s = 1e+300 does not fit: expected `float` <="),
         ("{fault: delay, value: 1e300}", "value = 1e+300 does not fit"),
         ("{fault: drop, at_s: 1:30}", "at_s = '1:30' does not fit: expected `float`"),
-        ("{fault: drop, at_s: 010}", "at_s = 010 is octal to some; write 10"),
+        ("{fault: drop, at_s: 010}", "at_s = 010 may be octal; write 10"),
         ("{fault: drop, for_s: 2, repeat: {every_s: 1}}", "every_s = 1 is shorter than for_s = 2"),
         ("{fault: drop, when: 'armed and'}", "when "),
-        ("{fault: bias, target: HIL_GPS.alt, value: 1, via: simulator}", "via: simulator is for"),
+        ("{fault: bias, target: HIL_GPS.alt, value: 1, via: simulator}", "via: simulator needs"),
         ("{fault: drop, repeat: {every_s: 1}}", "needs for_s"),
-        ("{fault: drop, after: nothing}", "is no other fault"),
+        ("{fault: drop, after: nothing}", "is not another fault"),
         ("{target: HIL_GPS.alt}", "lacks fault; give `fault` or `preset`"),
         ("{preset: gps-jmup}", "is unknown; did you mean"),
-        ("just text", "is no fault"),
+        ("just text", "is not a fault"),
     ],
 )
 def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
@@ -151,12 +151,12 @@ def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
 @pytest.mark.parametrize("id", ["a/b", "a*b", "$", "a?b", "a#b", "@x", "all", "x" * 201])
 def test_an_id_that_no_query_could_name_is_refused_on_loading(id: str) -> None:
     (said,) = errors(f"faults:\n  - {{id: '{id}', fault: drop}}\n")
-    assert said.startswith(f"night.yaml:2: faults[0].id = '{id[:200]}' cannot be a key; take ")
+    assert said.startswith(f"night.yaml:2: faults[0].id = '{id[:200]}' is not valid; give ")
     assert parse_schedule("faults: [{id: gyro x bias, fault: drop}]").faults[0].id == "gyro x bias"
 
 
 def test_two_faults_of_one_id_are_refused() -> None:
-    assert "stands twice" in errors("faults: [{id: a, fault: drop}, {id: a, fault: drop}]")[0]
+    assert "is given twice" in errors("faults: [{id: a, fault: drop}, {id: a, fault: drop}]")[0]
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
@@ -169,8 +169,8 @@ def test_satellite_faults_act_where_the_reader_says_unless_they_say_themselves()
     own = {"id": "b", "via": "proxy", **entry}
     data = {"faults": [{"id": "a", **entry}, own, {**entry, "target": "HIL_GPS.alt"}]}
     kinds = [type(e.fault).__name__ for e in parse_schedule(data, via="simulator").faults]
-    assert kinds == ["InReceiver", "Satellites", "Bias"]
-    assert type(parse_schedule(data).faults[0].fault).__name__ == "Satellites"
+    assert kinds == ["ReceiverFault", "SatelliteFault", "Bias"]
+    assert type(parse_schedule(data).faults[0].fault).__name__ == "SatelliteFault"
 
 
 def test_an_invalid_entry_hides_and_shifts_no_error_of_the_others() -> None:
@@ -202,9 +202,8 @@ faults:
   - {id: d, fault: drop, after: d}
 """)
     assert found == [
-        "night.yaml:3: faults[1].after goes in a circle (b after c after b); one of them must "
-        "begin by itself",
-        "night.yaml:5: faults[3].after = d is no other fault; known: a, b, c",
+        "night.yaml:3: faults[1].after is a cycle (b after c after b); remove one of them",
+        "night.yaml:5: faults[3].after = d is not another fault; known: a, b, c",
     ]
 
 
@@ -216,7 +215,7 @@ def test_a_number_that_is_none_may_replace_a_value() -> None:
 
 def test_the_plant_is_told_apart_from_messages() -> None:
     entry = {"fault": "bias", "target": "PLANT.wind_n_mps", "value": 1}
-    with pytest.raises(ConfigError, match="PLANT is the simulated plant and no message; `fault: p"):
+    with pytest.raises(ConfigError, match="PLANT is the simulated plant, not a message; use"):
         parse_schedule({"faults": [entry]})
 
 
@@ -234,11 +233,11 @@ def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Pat
         read_schedule(path)
     told = [line.removeprefix(f"{path}:") for line in str(found.value).splitlines()]
     assert [line.partition(";")[0] for line in told] == [
-        "2: faults[0].value = 010 is octal to some",
+        "2: faults[0].value = 010 may be octal",
         "3: faults[1].fault = biass is unknown",
-        "4: faults[2].id = b stands twice",
-        "4: faults[2].after = nobody is no other fault",
-        "6: faults[4].target = 010 is octal to some",
+        "4: faults[2].id = b is given twice",
+        "4: faults[2].after = nobody is not another fault",
+        "6: faults[4].target = 010 may be octal",
     ]
 
 

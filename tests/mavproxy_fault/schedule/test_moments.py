@@ -69,9 +69,9 @@ def test_live_edits_and_saving_leave_a_moment_as_it_is():
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ("from: landing", "from = landing is no moment of a flight; there are first-stamp, arming"),
+        ("from: landing", "from = landing is not a flight event; give first-stamp, arming"),
         ("from: mission-item:x", "mission-item:N"),
-        ("from: arming, after: g", "from stands beside after; give one of them"),
+        ("from: arming, after: g", "from and after exclude each other; give one of them"),
     ],
 )
 def test_a_moment_that_cannot_be_is_refused(entry, said):

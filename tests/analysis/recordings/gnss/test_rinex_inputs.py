@@ -89,7 +89,7 @@ def test_a_truncated_compressed_file_is_refused_in_one_line(tmp_path: Path, name
 def test_a_version_that_is_no_number_is_refused(tmp_path: Path):
     path = tmp_path / "a.rnx"
     path.write_text(HEADER_3.replace("3.04", "x.04"))
-    with pytest.raises(ConfigError, match=r"version 'x.04'; 2.00 to 4.02 can be read"):
+    with pytest.raises(ConfigError, match=r"version 'x.04'; supported: 2.00 to 4.02"):
         read_observations(path)
 
 
