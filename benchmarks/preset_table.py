@@ -1,8 +1,8 @@
-"""What each preset does on a fixed wing and a quad, and what the monitor says of it.
+"""Effects of each preset on a fixed wing and a quad, and the verdicts of the monitor.
 
 `python benchmarks/preset_table.py` flies all of them on all cores and writes docs/presets.md;
-stopped and called again, it goes on where it was while no source has changed. With `--check` (and
-names of presets, where only those are wanted) it flies them and tells what differs from the page.
+an interrupted run is resumed if no source has changed. With `--check` (and optionally names of
+presets) it flies them and prints the differences from the page.
 """
 
 import argparse
@@ -31,44 +31,45 @@ from simvehicle.sensors.vision import Vision
 
 START_S, ACTS_S, END_S = 6.0, 10.0, 20.0
 RANGE_M = 150.0  # of the laser, so that the fixed wing at 100 m has one
-IMU_HZ = 100.0  # enough to tell, and a flight takes a second
+IMU_HZ = 100.0  # enough for the tests, and a flight takes a second
 BATCH_BYTES = 32_768  # that `run` hands to its monitor at once
 ELEVATOR = "HIL_ACTUATOR_CONTROLS.controls[7]"  # of PX4's plane, which has no channel 0
-# Presets in whose flights somebody sound is still blamed: GPS against Galileo
 ROOT = Path(__file__).parents[1]
-# ArduPilot's own switches need an ArduPilot.
+# ArduPilot's auxiliary functions need an ArduPilot.
 PRESETS = [name for name in preset_names() if not name.startswith("ardupilot-")]
 PAGE = ROOT / "docs" / "presets.md"
 VEHICLES = {"fixed wing": None, "quad": str(ROOT / "examples" / "hover.yaml")}
-COLUMNS = "| preset | acted | verdict | blamed | blamed wrongly | delay, s | moved, m |"
+COLUMNS = "| preset | acted | verdict | isolated | wrongly isolated | delay, s | deviation, m |"
 HEAD = f"""\
-# What the presets do
+# Effects of the presets
 
-Made by `python benchmarks/preset_table.py`, and held against the flights by `--check` there; a test
+Written by `python benchmarks/preset_table.py`; `--check` compares it with new flights, and a test
 flies some of them. Each preset acts from {START_S:.0f} s to {START_S + ACTS_S:.0f} s of a flight of
-{END_S:.0f} s, in the simulator, proxy and monitor of `run`, with every sensor that presets need:
-the demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The same flight
-without the preset is the comparison. The fixed wing's actuator is the elevator, the quad's motor 1.
+{END_S:.0f} s, in the simulator, proxy and monitor of `run`, with all sensors that the presets need:
+the demo's fixed wing, and the quad of examples/hover.yaml with the demo's receiver. The reference
+flight is the same flight without the preset. The fixed wing's actuator is the elevator, the quad's
+is motor 1.
 
-*Acted* are the parts that met a message: a preset names every message in which the sensor speaks,
-and those that are not sent are not used. The *verdict* is that of docs/verdicts.md, of each part
-where they differ; what is missed in ten seconds may be found in a longer flight. *Delay* is from
-the start to the first alarm that can see it. *Moved* is how far the true position came to lie
-from that of the clean flight, at most; a dash means below a decimetre.
+*Acted* is the number of parts that matched a message: a preset lists every message that may carry
+the sensor, and messages that are not sent are ignored. The *verdict* is that of docs/verdicts.md,
+for each part if they differ; a fault that is missed within ten seconds may be detected in a longer
+flight. *Delay* is the time from the start to the first alarm of a test that can detect the fault.
+*Deviation* is the largest distance of the true position from that of the reference flight; a dash
+means less than 0.1 m.
 
-Faults of the actuators that move next to nothing are missed.
+Faults of actuators with almost no effect on the motion are missed.
 """
 
 
-class Flown(NamedTuple):
-    """True positions (n, 3) of a flight, and the rows of its faults in the summary."""
+class PresetFlight(NamedTuple):
+    """True positions (n, 3) of a flight, and its faults in the summary."""
 
     r_ned_m: np.ndarray
     faults: list[dict[str, Any]]
 
 
 class Row(msgspec.Struct, frozen=True):
-    """What a preset did on one vehicle, in the words of the page."""
+    """The effect of a preset on one vehicle, as on the page."""
 
     vehicle: str
     preset: str
@@ -82,7 +83,7 @@ class Row(msgspec.Struct, frozen=True):
 
 @functools.cache
 def setting(vehicle: str) -> tuple[Scenario, MonitorConfig]:
-    """A vehicle with all the sensors that presets need, and who watches it."""
+    """Return a vehicle with all sensors that presets need, and its monitor."""
     demo = read_setup(None)
     setup = read_setup(VEHICLES[vehicle])
     scenario = setup.scenario
@@ -98,7 +99,7 @@ def setting(vehicle: str) -> tuple[Scenario, MonitorConfig]:
     )
 
 
-def flown(vehicle: str, schedule: Schedule) -> Flown:
+def fly_schedule(vehicle: str, schedule: Schedule) -> PresetFlight:
     """Fly a schedule through the proxy into the monitor, all in this process."""
     scenario, config = setting(vehicle)
     flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
@@ -113,24 +114,24 @@ def flown(vehicle: str, schedule: Schedule) -> Flown:
     monitor.push_bytes([bytes(batch)], datagrams=False)
     flight.drain_labels()
     summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
-    return Flown(np.array(places), summary["faults"])
+    return PresetFlight(np.array(places), summary["faults"])
 
 
 @functools.cache
-def clean(vehicle: str) -> Flown:
-    """The flight without a preset."""
-    return flown(vehicle, Schedule())
+def fly_reference(vehicle: str) -> PresetFlight:
+    """Fly the reference flight, without a preset."""
+    return fly_schedule(vehicle, Schedule())
 
 
-def fly(job: tuple[str, str]) -> Row:
-    """One preset on one vehicle."""
+def fly_preset(job: tuple[str, str]) -> Row:
+    """Fly one preset on one vehicle."""
     vehicle, preset = job
     entry: dict[str, Any] = {"preset": preset, "id": "it", "at_s": START_S, "for_s": ACTS_S}
     if vehicle == "fixed wing" and preset.startswith("actuator-"):
         entry["target"] = ELEVATOR
     seed = setting(vehicle)[0].seed
     schedule = parse_schedule({"seed": seed, "faults": [entry]}, via="simulator")
-    found, base = flown(vehicle, schedule), clean(vehicle)
+    found, base = fly_schedule(vehicle, schedule), fly_reference(vehicle)
     rows = found.faults
     acted = len({row["id"] for row in rows})
     delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
@@ -143,7 +144,7 @@ def fly(job: tuple[str, str]) -> Row:
             f"{acted} of {len(schedule.faults)}",
             _listed((row["verdict"] for row in rows), "did not act"),
             _listed(name for row in rows for name in row["isolated"]),
-            _listed(blame["who"] for row in rows for blame in row["wrongly"]),
+            _listed(wrong["who"] for row in rows for wrong in row["wrongly"]),
             f"{min(delays):.1f}" if delays else "-",
             f"{away_m:.1f}" if math.isfinite(away_m) and away_m >= 0.1 else "-",
         ),
@@ -155,7 +156,7 @@ def _listed(names: Iterable[str], otherwise: str = "-") -> str:
 
 
 def source_digest() -> str:
-    """A number for the sources, which the rows of an unfinished page belong to."""
+    """Return a digest of the sources, to recognise the rows of an interrupted run."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for package in ("mavproxy_fault", "simvehicle", "analysis"):
         for path in sorted((ROOT / package).rglob("*")):
@@ -165,7 +166,7 @@ def source_digest() -> str:
 
 
 def page_rows() -> list[Row]:
-    """The rows of the page that stands."""
+    """Read the rows of the existing page."""
     rows, vehicle = [], ""
     for line in PAGE.read_text().splitlines():
         if line.startswith("## "):
@@ -177,7 +178,7 @@ def page_rows() -> list[Row]:
 
 
 def page(rows: Iterable[Row]) -> str:
-    """The whole page."""
+    """Return the complete page."""
     by_job = {(row.vehicle, row.preset): row for row in rows}
     parts = [HEAD]
     for vehicle in VEHICLES:
@@ -187,16 +188,16 @@ def page(rows: Iterable[Row]) -> str:
     return "\n".join(parts)
 
 
-def flown_rows(jobs: Sequence[tuple[str, str]], kept: Path | None) -> list[Row]:
-    """The rows of all jobs in any order; those done before an interruption come from `kept`."""
+def fly_jobs(jobs: Sequence[tuple[str, str]], kept: Path | None) -> list[Row]:
+    """Fly all jobs and return their rows; those flown before an interruption are in `kept`."""
     rows: list[Row] = []
     if kept is not None and kept.exists():
         rows = [msgspec.json.decode(line, type=Row) for line in kept.read_bytes().splitlines()]
-        print(f"{len(rows)} flights are done already, see {kept}", file=sys.stderr)
+        print(f"{len(rows)} flights are already done, see {kept}", file=sys.stderr)
     done = {(row.vehicle, row.preset) for row in rows}
     missing = [job for job in jobs if job not in done]
     with multiprocessing.get_context("spawn").Pool() as pool:
-        for row in pool.imap_unordered(fly, missing):
+        for row in pool.imap_unordered(fly_preset, missing):
             rows.append(row)
             print(f"{len(rows)}/{len(jobs)} {row.vehicle} {row.line}", file=sys.stderr)
             if kept is not None:
@@ -206,27 +207,27 @@ def flown_rows(jobs: Sequence[tuple[str, str]], kept: Path | None) -> list[Row]:
 
 
 def main() -> int:
-    """Make the page, or hold it against the flights."""
+    """Write the page, or compare it with new flights."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("presets", nargs="*", help="only these (with --check)")
     parser.add_argument("--check", action="store_true", help="fly and compare, write nothing")
     args = parser.parse_args()
     if args.presets and not args.check:
-        parser.error("the page has every preset; names go with --check")
+        parser.error("the page needs all presets; give names with --check only")
     names = args.presets or PRESETS
     jobs = [(vehicle, preset) for preset in names for vehicle in VEHICLES]
     if args.check:
-        stands = {(row.vehicle, row.preset): row for row in page_rows()}
-        rows = flown_rows(jobs, None)
-        wrong = [row for row in rows if stands.get((row.vehicle, row.preset)) != row]
+        existing = {(row.vehicle, row.preset): row for row in page_rows()}
+        rows = fly_jobs(jobs, None)
+        wrong = [row for row in rows if existing.get((row.vehicle, row.preset)) != row]
         for row in wrong:
-            before = stands.get((row.vehicle, row.preset))
+            before = existing.get((row.vehicle, row.preset))
             print(f"{row.vehicle}\n  page  {before.line if before else '-'}\n  flown {row.line}")
-        print(f"{len(rows) - len(wrong)} of {len(rows)} rows are as the page says")
+        print(f"{len(rows) - len(wrong)} of {len(rows)} rows agree with the page")
         return 1 if wrong else 0
     kept = ROOT / "build" / f"presets-{source_digest()[:16]}.jsonl"
     kept.parent.mkdir(exist_ok=True)
-    PAGE.write_text(page(flown_rows(jobs, kept)))
+    PAGE.write_text(page(fly_jobs(jobs, kept)))
     kept.unlink()
     return 0
 

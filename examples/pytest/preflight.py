@@ -1,4 +1,4 @@
-"""Code of a user: may the vehicle take off? Asked by MAVSDK, answered with what is wrong."""
+"""Example of user code: checks by MAVSDK whether the vehicle may take off."""
 
 import threading
 
@@ -6,13 +6,13 @@ from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.telemetry import FixType, GpsInfo, Telemetry
 
 CONNECTS_S = 30.0
-SETTLES_S = 1.0  # a first report that is bad may still get better
+SETTLES_S = 1.0  # the first report may be bad and improve
 LEAST_SATELLITES = 6
 
 
 def objections(url: str, silence_s: float = 30.0) -> list[str]:
-    """What speaks against a take-off; `url` is MAVSDK's address, a GPS may be silent so long."""
-    wrong = ["the vehicle says nothing of its GPS"]
+    """Return the reasons against a take-off; `silence_s` is the timeout for GPS data."""
+    wrong = ["the vehicle sends no GPS data"]
     heard, ready = threading.Event(), threading.Event()
 
     def look(info: GpsInfo, _: object) -> None:
@@ -36,7 +36,7 @@ def objections(url: str, silence_s: float = 30.0) -> list[str]:
 
 
 def wrong_with(info: GpsInfo) -> list[str]:
-    """What is wrong with one report of the receiver."""
+    """Return the errors in one report of the receiver."""
     wrong = []
     if info.fix_type.value < FixType.FIX_3D.value:
         wrong.append("there is no 3D fix")

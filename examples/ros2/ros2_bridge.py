@@ -1,8 +1,8 @@
-"""Results as a ROS 2 topic and faults from one, through rmw_zenoh's own keys: ROS 2 sees a node.
+"""A ROS 2 node that publishes results and accepts faults, by rmw_zenoh's keys.
 
-    /mavproxy_fault/events   std_msgs/msg/String, out: what changed a verdict, as JSON
+    /mavproxy_fault/events   std_msgs/msg/String, out: results that changed a verdict, as JSON
     /mavproxy_fault/arm      std_msgs/msg/String, in: an entry of a schedule with its `id`, as JSON
-    /mavproxy_fault/answers  std_msgs/msg/String, out: what the proxy said to it
+    /mavproxy_fault/answers  std_msgs/msg/String, out: the proxy's reply to it
 
 It needs eclipse-zenoh alone, not ROS 2. Start it beside `ros2 run rmw_zenoh_cpp rmw_zenohd`
 (Jazzy or later) and a `mavproxy-fault run` or `proxy` on another address:
@@ -23,7 +23,7 @@ from threading import Thread
 
 import zenoh
 
-# Of std_msgs/msg/String: its name in DDS and the hash of its definition (REP 2016).
+# std_msgs/msg/String: its name in DDS and the hash of its definition (REP 2016).
 TYPE = "std_msgs::msg::dds_::String_"
 TYPE_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 QOS = "::,10:,:,:,,"  # rmw_zenoh's short form of ROS 2's default: reliable, volatile, last 10
@@ -36,33 +36,33 @@ PASSWORD = STATE / "mavproxy-fault" / "zenoh" / "config.json5"
 
 
 def encode_string(text: str) -> bytes:
-    """A std_msgs/msg/String in CDR."""
+    """Encode a std_msgs/msg/String in CDR."""
     data = text.encode() + b"\x00"
     return CDR_LITTLE_ENDIAN + struct.pack("<I", len(data)) + data
 
 
 def decode_string(message: bytes) -> str:
-    """The text of a std_msgs/msg/String in CDR."""
+    """Return the text of a std_msgs/msg/String in CDR."""
     order = "<I" if message[1] else ">I"
     (length,) = struct.unpack_from(order, message, len(CDR_LITTLE_ENDIAN))
     return message[8 : 8 + length - 1].decode()
 
 
 class RosNode:
-    """A node as rmw_zenoh announces it: a liveliness token for itself and for each of its ends."""
+    """A node as in rmw_zenoh: a liveliness token for itself and for each of its endpoints."""
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._session, self._domain = session, domain
         self._entities = 0
-        self._kept: list[object] = [self._announce("NN", "")]  # what ends with its last reference
+        self._kept: list[object] = [self._announce("NN", "")]  # ends with its last reference
 
     def publisher(self, topic: str) -> "RosPublisher":
-        """A publisher of text on a topic such as `/mavproxy_fault/events`."""
+        """Return a publisher of text on a topic such as `/mavproxy_fault/events`."""
         self._kept.append(self._announce("MP", topic))
         return RosPublisher(self._session.declare_publisher(self._key(topic)), self._entities)
 
     def subscribe(self, topic: str, callback) -> None:
-        """Have `callback(text)` called for each message of a topic."""
+        """Call `callback(text)` for each message of a topic."""
         self._kept.append(self._announce("MS", topic))
         self._kept.append(
             self._session.declare_subscriber(
@@ -115,7 +115,7 @@ def bridge(proxy: zenoh.Session, ros: zenoh.Session, run: str, domain: int) -> l
             answer = reply.ok if reply.ok is not None else reply.err
             answers.publish(answer.payload.to_string())
         if not replies:
-            answers.publish(json.dumps({"error": f"nobody answers for the run {run}"}))
+            answers.publish(json.dumps({"error": f"no proxy replies for the run {run}"}))
 
     # A query waits for its answer, which Zenoh's own thread must not do.
     node.subscribe("/mavproxy_fault/arm", lambda text: Thread(target=arm, args=[text]).start())

@@ -105,7 +105,7 @@ class Bucket(NamedTuple):
 
 
 class RateLimit(LinkFault, frozen=True, kw_only=True):
-    """Limit the rate to `value` frames per second; excess frames wait for `queue_s` or are lost."""
+    """Limit the rate to `value` frames per second; queue up to `queue_s`, then drop frames."""
 
     name: ClassVar[str] = "rate-limit"
     example: ClassVar[dict[str, Any]] = {"value": 20}

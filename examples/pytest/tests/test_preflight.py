@@ -1,4 +1,4 @@
-"""The user's tests: `pytest examples/pytest`, with nothing but mavproxy-fault installed."""
+"""Tests of the user code: `pytest examples/pytest`, with only mavproxy-fault installed."""
 
 import pytest
 from preflight import objections
@@ -14,13 +14,13 @@ def test_without_a_fix_it_stays_on_the_ground(autopilot):
 
 
 @pytest.mark.fault("constant", target="GPS_RAW_INT.satellites_visible", value=4)
-def test_few_satellites_are_told(autopilot):
+def test_too_few_satellites_are_reported(autopilot):
     assert objections(autopilot.url) == ["4 satellites are too few"]
 
 
 def test_a_fault_may_come_and_go(autopilot):
     with autopilot.proxy.fault("drop", target="GPS_RAW_INT"):
-        assert objections(autopilot.url, silence_s=3.0) == ["the vehicle says nothing of its GPS"]
+        assert objections(autopilot.url, silence_s=3.0) == ["the vehicle sends no GPS data"]
     autopilot.proxy.wait_for("GPS_RAW_INT.fix_type >= 3")
     assert objections(autopilot.url) == []
     assert [label.fault for label in autopilot.proxy.labels] == ["drop"]
