@@ -19,7 +19,7 @@ from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
-from tests.mavproxy_fault.serving import PATIENCE_S, serving
+from tests.mavproxy_fault.serving import TIMEOUT_S, serving
 
 FRAMES = int(os.environ.get("FRAMES", "8000"))
 PER_S = float(os.environ.get("PER_S", "inf"))
@@ -77,7 +77,7 @@ def test_a_peer_that_reads_too_slowly_delays_and_loses_nothing_of_the_others() -
         selector.register(quick, selectors.EVENT_READ)
         most_queued, next_s = 0, 0.0
         while sum(map(len, came_s.values())) < FRAMES:
-            assert selector.select(PATIENCE_S), "the peer that reads is starved"
+            assert selector.select(TIMEOUT_S), "the peer that reads is starved"
             data, now_s = quick.recv(1 << 16), time.monotonic()
             for item in parsers["quick"].push(data):
                 assert isinstance(item, Frame)

@@ -1,4 +1,4 @@
-"""A proxy's loop over links, in a thread of the test's own process."""
+"""A proxy's loop over links, in a thread of the test process."""
 
 import contextlib
 import threading
@@ -12,7 +12,7 @@ from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 
-PATIENCE_S = 30.0  # on a busy machine
+TIMEOUT_S = 30.0  # on a busy machine
 
 
 @contextlib.contextmanager
@@ -30,6 +30,6 @@ def serving(
         yield running
     finally:
         running.stop()
-        loop.join(PATIENCE_S)
+        loop.join(TIMEOUT_S)
         for link in links:
             link.close()

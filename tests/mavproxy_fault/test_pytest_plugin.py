@@ -21,7 +21,7 @@ def test_it(flight):
 
 
 def pytest_in(folder: Path, base: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A user's pytest, which has nothing of ours but the plugin."""
+    """Run a user's pytest with the installed plugin only."""
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--basetemp", str(base)]
     return subprocess.run(
         [*command, *words], cwd=folder, capture_output=True, text=True, check=False
@@ -34,7 +34,7 @@ def test_the_example_project_passes(tmp_path: Path) -> None:
     assert "4 passed" in done.stdout
 
 
-def test_a_failing_flight_names_its_folder_and_report(tmp_path: Path) -> None:
+def test_a_failed_flight_prints_its_folder_and_report(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(FLIES)
     done = pytest_in(tmp_path, tmp_path / "base")
     assert "SURPRISE" in done.stdout, "the markers' faults were in the labels, then it failed"
@@ -42,7 +42,7 @@ def test_a_failing_flight_names_its_folder_and_report(tmp_path: Path) -> None:
     assert f"report  {page}" in done.stdout
 
 
-def test_a_failing_test_of_a_proxy_leaves_logs_and_a_report(tmp_path: Path) -> None:
+def test_a_failed_proxy_test_writes_logs_and_a_report(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(
         "def test_it(autopilot):\n"
         "    autopilot.proxy.wait_for('HEARTBEAT.type > 0', timeout_s=30)\n"

@@ -32,6 +32,6 @@ def test_a_run_gives_labels_results_and_columns_as_arrays(tmp_path: Path) -> Non
     assert run.report.is_file()
 
 
-def test_a_wrong_scenario_is_told() -> None:
+def test_an_invalid_scenario_is_refused() -> None:
     with pytest.raises(mavproxy_fault.ConfigError, match="mision"):
         mavproxy_fault.run({**SHORT, "mision": []})

@@ -21,14 +21,14 @@ GPS = message_layout("GPS_RAW_INT")
 
 
 class Ends:
-    """A vehicle that sends GPS_RAW_INT to a proxy, and the station that hears what left."""
+    """A vehicle that sends GPS_RAW_INT to a proxy, and a station that receives it."""
 
     def __init__(self, vehicle: socket.socket, station: socket.socket) -> None:
         self.vehicle, self.station = vehicle, station
         self.count = 0
 
     def fix_type(self, sent: int = 3) -> int:
-        """Send one more frame; the fix type that came out."""
+        """Send one more frame and return the received fix type."""
         self.count += 1
         values = {"time_usec": 1_000_000 + self.count * 20_000, "fix_type": sent}
         self.vehicle.send(build_frame(GPS, values, seq=self.count & 255))
@@ -38,7 +38,7 @@ class Ends:
                     return int(item.number("fix_type"))
 
     def while_sending(self, call, *arguments):
-        """The outcome of a call during which the vehicle goes on sending."""
+        """Return the result of a call while the vehicle keeps sending."""
         with ThreadPoolExecutor(1) as pool:
             outcome = pool.submit(call, *arguments)
             while not outcome.done():
@@ -78,7 +78,7 @@ def test_a_fault_acts_as_long_as_its_block_and_is_labelled() -> None:
     assert label.end_us is not None
 
 
-def test_a_fault_that_was_cleared_already_may_be_left() -> None:
+def test_clearing_a_fault_twice_is_allowed() -> None:
     with mavproxy_fault.Proxy(ANY, ANY) as proxy, ends(proxy.addresses) as both:
         both.fix_type()
         with proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1):
@@ -86,7 +86,7 @@ def test_a_fault_that_was_cleared_already_may_be_left() -> None:
             assert both.fix_type() == 3
 
 
-def test_a_wait_ends_when_what_left_the_proxy_meets_it() -> None:
+def test_a_wait_ends_when_a_sent_message_meets_the_condition() -> None:
     with mavproxy_fault.Proxy(ANY, ANY) as proxy, ends(proxy.addresses) as both:
         both.while_sending(proxy.wait_for, "GPS_RAW_INT.fix_type == 3")
         with proxy.fault("constant", target="GPS_RAW_INT.fix_type", value=1):
@@ -95,7 +95,7 @@ def test_a_wait_ends_when_what_left_the_proxy_meets_it() -> None:
                 both.while_sending(proxy.wait_for, "GPS_RAW_INT.fix_type == 3", 0.2)
 
 
-def test_what_is_wrong_is_told_as_on_the_command_line() -> None:
+def test_errors_have_the_text_of_the_command_line() -> None:
     with mavproxy_fault.Proxy(ANY, ANY) as proxy:
         with pytest.raises(mavproxy_fault.ConfigError, match="nonsense is neither a fault"):
             proxy.fault("nonsense")
@@ -107,7 +107,7 @@ def test_what_is_wrong_is_told_as_on_the_command_line() -> None:
         mavproxy_fault.Proxy("nowhere", ANY)
 
 
-def test_a_schedule_given_as_a_dictionary_acts_and_the_recording_is_whole(tmp_path: Path) -> None:
+def test_a_schedule_can_be_a_dictionary_and_the_recording_is_complete(tmp_path: Path) -> None:
     bias = {"fault": "bias", "target": "GPS_RAW_INT.fix_type", "value": 2, "at_s": 0.05}
     schedule = {"seed": 1, "faults": [bias]}
     with (
@@ -119,7 +119,7 @@ def test_a_schedule_given_as_a_dictionary_acts_and_the_recording_is_whole(tmp_pa
     assert read_columns(tmp_path / "sent.tlog")["GPS_RAW_INT"]["fix_type"].tolist() == seen
 
 
-def test_the_same_with_asyncio() -> None:
+def test_the_proxy_works_with_asyncio() -> None:
     async def script() -> list[object]:
         async with mavproxy_fault.AsyncProxy(ANY, ANY) as proxy:
             with ends(proxy.addresses) as both:
@@ -136,7 +136,7 @@ def test_the_same_with_asyncio() -> None:
         assert pool.submit(asyncio.run, script()).result() == [3, 1]
 
 
-def test_a_proxy_of_another_owner_can_be_joined() -> None:
+def test_a_proxy_of_another_process_can_be_joined() -> None:
     url = choose_free_port("tcp/127.0.0.1:0")
     with (
         mavproxy_fault.Proxy(ANY, ANY, zenoh=url) as owner,
@@ -151,12 +151,12 @@ def test_a_proxy_of_another_owner_can_be_joined() -> None:
         assert owner.labels[0].frames >= 2
 
 
-def test_nobody_to_join_is_told() -> None:
+def test_joining_a_missing_proxy_fails() -> None:
     with pytest.raises(mavproxy_fault.ConfigError, match="no router"):
         mavproxy_fault.Proxy.attach(choose_free_port("tcp/127.0.0.1:0"))
 
 
-def test_to_import_the_package_loads_nothing_heavy() -> None:
+def test_importing_the_package_loads_nothing_heavy() -> None:
     code = "import mavproxy_fault, sys; print('numpy' in sys.modules, 'msgspec' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.split() == ["False", "False"]

@@ -31,14 +31,14 @@ def test_the_list_has_one_line_for_every_fault_and_preset() -> None:
     assert words == ["faults", *known_faults(), "presets", *preset_names()]
 
 
-def test_show_tells_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_lists_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "show", "jitter"]) == 0
     text = capsys.readouterr().out
     assert "distribution: exponential | normal | pareto | uniform (default uniform)" in text
     assert "value: number (required)" in text
 
 
-def test_show_tells_what_a_preset_is_made_of(capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_lists_the_entries_of_a_preset(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "show", "imu-impulse"]) == 0
     assert "HIL_SENSOR.zacc" in capsys.readouterr().out
 
@@ -48,7 +48,7 @@ def test_show_suggests_a_name_near_a_wrong_one(capsys: pytest.CaptureFixture[str
     assert "did you mean jitter" in capsys.readouterr().err
 
 
-def test_check_says_what_a_schedule_will_do(
+def test_check_describes_the_entries_of_a_schedule(
     schedule: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["faults", "check", str(schedule)]) == 0
@@ -58,7 +58,7 @@ def test_check_says_what_a_schedule_will_do(
     assert "lost: drop, everything, when armed, without end" in text
 
 
-def test_check_of_a_wrong_schedule_ends_with_two(
+def test_check_of_an_invalid_schedule_exits_with_2(
     schedule: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     schedule.write_text(SCHEDULE.replace("drop", "dorp").replace("bias", "bais"))
@@ -68,14 +68,14 @@ def test_check_of_a_wrong_schedule_ends_with_two(
     assert "night.yaml:5:" in text
 
 
-def test_plot_draws_a_picture(schedule: Path, tmp_path: Path) -> None:
+def test_plot_writes_an_image(schedule: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "night.png"
     assert main(["faults", "plot", str(schedule), "--out", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_schema_takes_what_the_reader_takes_and_refuses_what_it_refuses() -> None:
+def test_the_schema_accepts_and_refuses_the_same_as_the_reader() -> None:
     checker = jsonschema.Draft202012Validator(json.loads(json.dumps(schedule_schema())))
     checker.check_schema(checker.schema)
     checker.validate(yaml.safe_load(SCHEDULE))

@@ -1,4 +1,4 @@
-"""Help tells every default, a refusal what was meant, and shells complete the commands."""
+"""Help shows defaults, errors suggest corrections, and shells complete commands."""
 
 import argparse
 import shutil
@@ -20,7 +20,7 @@ def parsers(one: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
                 yield from parsers(sub)
 
 
-def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
+def test_the_help_of_every_option_with_a_value_shows_its_default() -> None:
     every = list(parsers(build_parser()))
     assert len(every) > 20
     for one in every:
@@ -45,10 +45,10 @@ def test_the_help_of_every_option_with_a_value_tells_its_default() -> None:
         (("inject", "bias", "--through", "mavsdkk"), "did you mean mavsdk?"),
     ],
 )
-def test_a_misspelt_word_is_answered_with_the_nearest(
+def test_a_misspelt_argument_gets_a_suggestion(
     words: tuple[str, ...], meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # argparse leaves by itself, ours returns.
+    # argparse exits, ours returns.
     try:
         code: object = main(words)
     except SystemExit as left:
@@ -57,7 +57,7 @@ def test_a_misspelt_word_is_answered_with_the_nearest(
     assert meant in capsys.readouterr().err
 
 
-def test_the_proxy_takes_its_stations_by_mavproxys_word_too_but_does_not_show_it() -> None:
+def test_the_proxy_accepts_mavproxys_option_without_showing_it() -> None:
     words = ["proxy", "--master", "udpin:127.0.0.1:1", "--to", "a", "--out", "b"]
     assert build_parser("proxy").parse_args(words).to == ["a", "b"]
     assert "--out EP" not in build_parser("proxy").format_help()
@@ -69,7 +69,7 @@ def test_the_proxy_takes_its_stations_by_mavproxys_word_too_but_does_not_show_it
     [("inj", ["inject"]), ("schedule lo", ["load"]), ("proxy --mas", ["--master"]),
      ("faults check a_sch", ["a_schedule.yaml"])],
 )  # fmt: skip
-def test_bash_completes_what_was_begun(tmp_path: Path, typed: str, offered: list[str]) -> None:
+def test_bash_completes_a_partial_argument(tmp_path: Path, typed: str, offered: list[str]) -> None:
     (tmp_path / "a_schedule.yaml").touch()
     made = subprocess.run(
         [sys.executable, "-m", "mavproxy_fault.cli", "--completion", "bash"],

@@ -1,4 +1,4 @@
-"""What a MAVLink proxy must get right, asked of a process over real sockets.
+"""Conformance of a MAVLink proxy process over real sockets.
 
 Each case is one that an existing router gets wrong. To ask another proxy, give its command with
 the two addresses it shall use, e.g.
@@ -40,7 +40,7 @@ def heartbeat(seq: int = 0, system: int = 1, component: int = 1) -> bytes:
 
 
 def with_flags(raw: bytes, flags: int) -> bytes:
-    """A frame with incompatibility flags set and the CRC right."""
+    """Build a frame with incompatibility flags and a valid CRC."""
     layout = message_layout(int.from_bytes(raw[7:10], "little"))
     changed = Frame(raw[:2] + bytes((flags,)) + raw[3:], layout)
     return changed.with_payload(changed.payload).raw
@@ -113,7 +113,7 @@ def _wait_until_it_forwards(ends: Ends) -> None:
 
 
 def until(sock: socket.socket, last: bytes) -> bytes:
-    """All bytes that come, up to some that are sent at the end."""
+    """Receive all bytes up to a marker that is sent at the end."""
     got = b""
     while last not in got:
         if not select.select([sock], [], [], PATIENCE_S)[0]:
@@ -123,7 +123,7 @@ def until(sock: socket.socket, last: bytes) -> bytes:
 
 
 def passed(ends: Ends, *datagrams: bytes) -> bytes:
-    """What the station gets of some datagrams the vehicle sends."""
+    """Send datagrams from the vehicle and return what the station receives."""
     ends.vehicle.send(frame("STATUSTEXT", 98, 9, 9, text=b"start"))
     until(ends.station, frame("STATUSTEXT", 98, 9, 9, text=b"start"))
     for data in datagrams:
@@ -151,16 +151,16 @@ ONE_BY_ONE = {
 
 
 @pytest.mark.parametrize("case", ONE_BY_ONE)
-def test_every_byte_passes_as_it_came(case: str, ends: Ends) -> None:
+def test_every_byte_is_forwarded_unchanged(case: str, ends: Ends) -> None:
     assert passed(ends, *ONE_BY_ONE[case]) == b"".join(ONE_BY_ONE[case])
 
 
-def test_a_frame_for_a_system_never_seen_passes(ends: Ends) -> None:
+def test_a_frame_for_an_unknown_system_is_forwarded(ends: Ends) -> None:
     request = frame("PARAM_REQUEST_LIST", target_system=77, target_component=1)
     assert passed(ends, request) == request
 
 
-def test_a_sender_seen_on_both_sides_passes(ends: Ends) -> None:
+def test_a_sender_on_both_sides_is_forwarded(ends: Ends) -> None:
     ends.station.send(heartbeat(5))
     until(ends.vehicle, heartbeat(5))
     data = b"".join(heartbeat(seq) for seq in range(10, 20))
@@ -178,7 +178,7 @@ def test_every_client_of_a_server_port_is_served(ends: Ends) -> None:
 
 
 def test_bursts_lose_nothing(ends: Ends) -> None:
-    # What a socket holds by default: more would be lost in the kernel before any proxy sees it.
+    # The default socket buffer: more would be lost in the kernel.
     for start in range(0, 2000, 200):
         burst = range(start, start + 200)
         frames = [frame("HIL_SENSOR", n & 255, 1, 51, time_usec=n + 1) for n in burst]

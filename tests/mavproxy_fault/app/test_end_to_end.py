@@ -1,4 +1,4 @@
-"""Every fault and every preset from log to log, through `replay`, judged by pymavlink's decoder."""
+"""Every fault and every preset from log to log by `replay`, checked with pymavlink's decoder."""
 
 import argparse
 from pathlib import Path
@@ -25,7 +25,7 @@ FRAMES, STEP_S = 100, 0.02
 START_S, END_S = 0.4, 1.6  # of the fault, from the first stamp on
 TIMES = {"at_s": START_S, "for_s": END_S - START_S}
 MOST = 12  # satellites of a system in one message
-# A recording obeys nobody: commands have tests of their own.
+# A recording cannot follow commands, which have their own tests.
 EXAMPLES = {name: kind.example for name, kind in known_faults().items() if name != "command"}
 FAULTS = [{"fault": name, **example} for name, example in EXAMPLES.items()]
 NAMES = [name for name in preset_names() if not name.startswith("ardupilot-")]
@@ -33,7 +33,7 @@ PRESETS = [{"preset": name} for name in NAMES]
 
 
 def healthy(entries: tuple[Entry, ...], path: Path) -> None:
-    """A log of what the entries act on, HIL_SENSOR among it, at 50 Hz."""
+    """Write a log of HIL_SENSOR and the messages of the entries at 50 Hz."""
     messages = {"HIL_SENSOR"}
     satellites: set[str] = set()
     for entry in entries:
@@ -58,7 +58,7 @@ def healthy(entries: tuple[Entry, ...], path: Path) -> None:
 
 
 def decoded(path: Path) -> list[str]:
-    """Stamp and content of what pymavlink finds in a log, without our announcements."""
+    """Return timestamp and content of pymavlink's messages in a log, without our announcements."""
     log: Any = mavutil.mavlink_connection(str(path), dialect="all")
     found = []
     while (message := log.recv_msg()) is not None:

@@ -11,7 +11,7 @@ def line(text: str) -> logging.LogRecord:
     return logging.makeLogRecord({"msg": text})
 
 
-def test_lines_for_which_nobody_makes_room_are_left_out_and_counted(
+def test_lines_that_would_block_are_dropped_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reader, writer = os.pipe()
@@ -28,7 +28,7 @@ def test_lines_for_which_nobody_makes_room_are_left_out_and_counted(
     assert after == "after"
 
 
-def test_a_long_line_is_no_longer_than_a_pipe_has_room_for(
+def test_a_long_line_is_cut_to_the_size_of_a_pipe_write(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with (tmp_path / "log").open("w") as stream:

@@ -47,7 +47,7 @@ def test_a_session_can_be_read_before_it_is_closed(tmp_path: Path) -> None:
     assert session == {"seed": 3, "t0_us": 7, "end_us": WALL_US + 9}
 
 
-def test_an_earlier_session_is_set_aside_and_never_overwritten(tmp_path: Path) -> None:
+def test_an_earlier_session_is_moved_and_never_overwritten(tmp_path: Path) -> None:
     for number in range(3):
         Recorder(tmp_path, {"seed": number}).close(None, 0)
     seeds = [
@@ -57,7 +57,7 @@ def test_an_earlier_session_is_set_aside_and_never_overwritten(tmp_path: Path) -
     assert seeds == [0, 1, 2]
 
 
-def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path: Path) -> None:
+def test_bytes_that_are_not_a_frame_do_not_hide_frames_in_the_log(tmp_path: Path) -> None:
     tape = CaptureBuffer()
     frames = [heartbeat(seq) for seq in range(40)]
     for number, raw in enumerate(frames):
@@ -78,7 +78,7 @@ def test_bytes_that_are_no_frame_hide_no_frame_from_readers_of_the_log(tmp_path:
 
 @contextlib.contextmanager
 def files_no_larger_than(size: int) -> Iterator[None]:
-    """As on a disk that is nearly full: a write that goes beyond is cut, the next one refused."""
+    """Act like a nearly full disk: accept a part of a write and refuse the next one."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -87,7 +87,7 @@ def files_no_larger_than(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> None:
+def test_a_full_disk_stops_recording_until_there_is_space(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, {})
     tape = CaptureBuffer()
     label = Label(id="a", fault="bias", t0_us=0, start_us=1)
@@ -115,7 +115,7 @@ def test_a_full_disk_stops_recording_whole_and_not_for_ever(tmp_path: Path) -> N
     assert json.loads((tmp_path / "session.json").read_text())["lost_records"] == 97
 
 
-def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
+def test_a_removed_folder_is_created_again(tmp_path: Path) -> None:
     folder = tmp_path / "log"
     recorder = Recorder(folder, {})
     tape = CaptureBuffer()
@@ -125,12 +125,12 @@ def test_a_folder_that_was_removed_is_made_again(tmp_path: Path) -> None:
     tape.receive(WALL_US + 1, 0, heartbeat(1))
     recorder.write(tape)
     shutil.rmtree(folder)
-    recorder.close(None, 0)  # and where it cannot end well, it ends
+    recorder.close(None, 0)  # closing must not raise
     assert not folder.exists()
     assert tape.count == 1
 
 
-def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_path: Path) -> None:
+def test_recording_resumes_when_a_failed_disk_is_replaced(tmp_path: Path) -> None:
     folder = tmp_path / "log"
     recorder = Recorder(folder, {})
     tape = CaptureBuffer()
@@ -139,7 +139,7 @@ def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_
     with files_no_larger_than(200):
         recorder.write(tape)
     assert recorder.failing
-    folder.rename(tmp_path / "old")  # as what was mounted there goes with its files
+    folder.rename(tmp_path / "old")  # like an unmounted disk
     tape.receive(WALL_US + 100, 0, heartbeat(100))
     recorder.write(tape)
     assert recorder.failing is None
@@ -149,13 +149,13 @@ def test_where_another_disk_replaces_one_that_failed_recording_begins_again(tmp_
 
 
 class Uncut(FileIO):
-    """A file of a disk that has become read-only."""
+    """A file on a disk that has become read-only."""
 
     def truncate(self, size: int | None = None) -> int:
         raise OSError(30, "Read-only file system")
 
 
-def test_what_a_failed_disk_does_not_let_be_cut_is_cut_when_it_is_back(tmp_path: Path) -> None:
+def test_a_truncation_that_failed_is_repeated_when_the_disk_is_back(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, {})
     tape = CaptureBuffer()
     for n in range(100):
@@ -175,7 +175,7 @@ def test_what_a_failed_disk_does_not_let_be_cut_is_cut_when_it_is_back(tmp_path:
     assert [raw[4] for _, raw in split_records((tmp_path / "received.tlog").read_bytes())] == [100]
 
 
-def test_a_folder_that_cannot_be_written_is_the_users_mistake(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_a_user_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="give a folder"):
         Recorder(tmp_path / "file" / "log", {})

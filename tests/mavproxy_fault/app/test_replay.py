@@ -48,7 +48,7 @@ def heartbeat(step: int) -> bytes:
 
 
 def record_a_live_session(folder: Path) -> None:
-    """Run a server with links on loopback, a simulator and an autopilot that talk through it."""
+    """Run a server with links on loopback between a simulator and an autopilot."""
     master = UdpServer("127.0.0.1", 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sim:
         sim.bind(("127.0.0.1", 0))
@@ -82,7 +82,7 @@ def record_a_live_session(folder: Path) -> None:
             link.close()
 
 
-def test_a_recording_replayed_with_its_schedule_gives_what_was_sent_byte_for_byte(
+def test_a_replay_with_its_own_schedule_reproduces_the_sent_bytes(
     tmp_path: Path,
 ) -> None:
     live = tmp_path / "live"
@@ -98,7 +98,7 @@ def test_a_recording_replayed_with_its_schedule_gives_what_was_sent_byte_for_byt
 @pytest.mark.parametrize(
     "log", ["px4_hil/hover_gps_jump_gcs.tlog", "tlog/dronekit_flight_replay.tlog"]
 )
-def test_a_real_log_passes_unchanged_where_no_fault_acts(
+def test_a_real_log_is_unchanged_without_active_faults(
     log: str, shared_data: Path, tmp_path: Path
 ) -> None:
     whole = (shared_data / log).read_bytes()
@@ -111,7 +111,7 @@ def test_a_real_log_passes_unchanged_where_no_fault_acts(
     assert out.read_bytes() == part.read_bytes()
 
 
-def test_directions_of_a_foreign_log_are_told_by_the_sender(tmp_path: Path) -> None:
+def test_directions_of_a_foreign_log_follow_from_the_sender(tmp_path: Path) -> None:
     log = tmp_path / "foreign.tlog"
     station = build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255, component=190)
     simulator = [sensor(step, component=7) for step in range(2)]
@@ -136,14 +136,14 @@ def test_a_log_is_sent_to_a_link(tmp_path: Path) -> None:
         assert [peer.recv(99) for _ in range(10)] == [heartbeat(n) for n in range(10)]
 
 
-def test_what_is_no_log_is_the_users_error(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_log_is_a_user_error(tmp_path: Path) -> None:
     text = tmp_path / "notes.txt"
     text.write_text("no log at all" * 10)
     with pytest.raises(ConfigError, match="contains no MAVLink record; give a tlog"):
         open_log(text)
     with pytest.raises(ConfigError, match="is not a file"):
         open_log(tmp_path / "missing.tlog")
-    # Chance bytes look like a record whose stamp no clock can show (it ended in an IndexError).
+    # Random bytes that look like a record with an impossible timestamp (once an IndexError).
     text.write_bytes((1 << 63).to_bytes(8, "big") + heartbeat(1))
     with pytest.raises(ConfigError, match="contains no MAVLink record"):
         open_log(text)

@@ -1,4 +1,4 @@
-"""`replay` of a RINEX file: faults in a real recording, labels beside it, and what is refused."""
+"""`replay` of a RINEX file: faults in a real recording, labels beside it, and errors."""
 
 import pytest
 
@@ -43,7 +43,7 @@ def test_the_command_writes_file_and_labels(recording, tmp_path):
     assert [label.frames for label in read_labels(tmp_path / "faulted.21O.labels.jsonl")] == [5]
 
 
-def test_a_fault_on_a_satellite_that_is_not_there_is_told(recording, tmp_path, capsys):
+def test_a_fault_on_a_missing_satellite_is_reported(recording, tmp_path, capsys):
     faults, out = tmp_path / "faults.yaml", tmp_path / "faulted.21O"
     faults.write_text(
         "faults:\n"
@@ -51,12 +51,12 @@ def test_a_fault_on_a_satellite_that_is_not_there_is_told(recording, tmp_path, c
         "  - {id: nowhere, fault: bias, target: PSEUDORANGE.G31, value: 50, for_s: 5}\n"
     )
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", str(out)]) == 0
-    told = capsys.readouterr().err
-    assert "fault nowhere (bias) matched no observation" in told
-    assert "here (bias)" not in told.replace("nowhere (bias)", "")
+    output = capsys.readouterr().err
+    assert "fault nowhere (bias) matched no observation" in output
+    assert "here (bias)" not in output.replace("nowhere (bias)", "")
 
 
-def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
+def test_a_fault_that_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
     faults = tmp_path / "faults.yaml"
     faults.write_text("faults:\n  - {fault: bias, target: HIL_SENSOR.xgyro, value: 1}\n")
     out = str(tmp_path / "faulted.21O")
@@ -68,7 +68,9 @@ def test_what_cannot_act_on_a_file_is_refused(recording, tmp_path, capsys):
     assert "is the replayed file itself" in capsys.readouterr().err
 
 
-def test_what_needs_orbits_says_so_and_what_is_no_signal_is_refused(recording, tmp_path, capsys):
+def test_a_spoof_without_orbits_and_a_target_without_signals_are_refused(
+    recording, tmp_path, capsys
+):
     faults, out = tmp_path / "faults.yaml", str(tmp_path / "faulted.21O")
     faults.write_text("faults:\n  - {preset: gnss-carry-off}\n")
     assert main(["replay", str(recording), "--schedule", str(faults), "--out", out]) == 2

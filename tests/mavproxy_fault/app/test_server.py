@@ -61,11 +61,11 @@ def sending_to(sock: socket.socket) -> Link:
     return open_link(f"udpout:127.0.0.1:{sock.getsockname()[1]}")
 
 
-def test_where_memory_runs_out_frames_go_on_and_what_is_not_recorded_is_counted(
+def test_without_memory_forwarding_continues_and_lost_records_are_counted(
     tmp_path: Path,
 ) -> None:
     class Short(CaptureBuffer):
-        """A tape for which there is no memory at first."""
+        """A capture buffer that runs out of memory at first."""
 
         left = 3
 
@@ -89,7 +89,7 @@ def test_where_memory_runs_out_frames_go_on_and_what_is_not_recorded_is_counted(
     assert recorder.lost == 7 - len(recorded)
 
 
-def test_a_tcp_peer_that_does_not_read_stalls_nobody() -> None:
+def test_a_tcp_peer_that_does_not_read_blocks_no_other() -> None:
     master, slow = open_link("udpin:127.0.0.1:0"), open_link("tcpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:
         links = [master, slow, sending_to(station)]
@@ -141,7 +141,7 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_what_comes_together_leaves_together_to_peers_of_a_server(
+def test_chunks_that_arrive_together_are_sent_together_to_peers_of_a_server(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server_module, "BATCH_NS", 10**10)
@@ -176,7 +176,7 @@ def test_what_comes_together_leaves_together_to_peers_of_a_server(
 
 
 @pytest.mark.parametrize("turn", ["_step", "_run_due"])
-def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_bytes(
+def test_a_delayed_proxy_still_joins_the_parts_of_a_frame(
     turn: str,
 ) -> None:
     master, outlet = TcpServer("127.0.0.1", 0), TcpServer("127.0.0.1", 0)
@@ -186,14 +186,14 @@ def test_a_proxy_that_is_late_takes_no_frame_whose_rest_has_come_for_foreign_byt
         while not running.core._resync_deadlines:
             running._step()
         vehicle.sendall(sensor(0)[30:])
-        running._base_ns += 2 * 10**9  # so long the process was not looked after
+        running._base_ns += 2 * 10**9  # the process was not scheduled for this long
         getattr(running, turn)()
     assert (running.core.states[0].frames, running.core.states[0].junk) == (1, 0)
     master.close()
     outlet.close()
 
 
-def test_a_delayed_frame_leaves_by_itself() -> None:
+def test_a_delayed_frame_is_sent_without_further_traffic() -> None:
     schedule = "faults: [{id: d, fault: delay, target: HIL_SENSOR, value: 0.02}]"
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:
@@ -205,7 +205,7 @@ def test_a_delayed_frame_leaves_by_itself() -> None:
         assert running.stats()[0]["faulted"] == 1
 
 
-def test_figures_are_kept_per_endpoint() -> None:
+def test_counters_are_per_endpoint() -> None:
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:
         with serving([master, sending_to(station)]) as running:
@@ -219,7 +219,7 @@ def test_figures_are_kept_per_endpoint() -> None:
     assert second["p50_us"] is None
 
 
-def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
+def test_the_process_stops_cleanly_and_prints_its_counters(tmp_path: Path) -> None:
     with udp() as station, udp() as vehicle:
         command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", "off"]
         command += ["--master", "udpin:127.0.0.1:0", "--logdir", str(tmp_path)]
@@ -240,7 +240,7 @@ def test_the_process_stops_cleanly_and_says_what_passed(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "session.json").read_text())["end_us"] > 10**15
 
 
-def test_what_the_kernel_dropped_stands_in_the_figures_at_the_end() -> None:
+def test_the_final_counters_include_datagrams_dropped_by_the_kernel() -> None:
     with udp() as station, udp() as vehicle:
         command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", "off"]
         command += ["--master", "udpin:127.0.0.1:0"]
@@ -249,7 +249,7 @@ def test_what_the_kernel_dropped_stands_in_the_figures_at_the_end() -> None:
             assert process.stdout is not None
             port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
             process.send_signal(signal.SIGSTOP)
-            for _ in range(2000):  # more than its buffer holds
+            for _ in range(2000):  # more than its buffer can hold
                 vehicle.sendto(bytes(60_000), ("127.0.0.1", port))
             process.send_signal(signal.SIGCONT)
             process.send_signal(signal.SIGINT)
@@ -258,7 +258,7 @@ def test_what_the_kernel_dropped_stands_in_the_figures_at_the_end() -> None:
     assert 0 < int(lost) < 2000
 
 
-def test_a_proxy_without_faults_does_not_load_what_only_faults_need() -> None:
+def test_a_proxy_without_faults_does_not_import_fault_modules() -> None:
     code = (
         "import mavproxy_fault.app.proxy_command, sys\n"
         "print({'numpy', 'yaml', 'msgspec'} & {*sys.modules})"
@@ -277,7 +277,7 @@ def test_a_wrong_output_leaves_no_socket_behind() -> None:
     assert len(os.listdir("/proc/self/fd")) == before
 
 
-def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures() -> None:
+def test_a_running_proxy_accepts_faults_over_zenoh_and_acknowledges_failures() -> None:
     with udp() as station, udp() as vehicle, socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         url = f"tcp/127.0.0.1:{place.getsockname()[1]}"
@@ -313,7 +313,7 @@ def test_a_running_proxy_takes_faults_over_the_bus_and_answers_injected_failures
     assert process.returncode == 0
 
 
-def test_without_machine_code_the_proxy_says_so_and_forwards(
+def test_without_compiled_kernels_the_proxy_warns_and_forwards(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(machine, "load", lambda: None)
@@ -335,7 +335,7 @@ def test_without_machine_code_the_proxy_says_so_and_forwards(
     assert "compiling kernels failed" in caplog.text
 
 
-def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
+def test_a_proxy_that_cannot_start_a_thread_runs_without_live_control(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     class NoThread:
@@ -343,7 +343,7 @@ def test_a_proxy_that_may_start_no_thread_goes_without_live_control(
             pass
 
         def start(self) -> None:
-            raise RuntimeError("can't start new thread")  # as Python says where `ulimit -u` is low
+            raise RuntimeError("can't start new thread")  # as Python does with a low `ulimit -u`
 
     monkeypatch.setattr(proxy, "Thread", NoThread)
     server = server_module.Server([], Core([]))
@@ -368,7 +368,7 @@ def test_a_proxy_with_a_schedule_is_ready_without_numpy() -> None:
     assert done.stdout.split() == [b"False", b"False"]
 
 
-# Every fault that says it draws nothing, on a second of the messages that it asks for.
+# Every fault without random numbers, on one second of its messages.
 FAULTS_THAT_DRAW_NOTHING = """
 import json, sys
 from mavproxy_fault.compiled.passage import Passage
@@ -403,7 +403,7 @@ print(len(tried), "bias" in compiled, "numpy" in sys.modules)
 """
 
 
-def test_a_fault_that_draws_nothing_never_loads_numpy_amid_the_traffic() -> None:
+def test_a_fault_without_random_numbers_never_imports_numpy() -> None:
     machine.make()
     done = subprocess.run([sys.executable, "-c", FAULTS_THAT_DRAW_NOTHING], capture_output=True)
     assert done.returncode == 0, done.stderr
@@ -412,7 +412,7 @@ def test_a_fault_that_draws_nothing_never_loads_numpy_amid_the_traffic() -> None
     assert (has_bias, has_numpy) == (b"True", b"False")
 
 
-def test_without_the_calls_of_linux_the_interpreted_way_serves(
+def test_without_linux_system_calls_the_interpreted_path_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(datagram_batch, "HAS_RECVMMSG", False)

@@ -6,7 +6,7 @@ import pytest
 from mavproxy_fault.documents.atomic_file import write_atomic
 
 
-def test_a_writer_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
     write_atomic(path, "old\n")
     in_the_way = tmp_path / "summary.json.new"
@@ -20,6 +20,6 @@ def test_a_writer_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert [one.name for one in tmp_path.iterdir()] == ["summary.json"]
 
 
-def test_a_name_that_is_no_text_stands_in_it_as_on_the_terminal(tmp_path: Path) -> None:
+def test_a_name_that_is_not_text_is_escaped_as_on_the_terminal(tmp_path: Path) -> None:
     write_atomic(tmp_path / "report.html", os.fsdecode(b"of \xff.tlog"))
     assert (tmp_path / "report.html").read_text() == "of \\udcff.tlog"

@@ -45,7 +45,7 @@ def test_nested_structs_lists_and_mappings_are_built() -> None:
     assert decode(read_yaml("wheels: {size_m: 1}", "a"), Cart).wheels == Wheel(size_m=1.0)
 
 
-def test_all_errors_come_at_once_each_with_its_line() -> None:
+def test_all_errors_are_reported_at_once_with_their_lines() -> None:
     assert errors("""\
 nme: x
 colour: blue
@@ -69,7 +69,7 @@ places: [[1, 2]]
     ]
 
 
-def test_a_part_of_a_document_is_decoded_with_the_lines_of_the_whole() -> None:
+def test_a_part_of_a_document_is_decoded_with_its_lines() -> None:
     document = read_yaml("a: 1\nb:\n  size_m: -1\n", "cart.yaml")
     with pytest.raises(ConfigError, match=r"cart.yaml:3: b.size_m = -1"):
         decode(document, Wheel, ("b",))
@@ -83,5 +83,5 @@ def test_a_flood_of_errors_is_cut() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "5", "[1]", "text"])
-def test_a_document_that_is_no_mapping_is_refused(text: str) -> None:
+def test_a_document_that_is_not_a_mapping_is_refused(text: str) -> None:
     assert "does not fit: expected `object`" in errors(text)[0]

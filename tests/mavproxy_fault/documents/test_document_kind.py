@@ -22,7 +22,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
 }
 
 
-def test_every_example_is_known_for_what_it_is() -> None:
+def test_every_example_has_a_recognised_kind() -> None:
     for path in EXAMPLES.glob("*.yaml"):
         keys = read_document(path).data.keys()
         if keys <= {"seed", "faults"}:
@@ -34,11 +34,11 @@ def test_every_example_is_known_for_what_it_is() -> None:
             assert kind_of(keys) == ("a campaign" if campaign else "a scenario"), path
 
 
-# A search may have nothing but a seed and faults: by its keys alone a schedule could be one.
+# A search may consist of a seed and faults only, so a schedule could be one by its keys.
 @pytest.mark.parametrize(
     ("given", "wanted"), sorted({*permutations(READERS, 2)} - {("a schedule", "a search")})
 )
-def test_a_document_of_another_kind_is_called_what_it_is(given: str, wanted: str) -> None:
+def test_a_document_of_another_kind_is_recognised(given: str, wanted: str) -> None:
     read = READERS[wanted][0]
     _, name, command = READERS[given]
     says = f"{name}: is {given}; give {wanted}, or run `mavproxy-fault {command}`"
@@ -46,6 +46,6 @@ def test_a_document_of_another_kind_is_called_what_it_is(given: str, wanted: str
         read(EXAMPLES / name)
 
 
-def test_a_misspelt_key_of_a_schedule_stays_its_own_error() -> None:
+def test_a_misspelt_key_of_a_schedule_gets_a_suggestion() -> None:
     with pytest.raises(ConfigError, match="did you mean faults"):
         parse_schedule({"seed": 1, "fault": []})

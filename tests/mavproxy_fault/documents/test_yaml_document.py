@@ -25,7 +25,7 @@ def error(text: str) -> str:
         ("0", 0), ("-19", -19), ("+12", 12), ("0o7", 7), ("0x3A", 58),
         ("0.", 0.0), ("-0.0", 0.0), (".5", 0.5), ("+12e03", 12000.0), ("-2E+05", -200000.0),
         ("1e-4", 1e-4), (".inf", math.inf), ("-.Inf", -math.inf),
-        # which YAML 1.1 takes for numbers, booleans or dates
+        # numbers, booleans or dates in YAML 1.1
         ("1:30", "1:30"), ("1_000", "1_000"), ("yes", "yes"), ("off", "off"),
         ("2024-03-07", "2024-03-07"), ("'12'", "12"), ('"true"', "true"), ("0b1", "0b1"),
     ],
@@ -74,24 +74,24 @@ def test_every_key_and_item_has_its_line() -> None:
         ("- 0\n" * (yaml_document.MOST_NODES + 1), f"has more than {yaml_document.MOST_NODES}"),
     ],
 )
-def test_what_cannot_be_meant_or_would_exhaust_is_refused(text: str, words: str) -> None:
+def test_mistakes_and_hostile_text_are_refused(text: str, words: str) -> None:
     assert words in error(text)
 
 
-def test_every_flaw_that_does_not_end_the_reading_is_told_at_once() -> None:
+def test_all_flaws_are_reported_at_once() -> None:
     text = "a: 010\nb: 1\nb: 2\nc: 1e999\n"
     assert [line.split(" ")[0] for line in error(text).splitlines()] == [
         "a.yaml:1:", "a.yaml:3:", "a.yaml:4:",
     ]  # fmt: skip
 
 
-def test_an_alias_bomb_is_counted_as_what_it_stands_for() -> None:
+def test_an_alias_bomb_counts_as_its_expansion() -> None:
     rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
     assert "has more than" in error("\n".join(rows))
 
 
-def test_an_alias_repeats_what_stands_above() -> None:
+def test_an_alias_repeats_its_anchor() -> None:
     assert read_yaml("a: &x {b: 1}\nc: *x\n", "a").data == {"a": {"b": 1}, "c": {"b": 1}}
 
 
@@ -125,5 +125,5 @@ VALUES = st.recursive(
 
 
 @given(VALUES, st.sampled_from([True, False, None]))
-def test_what_is_written_reads_back(value: Any, flow: bool | None) -> None:
+def test_written_yaml_reads_back(value: Any, flow: bool | None) -> None:
     assert read_yaml(write_yaml(value, flow=flow), "a.yaml").data == value

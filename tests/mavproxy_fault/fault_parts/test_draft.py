@@ -1,4 +1,4 @@
-"""Several faults on one frame: what each does after the other, with one checksum in the end."""
+"""Several faults on one frame act in sequence, with one checksum at the end."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import latest_labels
 
-# A link fault in between: the frame is whole again there, and goes on in several copies.
+# A link fault in between: the frame is sealed there and continues in several copies.
 RULES = {n: k.example for n, k in known_faults().items() if k.acts_on == "fields"}
 OTHERS = {"duplicate": {"copies": 2}, "drop": {"value": 0.3}, "time-jump": {"value": 1}}
 FRAMES, STEP_US = 30, 20_000
@@ -34,7 +34,7 @@ def entry(n: int, name: str) -> dict[str, Any]:
 
 
 def through(engine: Engine, frames: list[tuple[int, Frame]]) -> list[tuple[int, Frame]]:
-    """What leaves an engine, each frame at its own time."""
+    """Return the output of an engine in order of time."""
     found = []
     for t_us, frame in frames:
         for out in engine.apply(frame, "to-vehicle", t_us):
@@ -44,12 +44,12 @@ def through(engine: Engine, frames: list[tuple[int, Frame]]) -> list[tuple[int, 
 
 
 @given(st.lists(st.sampled_from(sorted(RULES) * 2 + sorted(OTHERS)), min_size=2, max_size=8))
-def test_faults_on_one_message_do_together_what_each_does_after_the_other(names: list[str]) -> None:
+def test_faults_on_one_message_act_as_one_after_the_other(names: list[str]) -> None:
     entries = [entry(n, name) for n, name in enumerate(names)]
     together = Engine(parse_schedule({"seed": 3, "faults": entries}))
     alone = [Engine(parse_schedule({"seed": 3, "faults": [one]})) for one in entries]
     for engine in (together, *alone):
-        engine.start_at(0)  # also where the first frame is dropped before it
+        engine.start_at(0)  # even if the first frame is dropped before
     frames = [(n * STEP_US, sensor(n)) for n in range(FRAMES)]
     left = through(together, frames)
     for engine in alone:
@@ -69,7 +69,7 @@ def test_ten_faults_on_a_frame_cost_one_checksum(monkeypatch: pytest.MonkeyPatch
     assert (left.number("xgyro"), len(counted)) == (5.0, 1)
 
 
-def test_a_fault_that_fails_half_way_leaves_the_frame_as_the_others_made_it() -> None:
+def test_a_fault_that_fails_keeps_the_changes_of_the_others() -> None:
     class Broken(Bias, frozen=True, kw_only=True):
         def after(self, *_: object) -> tuple[list[Any], None]:
             return [1.0, "text"], None
@@ -86,7 +86,7 @@ def test_a_fault_that_fails_half_way_leaves_the_frame_as_the_others_made_it() ->
     assert left.raw == frame.patched({("zgyro", 0): 1.0}).raw
 
 
-def test_values_that_are_written_as_they_were_leave_the_very_frame() -> None:
+def test_unchanged_values_leave_the_same_frame_object() -> None:
     frame = sensor(3, zgyro=-0.0, xmag=float("nan"))
     elements = parse_schedule({"faults": [
         {"fault": "bias", "value": 1, "target": [f"HIL_SENSOR.{name}" for name in
@@ -96,6 +96,6 @@ def test_values_that_are_written_as_they_were_leave_the_very_frame() -> None:
     healthy = it.values(elements)
     assert it.write(elements, healthy, healthy)[2] is False
     assert it.sealed() is frame
-    # A zero of the other sign is no step, but other bytes.
+    # A zero of the other sign has other bytes without a change of value.
     assert it.write(elements[:1], healthy[:1], [0.0]) == (0.0, False, True)
     assert it.sealed().raw == frame.patched({("zgyro", 0): 0.0}).raw

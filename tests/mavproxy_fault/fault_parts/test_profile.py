@@ -22,7 +22,7 @@ RNG = np.random.default_rng(0)
 
 
 def linear(*rows: tuple[float, float, float, float], **keys: object) -> Profile:
-    """Segments given as (at, for, start, rate)."""
+    """Build a profile of segments (at, for, start, rate)."""
     segments = tuple(LinearSegment(at_s=a, for_s=f, start=s, rate=r) for a, f, s, r in rows)
     return Profile(segments=segments, **keys)  # type: ignore[arg-type]
 
@@ -56,13 +56,13 @@ def test_segments_touch_without_a_gap_by_default_and_the_later_one_holds_at_the_
     assert values == [None, 1, 1, 2, 2, None]
 
 
-def test_segments_that_overlap_by_less_than_a_microsecond_are_taken() -> None:
+def test_an_overlap_below_a_microsecond_is_accepted() -> None:
     linear((0.2, 0.1 + 4e-7, 1, 0), (0.3, 0.1, 2, 0))
     with pytest.raises(ValueError, match="must not overlap"):
         linear((0.2, 0.1 + 4e-6, 1, 0), (0.3, 0.1, 2, 0))
 
 
-def test_drawn_numbers_are_new_at_each_start_and_the_same_for_the_same_seed() -> None:
+def test_random_numbers_are_new_at_each_start_and_reproducible() -> None:
     profile = Profile(segments=(LinearSegment(0, 1, Draw(uniform=(2, 3)), Draw(normal=(0, 1))),))
     rng = np.random.default_rng(5)
     first, second = profile.new_state(rng), profile.new_state(rng)
@@ -88,7 +88,7 @@ def table(path: Path, rows: list[tuple[float, float]], **keys: object) -> Profil
     return Profile(table=SeriesTable(str(path), **keys))  # type: ignore[arg-type]
 
 
-def test_a_table_holds_each_value_until_the_next_or_goes_straight(tmp_path: Path) -> None:
+def test_a_series_holds_each_value_or_interpolates(tmp_path: Path) -> None:
     rows = [(0.0, 1.0), (1.0, 3.0), (2.0, 2.0)]
     times = [-0.1, 0.0, 0.5, 1.0, 1.75, 2.0, 2.1]
     held, straight = (
@@ -100,7 +100,7 @@ def test_a_table_holds_each_value_until_the_next_or_goes_straight(tmp_path: Path
     assert [straight.value(t, state) for t in times] == [None, 1, 2, 3, 2.25, 2, None]
 
 
-def test_a_long_table_is_read_in_blocks_without_a_seam(tmp_path: Path) -> None:
+def test_a_long_series_is_read_in_blocks_without_a_gap(tmp_path: Path) -> None:
     count = 3 * BLOCK_ROWS + 7
     profile = table(
         tmp_path / "a.csv", [(i * 0.004, i * 2.0) for i in range(count)], interpolate="linear"
@@ -111,7 +111,7 @@ def test_a_long_table_is_read_in_blocks_without_a_seam(tmp_path: Path) -> None:
         assert found == pytest.approx(2 * (i + 0.5), abs=1e-6)
 
 
-def test_a_parquet_table_says_the_same_as_its_csv(tmp_path: Path) -> None:
+def test_a_parquet_series_equals_its_csv(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     rows = [(i * 0.1, math.sin(i)) for i in range(100)]
@@ -133,7 +133,7 @@ def test_a_parquet_table_says_the_same_as_its_csv(tmp_path: Path) -> None:
         (None, "cannot be read"),
     ],
 )
-def test_a_wrong_table_is_told_when_the_schedule_is_read(
+def test_an_invalid_series_is_refused_when_the_schedule_is_read(
     tmp_path: Path, text: str | None, said: str
 ) -> None:
     if text is not None:
@@ -151,7 +151,7 @@ def test_a_wrong_table_is_told_when_the_schedule_is_read(
     assert said in str(caught.value)
 
 
-def test_a_table_broken_further_on_ends_there(tmp_path: Path) -> None:
+def test_a_series_ends_at_a_later_error(tmp_path: Path) -> None:
     rows = [(i * 1.0, 5.0) for i in range(BLOCK_ROWS)]
     profile = table(tmp_path / "a.csv", rows)
     with (tmp_path / "a.csv").open("a") as file:

@@ -1,4 +1,4 @@
-"""What every registered fault keeps to, and what each of them does end to end.
+"""The contract of every registered fault, and each fault end to end.
 
 The frames run through an engine and are judged by pymavlink's decoder.
 """
@@ -32,7 +32,7 @@ EXAMPLES = {name: kind.example for name, kind in known_faults().items()}
 
 
 def frames() -> list[tuple[int, Frame]]:
-    """HIL_SENSOR at 250 Hz; with every tenth HIL_GPS and what an autopilot says."""
+    """HIL_SENSOR at 250 Hz; with every tenth HIL_GPS and an autopilot's messages."""
     made = []
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
@@ -77,7 +77,7 @@ def raw(out: Outgoing) -> bytes:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_nothing_is_due_before_it_came(name: str) -> None:
+def test_no_frame_is_due_before_it_arrived(name: str) -> None:
     assert all(out.due_us >= t_us for t_us, out in sent(schedule(name)))
 
 
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_output(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_state_handed_back_does_not_touch_the_one_before(name: str) -> None:
+def test_a_returned_state_does_not_change_the_previous_one(name: str) -> None:
     entry = schedule(name)._schedule.faults[0]
     outcomes = []
     for _ in range(2):
@@ -114,7 +114,7 @@ def test_a_state_handed_back_does_not_touch_the_one_before(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_frames_outside_the_stretch_pass_as_the_same_object(name: str) -> None:
+def test_frames_outside_the_fault_are_the_same_object(name: str) -> None:
     engine = schedule(name)
     for t_us, frame in frames():
         outs = [out for out in engine.apply(frame, "to-vehicle", t_us) if not out.back]
@@ -124,7 +124,7 @@ def test_frames_outside_the_stretch_pass_as_the_same_object(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_the_label_covers_the_stretch_and_every_frame_is_counted(name: str) -> None:
+def test_the_label_covers_the_fault_and_counts_every_frame(name: str) -> None:
     engine = schedule(name)
     touched = 0
     for t_us, frame in frames():
@@ -137,20 +137,20 @@ def test_the_label_covers_the_stretch_and_every_frame_is_counted(name: str) -> N
     assert begin_us <= label.start_us < begin_us + 110_000
     assert label.end_us == end_us
     assert label.frames > 0
-    extra = name == "plant"  # the message that says healthy again
+    extra = name == "plant"  # the message that restores the healthy value
     assert label.frames == touched - extra
 
 
 @pytest.mark.parametrize("name", sorted(set(EXAMPLES) - {"truncate", "outage"}))
-def test_pymavlink_reads_what_leaves(name: str) -> None:
+def test_pymavlink_reads_the_sent_frames(name: str) -> None:
     decoder = pymavlink.MAVLink(None)
     read = [decoder.decode(bytearray(raw(out))) for _, out in sent(schedule(name))]
     assert len(read) > FRAMES // 3
 
 
-def test_a_plant_fault_tells_the_simulator_and_at_the_end_that_all_is_well() -> None:
-    told = [out for _, out in sent(schedule("plant")) if out.back]
-    changes = [plant_change(out.frame) for out in told if isinstance(out.frame, Frame)]
+def test_a_plant_fault_is_sent_to_the_simulator_and_reset_at_the_end() -> None:
+    messages = [out for _, out in sent(schedule("plant")) if out.back]
+    changes = [plant_change(out.frame) for out in messages if isinstance(out.frame, Frame)]
     assert changes[0] is not None
     assert (changes[0].name, changes[0].value) == ("mass_kg_add", 0.5)
     assert changes[-1] is not None
@@ -167,7 +167,7 @@ LAYOUTS = [
 @pytest.mark.parametrize("name", EXAMPLES)
 @settings(max_examples=15)
 @given(data=st.data())
-def test_whatever_the_payload_holds_a_fault_goes_on(name: str, data: st.DataObject) -> None:
+def test_a_fault_works_with_any_payload(name: str, data: st.DataObject) -> None:
     engine = Engine(parse_schedule({"seed": 3, "faults": [{"fault": name, **EXAMPLES[name]}]}))
     for step in range(3):
         layout = data.draw(st.sampled_from(LAYOUTS))

@@ -1,4 +1,4 @@
-"""Link faults: how many, how late, in which order."""
+"""Link faults: number, delay and order of frames."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ STEP_US = 10_000
 
 
 def run(fault: dict[str, Any], count: int) -> list[tuple[int, int, Any]]:
-    """(number of the frame, microseconds late, the frame or bytes) of all that leaves."""
+    """Return (frame number, delay in us, frame or bytes) of all output."""
     engine = Engine(parse_schedule({"seed": 11, "faults": [fault]}))
     found = []
     for i in range(count):
@@ -27,7 +27,7 @@ def run(fault: dict[str, Any], count: int) -> list[tuple[int, int, Any]]:
     return found
 
 
-def test_a_share_is_lost() -> None:
+def test_a_fraction_of_the_frames_is_lost() -> None:
     left = len(run({"fault": "drop", "value": 0.3}, 4000))
     assert abs(left - 2800) < 4 * math.sqrt(4000 * 0.3 * 0.7)
 
@@ -37,12 +37,12 @@ def test_losses_of_a_bad_channel_come_in_clusters_of_their_mean_length() -> None
     left = {i for i, _, _ in run(fault, 20_000)}
     lost = [i for i in range(20_000) if i not in left]
     clusters = sum(i - 1 in left for i in lost)
-    # the bad state lasts 1 / 0.2 frames on average, and holds 0.02 / 0.22 of the time
+    # the bad state lasts 1 / 0.2 frames on average, and 0.02 / 0.22 of the time
     assert len(lost) / clusters == pytest.approx(5, rel=4 / math.sqrt(clusters))
     assert len(lost) / 20_000 == pytest.approx(0.02 / 0.22, rel=0.3)
 
 
-def test_a_burst_takes_its_number_of_frames() -> None:
+def test_a_burst_drops_its_number_of_frames() -> None:
     left = {i for i, _, _ in run({"fault": "burst-loss", "value": 0.01, "frames": 7}, 2000)}
     lost = [i for i in range(2000) if i not in left]
     runs = [i for i in lost if i - 1 in left]
@@ -55,7 +55,7 @@ def test_a_delay_is_exact() -> None:
 
 
 @pytest.mark.parametrize("kind", ["uniform", "normal", "exponential", "pareto"])
-def test_jitter_keeps_the_order_unless_told_otherwise(kind: str) -> None:
+def test_jitter_keeps_the_order_by_default(kind: str) -> None:
     fault = {"fault": "jitter", "value": 0.05, "distribution": kind, "base_s": 0.01}
     due = [i * STEP_US + late for i, late, _ in run(fault, 400)]
     assert due == sorted(due)
@@ -84,7 +84,7 @@ def test_duplicates_are_the_same_bytes() -> None:
     assert len({frame.raw for _, _, frame in sent[:3]}) == 1
 
 
-def test_a_rate_limit_loses_what_is_too_much() -> None:
+def test_a_rate_limit_drops_excess_frames() -> None:
     assert len(run({"fault": "rate-limit", "value": 25}, 400)) == 100
 
 
@@ -93,7 +93,7 @@ def test_a_rate_limit_with_a_queue_delays_instead() -> None:
     assert [late for _, late, _ in sent[:4]] == [0, 10_000, 20_000, 30_000]
 
 
-def test_corruption_leaves_a_wrong_crc_or_a_right_one() -> None:
+def test_corruption_leaves_an_invalid_or_a_valid_crc() -> None:
     ((_, _, broken),) = run({"fault": "corrupt", "count": 2}, 1)
     ((_, _, healthy),) = run({"fault": "delay", "value": 0}, 1)
     assert isinstance(broken, bytes)
@@ -109,7 +109,7 @@ def test_truncation_cuts_the_end() -> None:
     assert cut == healthy.raw[:-10]
 
 
-def test_a_sequence_gap_stays_open() -> None:
+def test_a_sequence_gap_persists() -> None:
     sent = run({"fault": "sequence-gap", "value": 0.05, "count": 3}, 300)
     ahead = [(frame.seq - i) % 256 for i, _, frame in sent]
     assert all((b - a) % 256 in (0, 3) for a, b in itertools.pairwise(ahead))
@@ -124,14 +124,16 @@ def test_a_sequence_gap_stays_open() -> None:
         ({"fault": "time-backwards"}, [0, -20_000, -40_000, -60_000]),
     ],
 )
-def test_stamps_are_off_and_the_rest_stays(fault: dict[str, Any], off_us: list[int]) -> None:
+def test_timestamps_are_shifted_and_other_fields_stay(
+    fault: dict[str, Any], off_us: list[int]
+) -> None:
     sent = run(fault, 4)
     stamps = [f.number("time_usec") - 1_000_000 - i * STEP_US for i, _, f in sent]
     assert stamps == off_us
     assert {round(float(frame.number("zacc")), 2) for _, _, frame in sent} == {-9.81}
 
 
-def test_stamps_in_milliseconds_are_off_alike() -> None:
+def test_timestamps_in_milliseconds_are_shifted_too() -> None:
     engine = Engine(parse_schedule({"faults": [{"fault": "time-jump", "value": 2.5}]}))
     layout = message_layout("ATTITUDE")
     frame = Frame(build_frame(layout, {"time_boot_ms": 1000, "yaw": 1.0}), layout)

@@ -54,7 +54,7 @@ def pushed(it: Engine, epochs: int) -> list[Outgoing]:
 
 
 def read(outs: list[Outgoing]) -> list[dict[str, float]]:
-    """Metres off per satellite, one dictionary per message; lost ones are missing."""
+    """Return the range error [m] by satellite for each message, without lost ones."""
     together = Reassembler()
     healthy = decode_msm7(message(0))
     ranges = dict(zip(healthy.satellites, healthy.pseudorange_m, strict=True))
@@ -88,7 +88,7 @@ def test_a_lost_satellite_is_missing_and_the_others_stay() -> None:
     assert [sorted(off) for off in read(outs)] == [sorted(NAMES[2:])] * 2
 
 
-def test_a_cycle_passes_from_one_satellite_to_the_next() -> None:
+def test_a_cycle_moves_from_one_satellite_to_the_next() -> None:
     it = engine(
         {
             "fault": "cycle",
@@ -110,7 +110,7 @@ def test_two_faults_on_two_satellites_act_together() -> None:
     assert (off["G06"], off["G08"]) == (pytest.approx(20, abs=1e-3), pytest.approx(-20, abs=1e-3))
 
 
-def test_a_satellite_that_is_not_there_leaves_every_byte_and_no_label() -> None:
+def test_a_missing_satellite_changes_no_byte_and_has_no_label() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.E05", "value": 50})
     outs = pushed(it, 2)
     sent = [frame.raw for epoch in range(2) for frame in fragments(epoch)]
@@ -125,7 +125,7 @@ def test_fragments_keep_their_headers() -> None:
         assert (out.frame.seq, out.frame.system, out.frame.component) == (before.seq, 1, 51)
 
 
-def test_a_message_broken_off_leaves_when_its_time_is_over() -> None:
+def test_an_incomplete_message_is_sent_after_its_timeout() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50})
     first = fragments(0)[0]
     assert it.apply(first, "to-vehicle", 1_000_000) == []
@@ -136,14 +136,14 @@ def test_a_message_broken_off_leaves_when_its_time_is_over() -> None:
     assert it.release_us is None
 
 
-def test_a_fault_that_ends_lets_go_of_what_it_kept() -> None:
+def test_a_fault_that_ends_sends_its_buffered_fragments() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50, "for_s": 1.1})
     first = fragments(0)[0]
     it.apply(first, "to-vehicle", 1_000_000)
     assert [out.frame for out in it.due(1_100_000)] == [first]
 
 
-def test_of_messages_that_are_never_whole_only_so_many_are_kept() -> None:
+def test_the_number_of_incomplete_messages_is_bounded() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 5.0})
     first = fragments(0)[0]
     came, left = [], []
@@ -156,7 +156,7 @@ def test_of_messages_that_are_never_whole_only_so_many_are_kept() -> None:
     assert left == came[: len(came) - MOST_SENDERS]
 
 
-def test_other_tunnels_pass() -> None:
+def test_other_tunnel_messages_are_forwarded() -> None:
     it = engine({"fault": "bias", "target": "PSEUDORANGE.G12", "value": 50})
     raw = bytearray(fragments(0)[0].payload)
     raw[0] ^= 1  # another payload type
@@ -165,25 +165,25 @@ def test_other_tunnels_pass() -> None:
     assert out.frame is other
 
 
-def test_by_the_control_path_the_simulated_receiver_carries_it_out() -> None:
+def test_a_satellite_fault_can_act_in_the_simulated_receiver() -> None:
     from mavproxy_fault.wire.frame import build_frame
 
     it = engine(
         {"fault": "drift", "target": "PSEUDORANGE.G12", "value": 2, "via": "simulator", "for_s": 1}
     )
     layout = message_layout("HIL_SENSOR")
-    told = []
+    messages = []
     for t_us in range(0, 1_200_000, 100_000):
         frame = Frame(build_frame(layout, {"time_usec": t_us}, component=51), layout)
         outs = it.apply(frame, "to-vehicle", t_us)
         assert frame in [out.frame for out in outs]
-        told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
-    values = [change.value for change in told if change is not None]
-    assert {change.name for change in told if change is not None} == {"pseudorange_m[G12]"}
+        messages += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
+    values = [change.value for change in messages if change is not None]
+    assert {change.name for change in messages if change is not None} == {"pseudorange_m[G12]"}
     assert values[:-1] == pytest.approx([0.2 * i for i in range(10)])
     assert values[-1] is None
 
 
-def test_the_receiver_loses_a_satellite_wholly_or_not_at_all() -> None:
+def test_the_receiver_loses_a_satellite_entirely_or_not_at_all() -> None:
     with pytest.raises(ConfigError, match=r"value = 0.5 cannot act in the receiver"):
         engine({"fault": "drop", "target": "PSEUDORANGE.G12", "value": 0.5, "via": "simulator"})

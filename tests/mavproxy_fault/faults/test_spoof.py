@@ -45,7 +45,7 @@ def test_metres_east_are_more_degrees_at_higher_latitudes() -> None:
     assert east_deg == pytest.approx(100 * METRE_DEG / math.cos(math.radians(47.4)), rel=5e-3)
 
 
-def test_all_messages_tell_the_same_place() -> None:
+def test_all_messages_have_the_same_position() -> None:
     move = {"offset_m": [120, -80, 15], "velocity_mps": [1, 2, 0]}
     places = {
         name: spoofed(name, 10, {"lat": LAT, "lon": LON, "alt": alt}, **move)
@@ -73,7 +73,7 @@ def test_gps_raw_int_shows_the_velocity_by_speed_and_course() -> None:
     assert (frame.number("vel"), frame.number("cog")) == (500, 5313)
 
 
-def test_odometry_turns_the_velocity_into_body_axes() -> None:
+def test_odometry_rotates_the_velocity_to_body_axes() -> None:
     half = math.sqrt(0.5)
     values = {"q": [half, 0, 0, half], "frame_id": 1, "child_frame_id": 12, "x": 5.0}
     frame = spoofed("ODOMETRY", 2, values, velocity_mps=[3, 0, 0])  # heading east
@@ -82,23 +82,23 @@ def test_odometry_turns_the_velocity_into_body_axes() -> None:
     assert moved == pytest.approx([0, -3, 0], abs=1e-6)
 
 
-def test_a_camera_sees_no_satellite_and_stays_where_it_is() -> None:
+def test_visual_odometry_is_not_moved() -> None:
     values = {"x": 5.0, "frame_id": 1, "estimator_type": 2}
     frame = spoofed("ODOMETRY", 2, values, offset_m=[9, 0, 0])
     assert frame.number("x") == 5.0
 
 
-def test_odometry_in_a_frame_of_unknown_heading_is_left_alone() -> None:
+def test_odometry_in_a_frame_of_unknown_heading_is_not_moved() -> None:
     frame = spoofed("ODOMETRY", 2, {"x": 5.0, "frame_id": 20}, offset_m=[9, 0, 0])
     assert frame.number("x") == 5
 
 
-def test_a_position_beyond_the_date_line_comes_in_on_the_other_side() -> None:
+def test_a_position_wraps_at_the_date_line() -> None:
     frame = spoofed("HIL_GPS", 1, {"lat": 0, "lon": 1_799_999_999}, offset_m=[0, 1000, 0])
     assert -1_800_000_000 <= frame.number("lon") < -1_799_900_000
 
 
-def test_the_label_tells_metres() -> None:
+def test_the_magnitude_of_the_label_is_in_metres() -> None:
     engine = Engine(parse_schedule({"faults": [{"preset": "gps-spoof", "for_s": 60}]}))
     layout = message_layout("HIL_GPS")
     for i in range(700):

@@ -1,4 +1,4 @@
-"""What each value fault does to numbers, by hand-made examples."""
+"""Effect of each value fault on numbers, by hand-made examples."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ XYZ = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
 def run(fault: dict[str, Any], rows: list[tuple[float, ...]], step_s: float = 0.1) -> list[Any]:
-    """The gyro of each frame as sent; plain numbers where the rows have one each."""
+    """Return the gyro of each sent frame; plain numbers for rows of one."""
     entry = {"target": X if len(rows[0]) == 1 else XYZ, **fault}
     engine = Engine(parse_schedule({"seed": 5, "faults": [entry]}))
     layout = message_layout("HIL_SENSOR")
@@ -74,16 +74,16 @@ def ones(*values: float) -> list[tuple[float, ...]]:
          [[9, 0, 0], [0, 9, 0], [0, 0, 9], [9, 0, 0]]),
     ],
 )  # fmt: skip
-def test_a_fault_makes_of_healthy_values(fault: Any, given: Any, sent: Any) -> None:
+def test_a_fault_turns_healthy_values_into_faulty_ones(fault: Any, given: Any, sent: Any) -> None:
     assert run(fault, given) == sent
 
 
-def test_a_float_falls_back_by_an_exponential() -> None:
+def test_a_float_decays_exponentially() -> None:
     sent = run({"fault": "float", "settle_s": 0.1, "neutral": 1}, ones(3, 3, 9))
     assert sent == pytest.approx([3, 1 + 2 * math.exp(-1), 1 + 2 * math.exp(-2)], abs=1e-4)
 
 
-def test_not_a_number_is_sent_as_such() -> None:
+def test_nan_is_sent() -> None:
     assert math.isnan(run({"fault": "nan"}, ones(1))[0])
     assert run({"fault": "not-a-number", "value": "-inf"}, ones(1)) == [-math.inf]
 
@@ -92,7 +92,7 @@ def test_a_flipped_bit_is_one_bit() -> None:
     assert run({"fault": "bit-flip", "bit": 31}, ones(1.5)) == [-1.5]
 
 
-def test_a_second_flip_of_a_chosen_bit_gives_the_value_back() -> None:
+def test_flipping_a_bit_twice_restores_the_value() -> None:
     entry = {"fault": "bit-flip", "target": X, "bit": 3}
     engine = Engine(parse_schedule({"faults": [{"id": "a", **entry}, {"id": "b", **entry}]}))
     layout = message_layout("HIL_SENSOR")
@@ -160,7 +160,7 @@ def test_integers_saturate_and_round_and_never_wrap(value: float, sent: int) -> 
     assert engine.state()["faults"][0]["saturated"] == (abs(value) > 1)
 
 
-def test_a_fault_in_zeros_that_were_cut_reads_back() -> None:
+def test_a_fault_in_truncated_zeros_reads_back() -> None:
     layout = message_layout("HIL_SENSOR")
     short = Frame(build_frame(layout, {"time_usec": 5}), layout)
     entry = {"fault": "bias", "target": "HIL_SENSOR.temperature", "value": 21.5}

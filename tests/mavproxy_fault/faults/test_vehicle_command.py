@@ -1,4 +1,4 @@
-"""Commands of a schedule: what an autopilot of each kind is asked, how often, and who may."""
+"""Commands of a schedule: their content for each autopilot, repetition and permission."""
 
 import math
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ def message(name: str, component: int = 1, **values: object) -> Frame:
 def heard(
     entry: dict[str, Any], autopilot: int, kind: int, *, answers: int | None = 0, seconds: int = 6
 ) -> Iterator[tuple[float, Frame]]:
-    """What the vehicle is asked and when; it answers each command by `answers`, None: never."""
+    """Return the commands and their times; the vehicle replies by `answers` (None: never)."""
     engine = Engine(parse_schedule({"faults": [{"fault": "command", **entry}]}))
     for second in range(seconds):
         for frame in (
@@ -68,11 +68,11 @@ def calls(*args: Any, **options: Any) -> list[tuple[float, int]]:
         ("mission", PX4, QUAD, [(0, 300)]),
     ],
 )
-def test_each_autopilot_is_asked_in_its_own_words_until_it_grants(deed, autopilot, kind, asked):
+def test_each_autopilot_gets_its_own_commands_until_it_accepts(deed, autopilot, kind, asked):
     assert calls({"do": deed}, autopilot, kind) == asked
 
 
-def test_a_command_that_is_refused_or_not_heard_is_repeated_each_second():
+def test_a_command_without_acceptance_is_repeated_each_second():
     assert calls({"do": "arm"}, PX4, QUAD, answers=4) == [(at, 400) for at in range(6)]
     assert calls({"do": "arm", "for_s": 2.5}, PX4, QUAD, answers=None) == [
         (at, 400) for at in range(3)
@@ -83,7 +83,7 @@ def test_a_label_does_not_end_before_it_begins():
     engine = Engine(parse_schedule({"faults": [{"fault": "command", "do": "arm"}]}))
     beat = message("HEARTBEAT", type=QUAD, autopilot=PX4)
     engine.apply(beat, "from-vehicle", 1_000_000)
-    # The answer has no stamp, and the time it came at is known to some milliseconds.
+    # The reply has no timestamp, and its arrival time is known to some milliseconds.
     engine.apply(message("COMMAND_ACK", command=400), "from-vehicle", 999_000)
     engine.apply(beat, "from-vehicle", 999_500)
     labels = engine.drain_labels()
@@ -91,7 +91,7 @@ def test_a_label_does_not_end_before_it_begins():
     assert all(label.end_us is None or label.end_us >= label.start_us for label in labels)
 
 
-def test_a_command_is_over_once_it_is_granted_and_the_next_step_follows():
+def test_an_accepted_command_ends_and_the_next_step_follows():
     steps = [
         {"id": "arm", "fault": "command", "do": "arm"},
         {"id": "up", "fault": "command", "do": "take-off", "after": "arm"},
@@ -109,7 +109,7 @@ def test_a_command_is_over_once_it_is_granted_and_the_next_step_follows():
     assert active == [["arm"], ["arm"], ["arm"], ["up"], []]
 
 
-def test_px4_counts_the_height_from_the_sea_and_arducopter_from_the_ground():
+def test_px4_takes_altitude_above_sea_level_and_arducopter_above_ground():
     ((_, px4),) = heard({"do": "take-off", "height_m": 20}, PX4, QUAD)
     assert px4.number("param7") == 508.0  # the field lies at 488 m
     assert math.isnan(px4.number("param4"))
@@ -117,7 +117,7 @@ def test_px4_counts_the_height_from_the_sea_and_arducopter_from_the_ground():
     assert copter.number("param7") == 20.0
 
 
-def test_a_switch_is_set_and_set_back_when_its_time_is_over():
+def test_an_auxiliary_function_is_set_and_reset():
     entry = {"number": 218, "params": [65, 2], "afterwards": [65, 0], "for_s": 3}
     found = [
         (at, frame.number("param1"), frame.number("param2"))
@@ -137,12 +137,12 @@ def test_a_switch_is_set_and_set_back_when_its_time_is_over():
         ({"do": "take-off", "height_m": -3}, "height_m = -3 is out of range"),
     ],
 )
-def test_what_is_no_command_is_refused(keys, reason):
+def test_an_invalid_command_is_refused(keys, reason):
     with pytest.raises(ConfigError, match=reason):
         parse_schedule({"faults": [{"fault": "command", **keys}]})
 
 
-def test_a_proxy_that_may_not_command_refuses_schedules_and_live_entries():
+def test_without_permission_commands_are_refused_in_schedules_and_live():
     schedule = parse_schedule({"faults": [{"id": "up", "fault": "command", "do": "arm"}]})
     with pytest.raises(ConfigError, match=r"up: commands the vehicle.*--allow-commands"):
         Engine(schedule, commands=False)
@@ -154,8 +154,8 @@ def test_a_proxy_that_may_not_command_refuses_schedules_and_live_entries():
     assert engine.ids() == []
 
 
-def test_with_both_an_event_and_a_condition_the_condition_counts_from_the_event_on():
-    """Each step of a sequence: after the one before, once the vehicle is where it should be."""
+def test_a_condition_counts_from_the_event_on():
+    """Each step of a sequence follows the previous one when its condition is true."""
     text = [
         {"id": "up", "fault": "command", "do": "arm", "at_s": 1, "for_s": 1},
         {"id": "jump", "fault": "bias", "target": "HIL_GPS.lat", "value": 1,

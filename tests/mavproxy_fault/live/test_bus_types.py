@@ -1,4 +1,4 @@
-"""What is on the bus is what docs/zenoh.schema.json says."""
+"""Payloads on Zenoh match docs/zenoh.schema.json."""
 
 import json
 import math
@@ -28,7 +28,7 @@ WRITTEN = runpy.run_path(str(DOCS / "write_schemas.py"))
 
 
 def valid(key: str, data: bytes) -> dict[str, Any]:
-    """Hold a payload against the published schema of its key, which is given back."""
+    """Validate a payload with the published schema of its key, and return the key."""
     published = json.loads((DOCS / "zenoh.schema.json").read_text(encoding="utf-8"))
     check = {**published["keys"][key], "$defs": published["$defs"]}
     jsonschema.validate(json.loads(data), check)
@@ -40,7 +40,7 @@ def test_the_published_schema_is_that_of_the_sources() -> None:
     assert WRITTEN["text"]() == published, "run python docs/write_schemas.py"
 
 
-def test_every_key_stands_on_the_page_and_the_page_names_no_other() -> None:
+def test_the_page_lists_exactly_the_published_keys() -> None:
     page = (DOCS / "zenoh.md").read_text(encoding="utf-8")
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert set(WRITTEN["KEYS"]) == set(rows) - {"alive/{component}", "@ctl/..."}
@@ -53,17 +53,17 @@ def test_a_number_that_is_not_finite_is_null_and_valid() -> None:
     valid("att/{estimator}/score", encode(error))
 
 
-def test_what_a_run_counts_without_sockets_is_valid() -> None:
+def test_counters_of_a_run_without_sockets_are_valid() -> None:
     core = Core([LinkRole("simulator", "to-vehicle")])
-    # As `ProxiedFlight.stats` tells it.
+    # As `ProxiedFlight.stats` returns it.
     valid("proxy/stats", msgspec.json.encode([{**link_statistics(core, 0), "chunks_out": 0}]))
 
 
-def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
+def test_payloads_of_a_running_proxy_are_valid(tmp_path: Path) -> None:
     url = choose_free_port("tcp/127.0.0.1:0")
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--zenoh", url]
     wanted = {key for key in WRITTEN["KEYS"] if key.startswith(("proxy/", "schedule/"))}
-    told: queue.Queue[tuple[str, bytes]] = queue.Queue()
+    messages: queue.Queue[tuple[str, bytes]] = queue.Queue()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         command += ["--master", "udpin:127.0.0.1:0", "--to", "udpout:127.0.0.1:9"]
         command += ["--logdir", str(tmp_path)]
@@ -72,7 +72,7 @@ def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
         try:
             port = int(process.stdout.readline().split()[1].rsplit(":", 1)[1])
             with open_bus(url) as bus:
-                bus.subscribe("**", lambda key, data: told.put((key, data)))
+                bus.subscribe("**", lambda key, data: messages.put((key, data)))
                 bus.query("@ctl/fault/step/arm", FAULT)
                 bus.query("@ctl/watch", b'["SYSTEM_TIME"]')
                 found = {}
@@ -82,12 +82,12 @@ def test_what_a_running_proxy_tells_is_valid(tmp_path: Path) -> None:
                         message_layout("SYSTEM_TIME"), values, system=1, component=1
                     )
                     vehicle.sendto(frame, ("127.0.0.1", port))
-                    key, data = told.get(timeout=20)
+                    key, data = messages.get(timeout=20)
                     found[key.split("/", 3)[3]] = data
         finally:
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=20)
-    # Whatever it publishes is listed.
+    # Every published key is listed.
     assert set(found) == wanted
     for key in wanted:
         check = valid(key, found[key])

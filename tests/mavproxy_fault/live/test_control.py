@@ -33,7 +33,7 @@ def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_
 
 
 def failure_with(*params: float, unit: int = 0, kind: int = 4) -> Frame:
-    """A failure of all instances with params 4 and 5."""
+    """Send a failure of all instances with params 4 and 5."""
     extra = {f"param{place}": value for place, value in enumerate(params, 4)}
     values = {"command": 420, "param1": unit, "param2": kind, "target_system": 1}
     values |= {"target_component": 1, **extra}
@@ -65,39 +65,39 @@ def through(it: LiveControl, one: Frame, t_us: int) -> list[Outgoing]:
     return it.engine.apply(one, "to-vehicle", t_us)
 
 
-def test_a_command_that_is_no_failure_goes_on() -> None:
+def test_other_commands_are_forwarded() -> None:
     other = frame("COMMAND_LONG", command=400, param1=1)
     assert control().consume(other, 0) is None
 
 
-def test_a_unit_is_unsupported_until_its_message_has_passed() -> None:
+def test_a_unit_is_unsupported_until_its_message_is_seen() -> None:
     it = control()
     assert result(it, failure(0, 1)) == UNSUPPORTED
     it.consume(frame("HIL_SENSOR"), 0)
     assert result(it, failure(0, 1)) == ACCEPTED
 
 
-def test_a_message_is_looked_at_only_until_it_is_known() -> None:
+def test_a_message_is_inspected_only_until_it_is_known() -> None:
     it = control("HIL_SENSOR")
     assert message_layout("HIL_SENSOR").id not in it.wanted
     assert message_layout("COMMAND_LONG").id in it.wanted
 
 
-def test_failures_are_denied_when_switched_off() -> None:
+def test_failures_are_denied_without_live_control() -> None:
     it = control("HIL_SENSOR", allowed=False)
     assert result(it, failure(0, 1)) == DENIED
     assert it.engine.ids() == []
 
 
 @pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
-def test_both_kinds_of_command_are_answered(name: str) -> None:
+def test_both_command_messages_are_acknowledged(name: str) -> None:
     assert result(control("HIL_SENSOR"), failure(1, 2, name=name)) == ACCEPTED
 
 
 @pytest.mark.parametrize("kind", sorted(set(TYPES) - {0}))
 @pytest.mark.parametrize("unit", sorted(UNITS))
-def test_every_unit_and_type_is_carried_out(unit: int, kind: int) -> None:
-    """On each message of the unit something happens within two seconds."""
+def test_every_unit_and_type_acts(unit: int, kind: int) -> None:
+    """Every message of the unit is changed within two seconds."""
     name = UNITS[unit]
     for part in FAILURE_UNITS[name].parts or [None]:
         message = "ATTITUDE" if part is None else part.message
@@ -121,7 +121,7 @@ def test_every_unit_and_type_is_carried_out(unit: int, kind: int) -> None:
         assert acted, message
 
 
-def test_instance_two_leaves_instance_one_alone() -> None:
+def test_instance_two_does_not_affect_instance_one() -> None:
     it = control("HIL_SENSOR")
     result(it, failure(0, 4, 2))
     for id, changed in [(0, False), (1, True)]:
@@ -139,15 +139,15 @@ def test_one_motor_stops_and_the_others_run() -> None:
     assert result(it, failure(101, 1, 17)) == UNSUPPORTED
 
 
-def test_an_esc_that_is_off_stops_its_motor_and_tells_so() -> None:
+def test_an_esc_that_is_off_stops_its_motor_and_reports_zero_rpm() -> None:
     it = control("HIL_ACTUATOR_CONTROLS", "ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8")
     assert result(it, failure(106, 1, 6)) == ACCEPTED
-    told = {
+    cases = {
         "HIL_ACTUATOR_CONTROLS": ("controls", [0.5] * 16, 5),
         "ESC_TELEMETRY_1_TO_4": ("rpm", [5000] * 4, None),
         "ESC_TELEMETRY_5_TO_8": ("rpm", [5000] * 4, 1),
     }
-    for message, (field, values, stopped) in told.items():
+    for message, (field, values, stopped) in cases.items():
         (out,) = through(it, frame(message, **{field: values}), 2_100_000)
         assert isinstance(out.frame, Frame)
         left = [out.frame.number(field, i) for i in range(len(values))]
@@ -252,7 +252,7 @@ def test_a_schedule_is_loaded_saved_and_stopped() -> None:
     assert it.engine.ids() == []
 
 
-def test_a_schedule_that_was_saved_later_begins_at_once_when_it_is_loaded_anew() -> None:
+def test_a_schedule_saved_for_begin_starts_at_once() -> None:
     it = control()
     it.engine.advance_time(9_000_000)
     ask(it, "fault/a/arm", {**BIAS, "for_s": 2})
@@ -263,7 +263,7 @@ def test_a_schedule_that_was_saved_later_begins_at_once_when_it_is_loaded_anew()
     assert (fault["state"], fault["start_us"]) == ("active", 20_000_000)
 
 
-def test_a_wrong_schedule_leaves_the_right_one_running() -> None:
+def test_an_invalid_schedule_does_not_replace_the_running_one() -> None:
     it = control()
     ask(it, "fault/it/arm", BIAS)
     with pytest.raises(ConfigError, match=r"schedule/load:2: .*did you mean bias"):
@@ -283,18 +283,18 @@ def test_a_wrong_schedule_leaves_the_right_one_running() -> None:
         ("schedule/lod", ""),
     ],
 )
-def test_a_wrong_query_says_so(what: str, payload: object) -> None:
+def test_a_wrong_query_is_refused(what: str, payload: object) -> None:
     with pytest.raises(ConfigError):
         ask(control(), what, payload)
 
 
-def test_lists_nested_without_end_are_refused_as_the_asker_s_mistake() -> None:
+def test_deeply_nested_lists_are_refused() -> None:
     nested = b'{"fault": ' + b"[" * 5000 + b"]" * 5000 + b"}"
     with pytest.raises(ConfigError, match="send JSON"):
         control().answer("mavfault/v1/live/@ctl/fault/a/arm", nested, 5_000_000)
 
 
-def test_a_streamed_value_s_age_is_that_of_the_moment_it_acts(
+def test_the_latency_of_a_streamed_value_ends_when_it_acts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     it = control()
@@ -309,29 +309,29 @@ def test_a_streamed_value_s_age_is_that_of_the_moment_it_acts(
 
 
 @pytest.mark.parametrize("action", ["arm", "value"])
-def test_a_payload_that_is_no_text_is_refused_as_the_asker_s_mistake(action: str) -> None:
+def test_a_payload_that_is_not_text_is_refused(action: str) -> None:
     with pytest.raises(ConfigError, match="send JSON"):
         control().answer(f"mavfault/v1/live/@ctl/fault/a/{action}", b'{"\x88": 1}', 5_000_000)
 
 
-def test_a_payload_that_is_too_large_is_refused_even_where_none_is_read() -> None:
+def test_a_payload_that_is_too_large_is_always_refused() -> None:
     with pytest.raises(ConfigError, match="at most 8 MB are read"):
         control().answer("mavfault/v1/live/@ctl/schedule/stop", b" " * (8 << 20 | 1), 5_000_000)
 
 
-def test_a_streamed_value_that_is_no_number_or_has_no_stamp_is_refused() -> None:
+def test_a_streamed_value_needs_a_number_and_a_timestamp() -> None:
     it = control()
     streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}
     del streamed["value"]
     ask(it, "fault/it/arm", streamed)
-    with pytest.raises(ConfigError, match="value with a number"):  # no float holds it
+    with pytest.raises(ConfigError, match="value with a number"):  # exceeds a float
         ask(it, "fault/it/value", {"value": 10**400})
     for stamp in ("now", 10**30, -1):
         with pytest.raises(ConfigError, match=f"sent_us = {stamp!r} is not a timestamp"):
             ask(it, "fault/it/value", {"value": 1, "sent_us": stamp})
 
 
-def test_queries_are_refused_when_live_control_is_off_but_the_state_is_told() -> None:
+def test_without_live_control_only_read_only_queries_are_answered() -> None:
     it = control(allowed=False)
     with pytest.raises(ConfigError, match="live control is disabled"):
         ask(it, "fault/it/arm", BIAS)
@@ -343,7 +343,7 @@ def test_params_4_and_5_are_a_magnitude_and_a_duration() -> None:
     assert result(it, failure_with(0.25, 3.0)) == ACCEPTED
     (entry,) = parse_schedule(it.engine.save()).faults
     assert (entry.parameters["value"], entry.for_s) == ([0.25, 0.25, 0.25], 3.0)
-    # Left out, or NaN: as the standard has it, without either.
+    # Omitted or NaN: the defaults of the standard.
     for params in ((), (0.0, 0.0), (math.nan, math.nan)):
         assert result(it, failure_with(*params)) == ACCEPTED
         (entry,) = parse_schedule(it.engine.save()).faults
@@ -358,7 +358,7 @@ def test_an_offset_and_a_drift_may_be_negative_and_a_noise_has_no_sign(kind, val
     assert (entry.parameters["value"], entry.for_s) == ([value] * 3, None)
 
 
-def test_a_delay_and_a_slow_sensor_take_their_seconds_from_param_4() -> None:
+def test_param_4_is_the_time_of_a_delay_and_a_slow_sensor() -> None:
     it = control("HIL_SENSOR", "HIL_GPS")
     for kind, message, value in ((6, 4, 2.5), (5, 4, 2.0), (6, 0, 0.25)):
         it.engine.clear("all")
@@ -368,10 +368,10 @@ def test_a_delay_and_a_slow_sensor_take_their_seconds_from_param_4() -> None:
         assert entry.parameters["value"] == expected
 
 
-def test_a_vehicle_that_wants_no_failures_has_them_denied() -> None:
+def test_failures_are_denied_if_the_vehicle_disables_them() -> None:
     it = control("HIL_SENSOR")
-    told = frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=0.0)
-    assert it.consume(told, 1_500_000) is None
+    parameter = frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=0.0)
+    assert it.consume(parameter, 1_500_000) is None
     assert result(it, failure(0, 1)) == DENIED
     bytewise = struct.unpack("<f", struct.pack("<i", 1))[0]  # as PX4 sends its integers
     assert (

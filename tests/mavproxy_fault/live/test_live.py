@@ -22,7 +22,7 @@ from mavproxy_fault.schedule.entries import Schedule
 
 
 class Loop:
-    """A proxy's loop that does nothing but live control."""
+    """A proxy's loop with live control only."""
 
     def __init__(self) -> None:
         self.engine = Engine(Schedule(1))
@@ -91,7 +91,7 @@ def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
         (
             ["--clear", "\udcf0"],
             "is not valid; give up to 200",
-        ),  # what is no ASCII, where the shell knows no other
+        ),  # not ASCII, in a shell with ASCII encoding
         (["baro-freeze", "--id", "@x"], "inject: id = '@x' is not valid"),
         (["baro-freeze", "--id", ""], "is not valid; give up to 200"),
         (["baro-freeze", "--id", "x" * 70_000], "is not valid; give up to 200"),
@@ -103,14 +103,14 @@ def test_inject_takes_presets_and_clears_all(loop: Loop) -> None:
         (["noise", "--target", "HIL_SENSOR.xgyro", "--set", "spread=1"], "spread"),
     ],
 )
-def test_inject_says_what_is_wrong(
+def test_inject_reports_errors(
     loop: Loop, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert inject(loop, *words) == 2
     assert said in capsys.readouterr().err
 
 
-def test_inject_sets_any_key_of_an_entry_and_lists_what_there_is(
+def test_inject_sets_any_key_of_an_entry_and_lists_faults(
     loop: Loop, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert inject(loop, "--list") == 0
@@ -149,7 +149,7 @@ def test_a_running_schedule_is_loaded_shown_saved_and_cleared(
     assert loop.engine.ids() == []
 
 
-def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_inject_without_a_proxy_fails(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         url = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
@@ -157,7 +157,7 @@ def test_inject_without_a_proxy_says_so(capsys: pytest.CaptureFixture[str]) -> N
     assert url in capsys.readouterr().err
 
 
-def test_auto_is_the_default_address_for_those_who_ask_too(
+def test_auto_is_the_default_address_of_clients_too(
     loop: Loop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bus, "DEFAULT_URL", loop.live.url)
@@ -165,7 +165,7 @@ def test_auto_is_the_default_address_for_those_who_ask_too(
     assert main(["inject", "--list"]) == 0
 
 
-def test_a_port_that_is_none_is_refused() -> None:
+def test_an_invalid_port_is_refused() -> None:
     live = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     with pytest.raises(ConfigError, match="--rflysim 99999"):
         live.open_rflysim(99_999)
@@ -184,7 +184,7 @@ def test_rflysim_packets_reach_the_engine(loop: Loop) -> None:
     assert loop.engine.ids() == ["rflysim-1-123455.1"]
 
 
-def test_a_request_names_no_file_that_was_not_allowed(loop: Loop, tmp_path: Path) -> None:
+def test_a_request_may_only_name_allowed_files(loop: Loop, tmp_path: Path) -> None:
     secret, allowed = tmp_path / "secret.csv", tmp_path / "tables"
     secret.write_text("the first line of it\n")
     allowed.mkdir()
@@ -205,11 +205,11 @@ def test_a_request_names_no_file_that_was_not_allowed(loop: Loop, tmp_path: Path
     (allowed / "link.csv").symlink_to(secret)
     with pytest.raises(ConfigError, match="must not be named"):
         loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "link.csv")))
-    told = loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "table.csv")))
-    assert told == {"armed": ["a"]}
+    reply = loop.live.query("@ctl/fault/a/arm", msgspec.json.encode(entry(allowed / "table.csv")))
+    assert reply == {"armed": ["a"]}
 
 
-def test_proxies_of_one_router_have_names_of_their_own(
+def test_proxies_of_one_router_have_different_names(
     loop: Loop, capsys: pytest.CaptureFixture[str]
 ) -> None:
     second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
@@ -250,21 +250,21 @@ def test_a_proxy_takes_over_when_the_router_ends() -> None:
     second.close()
 
 
-def test_who_asks_a_proxy_that_ends_is_told_so_at_once() -> None:
+def test_a_query_to_a_proxy_that_ends_fails_at_once() -> None:
     live = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
-    told: list[str] = []
+    errors: list[str] = []
 
     def ask() -> None:
         try:
             live.query("@ctl/state", b"")
         except ConfigError as error:
-            told.append(str(error))
+            errors.append(str(error))
 
     asker = threading.Thread(target=ask)
     asker.start()
-    assert select.select(live.filenos(), (), (), 10)[0]  # nobody serves it
+    assert select.select(live.filenos(), (), (), 10)[0]  # never served
     live._requests.serve = lambda: None  # type: ignore[method-assign]
     live.close()
     asker.join(1)
     assert not asker.is_alive()
-    assert "ended" in told[0]
+    assert "ended" in errors[0]

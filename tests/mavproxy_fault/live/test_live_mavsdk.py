@@ -1,4 +1,4 @@
-"""MAVSDK injects failures into a vehicle behind a proxy process, and the proxy carries them out."""
+"""MAVSDK injects failures into a vehicle behind a proxy process, which applies them."""
 
 import contextlib
 import json
@@ -21,7 +21,7 @@ ENABLED = struct.unpack("<f", struct.pack("<i", 1))[0]  # PX4 sends integers byt
 
 
 def fly(vehicle: mavutil.mavudp, stop: threading.Event) -> None:
-    """A PX4 that says little: heartbeats, an IMU, and that failures are enabled."""
+    """A minimal PX4: heartbeats, an IMU, and SYS_FAILURE_EN."""
     step = 0
     while not stop.wait(0.02):
         step += 1
@@ -34,7 +34,7 @@ def fly(vehicle: mavutil.mavudp, stop: threading.Event) -> None:
 
 @contextlib.contextmanager
 def proxy(folder: Path, out: int, *options: str) -> Iterator[int]:
-    """A proxy process that sends to a port; gives the vehicle's port."""
+    """Start a proxy process that sends to a port; yields the vehicle's port."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", "--logdir", str(folder)]
     command += ["--zenoh", "tcp/127.0.0.1:0", "--master", "udpin:127.0.0.1:0"]
     command += ["--to", f"udpout:127.0.0.1:{out}", *options]
@@ -51,7 +51,7 @@ def proxy(folder: Path, out: int, *options: str) -> Iterator[int]:
 
 @contextlib.contextmanager
 def flying(port: int) -> Iterator[None]:
-    """The vehicle in a thread of its own."""
+    """Run the vehicle in a thread."""
     vehicle = mavutil.mavlink_connection(
         f"udpout:127.0.0.1:{port}", source_system=1, source_component=1
     )
@@ -67,7 +67,7 @@ def flying(port: int) -> Iterator[None]:
 
 
 def free_port() -> int:
-    """A UDP port that MAVSDK may bind."""
+    """Return a UDP port that MAVSDK may bind."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
@@ -75,7 +75,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def flown(folder: Path, *options: str) -> Iterator[Failure]:
-    """The failure plugin of MAVSDK, connected through a proxy."""
+    """Connect MAVSDK's failure plugin through a proxy."""
     port = free_port()
     log_subscribe(lambda *_: True)
     station = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
@@ -86,13 +86,13 @@ def flown(folder: Path, *options: str) -> Iterator[Failure]:
         yield Failure(system)
 
 
-def test_mavsdk_injects_failures_and_the_labels_tell_of_them(tmp_path: Path) -> None:
+def test_mavsdk_injects_failures_and_they_are_labelled(tmp_path: Path) -> None:
     with flown(tmp_path) as failure:
         failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)
         failure.inject(FailureUnit.SENSOR_MAG, FailureType.SLOW, 1)
         written = tmp_path / "labels.jsonl"
         end_s = time.monotonic() + 30
-        while "mav-gyro.1" not in written.read_text():  # it must have met a frame first
+        while "mav-gyro.1" not in written.read_text():  # it must have changed a frame first
             assert time.monotonic() < end_s
             with pytest.raises(FailureError, match=r"(?i)unsupported"):
                 failure.inject(FailureUnit.SYSTEM_BATTERY, FailureType.OFF, 0)
@@ -111,13 +111,13 @@ def test_mavsdk_is_denied_when_live_faults_are_refused(tmp_path: Path) -> None:
 
 
 def injected(port: int, failure: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """The command that sends a failure through MAVSDK."""
+    """Run the command that sends a failure by MAVSDK."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "inject", failure, *options]
     command += ["--through", "mavsdk", "--link", f"udpin://127.0.0.1:{port}"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_the_command_line_sends_the_standard_failure_and_takes_it_back(tmp_path: Path) -> None:
+def test_the_command_line_sends_a_failure_and_ends_it(tmp_path: Path) -> None:
     port = free_port()
     with proxy(tmp_path, port) as master, flying(master):
         done = injected(port, "gyro:wrong", "--for", "0.3")
@@ -138,7 +138,7 @@ def test_the_command_line_sends_the_standard_failure_and_takes_it_back(tmp_path:
         ("gps:off:first", "instance first is not a number; give 0 for all"),
     ],
 )
-def test_a_failure_that_is_none_is_told_before_anything_is_sent(failure: str, reason: str) -> None:
+def test_an_unknown_failure_is_refused_before_anything_is_sent(failure: str, reason: str) -> None:
     done = injected(0, failure)
     assert done.returncode == 2
     assert reason in done.stderr

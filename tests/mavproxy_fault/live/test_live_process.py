@@ -17,7 +17,7 @@ from mavproxy_fault.wire.frame import build_frame
 
 
 def meet(vehicle: socket.socket, proxy: tuple[str, int], station: Any) -> None:
-    """Have both ends heard by the proxy: a heartbeat passes only once the other end is known."""
+    """Send heartbeats until the proxy knows both endpoints and forwards them."""
     vehicle.settimeout(1)
     for _ in range(30):
         vehicle.sendto(build_frame(message_layout("HEARTBEAT"), {"type": 2}), proxy)
@@ -69,7 +69,7 @@ def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Pa
             assert process.wait(30) == 0
 
 
-def test_a_proxy_without_a_schedule_takes_faults_from_the_bus() -> None:
+def test_a_proxy_without_a_schedule_accepts_live_faults() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"tcp/127.0.0.1:{free.getsockname()[1]}"

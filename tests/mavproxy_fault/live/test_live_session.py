@@ -1,4 +1,4 @@
-"""A proxy process with all kinds of live control at once, and its recording replayed."""
+"""A proxy process with all kinds of live control, and the replay of its recording."""
 
 import contextlib
 import json
@@ -43,7 +43,7 @@ def free_port(kind: int) -> int:
 
 @contextlib.contextmanager
 def proxy(*options: str) -> Iterator[tuple[int, int]]:
-    """A running proxy; the ports of its master and of its output."""
+    """Start a proxy; yields the ports of its master and of its output."""
     command = [sys.executable, "-m", "mavproxy_fault.cli", "proxy", *options]
     command += ["--master", "udpin:127.0.0.1:0", "--to", "udpin:127.0.0.1:0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -59,7 +59,7 @@ def proxy(*options: str) -> Iterator[tuple[int, int]]:
 
 
 class Vehicle:
-    """Sends signed frames of growing stamps, and hears nothing."""
+    """Sends signed frames with increasing timestamps and receives nothing."""
 
     def __init__(self, port: int) -> None:
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -79,7 +79,7 @@ class Vehicle:
 
 
 class Station:
-    """Hears what the proxy lets through, and checks every signature with pymavlink."""
+    """Receives the proxy's frames and checks every signature with pymavlink."""
 
     def __init__(self, port: int) -> None:
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -93,7 +93,7 @@ class Station:
         self.sock.close()
 
     def meet(self, vehicle: Vehicle) -> bytes:
-        """The first frame that passes: only once the proxy has heard of this end."""
+        """Wait for the first frame, which arrives once the proxy knows this endpoint."""
         self.sock.send(
             build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255, component=190)
         )
@@ -157,7 +157,7 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
         packet = struct.pack("<10i20f", 1234567897, 1, 123450, *[123549] * 7, 0.5, *[1.0] * 19)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as simulator:
             simulator.sendto(packet, ("127.0.0.1", rflysim))
-        assert station.command(8, 4, 0) == 3  # no battery's message has passed: UNSUPPORTED
+        assert station.command(8, 4, 0) == 3  # no battery message seen: UNSUPPORTED
         vehicle.send("HIL_ACTUATOR_CONTROLS", controls=[0.8] * 16)
         assert station.next("HIL_ACTUATOR_CONTROLS").controls[0] == pytest.approx(0.4)
 
@@ -195,7 +195,7 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
     assert any(id.startswith("mav-gyro") for id in ids)
 
 
-def test_signatures_are_stripped_when_asked_for() -> None:
+def test_signatures_are_stripped_on_request() -> None:
     with (
         proxy("--zenoh", "off", "--strip-signatures") as (master, out),
         contextlib.closing(Vehicle(master)) as vehicle,

@@ -39,7 +39,7 @@ def column(samples: Watched, name: str, *, sent: bool) -> list[tuple[float, floa
     return [(row[0] / 1e6, row[place]) for row in rows]
 
 
-def test_a_faulted_field_is_shown_as_it_came_and_as_it_left() -> None:
+def test_a_faulted_field_is_sampled_as_received_and_as_sent() -> None:
     core, control = proxy("{fault: bias, target: HIL_SENSOR.xgyro, value: 0.25, at_s: 0.02}")
     control.watch(b'["HIL_SENSOR"]', 0.0)
     fly(core, 10)
@@ -49,7 +49,7 @@ def test_a_faulted_field_is_shown_as_it_came_and_as_it_left() -> None:
     assert column(samples, "xgyro", sent=True) == [(1.0, 0.5), (1.02, 0.75)]
 
 
-def test_what_no_fault_touched_is_shown_once() -> None:
+def test_unchanged_values_are_sent_once() -> None:
     core, control = proxy()
     control.watch(b'["HIL_SENSOR"]', 0.0)
     fly(core, 10)
@@ -58,7 +58,7 @@ def test_what_no_fault_touched_is_shown_once() -> None:
     assert samples.sent is None
 
 
-def test_a_dropped_frame_is_seen_to_come_and_not_to_leave() -> None:
+def test_a_dropped_frame_is_sampled_as_received_only() -> None:
     core, control = proxy("{fault: drop, target: HIL_SENSOR}")
     control.watch(b'["HIL_SENSOR"]', 0.0)
     fly(core, 10)
@@ -66,7 +66,7 @@ def test_a_dropped_frame_is_seen_to_come_and_not_to_leave() -> None:
     assert (len(samples.received), samples.sent) == (2, [])
 
 
-def test_sensors_of_one_message_are_told_apart() -> None:
+def test_sensors_of_one_message_are_separate() -> None:
     core, control = proxy()
     control.watch(b'["HIL_SENSOR"]', 0.0)
     fly(core, 1, id=0)
@@ -74,7 +74,7 @@ def test_sensors_of_one_message_are_told_apart() -> None:
     assert [samples.instance for samples in control.watched(0.0)] == [0, 1]
 
 
-def test_nothing_is_looked_at_once_nobody_asks_any_more() -> None:
+def test_a_subscription_expires() -> None:
     core, control = proxy()
     before = control.wanted
     control.watch(b'["HIL_STATE_QUATERNION"]', 0.0)
@@ -85,7 +85,7 @@ def test_nothing_is_looked_at_once_nobody_asks_any_more() -> None:
     assert control.watched(LEASE_S + 0.1) == []
 
 
-def test_samples_that_nobody_takes_are_bounded() -> None:
+def test_unread_samples_are_bounded() -> None:
     core, control = proxy()
     control.watch(b'["HIL_SENSOR"]', 0.0)
     fly(core, MOST_ROWS + 20, step_us=20_000)
@@ -99,18 +99,18 @@ def test_samples_that_nobody_takes_are_bounded() -> None:
         (b"{}", "send a JSON list of message names"),
     ],
 )
-def test_a_wrong_wish_is_explained(payload: bytes, said: str) -> None:
+def test_a_wrong_subscription_is_refused(payload: bytes, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         proxy()[1].watch(payload, 0.0)
 
 
-def test_more_messages_than_a_viewer_needs_are_refused() -> None:
+def test_too_many_messages_are_refused() -> None:
     control = proxy()[1]
     with pytest.raises(ConfigError, match="are too many"):
         control.view.watch(message_names()[:40], 0.0)
 
 
-def test_a_satellite_is_shown_with_its_range_before_and_after() -> None:
+def test_a_satellite_range_is_sampled_before_and_after() -> None:
     core, control = proxy("{fault: bias, target: PSEUDORANGE.G07, value: 50}")
     control.watch(b'["PSEUDORANGE"]', 0.0)
     names, ranges_m = ("E05", "G07", "G12"), [2.3e7, 2.1e7, 2.2e7]

@@ -1,4 +1,4 @@
-"""WGS 84 against published values and its own inverse."""
+"""Comparison of WGS 84 with published values, and with its inverse."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The branch-free functions against the mathematics library."""
+"""Comparison of the branch-free functions with the mathematics library."""
 
 import math
 
@@ -16,7 +16,7 @@ def _all(x: float, y: float) -> tuple[float, float, float, float]:
     return sine, cosine, polynomial.exp(x), polynomial.atan2(y, x)
 
 
-def test_they_agree_with_the_library_to_the_last_digits() -> None:
+def test_polynomials_agree_with_the_math_library() -> None:
     for x, y in RNG.uniform(-50.0, 50.0, (2000, 2)):
         sine, cosine, power, angle = _all(x, y)
         assert abs(sine - math.sin(x)) < 1e-15

@@ -1,4 +1,4 @@
-"""Thermal noise by the text book's formulas."""
+"""Thermal noise by the textbook formulas."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Observations found and changed in the lines of RINEX 2 and 3, nothing else touched."""
+"""Observations are found and changed in RINEX 2 and 3, and nothing else changes."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def labelled(text, label):
 
 
 def fields(*values):
-    """Observations of 16 characters; None is blank."""
+    """Format observations of 16 characters; None is blank."""
     return "".join(" " * 16 if v is None else f"{v:14.3f}  " for v in values)
 
 
@@ -46,7 +46,7 @@ TWO = [
 
 
 def written(lines, epoch, faulted):
-    """Write what faults made of an epoch into its lines, in place."""
+    """Write the changes of an epoch to its lines, in place."""
     for name, change in signal_changes(faulted, epoch.t_us, None):
         write_change(lines, epoch.observations[name], name, change, np.random.default_rng(1))
 
@@ -64,7 +64,7 @@ def test_every_code_is_changed_and_nothing_else(lines, version, start):
     assert "20000051.750" in found
 
 
-def test_names_with_blanks_and_events_are_read_as_receivers_mean_them():
+def test_names_with_blanks_and_event_records_are_read():
     found = list(file_epochs(THREE, 3.04, 3))
     assert [list(epoch.observations) for epoch in found] == [["G12", "E05", "G07"], ["G12"]]
     assert [epoch.t_us - NOON_US for epoch in found] == [0, 2 * SECOND_US]

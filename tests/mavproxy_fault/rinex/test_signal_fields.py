@@ -1,4 +1,4 @@
-"""A plant's parameters change the observations they name, by the amounts they say, and no more."""
+"""Plant parameters change exactly their observations by exactly their values."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
 KINDS = ("C1C", "L1C", "D1C", "S1C")
 HEALTHY = dict(zip(KINDS, (22_000_000.125, 115_000_000.25, -1_234.5, 45.0), strict=True))
 SATELLITES = ("G01", "G02", "E01", "E02")
-# What each parameter changes: its kinds of observation.
+# The kinds of observation that each parameter changes.
 TOUCHED = {
     "pseudorange_m": "C",
     "range_rate_mps": "D",
@@ -29,7 +29,7 @@ def line_of(satellite):
 
 
 def faulted(settings, seed=1):
-    """The values of each satellite afterwards, NaN for a blank field."""
+    """Return the changed values of each satellite, NaN for a blank field."""
     lines = [line_of(satellite) for satellite in SATELLITES]
     rng = np.random.default_rng(seed)
     epoch = RangeEpoch(SATELLITES).with_settings(settings)
@@ -54,13 +54,13 @@ def names(parameter, index):
     st.floats(0.5, 15.0),
     st.floats(-5.0, 5.0),
 )
-def test_only_what_is_named_differs(parameter, index, value, rate):
+def test_only_the_named_satellites_change(parameter, index, value, rate):
     after = faulted({f"{parameter}[{index}]": Setting(value, rate)})
     for satellite, values in after.items():
         named = index in ("all", satellite[0], satellite)
         differ = {k[0] for k, new in zip(KINDS, values, strict=True) if new != HEALTHY[k]}
         assert differ <= set(TOUCHED[parameter]) if named else not differ
-        # The code's and the Doppler's noise may round to nothing, what is asked for does not.
+        # The noise of code and Doppler may round to zero, but the parameter does not.
         assert not named or differ & set(TOUCHED[parameter])
 
 
@@ -78,12 +78,12 @@ def test_a_jump_has_no_doppler():
     assert after[KINDS.index("C1C")] - HEALTHY["C1C"] == pytest.approx(300.0, abs=0.001)
 
 
-def test_a_weaker_signal_is_noisier_and_a_hidden_one_lost():
+def test_a_weaker_signal_is_noisier_and_a_very_weak_one_is_lost():
     setting = {"cn0_drop_db[G01]": Setting(12.0, 0.0), "cn0_drop_db[G02]": Setting(20.5, 0.0)}
     found = [faulted(setting, seed) for seed in range(400)]
     assert np.isnan([after["G02"] for after in found]).all()
     code = np.array([after["G01"][0] for after in found]) - HEALTHY["C1C"]
-    # 0.1 chips, 0.25 Hz: 0.184 m at 45 dBHz, 0.733 m at 33; 400 draws tell within 4 sigma.
+    # 0.1 chips, 0.25 Hz: 0.184 m at 45 dBHz, 0.733 m at 33; 400 draws are within 4 sigma.
     wanted_m = (0.733**2 - 0.184**2) ** 0.5
     assert code.std() == pytest.approx(wanted_m, abs=4.0 * wanted_m / 800**0.5)
     assert {after["G01"][3] for after in found} == {33.0}

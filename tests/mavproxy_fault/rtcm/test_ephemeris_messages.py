@@ -1,4 +1,4 @@
-"""Ephemeris messages against pyrtcm and RTKLIB's convbin.
+"""Comparison of ephemeris messages with pyrtcm and RTKLIB's convbin.
 
 The two records are real ones: cssrlib-data, SEPT078M.21P, 2021-03-19, G03 and E08.
 """
@@ -59,7 +59,7 @@ PYRTCM = {
 
 
 @pytest.mark.parametrize("sent", [G03, E08], ids=lambda e: e.satellite)
-def test_an_ephemeris_comes_back_as_it_was(sent: Ephemeris) -> None:
+def test_an_ephemeris_survives_encoding_and_decoding(sent: Ephemeris) -> None:
     got = asdict(decode_ephemeris(encode_ephemeris(sent)))
     numbers = asdict(sent)
     assert got.pop("satellite") == numbers.pop("satellite")
@@ -88,17 +88,17 @@ def test_an_angle_beyond_half_a_turn_wraps() -> None:
     assert turned.omega0_rad == pytest.approx(G03.omega0_rad + PI, abs=1e-9)
 
 
-def test_health_flags_and_the_long_fit_travel() -> None:
+def test_health_flags_and_the_long_fit_are_encoded() -> None:
     assert decode_ephemeris(encode_ephemeris(replace(E08, health=0b010110))).health == 0b010110
     sick = decode_ephemeris(encode_ephemeris(replace(G03, health=63, long_fit=True)))
     assert (sick.health, sick.long_fit, sick.fit_half_s) == (63, True, 10_800.0)
 
 
-def test_the_gps_week_counts_from_the_rollover_asked_for() -> None:
+def test_the_gps_week_counts_from_the_given_rollover() -> None:
     assert decode_ephemeris(encode_ephemeris(G03), rollover_week=1024).week == 2149 - 1024
 
 
-def test_what_does_not_fit_or_belong_is_refused() -> None:
+def test_values_out_of_range_and_other_messages_are_refused() -> None:
     with pytest.raises(ValueError, match="does not fit"):
         encode_ephemeris(replace(G03, af0_s=1.0))
     with pytest.raises(KeyError):
@@ -117,7 +117,7 @@ def test_the_messages_have_the_numbers_and_lengths_of_the_standard() -> None:
 
 
 @pytest.mark.skipif(shutil.which("convbin") is None, reason="RTKLIB's convbin is not installed")
-def test_convbin_writes_the_record_of_the_file_again(tmp_path: Path) -> None:
+def test_convbin_reproduces_the_navigation_record(tmp_path: Path) -> None:
     (tmp_path / "raw.rtcm3").write_bytes(encode_ephemeris(G03) + encode_ephemeris(E08))
     subprocess.run(
         ["convbin", "-r", "rtcm3", "-tr", "2021/03/19", "12:00:00", "-v", "3.03",

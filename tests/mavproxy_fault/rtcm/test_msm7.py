@@ -1,4 +1,4 @@
-"""MSM7 against pyrtcm and RTKLIB's convbin, and what a patch changes."""
+"""Comparison of MSM7 with pyrtcm and RTKLIB's convbin, and the effect of a patch."""
 
 import math
 import re
@@ -87,7 +87,7 @@ def test_values_not_given_are_marked_invalid() -> None:
     assert all(math.isnan(v[0]) for v in (got.phase_m, got.doppler_mps, got.cn0_dbhz))
 
 
-def test_an_epoch_of_two_systems_says_that_more_follows_except_at_its_end() -> None:
+def test_the_last_message_of_an_epoch_announces_no_more() -> None:
     messages = encode_epoch(
         5.0, ("E05", "G12", "E01"), (2.5e7, 2.1e7, 2.4e7), (1, 2, 3), (40, 41, 42)
     )
@@ -113,7 +113,7 @@ def changed(change_m: float) -> tuple[Msm7, Msm7]:
 
 
 @given(st.floats(-900.0, 900.0))
-def test_a_patch_moves_one_pseudorange_and_nothing_else(change_m: float) -> None:
+def test_a_patch_changes_one_pseudorange_and_nothing_else(change_m: float) -> None:
     before, after = changed(change_m)
     assert after.pseudorange_m[1] - before.pseudorange_m[1] == pytest.approx(change_m, abs=COUNT_M)
     for name in ("phase_m", "doppler_mps", "cn0_dbhz", "lock_s", "satellites", "tow_s"):
@@ -130,17 +130,17 @@ def test_a_change_too_large_for_the_phase_field_marks_the_phase_invalid(change_m
     assert after.phase_m[0] == before.phase_m[0]
 
 
-def test_a_range_below_zero_is_no_range() -> None:
+def test_a_negative_range_is_invalid() -> None:
     _, after = changed(-3e7)
     assert after.satellites == ("G03", "G17", "G30")
 
 
-def test_a_patch_with_nothing_to_do_gives_the_same_bytes() -> None:
+def test_a_patch_without_changes_gives_the_same_bytes() -> None:
     message = encode_msm7(epoch())
     assert patch_msm7(message, {"G12": 0.0, "G05": 7.0, "E03": 3.0}, lost=["E12"]) is message
 
 
-def test_a_lost_satellite_leaves_the_others_as_they_were() -> None:
+def test_a_lost_satellite_does_not_change_the_others() -> None:
     message = encode_msm7(epoch())
     after = decode_msm7(patch_msm7(message, {}, lost=("G12", "G30")))
     assert after.satellites == ("G03", "G17")
@@ -189,7 +189,7 @@ def test_convbin_makes_the_same_rinex(tmp_path: Path) -> None:
         for name, (range_m, rate, cn0) in sent.items():
             assert found[name]["C1C"] == pytest.approx(range_m, abs=0.002)  # RINEX: millimetres
             assert found[name]["D1C"] == pytest.approx(-rate / L1_M, abs=0.002)
-            assert found[name]["S1C"] == pytest.approx(cn0, abs=0.13)  # RTKLIB keeps quarters
+            assert found[name]["S1C"] == pytest.approx(cn0, abs=0.13)  # RTKLIB rounds to quarters
 
 
 def rinex_rows(path: Path) -> list[dict[str, dict[str, float]]]:

@@ -1,4 +1,4 @@
-"""The compiled reading of MSM7 against the plain one, on messages of random bits."""
+"""Comparison of the compiled and the interpreted MSM7 reader on random messages."""
 
 import numpy as np
 from hypothesis import given
@@ -12,7 +12,7 @@ from mavproxy_fault.rtcm.tunnel_columns import Messages
 
 @st.composite
 def messages(draw) -> bytes:
-    """Any satellites with any signals, their fields of random bits."""
+    """Generate any satellites with any signals and random fields."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     number = draw(st.sampled_from((1077, 1097)))
     satellites = sum(1 << (64 - n) for n in draw(st.sets(st.integers(1, 64), max_size=12)))
@@ -33,13 +33,13 @@ def messages(draw) -> bytes:
 
 
 def read(*found: bytes) -> RangeColumns:
-    """What some messages in a row say."""
+    """Decode several consecutive messages."""
     ends = np.cumsum([len(message) for message in found])
     return read_ranges(Messages(np.frombuffer(b"".join(found), np.uint8), ends, 0 * ends))
 
 
 @given(st.lists(messages(), min_size=1, max_size=3))
-def test_the_compiled_reading_gives_the_same_values(found: list[bytes]):
+def test_the_compiled_reader_gives_the_same_values(found: list[bytes]):
     quick, begin = read(*found), 0
     for i, plain in enumerate(map(decode_msm7, found)):
         rows = slice(begin, quick.ends[i])
@@ -51,7 +51,7 @@ def test_the_compiled_reading_gives_the_same_values(found: list[bytes]):
 
 
 @given(messages(), st.data())
-def test_a_message_that_ends_early_is_no_epoch(message: bytes, data):
+def test_a_truncated_message_is_not_an_epoch(message: bytes, data):
     body = unwrap_message(message)
     short = wrap_message(body[: data.draw(st.integers(0, len(body) - 1))])
     found = read(short, message)

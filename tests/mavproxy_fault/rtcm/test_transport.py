@@ -1,4 +1,4 @@
-"""RTCM framing and its way through TUNNEL; pymavlink and pyrtcm judge."""
+"""RTCM framing and transport in TUNNEL, checked with pymavlink and pyrtcm."""
 
 import pytest
 from hypothesis import given
@@ -24,7 +24,7 @@ from mavproxy_fault.rtcm.transport import (
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
-# RTCM 10403.3 section 4.3: the standard's own example of a whole message (1005)
+# RTCM 10403.3 section 4.3: the standard's example of a complete message (1005)
 EXAMPLE = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")
 
 
@@ -32,7 +32,7 @@ def message_of(length: int) -> bytes:
     return wrap_message(bytes(range(256))[: length - 6] + bytes(max(length - 262, 0)))
 
 
-def test_the_example_of_the_standard_has_a_right_crc() -> None:
+def test_the_example_of_the_standard_has_a_valid_crc() -> None:
     assert crc24q(EXAMPLE[:-3]) == int.from_bytes(EXAMPLE[-3:], "big")
     assert wrap_message(unwrap_message(EXAMPLE)) == EXAMPLE
     assert message_number(EXAMPLE) == 1005
@@ -45,7 +45,7 @@ def test_pyrtcm_accepts_our_crc(body: bytes) -> None:
     assert unwrap_message(message) == body
 
 
-def test_a_flipped_bit_is_refused() -> None:
+def test_a_flipped_bit_fails_the_crc() -> None:
     broken = EXAMPLE[:8] + bytes((EXAMPLE[8] ^ 4,)) + EXAMPLE[9:]
     with pytest.raises(ValueError, match="CRC"):
         unwrap_message(broken)
@@ -57,7 +57,7 @@ def test_a_body_that_does_not_fit_ten_bits_is_refused() -> None:
         wrap_message(bytes(1024))
 
 
-def test_foreign_bytes_between_messages_are_passed_over() -> None:
+def test_other_bytes_between_messages_are_skipped() -> None:
     noise = b"\xd3\x00\x05xyz\xd3"
     assert list(split_messages(noise + EXAMPLE + noise + EXAMPLE + EXAMPLE[:9])) == [EXAMPLE] * 2
 
@@ -75,7 +75,7 @@ def test_foreign_bytes_between_messages_are_passed_over() -> None:
         (508, [127, 127, 127, 127]),
     ],
 )
-def test_a_message_is_cut_as_gps_rtcm_data_would_be(length: int, sizes: list[int]) -> None:
+def test_a_message_is_fragmented_like_gps_rtcm_data(length: int, sizes: list[int]) -> None:
     payloads = split_fragments(message_of(length), 37)
     assert [len(p) - 1 for p in payloads] == sizes
     assert [p[0] & 1 for p in payloads] == [int(len(sizes) > 1)] * len(sizes)
@@ -84,7 +84,7 @@ def test_a_message_is_cut_as_gps_rtcm_data_would_be(length: int, sizes: list[int
 
 
 @pytest.mark.parametrize("length", [8, 127, 128, 254, 381, 400, 508])
-def test_fragments_in_any_order_make_the_message_again(length: int) -> None:
+def test_fragments_in_any_order_are_reassembled(length: int) -> None:
     message = message_of(length)
     for order in (1, -1):
         box = Reassembler()
@@ -97,7 +97,7 @@ def test_a_message_longer_than_four_fragments_is_refused() -> None:
         split_fragments(message_of(MESSAGE_MAX + 1), 0)
 
 
-def test_a_lost_fragment_costs_its_message_and_no_other() -> None:
+def test_a_lost_fragment_loses_only_its_message() -> None:
     first, second = message_of(200), message_of(300)
     box = Reassembler()
     assert box.add(split_fragments(first, 0)[0]) == []
@@ -111,7 +111,7 @@ def test_interleaved_messages_are_kept_apart() -> None:
     assert [m for pair in pairs for p in pair for m in box.add(p)] == [first, second]
 
 
-def test_fragments_of_a_sequence_long_past_do_not_mix_with_new_ones() -> None:
+def test_old_fragments_of_a_sequence_number_do_not_mix_with_new_ones() -> None:
     old, new = split_fragments(message_of(300), 0), split_fragments(message_of(310), 32)
     box = Reassembler()
     box.add(old[1])
@@ -145,7 +145,7 @@ def test_pymavlink_reads_the_tunnel_frames() -> None:
     assert found == [message]
 
 
-def test_a_tunnel_frame_gives_its_payload_back_when_it_ends_with_zeros() -> None:
+def test_a_tunnel_payload_that_ends_with_zeros_is_restored() -> None:
     message = wrap_message(b"\x43\x50" + bytes(20))
     payloads = [
         tunnel_payload(Frame(raw, message_layout("TUNNEL"))) for raw in tunnel_frames(message, 0)
@@ -157,7 +157,7 @@ def test_a_tunnel_frame_gives_its_payload_back_when_it_ends_with_zeros() -> None
     assert len(payload) == 1 + 66
 
 
-def test_another_tunnel_payload_is_none_of_ours() -> None:
+def test_another_tunnel_payload_type_is_ignored() -> None:
     frame = Frame(tunnel_frames(EXAMPLE, 0)[0], message_layout("TUNNEL"))
     assert tunnel_payload(frame.patched({("payload_type", 0): 200})) is None
 

@@ -1,4 +1,4 @@
-"""The compiled reassembly against the plain one, on fragments of any order, lost and mixed."""
+"""Comparison of compiled and interpreted reassembly, with lost and mixed fragments."""
 
 import numpy as np
 from hypothesis import given
@@ -15,7 +15,7 @@ bodies = st.builds(lambda n, fill: bytes([fill]) * n, lengths, st.integers(0, 25
 
 @st.composite
 def payloads(draw) -> list[tuple[int, bytes]]:
-    """Sender and payload of TUNNEL frames: fragments shuffled, some lost, and garbage."""
+    """Generate sender and payload of TUNNEL frames: shuffled and lost fragments, garbage."""
     found: list[tuple[int, bytes]] = []
     for sequence, body in enumerate(draw(st.lists(bodies, max_size=14))):
         sender = draw(st.integers(0, 2))
@@ -26,7 +26,7 @@ def payloads(draw) -> list[tuple[int, bytes]]:
 
 
 def added(assembler: Assembler, rows: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-    """What some payloads at once complete, with the row that did."""
+    """Return the messages that payloads complete, with the completing row."""
     table = np.zeros((len(rows), WIDTH), np.uint8)
     for i, (_, payload) in enumerate(rows):
         table[i, : len(payload)] = np.frombuffer(payload, np.uint8)
@@ -42,7 +42,7 @@ def listed(messages: Messages) -> list[bytes]:
 
 
 @given(payloads(), st.data())
-def test_any_payloads_give_the_messages_that_a_reassembler_finds(rows, data):
+def test_any_payloads_give_the_same_messages_as_the_reassembler(rows, data):
     boxes = {sender: Reassembler() for sender, _ in rows}
     wanted = [(i, m) for i, (sender, p) in enumerate(rows) for m in boxes[sender].add(p)]
     assembler, found, begin = Assembler(), [], 0
@@ -52,13 +52,13 @@ def test_any_payloads_give_the_messages_that_a_reassembler_finds(rows, data):
     assert found == wanted
 
 
-def test_a_length_beyond_the_payload_is_passed_over():
+def test_a_length_beyond_the_payload_is_ignored():
     payload = np.zeros((1, WIDTH), np.uint8)
     found = Assembler().add(np.zeros(1, np.int64), payload, np.array([WIDTH + 1]))
     assert listed(found) == []
 
 
-def test_more_senders_than_there_is_room_for_lose_nothing_while_they_do_not_mix():
+def test_more_senders_than_slots_lose_nothing_unless_they_mix():
     assembler, message = Assembler(), wrap_message(bytes(200))
     rows = [(n, part) for n in range(3 * SENDERS_MAX) for part in split_fragments(message, 1)]
     assert [found for _, found in added(assembler, rows)] == [message] * (3 * SENDERS_MAX)

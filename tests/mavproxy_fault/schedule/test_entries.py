@@ -46,7 +46,7 @@ def test_an_empty_schedule_has_no_faults() -> None:
     assert parse_schedule("seed: 4") == Schedule(4)
 
 
-def test_every_error_is_told_with_its_line() -> None:
+def test_every_error_is_reported_with_its_line() -> None:
     found = errors("""\
 seed: -1
 faults:
@@ -87,7 +87,7 @@ other: 1
     assert len(found) == 14
 
 
-def test_text_that_is_no_yaml_is_told_with_its_line() -> None:
+def test_text_that_is_not_yaml_is_reported_with_its_line() -> None:
     assert errors("seed: 1\nfaults: [}\n")[0].startswith("night.yaml:2: not YAML")
 
 
@@ -141,7 +141,7 @@ def test_a_key_given_twice_is_refused() -> None:
         ("just text", "is not a fault"),
     ],
 )
-def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
+def test_inconsistent_keys_are_refused(entry: str, said: str) -> None:
     found = errors(f"faults:\n  - {entry}\n")
     assert len(found) == 1
     assert said in found[0]
@@ -149,7 +149,7 @@ def test_what_does_not_fit_together_is_told(entry: str, said: str) -> None:
 
 
 @pytest.mark.parametrize("id", ["a/b", "a*b", "$", "a?b", "a#b", "@x", "all", "x" * 201])
-def test_an_id_that_no_query_could_name_is_refused_on_loading(id: str) -> None:
+def test_an_id_that_is_not_a_key_is_refused(id: str) -> None:
     (said,) = errors(f"faults:\n  - {{id: '{id}', fault: drop}}\n")
     assert said.startswith(f"night.yaml:2: faults[0].id = '{id[:200]}' is not valid; give ")
     assert parse_schedule("faults: [{id: gyro x bias, fault: drop}]").faults[0].id == "gyro x bias"
@@ -159,12 +159,12 @@ def test_two_faults_of_one_id_are_refused() -> None:
     assert "is given twice" in errors("faults: [{id: a, fault: drop}, {id: a, fault: drop}]")[0]
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_schedule(tmp_path / "none.yaml")
 
 
-def test_satellite_faults_act_where_the_reader_says_unless_they_say_themselves() -> None:
+def test_the_default_via_applies_to_satellite_faults_without_one() -> None:
     entry = {"fault": "bias", "target": "PSEUDORANGE.G12", "value": 5}
     own = {"id": "b", "via": "proxy", **entry}
     data = {"faults": [{"id": "a", **entry}, own, {**entry, "target": "HIL_GPS.alt"}]}
@@ -173,12 +173,12 @@ def test_satellite_faults_act_where_the_reader_says_unless_they_say_themselves()
     assert type(parse_schedule(data).faults[0].fault).__name__ == "SatelliteFault"
 
 
-def test_an_invalid_entry_hides_and_shifts_no_error_of_the_others() -> None:
+def test_an_invalid_entry_does_not_affect_errors_of_the_others() -> None:
     found = errors("""\
 faults:
   - {id: a, fault: bais}
   - {id: b, fault: drop, after: a}
-  - {id: c, fault: drop, after: nobody}
+  - {id: c, fault: drop, after: missing}
   - {id: b, fault: drop}
   - {id: d, fault: bias, value: x, target: HIL_SENSOR.xacc, when: 'and', at: 3}
 """)
@@ -193,7 +193,7 @@ faults:
     ]
 
 
-def test_faults_that_wait_for_each_other_are_refused_once() -> None:
+def test_faults_that_wait_for_each_other_are_reported_once() -> None:
     found = errors("""\
 faults:
   - {id: a, fault: drop, after: {id: b}}
@@ -207,41 +207,41 @@ faults:
     ]
 
 
-def test_a_number_that_is_none_may_replace_a_value() -> None:
+def test_a_value_may_be_replaced_by_nan() -> None:
     text = "{fault: constant, target: HIL_SENSOR.xacc, value: %s}"
     for value in (".nan", "-.inf"):
         assert len(parse_schedule(f"faults: [{text % value}]").faults) == 1
 
 
-def test_the_plant_is_told_apart_from_messages() -> None:
+def test_the_plant_is_not_a_message() -> None:
     entry = {"fault": "bias", "target": "PLANT.wind_n_mps", "value": 1}
     with pytest.raises(ConfigError, match="PLANT is the simulated plant, not a message; use"):
         parse_schedule({"faults": [entry]})
 
 
-def test_a_number_of_two_readings_does_not_hide_what_else_is_wrong(tmp_path: Path) -> None:
+def test_an_ambiguous_number_does_not_hide_other_errors(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text(
         "faults:\n"
         "- {id: a, fault: bias, target: HIL_SENSOR.xgyro, value: 010}\n"
         "- {id: b, fault: biass, target: HIL_SENSOR.xgyro, value: 1}\n"
-        "- {id: b, fault: drop, target: HIL_GPS, after: nobody}\n"
+        "- {id: b, fault: drop, target: HIL_GPS, after: missing}\n"
         "- {id: c, fault: drop, target: HIL_GPS, after: a}\n"
         "- {id: d, fault: drop, target: 010}\n"
     )
     with pytest.raises(ConfigError) as found:
         read_schedule(path)
-    told = [line.removeprefix(f"{path}:") for line in str(found.value).splitlines()]
-    assert [line.partition(";")[0] for line in told] == [
+    lines = [line.removeprefix(f"{path}:") for line in str(found.value).splitlines()]
+    assert [line.partition(";")[0] for line in lines] == [
         "2: faults[0].value = 010 may be octal",
         "3: faults[1].fault = biass is unknown",
         "4: faults[2].id = b is given twice",
-        "4: faults[2].after = nobody is not another fault",
+        "4: faults[2].after = missing is not another fault",
         "6: faults[4].target = 010 may be octal",
     ]
 
 
-def test_what_met_nothing_is_told_once_and_a_preset_needs_one_part_only() -> None:
+def test_unmatched_entries_are_listed_once_and_one_part_of_a_preset_is_enough() -> None:
     text = """
 faults:
   - {id: a, fault: bias, target: HIL_SENSOR.xgyro, value: 1}

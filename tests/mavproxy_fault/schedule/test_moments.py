@@ -1,4 +1,4 @@
-"""Times that count from a moment of the flight, as a ground link shows it."""
+"""Times that count from a flight event seen on a ground link."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def frame(name: str, **values: float) -> Frame:
 
 
 def flight(number: int) -> list[Frame]:
-    """What a vehicle says every 0.1 s: armed at 5 s, in the air at 8 s, at item 2 at 12 s."""
+    """Return a vehicle's messages every 0.1 s: armed at 5 s, airborne at 8 s, item 2 at 12 s."""
     t_s = number * 0.1
     said = [
         frame("HEARTBEAT", **HEARTBEAT, base_mode=0x80 if t_s >= 5.0 else 0),
@@ -28,7 +28,7 @@ def flight(number: int) -> list[Frame]:
 
 
 def acted(entry: str) -> tuple[float, float]:
-    """When a fault of VFR_HUD began and ended, in seconds after the first frame."""
+    """Return start and end of a fault of VFR_HUD, in seconds after the first frame."""
     it = Engine(parse_schedule(f"faults: [{{id: f, fault: drop, target: VFR_HUD, {entry}}}]"))
     lost = []
     for number in range(300):
@@ -51,11 +51,11 @@ def acted(entry: str) -> tuple[float, float]:
         ("from: arming, at_s: 1, for_s: 1, when: altitude_m > 1", (8.0, 9.0)),
     ],
 )
-def test_times_count_from_the_moment_that_is_named(entry, span):
+def test_times_count_from_the_flight_event(entry, span):
     assert acted(entry) == span
 
 
-def test_live_edits_and_saving_leave_a_moment_as_it_is():
+def test_live_edits_and_saving_keep_the_flight_event():
     text = "seed: 3\nfaults: [{id: f, fault: drop, target: VFR_HUD, from: take-off, at_s: 2}]"
     it = Engine(parse_schedule(text))
     it.apply(frame("VFR_HUD"), "from-vehicle", 1_000_000)
@@ -74,7 +74,7 @@ def test_live_edits_and_saving_leave_a_moment_as_it_is():
         ("from: arming, after: g", "from and after exclude each other; give one of them"),
     ],
 )
-def test_a_moment_that_cannot_be_is_refused(entry, said):
+def test_an_unknown_flight_event_is_refused(entry, said):
     other = "{id: g, fault: drop, target: HIL_GPS}"
     with pytest.raises(ConfigError, match=said):
         parse_schedule(f"faults: [{other}, {{id: f, fault: drop, target: VFR_HUD, {entry}}}]")

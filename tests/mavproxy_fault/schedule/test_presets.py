@@ -1,4 +1,4 @@
-"""Every preset at work, judged by pymavlink's decoder."""
+"""The effect of every preset, checked with pymavlink's decoder."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def decoded(frame: Frame | bytes) -> dict[str, Any]:
 
 
 def messages(entries: list[Entry]) -> set[str]:
-    """The messages that the entries act on; HIL_SENSOR for what acts on all."""
+    """Return the messages that the entries act on; HIL_SENSOR for those that act on all."""
     found: set[str] = set()
     for entry in entries:
         for name in entry.targets or getattr(entry.fault, "messages", ("HIL_SENSOR",)):
@@ -39,7 +39,7 @@ def messages(entries: list[Entry]) -> set[str]:
 
 
 def targets(name: str) -> set[str]:
-    """The fields, messages and satellites that a preset names."""
+    """Return the fields, messages and satellites that a preset names."""
     found: set[str] = set()
     for part in read_preset(name)["faults"]:
         given = part.get("target", [])
@@ -48,24 +48,26 @@ def targets(name: str) -> set[str]:
 
 
 def silenced(name: str) -> set[str]:
-    """The messages that a preset loses."""
+    """Return the messages that a preset drops."""
     return {one for one in targets(name) if "." not in one}
 
 
 def changes(name: str) -> tuple[set[str], int, list[Any]]:
-    """The fields that differ, how many frames were lost, late or doubled, and what went back."""
+    """Return changed fields, number of dropped, late or duplicated frames, and replies."""
     schedule = parse_schedule({"seed": 1, "faults": [{"preset": name, "id": "it"}]})
     engine = Engine(schedule)
     engine.start_at(START_US)
     fields: set[str] = set()
     moved = 0
-    told = []
+    messages = []
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
         for message in sorted(messages(list(schedule.faults))):
             healthy = healthy_frame(message, t_us * 1e-6)
             outs = engine.apply(healthy, "to-vehicle", t_us)
-            told += [plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)]
+            messages += [
+                plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)
+            ]
             outs = [out for out in outs if not out.back]
             moved += [out.due_us for out in outs] != [t_us]
             changed = [out.frame for out in outs if out.frame is not healthy]
@@ -73,7 +75,7 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
             for frame in changed:
                 after = decoded(frame)
                 fields |= {f"{message}.{k}" for k in before if repr(before[k]) != repr(after[k])}
-    return fields, moved, told
+    return fields, moved, messages
 
 
 def kind(name: str) -> str:
@@ -99,33 +101,33 @@ def of_kind(chosen: str) -> list[str]:
 
 @pytest.mark.parametrize("name", of_kind("fields"))
 def test_a_preset_changes_its_targets_and_nothing_else(name: str) -> None:
-    fields, moved, told = changes(name)
+    fields, moved, messages = changes(name)
     named = {target.split("[")[0] for target in targets(name) if "." in target}
     assert fields
     assert fields <= named
-    assert (moved, told) == (FRAMES * len(silenced(name)), [])
+    assert (moved, messages) == (FRAMES * len(silenced(name)), [])
 
 
 @pytest.mark.parametrize("name", of_kind("command"))
-def test_a_switch_of_the_autopilot_leaves_every_frame_as_it_was(name: str) -> None:
+def test_an_auxiliary_function_changes_no_frame(name: str) -> None:
     assert changes(name)[:2] == (set(), 0)
 
 
 @pytest.mark.parametrize("name", of_kind("link"))
-def test_a_preset_of_the_link_loses_delays_or_doubles_frames_and_changes_none(name: str) -> None:
+def test_a_link_preset_drops_delays_or_duplicates_frames_without_changing_them(name: str) -> None:
     fields, moved, _ = changes(name)
     assert fields == set()
     assert moved > 0
 
 
 @pytest.mark.parametrize("name", of_kind("plant"))
-def test_a_preset_of_the_plant_tells_the_simulator_and_leaves_its_frames(name: str) -> None:
-    fields, moved, told = changes(name)
+def test_a_plant_preset_is_sent_to_the_simulator_and_changes_no_frame(name: str) -> None:
+    fields, moved, messages = changes(name)
     assert (fields, moved) == (set(), 0)
-    assert {change.name for change in told} <= {
+    assert {change.name for change in messages} <= {
         part["target"].removeprefix("PLANT.") for part in read_preset(name)["faults"]
     }
-    assert len(told) >= 15  # each fifth of a second
+    assert len(messages) >= 15  # every 0.2 s
 
 
 @pytest.mark.parametrize("name", of_kind("coherent"))
@@ -167,7 +169,7 @@ def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
     assert touched >= 3
 
 
-def test_every_preset_is_told_in_one_line() -> None:
+def test_every_preset_is_described_in_one_line() -> None:
     kinds = "fields", "link", "plant", "coherent", "satellites", "command"
     assert sum(len(of_kind(kind)) for kind in kinds) == len(NAMES)
     for name in NAMES:
@@ -176,7 +178,7 @@ def test_every_preset_is_told_in_one_line() -> None:
         assert 20 < len(about) < 110
 
 
-def test_the_times_of_an_entry_hold_for_all_parts_of_its_preset() -> None:
+def test_the_times_of_an_entry_apply_to_all_parts_of_its_preset() -> None:
     entry = {"preset": "imu-impulse", "id": "blow", "at_s": 5, "for_s": 3}
     schedule = parse_schedule({"faults": [entry]})
     assert [(e.id, e.at_s, e.for_s, e.preset) for e in schedule.faults] == [
@@ -196,7 +198,7 @@ IMU = ("HIL_SENSOR", "HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCA
         ("mag-offset", "xmag", 1e3),
     ],
 )
-def test_one_event_reaches_every_message_of_the_sensor_in_its_own_unit(
+def test_a_preset_acts_on_every_message_of_the_sensor_in_its_unit(
     name: str, field: str, per_si: float
 ) -> None:
     engine = Engine(parse_schedule({"faults": [{"preset": name}]}))
@@ -212,7 +214,7 @@ def test_one_event_reaches_every_message_of_the_sensor_in_its_own_unit(
     assert steps == {message: pytest.approx(size, abs=0.006) for message in IMU}
 
 
-def test_a_receiver_that_finds_nothing_has_no_ranges_either() -> None:
+def test_a_receiver_without_satellites_has_no_ranges() -> None:
     engine = Engine(parse_schedule({"faults": [{"preset": "gps-search-failure"}]}))
     engine.start_at(0)
     names = ["G05", "G12", "G30"]

@@ -47,7 +47,7 @@ SEEN = telemetry(
         ("1 / 0 > 1", False),
     ],
 )
-def test_conditions_say_what_they_mean(text: str, truth: bool) -> None:
+def test_conditions_evaluate_as_written(text: str, truth: bool) -> None:
     assert Condition(text).holds(SEEN) is truth
 
 
@@ -71,14 +71,14 @@ def test_conditions_say_what_they_mean(text: str, truth: bool) -> None:
         ("armed " * 100, "longer than"),
     ],
 )
-def test_whatever_else_is_refused_when_read(text: str, said: str) -> None:
+def test_any_other_syntax_is_refused(text: str, said: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_schedule({"faults": [{"fault": "drop", "when": text}]})
     assert said in str(caught.value)
 
 
 def run(entry: dict[str, object], heights_m: list[float]) -> list[float]:
-    """The heights that left, a second apart, with a fault on the altitude."""
+    """Return the sent heights, a second apart, with a fault on the altitude."""
     engine = Engine(parse_schedule({"faults": [{"id": "it", **entry}]}))
     found = []
     for i, height_m in enumerate(heights_m):
@@ -95,11 +95,11 @@ UP = {"fault": "bias", "target": "GLOBAL_POSITION_INT.alt", "value": 7000, "when
 CLIMB = [0.0, 4, 6, 8, 6, 4, 6, 8, 4]
 
 
-def test_a_condition_starts_a_fault_with_the_frame_that_fulfils_it() -> None:
+def test_a_condition_starts_a_fault_with_the_frame_that_makes_it_true() -> None:
     assert run({**UP, "for_s": 2}, CLIMB) == [0, 0, 7, 7, 0, 0, 0, 0, 0]
 
 
-def test_without_a_duration_it_stays() -> None:
+def test_without_a_duration_the_fault_stays_active() -> None:
     assert run(UP, CLIMB) == [0, 0, 7, 7, 7, 7, 7, 7, 7]
 
 
@@ -107,12 +107,12 @@ def test_a_condition_counts_from_at_s_on() -> None:
     assert run({**UP, "for_s": 1, "at_s": 3.5}, CLIMB) == [0, 0, 0, 0, 7, 0, 0, 0, 0]
 
 
-def test_repeated_it_starts_each_time_the_condition_becomes_true() -> None:
+def test_a_repeated_fault_starts_each_time_the_condition_becomes_true() -> None:
     again = {**UP, "for_s": 1, "repeat": {"times": 2}}
     assert run(again, [*CLIMB, 6, 4]) == [0, 0, 7, 0, 0, 0, 7, 0, 0, 0, 0]
 
 
-def test_the_messages_of_a_condition_are_wanted() -> None:
+def test_the_engine_processes_the_messages_of_a_condition() -> None:
     engine = Engine(
         parse_schedule(
             {"faults": [{"fault": "bias", "target": "HIL_GPS.alt", "value": 1, "when": "armed"}]}

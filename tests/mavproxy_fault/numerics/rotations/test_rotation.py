@@ -1,4 +1,4 @@
-"""Turns: every form says the same, and agrees with scipy."""
+"""All rotation formats agree with each other and with scipy."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -43,7 +43,7 @@ def test_products_compose_as_matrices_do() -> None:
     assert np.allclose(rotation.matrix_from_quat(product), expected, atol=1e-14)
 
 
-def test_rotation_vectors_agree_with_scipy_down_to_no_turn() -> None:
+def test_rotation_vectors_agree_with_scipy_down_to_zero() -> None:
     assert np.allclose(rotation.rotvec_from_quat(QUATS), SCIPY.as_rotvec(), atol=1e-12)
     assert np.allclose(rotation.quat_from_rotvec(np.zeros(3)), [1, 0, 0, 0])
     assert np.allclose(rotation.rotvec_from_quat([1.0, 0, 0, 0]), 0.0)

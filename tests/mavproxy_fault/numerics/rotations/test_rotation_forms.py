@@ -1,4 +1,4 @@
-"""The compiled rotations and those for arrays and plain floats say the same."""
+"""Rotations for arrays, plain floats and compiled code agree."""
 
 import math
 
@@ -20,7 +20,7 @@ VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
 
 @settings(deadline=None)
 @given(ANGLES, VECTORS)
-def test_a_turned_vector_is_the_same_in_every_form(
+def test_a_rotated_vector_is_the_same_in_every_implementation(
     angles: tuple[float, float, float], vector: tuple[float, float, float]
 ) -> None:
     q = rotation.quat_from_euler(*angles)
@@ -36,7 +36,7 @@ def test_a_turned_vector_is_the_same_in_every_form(
 
 @settings(deadline=None)
 @given(ANGLES, st.tuples(*[st.floats(-1.0, 1.0)] * 3))
-def test_angles_and_small_turns_are_the_same_in_every_form(
+def test_angles_and_small_rotations_are_the_same_in_every_implementation(
     angles: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     q = rotation.quat_from_euler(*angles)
