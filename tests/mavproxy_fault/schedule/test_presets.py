@@ -59,13 +59,13 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
     engine.start_at(START_US)
     fields: set[str] = set()
     moved = 0
-    messages = []
+    replies = []
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
         for message in sorted(messages(list(schedule.faults))):
             healthy = healthy_frame(message, t_us * 1e-6)
             outs = engine.apply(healthy, "to-vehicle", t_us)
-            messages += [
+            replies += [
                 plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)
             ]
             outs = [out for out in outs if not out.back]
@@ -75,7 +75,7 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
             for frame in changed:
                 after = decoded(frame)
                 fields |= {f"{message}.{k}" for k in before if repr(before[k]) != repr(after[k])}
-    return fields, moved, messages
+    return fields, moved, replies
 
 
 def kind(name: str) -> str:
@@ -101,11 +101,11 @@ def of_kind(chosen: str) -> list[str]:
 
 @pytest.mark.parametrize("name", of_kind("fields"))
 def test_a_preset_changes_its_targets_and_nothing_else(name: str) -> None:
-    fields, moved, messages = changes(name)
+    fields, moved, replies = changes(name)
     named = {target.split("[")[0] for target in targets(name) if "." in target}
     assert fields
     assert fields <= named
-    assert (moved, messages) == (FRAMES * len(silenced(name)), [])
+    assert (moved, replies) == (FRAMES * len(silenced(name)), [])
 
 
 @pytest.mark.parametrize("name", of_kind("command"))
@@ -122,12 +122,12 @@ def test_a_link_preset_drops_delays_or_duplicates_frames_without_changing_them(n
 
 @pytest.mark.parametrize("name", of_kind("plant"))
 def test_a_plant_preset_is_sent_to_the_simulator_and_changes_no_frame(name: str) -> None:
-    fields, moved, messages = changes(name)
+    fields, moved, replies = changes(name)
     assert (fields, moved) == (set(), 0)
-    assert {change.name for change in messages} <= {
+    assert {change.name for change in replies} <= {
         part["target"].removeprefix("PLANT.") for part in read_preset(name)["faults"]
     }
-    assert len(messages) >= 15  # every 0.2 s
+    assert len(replies) >= 15  # every 0.2 s
 
 
 @pytest.mark.parametrize("name", of_kind("coherent"))
