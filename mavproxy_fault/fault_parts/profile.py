@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotFinite
+from mavproxy_fault.fault_parts.series import Series, SeriesTable
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -79,15 +80,6 @@ class LiveInput(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: Duration = 0.5
 
 
-class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A series from a CSV or Parquet file; times in seconds from the start of the fault."""
-
-    file: str
-    time: str = "t_s"
-    value: str = "value"
-    interpolate: Literal["hold", "linear"] = "hold"
-
-
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A fault function: exactly one of its kinds, and how it meets the healthy value.
 
@@ -125,8 +117,6 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             # Drawn once per start, so that a repeated fault draws anew.
             return draw_segments(self.segments, rng)
         if self.table is not None:
-            from mavproxy_fault.fault_parts.series import Series
-
             return Series(self.table)
         return None
 
