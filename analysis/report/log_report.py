@@ -8,8 +8,8 @@ from pathlib import Path
 from analysis.report.comparison import comparison_tables, overlay_flights
 from analysis.report.export_tracks import FORMS as TRACK_FORMS
 from analysis.report.export_tracks import export_tracks
+from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
-from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.log_page import log_page
 from analysis.report.page.page_file import page_html

@@ -6,9 +6,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, FlightCheck
-from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.log_folder import is_run_folder, report_folder
 from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
