@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mavproxy_fault.fault_parts.profile import Profile, SeriesTable
+from mavproxy_fault.fault_parts.profile import Profile
+from mavproxy_fault.fault_parts.series import SeriesTable
 
 RATE_HZ = 250
 

@@ -22,9 +22,9 @@ from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.read_recordings import read_log
+from analysis.report.flight_verdict import assess_flight
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, WARN
-from analysis.report.judging.flight_verdict import assess_flight
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.results import SensorDecision
 from analysis.scoring.criteria import Criteria

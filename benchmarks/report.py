@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.page.page_file import page_html
 from analysis.report.page.page_parts import ReportPage
-from analysis.report.recordings.recording import FlightData, Signal
 from mavproxy_fault.wire import tlog
 
 SAMPLES, PANELS = 60_000, ("roll", "pitch", "yaw", "accel", "gyro")

@@ -32,7 +32,7 @@ def layers() -> dict[str, list[list[str]]]:
     return {
         contract["containers"][0]: [layer.split(" : ") for layer in contract["layers"]]
         for contract in contracts
-        if contract["type"] == "layers"
+        if contract["type"] == "layers" and contract["containers"][0] in PACKAGES
     }
 
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +38,15 @@ def test_every_room_is_in_a_layer_and_says_what_it_is() -> None:
     }
     assert folders <= placed
     assert all(len(drawing["sentence"](room)) > 20 for room in placed)
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    # Within one round every module goes whose imports have gone; a circle stays.
+    left = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    while free := {name for name, imported in left.items() if not imported & left.keys()}:
+        left = {name: imported for name, imported in left.items() if name not in free}
+    assert sorted(left) == []
 
 
 def test_no_folder_is_full() -> None:

@@ -23,7 +23,7 @@ from analysis.estimators import make_estimator
 from analysis.estimators.estimator import Prior
 from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.flight_checks import _files
-from analysis.report.page.panels import PANELS
+from analysis.report.curves.panels import PANELS
 from analysis.samples.message_readers import READERS
 from analysis.samples.sample import ImuSample
 from mavproxy_fault.links.spec import open_link

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from analysis.report.curves.panels import CHECKS
+from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.flight_verdict import FlightAssessment
 from analysis.report.judging.checks import NONE, FlightCheck
-from analysis.report.judging.flight_verdict import FlightAssessment
 from analysis.report.page.page_parts import ReportTable
-from analysis.report.page.panels import CHECKS
-from analysis.report.recordings.recording import FlightData, Signal
 
 # Chosen: two autopilots may differ in a thousand parameters.
 ROWS_SHOWN = 300

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.report.curves.recording import FlightData, GroundTrack
 from analysis.report.page.series_colours import PALETTE, series_colours
-from analysis.report.recordings.recording import FlightData, GroundTrack
 
 FORMS = ("kml", "geojson")
 # Chosen: longer lines make map programs slow.

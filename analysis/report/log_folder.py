@@ -15,6 +15,7 @@ from typing import Any
 
 from analysis.processes import spawn_context
 from analysis.report.judging.checks import RANK
+from analysis.report.log_report import report_log
 from analysis.report.page.index_page import UNREADABLE, index_html
 from analysis.report.recordings.log_paths import PACKED
 from mavproxy_fault.documents.errors import ConfigError
@@ -125,13 +126,10 @@ def _report_all(
 
 def _report_one(path: Path, out: Path, name: str, args: argparse.Namespace) -> Row:
     """Write one report in a worker process; returns its row of the index."""
-    # Imported here, since that module imports this one.
-    from analysis.report.report_command import report_on
-
     # A single level of folders: `a/b.ulg` becomes `a-b.ulg`.
     folder = out / name.replace(os.sep, "-")
     try:
-        outcome = report_on(path, folder, args)
+        outcome = report_log(path, folder, args)
     except ConfigError as error:
         # An unreadable log becomes a row of the index.
         failed = {"verdict": UNREADABLE, "worst": [str(error)]}

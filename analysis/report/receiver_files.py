@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from analysis.recordings.position_reference import PositionReference
-from analysis.report.gnss_figures import gnss_pictures
+from analysis.report.curves.recording import FlightData, GroundTrack
+from analysis.report.page.gnss_figures import gnss_pictures
 from analysis.report.recordings.from_results import axis_start, recording_of_results
-from analysis.report.recordings.recording import FlightData, GroundTrack
 from analysis.report.solution_files import write_solution
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.sample import Vector

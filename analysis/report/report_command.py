@@ -6,21 +6,13 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.report.comparison import comparison_tables, overlay_flights
-from analysis.report.export_tracks import FORMS as TRACK_FORMS
-from analysis.report.export_tracks import export_tracks
+from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, FlightCheck
-from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.log_folder import is_run_folder, report_folder
-from analysis.report.page.field_data import INSIDE_MB, field_data
-from analysis.report.page.log_page import log_page
-from analysis.report.page.page_file import page_html
-from analysis.report.page.pdf_file import write_pdf
+from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
 from analysis.report.recordings.log_paths import log_file, log_files
-from analysis.report.report_files import write_json, write_junit
-from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.label import read_labels
 
@@ -60,51 +52,12 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
             unreadable.append(str(error))
             continue
         write_report(folder, outcome, others, args.data)
-        _write_more(folder, outcome, flight_paths, args)
+        write_optional_outputs(folder, outcome, flight_paths, args)
         print_outcome(outcome, folder)
         failed |= outcome.verdict == FAIL
     for message in unreadable:
         print(f"mavproxy-fault: {message}", file=sys.stderr)
     return 2 if unreadable else int(failed)
-
-
-def report_on(path: Path, folder: Path, args: argparse.Namespace) -> FlightAssessment:
-    """Write the report on one log of many to `folder`.
-
-    Raises
-    ------
-    ConfigError
-        If the log cannot be read.
-    """
-    # Compressed logs are unpacked here and read before the folder is deleted.
-    with tempfile.TemporaryDirectory() as unpacked:
-        log = log_file(path, Path(unpacked))
-        outcome = assess_flight(read_flight([log], ()), read_thresholds(args.criteria))
-        folder.mkdir(parents=True, exist_ok=True)
-        write_report(folder, outcome, [], args.data)
-        _write_more(folder, outcome, [log], args)
-    return outcome
-
-
-def _write_more(
-    folder: Path, outcome: FlightAssessment, paths: Sequence[Path], args: argparse.Namespace
-) -> None:
-    """Write optional outputs: figures, tables, tracks, PDF."""
-    recording = outcome.flight.recording
-    # Imported on demand: Matplotlib and Arrow load slowly.
-    if args.figures:
-        from analysis.report.page.figures import write_figures
-
-        write_figures(folder / "figures", recording)
-    if args.export in TRACK_FORMS:
-        export_tracks(recording, folder / "export", args.export)
-    elif args.export:
-        from analysis.report.export import export_tables
-
-        export_tables(paths, folder / "export", args.export)
-    # The browser prints the page written before.
-    if args.pdf:
-        write_pdf(folder / "report.html")
 
 
 def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
@@ -118,22 +71,6 @@ def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
     except OSError as error:
         raise ConfigError(f"--out {folder}: {error.strerror}; give a writable folder") from error
     return folder
-
-
-def write_report(
-    folder: Path,
-    outcome: FlightAssessment,
-    others: Sequence[FlightAssessment],
-    data: str = str(INSIDE_MB),
-) -> None:
-    """Write `report.html`, `summary.json` and `junit.xml`; `data` is the option `--data`."""
-    recording = overlay_flights(outcome, others) if others else outcome.flight.recording
-    tables = comparison_tables(outcome, others) if others else []
-    page = log_page(outcome, tables)
-    fields = field_data(recording.messages, data, folder)
-    write_atomic(folder / "report.html", page_html(page, recording, fields))
-    write_json(folder / "summary.json", outcome.summary)
-    write_junit(folder / "junit.xml", recording.name, outcome.checks)
 
 
 def print_outcome(outcome: FlightAssessment, folder: Path) -> None:

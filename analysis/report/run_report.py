@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.curves.panels import DETECTION, FUSION
+from analysis.report.curves.recording import FlightData, join_recordings
 from analysis.report.page.field_data import INSIDE_MB, field_data
 from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_file import page_html
 from analysis.report.page.page_parts import SENSOR_LIMIT, ReportPage
-from analysis.report.page.panels import DETECTION, FUSION
 from analysis.report.page.report_tables import criteria_reasons, matrix_table, run_facts, run_tables
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import recording_of_tlog
-from analysis.report.recordings.recording import FlightData, join_recordings
 from analysis.results import Result
 from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.wire.label import Label

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from analysis.report.curves.recording import FlightData
 from analysis.report.export_tracks import FORMS, export_tracks
 from analysis.report.nmea_file import write_nmea
-from analysis.report.recordings.recording import FlightData
 from analysis.report.solution_row import SolutionRow, row_of
 from analysis.results import Decision, FusedState, Result
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from analysis.monitor.publish import Publisher
 from analysis.report.curves.fault_effects import deviation_curves, measure_effects
-from analysis.report.recordings.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result, read_results
 from analysis.run.monitor_process import MonitorProcess

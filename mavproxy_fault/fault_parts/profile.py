@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotFinite
+from mavproxy_fault.fault_parts.series import Series, SeriesTable
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -78,15 +79,6 @@ class LiveInput(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: Duration = 0.5
 
 
-class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A series of a CSV or Parquet file; times [s] from the start of the fault."""
-
-    file: str
-    time: str = "t_s"
-    value: str = "value"
-    interpolate: Literal["hold", "linear"] = "hold"
-
-
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A fault profile: exactly one kind of function, and how it acts on the healthy value.
 
@@ -124,8 +116,6 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             # Drawn once per start, so that a repeated fault draws new numbers.
             return draw_segments(self.segments, rng)
         if self.table is not None:
-            from mavproxy_fault.fault_parts.series import Series
-
             return Series(self.table)
         return None
 

@@ -11,16 +11,24 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
+
+import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
-
-if TYPE_CHECKING:
-    from mavproxy_fault.fault_parts.profile import SeriesTable
 
 BLOCK_ROWS = 8192
 LOG = logging.getLogger(__name__)
 Block = tuple[tuple[float, ...], tuple[float, ...]]  # times in seconds, and values
+
+
+class SeriesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A series from a CSV or Parquet file; times in seconds from the start of the fault."""
+
+    file: str
+    time: str = "t_s"
+    value: str = "value"
+    interpolate: Literal["hold", "linear"] = "hold"
 
 
 class Series:
@@ -29,7 +37,7 @@ class Series:
     There is no value before the first row or after the last.
     """
 
-    def __init__(self, table: "SeriesTable") -> None:
+    def __init__(self, table: SeriesTable) -> None:
         self.table = table
         self._start()
 
@@ -82,7 +90,7 @@ class Series:
         return before[1] + share * (self._values[k] - before[1])
 
 
-def read_blocks(table: "SeriesTable") -> Iterator[Block]:
+def read_blocks(table: SeriesTable) -> Iterator[Block]:
     """Yield the rows of a series in blocks of at most `BLOCK_ROWS`.
 
     Raises
@@ -104,7 +112,7 @@ def read_blocks(table: "SeriesTable") -> Iterator[Block]:
         yield times, values
 
 
-def _csv(table: "SeriesTable") -> Iterator[Block]:
+def _csv(table: SeriesTable) -> Iterator[Block]:
     try:
         with Path(table.file).open(newline="", encoding="utf-8") as file:
             rows = csv.reader(file)
@@ -130,7 +138,7 @@ def _column(names: list[str], name: str, file: str) -> int:
     return names.index(name)
 
 
-def _parquet(table: "SeriesTable") -> Iterator[Block]:
+def _parquet(table: SeriesTable) -> Iterator[Block]:
     import pyarrow.parquet as parquet  # heavy: imported only for Parquet files
 
     try:

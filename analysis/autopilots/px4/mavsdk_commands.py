@@ -15,7 +15,7 @@ from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 
 from analysis.autopilots.flight_operator import COMPONENT, GROUND_STATION
 from analysis.autopilots.mission_items import ItemFields, landing_items, waypoint_items
-from analysis.autopilots.px4.px4_process import STREAMS_HZ
+from analysis.autopilots.px4.px4_parameters import STREAMS_HZ
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from simvehicle.guidance.waypoints import Waypoint

@@ -18,6 +18,20 @@ PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
     "NAV_LOITER_RAD": 150,
     "FW_LND_USETER": 0,  # the mission gives the ground height, with or without a range finder
 }
+# The messages that PX4 sends in a run, and how often.
+STREAMS_HZ = {
+    "SYS_STATUS": 2,
+    "EXTENDED_SYS_STATE": 2,
+    "ESTIMATOR_STATUS": 2,
+    "GPS_RAW_INT": 2,
+    "BATTERY_STATUS": 1,
+    "HOME_POSITION": 1,
+    "ALTITUDE": 2,
+    "VFR_HUD": 5,
+    "GLOBAL_POSITION_INT": 10,
+    "LOCAL_POSITION_NED": 20,
+    "ATTITUDE": 20,
+}
 MIN_OFFSET_PA = 1e-3
 ACCEPTANCE_RADIUS_M = 2.0  # as ArduCopter's WPNAV_RADIUS
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from analysis.autopilots.flight_operator import AutopilotCommands
 from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import PX4_STEP
-from analysis.autopilots.px4.px4_parameters import AIRFRAMES, run_parameters
+from analysis.autopilots.px4.px4_parameters import AIRFRAMES, STREAMS_HZ, run_parameters
 from analysis.autopilots.running_autopilot import RunningAutopilot, terminate_on_exit
 from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.documents.errors import ConfigError
@@ -33,19 +33,6 @@ LOOPBACK = "127.0.0.1"
 FIRST_PORT = 4560  # TCP port at which instance 0 expects its simulator
 MAX_INSTANCES = 100
 STARTUP_TEXT = "Startup script returned"  # its last lines start the logger
-STREAMS_HZ = {
-    "SYS_STATUS": 2,
-    "EXTENDED_SYS_STATE": 2,
-    "ESTIMATOR_STATUS": 2,
-    "GPS_RAW_INT": 2,
-    "BATTERY_STATUS": 1,
-    "HOME_POSITION": 1,
-    "ALTITUDE": 2,
-    "VFR_HUD": 5,
-    "GLOBAL_POSITION_INT": 10,
-    "LOCAL_POSITION_NED": 20,
-    "ATTITUDE": 20,
-}
 
 
 def launch_command(binary: str) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.report.curves.fused_curves import fused_errors
-from analysis.report.recordings.recording import Event, FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.recording import Event, FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analysis.report.recordings.recording import Signal, Vector
+from analysis.report.curves.recording import Signal, Vector
 from analysis.results import AttitudeError, Decision, read_results
 from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics.earth import ecef_from_geodetic

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 AXES = ("north", "east", "down")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.recording import FlightData, Signal, Vector
+from analysis.report.curves.recording import FlightData, Signal, Vector
 
 # Chosen: below 20 Hz there is no motor vibration or filter effect.
 LEAST_HZ, LEAST_SAMPLES = 20.0, 512

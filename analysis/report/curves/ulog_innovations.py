@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.recordings.flight_logs.ulog import Topic
 from analysis.report.curves.field_values import DEG, column
-from analysis.report.recordings.recording import Signal, Vector
+from analysis.report.curves.recording import Signal, Vector
 
 # panel, name, field of the topics, scale, gate's parameter and its default
 INNOVATIONS = (

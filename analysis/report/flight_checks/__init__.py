@@ -9,9 +9,9 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from analysis.report.curves.recording import FlightData
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FlightCheck, armed_windows
-from analysis.report.recordings.recording import FlightData
 
 
 @cache

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
-from analysis.report.recordings.recording import FlightData, Signal
 
 CONTROL_HOLD_S = 0.3  # chosen: out of control a vehicle oscillates, so large errors are brief
 POWERED_V = 2.0  # chosen: a rail that never exceeds it is not connected

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
-from analysis.report.recordings.recording import FlightData, Signal
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.report.curves.recording import FlightData, Signal, Vector
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows
-from analysis.report.recordings.recording import FlightData, Signal, Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 STOP_S = 0.7  # chosen: the ground stops a fall within this time

@@ -1,1 +1,1 @@
-"""Assessment of a flight: checks with limits, the verdict, the autopilot's reactions to faults."""
+"""What checks of a flight are made of: limits, verdicts, the autopilot's texts and reactions."""

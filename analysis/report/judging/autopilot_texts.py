@@ -8,8 +8,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from analysis.report.curves.recording import UNGRADED, Event, FlightData
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
-from analysis.report.recordings.recording import UNGRADED, Event, FlightData
 
 ALARMING = re.compile(
     r"failsafe|crash|emergency|parachute|terminat|thrust loss|lost position|gps glitch"

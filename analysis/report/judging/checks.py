@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.recording import FlightData, Signal, Vector, true_runs
+from analysis.report.curves.recording import FlightData, Signal, Vector, true_runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # "not judged" ranks below PASS.

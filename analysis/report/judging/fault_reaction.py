@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 
+from analysis.report.curves.recording import Event, FlightData
 from analysis.report.judging.autopilot_texts import is_alarming
 from analysis.report.judging.checks import FlightCheck
-from analysis.report.recordings.recording import Event, FlightData
 from analysis.scoring.alarm_windows import AlarmWindow
 from analysis.scoring.fault_channels import fault_visibility
 from analysis.scoring.outcome import MISSED, NEVER_US, NOT_JUDGED, FaultOutcome, fault_outcomes

@@ -3,8 +3,8 @@
 import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.judging.checks import armed_windows
-from analysis.report.recordings.recording import FlightData, Signal
 
 
 def flight_facts(recording: FlightData) -> list[tuple[str, str]]:

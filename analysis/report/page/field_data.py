@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.report.curves.recording import Message, Vector
 from analysis.report.page.packed_numbers import PackedNumbers
-from analysis.report.recordings.recording import Message, Vector
 from mavproxy_fault.documents.errors import ConfigError
 
 # The value of `--data` that writes the numbers beside the page, in place of a size in MB.

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from analysis.report.curves.panels import PANELS, Panel
+from analysis.report.curves.recording import FlightData
 from analysis.report.curves.spectra import SpectrumPanel, frequency_marks, spectrum_panels
 from analysis.report.page.packed_numbers import thin_curve
 from analysis.report.page.page_model import longest_armed, tracks_in_flight
-from analysis.report.page.panels import PANELS, Panel
 from analysis.report.page.series_colours import GATES, PALETTE, series_colours
-from analysis.report.recordings.recording import FlightData
 
 MOST_POINTS = 20_000  # per curve; an SVG with more opens slowly
 # Font type 42 embeds TrueType fonts, which journals require; matplotlib's default is type 3.

@@ -3,8 +3,8 @@
 import numpy as np
 
 from analysis.report.curves.fused_curves import AXES, BAND, FUSED, error_ned_m
+from analysis.report.curves.recording import FlightData, GroundTrack, Vector
 from analysis.report.page.page_parts import ReportTable
-from analysis.report.recordings.recording import FlightData, GroundTrack, Vector
 
 NOTE = (
     "Errors against the truth, all epochs. The NEES (squared error over its variance, summed over "

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
+from analysis.report.curves.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
+from analysis.report.flight_verdict import FlightAssessment
 from analysis.report.judging.checks import FAIL, PASS, WARN, FlightCheck
 from analysis.report.judging.flight_facts import flight_facts
-from analysis.report.judging.flight_verdict import FlightAssessment
-from analysis.report.log_sky import sky_pictures
 from analysis.report.page.fused_table import fused_table
+from analysis.report.page.log_sky import sky_pictures
 from analysis.report.page.page_parts import SENSOR_LIMIT, LimitLine, ReportPage, ReportTable
-from analysis.report.page.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
 from analysis.report.page.report_tables import (
     check_reasons,
     checks_tables,

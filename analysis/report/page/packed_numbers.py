@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.recordings.recording import Vector
+from analysis.report.curves.recording import Vector
 from analysis.report.recordings.thinning import extreme_indices
 
 MAX_CURVE_SAMPLES = 100_000  # per curve; longer ones are thinned to their extremes

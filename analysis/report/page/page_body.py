@@ -7,9 +7,7 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
-from analysis.report.page.page_model import Model
-from analysis.report.page.page_parts import Cell, ReportPage, ReportTable, TimeButtons
-from analysis.report.page.panels import (
+from analysis.report.curves.panels import (
     BY_KEY,
     CHECKS,
     FIELDS,
@@ -18,7 +16,9 @@ from analysis.report.page.panels import (
     SYSTEM,
     TIMELINE,
 )
-from analysis.report.recordings.recording import FlightData
+from analysis.report.curves.recording import FlightData
+from analysis.report.page.page_model import Model
+from analysis.report.page.page_parts import Cell, ReportPage, ReportTable, TimeButtons
 
 VERDICTS = ("PASS", "WARN", "FAIL")
 MAP = "Map"

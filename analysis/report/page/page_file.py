@@ -10,6 +10,7 @@ import json
 from html import escape
 from importlib.resources import files
 
+from analysis.report.curves.recording import FlightData
 from analysis.report.page.field_data import FieldData
 from analysis.report.page.packed_numbers import PackedNumbers
 from analysis.report.page.page_body import (
@@ -21,7 +22,6 @@ from analysis.report.page.page_body import (
 )
 from analysis.report.page.page_model import page_model
 from analysis.report.page.page_parts import ReportPage
-from analysis.report.recordings.recording import FlightData
 
 SCRIPTS = (
     "uPlot.iife.min.js", "time.js", "plots.js", "lanes.js", "spectra.js", "tracks.js",

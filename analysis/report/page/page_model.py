@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from analysis.report.curves.panels import BY_KEY, PANELS
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
 from analysis.report.curves.spectra import (
     Spectrogram,
     SpectrumPanel,
@@ -21,10 +23,8 @@ from analysis.report.page.packed_numbers import (
     thin_curve,
 )
 from analysis.report.page.page_parts import ReportPage
-from analysis.report.page.panels import BY_KEY, PANELS
 from analysis.report.page.series_colours import series_colours
 from analysis.report.page.uncertainty import track_sigma
-from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 # Angles whose curves are broken where they wrap.

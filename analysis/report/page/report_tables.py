@@ -4,11 +4,11 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from analysis.report.curves.panels import ATTITUDE, CHECKS, FAULT_EFFECTS, TIMELINE
+from analysis.report.curves.recording import FlightData
 from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, FlightCheck
 from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
-from analysis.report.page.panels import ATTITUDE, CHECKS, FAULT_EFFECTS, TIMELINE
 from analysis.report.recordings.from_results import isolation_matrix
-from analysis.report.recordings.recording import FlightData
 from analysis.results import Result
 from mavproxy_fault.wire.label import Label
 

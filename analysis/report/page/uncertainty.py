@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
 
 # Panel with the accuracy of a track, by the beginning of the track's name.
 PANELS_OF = (("GPS", "gps-accuracy"), ("estimate", "accuracy"), ("local estimate", "accuracy"))

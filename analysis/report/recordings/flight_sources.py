@@ -10,12 +10,12 @@ import msgspec
 
 from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.report.curves.recording import FlightData, join_recordings
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.reading_bar import reading_bar
-from analysis.report.recordings.recording import FlightData, join_recordings
 from analysis.report.recordings.thinning import read_contents
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError

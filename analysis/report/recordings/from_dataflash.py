@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 from analysis.recordings.flight_logs.dataflash import DataflashFile, Topic
 from analysis.report.curves.dataflash_curves import CURVES
 from analysis.report.curves.field_values import values_of
-from analysis.report.recordings.mode_names import (
-    ARDUPILOT,
-    ERRORS,
-    EVENTS,
-    FIXED_WING,
-    ROVERS,
-    mode_name,
-)
-from analysis.report.recordings.recording import (
+from analysis.report.curves.recording import (
     REJECTED_S,
     UNGRADED,
     Event,
@@ -32,6 +24,14 @@ from analysis.report.recordings.recording import (
     Vector,
     active_spans,
     flag_events,
+)
+from analysis.report.recordings.mode_names import (
+    ARDUPILOT,
+    ERRORS,
+    EVENTS,
+    FIXED_WING,
+    ROVERS,
+    mode_name,
 )
 
 ARMED, DISARMED = 10, 11  # EV.Id

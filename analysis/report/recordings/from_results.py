@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from analysis.report.recordings.recording import (
+from analysis.report.curves.recording import (
     Event,
     FlightData,
     GroundTrack,

@@ -7,6 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.curves.field_values import values_of
+from analysis.report.curves.recording import (
+    Event,
+    FlightData,
+    GroundTrack,
+    Message,
+    Signal,
+    active_spans,
+    flag_events,
+    local_track,
+    value_spans,
+)
 from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.recordings.link_quality import link_quality
 from analysis.report.recordings.log_clock import LogClock, clock_of
@@ -17,17 +28,6 @@ from analysis.report.recordings.mode_names import (
     PX4,
     STATES,
     mode_name,
-)
-from analysis.report.recordings.recording import (
-    Event,
-    FlightData,
-    GroundTrack,
-    Message,
-    Signal,
-    active_spans,
-    flag_events,
-    local_track,
-    value_spans,
 )
 from mavproxy_fault.wire.tlog import Columns
 

@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.ulog import Topic, ULogFile
 from analysis.report.curves.field_values import values_of
-from analysis.report.curves.ulog_curves import CURVES
-from analysis.report.curves.ulog_innovations import innovation_signals
-from analysis.report.recordings.recording import (
+from analysis.report.curves.recording import (
     Event,
     FlightData,
     GroundTrack,
@@ -21,6 +19,8 @@ from analysis.report.recordings.recording import (
     local_track,
     value_spans,
 )
+from analysis.report.curves.ulog_curves import CURVES
+from analysis.report.curves.ulog_innovations import innovation_signals
 from analysis.report.recordings.ulog_flags import flag_spans
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 

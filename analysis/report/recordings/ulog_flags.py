@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.ulog import Topic
+from analysis.report.curves.recording import REJECTED_S, Span, active_spans
 from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
-from analysis.report.recordings.recording import REJECTED_S, Span, active_spans
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]

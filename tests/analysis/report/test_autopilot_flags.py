@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from analysis.report.curves.recording import FlightData, Signal, Span
 from analysis.report.flight_checks.autopilot_checks import run_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import PASS, WARN
-from analysis.report.recordings.recording import FlightData, Signal, Span
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.report.curves.recording import FlightData, GroundTrack, Span
 from analysis.report.export_tracks import export_tracks
-from analysis.report.recordings.recording import FlightData, GroundTrack, Span
 
 KML = "{http://www.opengis.net/kml/2.2}"
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.report.curves.recording import Message
 from analysis.report.page.field_data import FOLDER, field_data
-from analysis.report.recordings.recording import Message
 from mavproxy_fault.documents.errors import ConfigError
 
 T_S = np.arange(100_000) * 0.01

@@ -7,9 +7,9 @@ import pytest
 
 from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.curves.derived_curves import add_derived_curves, derive_curves
+from analysis.report.curves.recording import FlightData, Signal, Span
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog
-from analysis.report.recordings.recording import FlightData, Signal, Span
 
 T = np.arange(0.0, 100.0, 0.1)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Span, Vector
 from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FlightCheck
-from analysis.report.recordings.recording import FlightData, GroundTrack, Signal, Span, Vector
 
 T_S = np.arange(0.0, 60.0, 0.05)
 NONE = np.zeros_like(T_S)

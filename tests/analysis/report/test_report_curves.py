@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from analysis.report.curves.derived_curves import derive_curves
+from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.curves.spectra import frequency_marks, spectrum_panels
 from analysis.report.curves.ulog_innovations import innovation_signals
-from analysis.report.recordings.recording import FlightData, Signal
 
 T_S = np.arange(0, 20, 0.004)
 

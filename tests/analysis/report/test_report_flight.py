@@ -7,6 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from analysis.report.curves.recording import UNGRADED, Event, FlightData, Signal
+from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
 from analysis.report.judging.checks import (
@@ -17,10 +19,8 @@ from analysis.report.judging.checks import (
     verdict_of,
 )
 from analysis.report.judging.fault_reaction import fault_reactions
-from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.recordings.flight_sources import RecordedFlight as Source
 from analysis.report.recordings.flight_sources import group_logs, read_flight
-from analysis.report.recordings.recording import UNGRADED, Event, FlightData, Signal
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label

@@ -4,9 +4,9 @@ import numpy as np
 
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.curves.fused_curves import error_ned_m
+from analysis.report.curves.recording import FlightData, GroundTrack, join_recordings
 from analysis.report.page.fused_table import fused_table
 from analysis.report.recordings.from_results import recording_of_results
-from analysis.report.recordings.recording import FlightData, GroundTrack, join_recordings
 from analysis.results import FusedState
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.recordings import thinning as thin
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.recordings.link_quality import sum_stretches

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from analysis.recordings.flight_logs.ulog import read_ulog
-from analysis.report.export_tracks import export_tracks
-from analysis.report.log_sky import sky_pictures
-from analysis.report.page.page_model import tracks_in_flight
-from analysis.report.page.uncertainty import track_sigma
-from analysis.report.recordings.from_tlog import recording_of_tlog
-from analysis.report.recordings.from_ulog import recording_of_ulog
-from analysis.report.recordings.recording import (
+from analysis.report.curves.recording import (
     FlightData,
     GroundTrack,
     Message,
     Signal,
     local_track,
 )
+from analysis.report.export_tracks import export_tracks
+from analysis.report.page.log_sky import sky_pictures
+from analysis.report.page.page_model import tracks_in_flight
+from analysis.report.page.uncertainty import track_sigma
+from analysis.report.recordings.from_tlog import recording_of_tlog
+from analysis.report.recordings.from_ulog import recording_of_ulog
 
 T = np.arange(5.0)
 GPS = GroundTrack("GPS", T, 47.0 + T * 1e-5, 8.0 + T * 0, 500.0 + T)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.report.curves.fault_effects import measure_effects
-from analysis.report.recordings.recording import Signal
+from analysis.report.curves.recording import Signal
 from analysis.run.reference_flight import ReferenceRun, run_reference_flight
 from analysis.run.run_command import main
 from analysis.run.run_setup import read_setup

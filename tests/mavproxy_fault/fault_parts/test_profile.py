@@ -12,10 +12,9 @@ from mavproxy_fault.fault_parts.profile import (
     LinearSegment,
     LiveInput,
     Profile,
-    SeriesTable,
     SineProfile,
 )
-from mavproxy_fault.fault_parts.series import BLOCK_ROWS
+from mavproxy_fault.fault_parts.series import BLOCK_ROWS, SeriesTable
 from mavproxy_fault.schedule.entries import read_schedule
 
 RNG = np.random.default_rng(0)

@@ -7,8 +7,8 @@ the zenith, but PX4's u-blox driver writes the angle above the horizon, and the 
 
 import numpy as np
 
-from analysis.report.gnss_figures import Picture, draw_sky
-from analysis.report.recordings.recording import FlightData, Message, Vector
+from analysis.report.curves.recording import FlightData, Message, Vector
+from analysis.report.page.gnss_figures import Picture, draw_sky
 
 AZIMUTH_STEPS = 255.0
 # First and last number of each system in u-blox's common numbering, and its letter.

@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 
 from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.curves.panels import BY_KEY
+from analysis.report.curves.recording import FlightData, Span
 from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
-from analysis.report.page.panels import BY_KEY
 from analysis.report.recordings.flight_sources import RecordedFlight
-from analysis.report.recordings.recording import FlightData, Span
 from analysis.scoring.criteria import Criteria, check_missed_faults
 
 # Checks of the autopilot's own alarms, which are expected while a fault is injected.
