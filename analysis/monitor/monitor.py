@@ -7,7 +7,7 @@ import numpy as np
 
 from analysis.monitor.pipeline import MonitorConfig, Pipeline
 from analysis.recordings.position_reference import PositionReference
-from analysis.results import Result
+from analysis.results import Result, SensorDecision
 from analysis.samples.block import Block
 from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.scoring.criteria import Criteria
@@ -32,6 +32,11 @@ class Monitor:
     def t_s(self) -> float:
         """Seconds from the first sample to the newest, on the vehicle's clock."""
         return self._tally.span_s
+
+    @property
+    def alarms(self) -> dict[str, list[SensorDecision]]:
+        """The alarms so far by the name of the detector that raised them."""
+        return self._pipeline.alarms
 
     def push_bytes(self, chunks: Iterable[bytes], *, datagrams: bool = True) -> list[Result]:
         """Results of the frames in some chunks; a stream's may be cut anywhere."""

@@ -4,7 +4,7 @@ The vehicle's effects are known; commands come with the samples. Every second of
 the actuators obey, and every half second who does not.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,15 +33,17 @@ from analysis.detection.actuators.motion_filter import initial_motion_model
 from analysis.detection.actuators.motor_imbalance import new_motor_trim
 from analysis.detection.actuators.response_regression import new_regression
 from analysis.detection.actuators.switched_off import new_output_states
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import OR_SEPARATOR, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
 ELEVATOR = "elevator"  # of those with wings
 
 
-@dataclass(frozen=True)
-class ActuatorDetector:
+class ActuatorDetector(BlockDetector, frozen=True):
     """A step of the pipeline; without commands it does nothing."""
+
+    channels: ClassVar = frozenset({ACTUATORS})
 
     effects: Effects
 

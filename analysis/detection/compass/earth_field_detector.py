@@ -5,6 +5,7 @@ Magnetic Model tells what it ought to be like where the first fix is.
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from analysis.detection.compass.earth_field_kernel import (
     new_earth_field,
     track_earth_field,
 )
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_TYPE, Block
 from analysis.samples.sample import Vector
@@ -46,9 +48,10 @@ class EarthFieldState:
         return off
 
 
-@dataclass(frozen=True)
-class EarthFieldDetector:
+class EarthFieldDetector(BlockDetector, frozen=True):
     """A step of the pipeline; a `field_ned_gauss` takes the model's place."""
+
+    channels: ClassVar = frozenset({"mag"})
 
     field_ned_gauss: tuple[float, float, float] | None = None
 

@@ -11,9 +11,8 @@ falsified at once makes one large r that stays. `turn_kernel` tells within a sec
 can, but has to integrate, and cannot where a slow gyro is shaken.
 """
 
-from dataclasses import dataclass
 from math import sqrt
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from analysis.detection.compass.turn_kernel import (
     SIZE_SHARE,
     STEP_US,
 )
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import IMU, IMU_ID, MAG, Block
 from analysis.samples.sample import Vector
@@ -220,9 +220,10 @@ def _test_bins(kept: MeanTurnState) -> float:
     return 0.0
 
 
-@dataclass(frozen=True)
-class MeanTurnDetector:
+class MeanTurnDetector(BlockDetector, frozen=True):
     """A step of the pipeline."""
+
+    channels: ClassVar = frozenset({"imu", "mag"})
 
     def new_state(self) -> MeanTurnState:
         """Nothing came yet."""

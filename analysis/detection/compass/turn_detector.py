@@ -4,7 +4,7 @@ A gyro's bias about the vertical turns the heading and nothing else, so that nei
 hovering vehicle nor the field's size show it.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from analysis.detection.compass.turn_kernel import (
     new_turns,
     track_turns,
 )
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import Block
 
@@ -23,9 +24,10 @@ SENSOR_OF = {FIELD: "mag", RATES: "imu", EITHER: "imu"}
 HYPOTHESIS_OF = {FIELD: "", RATES: "", EITHER: "imu-or-mag"}
 
 
-@dataclass(frozen=True)
-class TurnDetector:
+class TurnDetector(BlockDetector, frozen=True):
     """A step of the pipeline."""
+
+    channels: ClassVar = frozenset({"imu", "mag"})
 
     def new_state(self) -> TurnState:
         """Nothing came yet."""

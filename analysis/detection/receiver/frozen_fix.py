@@ -4,9 +4,9 @@ Place and velocity of a receiver at rest still differ from fix to fix by its noi
 never repeated itself for long does not begin to; one that has may hold still as it likes.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, Block
 from analysis.samples.sample import GpsFix
@@ -69,9 +69,10 @@ class FrozenFixState(NamedTuple):
     reported_us: int = 0
 
 
-@dataclass(frozen=True)
-class FrozenFixDetector:
+class FrozenFixDetector(BlockDetector, frozen=True):
     """A step of the pipeline."""
+
+    channels: ClassVar = frozenset({"gps-position"})
 
     def new_state(self) -> FrozenFixState:
         """Nothing came yet."""

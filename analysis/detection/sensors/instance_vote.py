@@ -10,10 +10,11 @@ receivers on their place. A further magnetometer or barometer that no longer com
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
@@ -95,9 +96,10 @@ class VoteState:
         }
 
 
-@dataclass(frozen=True)
-class InstanceVoteDetector:
+class InstanceVoteDetector(BlockDetector, frozen=True):
     """A step of the pipeline; with one sensor of each kind it does nothing."""
+
+    channels: ClassVar = frozenset(voters.sensor for voters in VOTERS)
 
     def new_state(self) -> list[VoteState]:
         """Nothing came yet."""

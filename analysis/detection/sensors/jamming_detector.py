@@ -10,11 +10,11 @@ satellites is to blame: the result is about `satellites` as a whole.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.detection.values import Value
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import EPOCH, Block
@@ -58,9 +58,10 @@ class SignalState(Value, frozen=True):
     reported_us: int | None = None
 
 
-@dataclass(frozen=True)
-class JammingDetector:
+class JammingDetector(BlockDetector, frozen=True):
     """A step of the pipeline."""
+
+    channels: ClassVar = frozenset({"satellites"})
 
     def new_state(self) -> SignalState:
         """Nothing came yet."""

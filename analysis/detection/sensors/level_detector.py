@@ -4,10 +4,11 @@
 - Whether a receiver says that it has a fix.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.detection.sensors.level_kernel import (
     FIELD,
     HAS_FIX,
@@ -33,9 +34,10 @@ IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX))
 Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
 
 
-@dataclass(frozen=True)
-class LevelDetector:
+class LevelDetector(BlockDetector, frozen=True):
     """A step of the pipeline."""
+
+    channels: ClassVar = frozenset(SENSOR_OF.values())
 
     def new_state(self) -> LevelState:
         """Nothing came yet."""

@@ -6,10 +6,11 @@ it is the link that was lost.
 The results are those of `SensorDecision`, without a statistic, every half second while it lasts.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.detection.streams.rate_kernel import COLUMNS
 from analysis.detection.streams.stream_kernel import (
     BURSTING,
@@ -44,9 +45,10 @@ REASONS = {
 MOST = 10_000  # results from one block
 
 
-@dataclass(frozen=True)
-class StreamDetector:
+class StreamDetector(BlockDetector, frozen=True):
     """A step of the pipeline; without a `link` nobody is blamed where everything pauses."""
+
+    channels: ClassVar = frozenset(STREAMS)
 
     link: bool = True
 
