@@ -1,8 +1,4 @@
-"""The protocol of the monitor's detectors, and the detectors of other packages.
-
-Another package registers a class by entry point (group `mavproxy_fault.detectors`); the entry
-point's name is the detector's name.
-"""
+"""The protocol of the monitor's detectors, and those of other packages, which entry points name."""
 
 from functools import cache
 from typing import Any, ClassVar

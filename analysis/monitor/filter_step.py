@@ -9,7 +9,7 @@ from analysis.detection import DetectorConfig
 from analysis.detection.sensors.sensor_tests import NavigationDetector, NavigationState
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.results import Result
-from analysis.samples.block import Block, BlockSlice, split_at_events
+from analysis.samples.block import Block, split_at_events
 
 WITHOUT_ISOLATION = "fused without isolation"
 FilterState = tuple[NavigationState, list[Any]]  # of the filter, and of each fusion
@@ -41,25 +41,20 @@ class FilterStep:
         self, block: Block, state: FilterState
     ) -> tuple[list[tuple[int, Result]], FilterState]:
         """The results of the next samples, each with its row of the block, and the next state."""
+        navigation, states = state[0], list(state[1])
         if not self._fusions:
-            rows, navigation = self._navigation.step_rows(block, state[0])
-            return rows, (navigation, [])
-        found: list[tuple[int, Result]] = []
+            found, navigation = self._navigation.step_rows(block, navigation)
+            return found, (navigation, states)
+        found = []
         for piece in split_at_events(block):
-            results, state = self._fuse(piece, state)
-            found += [(piece.last, result) for result in results]
-        return found, state
-
-    def _fuse(self, piece: BlockSlice, state: FilterState) -> tuple[list[Result], FilterState]:
-        """Results and fused states; with feedback the detector continues from the latter."""
-        results, navigation = self._navigation.step_piece(piece, state[0])
-        core, fused, states = navigation.detector.core, list[Result](), []
-        for fusion, before in zip(self._fusions, state[1], strict=True):
-            solutions, after = fusion.step_piece(piece, results, core, before)
-            fused += solutions
-            states.append(after)
-        if fused and self._feed_back is not None:
-            # From the first fusion: the second is there for comparison only.
-            core = self._feed_back(core, states[0].graph)
-            navigation = replace(navigation, detector=navigation.detector._replace(core=core))
-        return [*results, *fused], (navigation, states)
+            results, navigation = self._navigation.step_piece(piece, navigation)
+            core, fused = navigation.detector.core, list[Result]()
+            for i, fusion in enumerate(self._fusions):
+                solutions, states[i] = fusion.step_piece(piece, results, core, states[i])
+                fused += solutions
+            if fused and self._feed_back is not None:
+                # From the first fusion: the second is there for comparison only.
+                core = self._feed_back(core, states[0].graph)
+                navigation = replace(navigation, detector=navigation.detector._replace(core=core))
+            found += [(piece.last, result) for result in (*results, *fused)]
+        return found, (navigation, states)

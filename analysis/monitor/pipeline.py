@@ -15,13 +15,9 @@ from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
 from analysis.detection.actuators.actuator_response import CRASH_US
 from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRASHED_US
-from analysis.detection.actuators.alarm_precedence import NEVER_US, apply_precedence
+from analysis.detection.actuators.alarm_precedence import apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
-from analysis.detection.actuators.imu_hold_out import (
-    hold_out_until,
-    trusted_rows,
-    withdraw_silence,
-)
+from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
 from analysis.detection.actuators.tumble_kernel import new_tumble, track_tumble
 from analysis.detection.compass.earth_field_detector import EarthFieldDetector
 from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
@@ -36,7 +32,7 @@ from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.filter_step import FilterStep
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import Block, block_of
+from analysis.samples.block import NEVER_US, Block, block_of
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import put_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
@@ -53,8 +49,7 @@ class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     `streams` switches the tests of what only a link can do: silence, repetition, wrong timestamps.
     `link` says whether all samples came over a link: an autopilot's own log pauses as a whole.
     `actuators` are the vehicle's effects; unknown ones are learned in flight. `field_ned_gauss` is
-    the magnetic field of a simulated world that has its own. `others` are the detectors of other
-    packages by name.
+    the magnetic field of a simulated world. `others` are other packages' detectors by name.
     """
 
     detector: DetectorConfig = DetectorConfig()
@@ -90,8 +85,8 @@ def monitor_detectors(config: MonitorConfig) -> dict[str, BlockDetector]:
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
     """The `monitor` section of a scenario: the filter's keys, and what else the monitor does.
 
-    A mapping `fusion`, empty or not, switches the fusion on. A detector of another package has its
-    settings under its name.
+    A mapping `fusion`, empty or not, switches the fusion on. Other packages' detectors add their
+    names.
     """
 
     attitude: AttitudeConfig = AttitudeConfig()

@@ -1,9 +1,9 @@
-"""Without raw ranges: the same tests on a receiver's own position and velocity.
+"""The decision on a receiver's fix without raw ranges, by tests of its position and velocity.
 
-Three position components have no redundancy among themselves, so who lies is told by the velocity
-and by whether the receiver agrees with itself: a position that leaves while the velocity still
-fits the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move
-with it is the receiver's or the IMU's, see `receiver_or_imu`. Where that cannot be told the filter
+Three position components have no redundancy, so the fault is isolated by the velocity and by
+whether the receiver is consistent with itself. A position that leaves while the velocity still fits
+the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move with it
+is the receiver's or the IMU's, see `receiver_or_imu`. If these are not separable, the filter
 follows the receiver, and its position is declared unbounded.
 """
 
@@ -60,13 +60,10 @@ from analysis.detection.receiver.receiver_or_imu import (
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
-RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
-IMU_IN_DOUBT = (
-    "imu",
-    UNDECIDED,
-)  # hypotheses after which the filter does not trust the IMU for a while
-PAUSED_S = 1.5  # without a fix
-LOST_M = 300.0  # a filter as unsure as this is started anew
+RECEIVER_VELOCITY = "gps-velocity"  # the velocity's name among the excluded
+IMU_IN_DOUBT = ("imu", UNDECIDED)  # hypotheses after which the IMU is not used for a while
+PAUSED_S = 1.5  # without a fix: more than an interval at 1 Hz
+LOST_M = 300.0  # sigma above which the filter starts again
 
 
 def step_position(
@@ -74,16 +71,15 @@ def step_position(
 ) -> tuple[list[Result], DetectorState]:
     """The decision on one fix and the next state."""
     core, pending, mag_b = state
-    # The same receiver may come in several messages, which are no second witness: one of them is
-    # followed, HIL_GPS wherever it is.
+    # Messages of one receiver are not independent: one is used, HIL_GPS if it is present.
     if core.gps_source not in (None, fix.source) and fix.source != "HIL_GPS":
         return [], state
     latency = core.latency if fix.source == core.gps_source else initial_latency(fix.source)
     core = core._replace(gps_source=fix.source, latency=latency, mag_b=mag_b)
     core = core._replace(repeats=core.repeats.updated(fix.t_us, fix_values(fix)))
-    measured, reason = fix_measurement(fix)
+    measurement, reason = fix_measurement(fix)
     motion = core.motion
-    if measured is None:
+    if measurement is None:
         return [untestable_decision(fix.t_us, reason)], DetectorState(core, pending, mag_b)
     if motion is not None:
         since_s = (fix.t_us - motion.t_us) * 1e-6
@@ -94,54 +90,59 @@ def step_position(
             motion = None
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
-        core = _restart(core, start_at_fix(fix.t_us, measured))
+        core = _restart(core, start_at_fix(fix.t_us, measurement))
         decision = build_fix_decision(fix, core, None, None, "none", False, "start")
         return [decision], DetectorState(core, pending, mag_b)
     core = core._replace(imu_interval_s=update_interval_s(core.imu_interval_s, run))
-    part = imu_segment(run, motion, fix.t_us)
-    predicted, phi = propagate_filter(motion, part, fix.t_us, config)
-    acceleration = mean_acceleration(motion, predicted, measured.axes)
+    imu_data = imu_segment(run, motion, fix.t_us)
+    predicted, phi = propagate_filter(motion, imu_data, fix.t_us, config)
+    acceleration = mean_acceleration(motion, predicted, measurement.axes)
     dt_s = (fix.t_us - motion.t_us) * 1e-6
     core = core._replace(latency=append_interval(core.latency, dt_s, acceleration))
-    measured = compensate_latency(measured, predicted, core.latency)
-    tests = run_fix_tests(measured, predicted, config)
-    hypothesis, alarm = _isolate(core, measured, predicted, part, tests, config)
-    core, found, wrong_mps2 = detect_carry_off(
-        core, (predicted, phi), part, measured, tests, config
+    measurement = compensate_latency(measurement, predicted, core.latency)
+    tests = run_fix_tests(measurement, predicted, config)
+    hypothesis, alarm = _isolate(core, measurement, predicted, imu_data, tests, config)
+    core, detection, wrong_mps2 = detect_carry_off(
+        core, (predicted, phi), imu_data, measurement, tests, config
     )
-    if found is not None:
-        predicted, hypothesis, alarm = remove_carry_off(predicted, found), "gps", True
-        tests = run_fix_tests(measured, predicted, config)
+    if detection is not None:
+        predicted, hypothesis, alarm = remove_carry_off(predicted, detection), "gps", True
+        tests = run_fix_tests(measurement, predicted, config)
     elif wrong_mps2 is not None:
         alarm = True
         hypothesis = isolate_acceleration_fault(
-            core.last_fix, wrong_mps2, measured, predicted, part
+            core.last_fix, wrong_mps2, measurement, predicted, imu_data
         )
     if hypothesis == "none" and tests[1] is not None:
         core = core._replace(latency=update_latency(core.latency, tests[1], predicted.p))
-    core = _with_hysteresis(core, hypothesis, measured, tests, predicted, config)
-    moved = _update_filter(predicted, core, hypothesis, measured, tests, acceleration, config)
-    moved = align_attitude(core, moved, part, dt_s, config)
-    core = core._replace(motion=moved, last_fix=new_last_fix(core.last_fix, measured, part, moved))
-    shown = _reported_hypothesis(core, hypothesis)
-    mode = "position" if moved.inertial else "position-free"
-    results: list[Result] = [build_fix_decision(fix, core, *tests, shown, alarm, mode)]
-    # Everybody paused where there was no fix either.
-    paused = dt_s > PAUSED_S and part.gap_s > 0.8 * dt_s
-    gap = part.gap_s if (predicted.inertial or motion.inertial) and not paused else 0.0
+    core = _with_hysteresis(core, hypothesis, measurement, tests, predicted, config)
+    updated_motion = _update_filter(
+        predicted, core, hypothesis, measurement, tests, acceleration, config
+    )
+    updated_motion = align_attitude(core, updated_motion, imu_data, dt_s, config)
+    core = core._replace(
+        motion=updated_motion,
+        last_fix=new_last_fix(core.last_fix, measurement, imu_data, updated_motion),
+    )
+    hypothesis_now = _reported_hypothesis(core, hypothesis)
+    mode = "position" if updated_motion.inertial else "position-free"
+    results: list[Result] = [build_fix_decision(fix, core, *tests, hypothesis_now, alarm, mode)]
+    # Without fixes meanwhile everything had paused.
+    paused = dt_s > PAUSED_S and imu_data.gap_s > 0.8 * dt_s
+    gap = imu_data.gap_s if (predicted.inertial or motion.inertial) and not paused else 0.0
     results += fix_sensor_decisions(fix, core, *tests, gap, hypothesis, config)
     return results, DetectorState(core, pending, mag_b)
 
 
 def _restart(core: DetectorCore, motion: MotionEstimate) -> DetectorCore:
-    """A filter that begins, and nothing of the past."""
+    """The state with a new filter, and nothing of the past."""
     return core._replace(
         motion=motion, excluded={}, last_fix=None, unbounded=False, carry=None, carried=None
     )
 
 
 def _reported_hypothesis(core: DetectorCore, hypothesis: str) -> str:
-    """What the decision says while somebody is still left out."""
+    """The hypothesis that the decision reports while a sensor is excluded."""
     if hypothesis != "none":
         return hypothesis
     if RECEIVER in core.excluded:
@@ -153,50 +154,50 @@ def _reported_hypothesis(core: DetectorCore, hypothesis: str) -> str:
 
 def _isolate(
     core: DetectorCore,
-    measured: FixMeasurement,
+    measurement: FixMeasurement,
     motion: MotionEstimate,
-    part: ImuSegment,
+    imu_data: ImuSegment,
     tests: Tests,
     config: DetectorConfig,
 ) -> tuple[str, bool]:
-    """Whose fault a failed test is, and whether it is an alarm; `part` is the IMU since the last
-    fix, which moved the filter to `motion`."""
+    """The hypothesis for a failed test, and whether it is an alarm; `imu_data` is the IMU since the
+    last fix, which moved the filter to `motion`."""
     position, velocity = tests
-    # A fix that is only repeated measures nothing, however well it fits.
+    # A repeated fix measures nothing, however well it fits.
     if core.repeats.frozen:
         return "gps", True
     if position.passes and (velocity is None or velocity.passes):
         return "none", False
-    agrees = _self_consistent(core, measured, motion.t_us, config)
-    if not motion.inertial:  # nothing but steady motion predicts: a jump of position it is, or none
+    agrees = _self_consistent(core, measurement, motion.t_us, config)
+    if not motion.inertial:  # only steady motion is predicted: it is a position jump or no fault
         return ("none", False) if agrees else ("gps", True)
     if velocity is None or velocity.passes or RECEIVER in core.excluded:
         return "gps", True
     if agrees:
         return isolate_receiver_or_imu(
-            core.last_fix, measured, motion, velocity, part, config
+            core.last_fix, measurement, motion, velocity, imu_data, config
         ), True
     return ("gps", True) if position.passes else ("multiple-unknown", True)
 
 
 def _self_consistent(
-    core: DetectorCore, measured: FixMeasurement, t_us: int, config: DetectorConfig
+    core: DetectorCore, measurement: FixMeasurement, t_us: int, config: DetectorConfig
 ) -> bool:
-    """Whether the receiver's position moved as its velocities say since the last fix.
+    """Whether the receiver's position moved by its velocities since the last fix.
 
-    They say how fast it was at both ends. When in between the speed changed is not known: at an
-    impact with the ground at once. So it may have moved by either velocity, or anything between.
+    They are the velocities at both ends; when the speed changed in between is unknown (at an impact
+    it changes at once). So either velocity, or any between, may have moved the position.
     """
     last = core.last_fix
-    if last is None or measured.v_ned_mps is None:
+    if last is None or measurement.v_ned_mps is None:
         return True
     dt_s = (t_us - last.t_us) * 1e-6
-    known = np.isfinite(measured.v_ned_mps)
-    # Without an earlier velocity it is taken for unchanged.
-    earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measured.v_ned_mps)
-    changed = (measured.v_ned_mps - earlier)[known]
-    moved = measured.axes @ (measured.r_ecef_m - last.r_ecef_m)
-    difference = moved[known] - (measured.v_ned_mps[known] - changed / 2) * dt_s
+    known = np.isfinite(measurement.v_ned_mps)
+    # Without an earlier velocity it is assumed unchanged.
+    earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measurement.v_ned_mps)
+    changed = (measurement.v_ned_mps - earlier)[known]
+    updated_motion = measurement.axes @ (measurement.r_ecef_m - last.r_ecef_m)
+    difference = updated_motion[known] - (measurement.v_ned_mps[known] - changed / 2) * dt_s
     between_m = float(np.linalg.norm(changed)) * dt_s / 2
     unexplained_m = max(float(np.linalg.norm(difference)) - between_m, 0.0)
     variance = 0.5**2 + (VELOCITY_SIGMA_MPS[0] ** 2 + config.noise.motion_mps2**2 * dt_s) * dt_s**2
@@ -207,12 +208,12 @@ def _self_consistent(
 def _with_hysteresis(
     core: DetectorCore,
     hypothesis: str,
-    measured: FixMeasurement,
+    measurement: FixMeasurement,
     tests: Tests,
     motion: MotionEstimate,
     config: DetectorConfig,
 ) -> DetectorCore:
-    """The receiver left out or back in; the IMU left out for a while."""
+    """Exclude or readmit the receiver, and hold out the IMU for a while."""
     (position, velocity), t_us = tests, motion.t_us
     if hypothesis in IMU_IN_DOUBT:
         until_us = t_us + round(config.imu_hold_s * 1e6)
@@ -221,8 +222,8 @@ def _with_hysteresis(
     if core.imu_bad_until_us is not None and t_us >= core.imu_bad_until_us:
         core = core._replace(imu_bad_until_us=None)
     if hypothesis in ("gps", "multiple-unknown"):
-        core = estimate_carry_off(core, measured, velocity)
-        # One that is carried off slowly, or stands, fits at first.
+        core = estimate_carry_off(core, measurement, velocity)
+        # A receiver that is carried off, or frozen, fits at first.
         position_alone = core.carried is None and not core.repeats.frozen
         names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
         excluded = add_exclusions(core.excluded, names, t_us, t_us)
@@ -231,7 +232,7 @@ def _with_hysteresis(
     entry = core.excluded.get(RECEIVER)
     if entry is None or not position.passes or (velocity is not None and not velocity.passes):
         return core
-    if is_still_carried_off(core, measured, tests, motion):
+    if is_still_carried_off(core, measurement, tests, motion):
         still = replace(entry, healthy_since_us=None)
         return core._replace(excluded={**core.excluded, RECEIVER: still})
     since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
@@ -245,21 +246,21 @@ def _update_filter(
     motion: MotionEstimate,
     core: DetectorCore,
     hypothesis: str,
-    measured: FixMeasurement,
+    measurement: FixMeasurement,
     tests: Tests,
     acceleration_mps2: Vector,
     config: DetectorConfig,
 ) -> MotionEstimate:
-    """The filter after what is trusted of the fix."""
+    """The filter after an update with the trusted parts of the fix."""
     position, velocity = tests
     if hypothesis in IMU_IN_DOUBT or (hypothesis == "none" and not position.passes):
         motion = free_position(motion)
-        position, velocity = run_fix_tests(measured, motion, config)
+        position, velocity = run_fix_tests(measurement, motion, config)
     before = motion
     if RECEIVER not in core.excluded and position.passes:
         motion = update_with_fix(motion, position)
     if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.excluded:
-        # Predicted anew, as the position has just moved the filter's velocity, too.
-        again = run_fix_tests(measured, motion, config)[1]
+        # Predicted again, as the position update has moved the filter's velocity too.
+        again = run_fix_tests(measurement, motion, config)[1]
         motion = update_with_fix(motion, again if again is not None else velocity)
-    return limit_heading_update(before, motion, acceleration_mps2, measured.axes)
+    return limit_heading_update(before, motion, acceleration_mps2, measurement.axes)

@@ -16,8 +16,8 @@ def motion(t_s: float, drift_mps: float, sigma_mps: float) -> MotionEstimate:
     return MotionEstimate(round(t_s * 1e6), x, p)
 
 
-def told(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
-    """The epochs, by number, at which a filter with these drifts tells of its clock."""
+def alarms(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
+    """The epochs, by number, at which a filter with these drifts raises an alarm."""
     history: tuple[EpochRecord, ...] = ()
     numbers = []
     for number, drift in enumerate(drifts_mps):
@@ -31,15 +31,15 @@ def told(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int
 
 
 @pytest.mark.parametrize("every_s", [0.2, 1.0])
-def test_a_clock_that_leaves_at_once_is_told_for_a_second(every_s: float) -> None:
+def test_a_clock_that_runs_away_raises_alarms_for_a_second(every_s: float) -> None:
     drifts = np.repeat([100.0, 130.0], 20)
-    assert told(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
+    assert alarms(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
 
 
-def test_a_crystal_that_warms_up_is_not_nor_a_clock_that_is_not_known_well() -> None:
-    assert not told(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
-    assert not told(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
+def test_a_warming_crystal_and_an_uncertain_clock_raise_no_alarm() -> None:
+    assert not alarms(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
+    assert not alarms(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
 
 
-def test_after_a_gap_nothing_is_said() -> None:
-    assert not told(np.array([0.0, 0.0, 200.0]), 3.0)
+def test_after_a_gap_there_is_no_result() -> None:
+    assert not alarms(np.array([0.0, 0.0, 200.0]), 3.0)
