@@ -1,9 +1,9 @@
-"""Who is blamed when a motor or surface does not obey, and who in gusts, over seeds.
+"""Which actuator is isolated when a motor or surface fails, and in gusts alone, over seeds.
 
 `python benchmarks/actuator_watch.py` flies the examples' quad, the hexarotor and the demo's fixed
-wing by the simulator alone, `SEEDS` flights a fault and an hour and more of gusts each, gives their
+wing by the simulator alone, `SEEDS` flights per fault and over an hour of gusts each, gives their
 IMU, airspeed and commands to the monitor's actuator channel, and prints the tables of
-docs/verdicts.md.
+docs/watches.md.
 """
 
 import functools
@@ -29,20 +29,20 @@ from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.body import Controls
 
 SEEDS, GUSTY_SEEDS = range(1, 7), range(11, 24)
-LEARNT = "quad, effects learnt"
-START_S = 60.0  # when faults begin: what is learnt of a vehicle is known by then
-WATCHED_S, GUSTY_S = 60.0, 300.0  # one that is stuck tells itself when it should move
+LEARNED = "quad, effects learned"
+START_S = 60.0  # begin of faults: the effects are learned by then
+FAULTY_S, GUSTY_S = 60.0, 300.0  # a stuck actuator shows only when it should move
 IMU_HZ = 100.0
 LOW_M = 0.5  # a vehicle below it has come down
 HOVER = Path(__file__).parents[1] / "examples" / "hover.yaml"
 FIX_3D = 3.0
-CRUISE = (5.0, 0.0, 0.0)  # a velocity that says that it flies
+CRUISE = (5.0, 0.0, 0.0)  # a velocity in flight
 
 
 class Fault(NamedTuple):
-    """What happens to an actuator after a while: a plant fault, or a command not obeyed.
+    """A fault of an actuator: a plant fault, or a command that it does not follow.
 
-    `number` is the actuator's; `does` is "stuck" or what it does instead of its command.
+    `number` is the actuator's; `does` is "stuck" or its position instead of its command.
     """
 
     name: str
@@ -67,7 +67,7 @@ WING = (
     *(Fault(f"{name} hard over", i, does=1.0) for i, name in enumerate(SURFACES)),
     *(Fault(f"{name} stuck where it is", i, does="stuck") for i, name in enumerate(SURFACES)),
 )
-FAULTS = {"quad": ROTORS, LEARNT: ROTORS, "hexa": ROTORS, "fixed wing": WING}
+FAULTS = {"quad": ROTORS, LEARNED: ROTORS, "hexa": ROTORS, "fixed wing": WING}
 
 
 @functools.cache
@@ -83,7 +83,7 @@ def scenario_of(vehicle: str) -> Scenario:
 
 
 def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Block:
-    """IMU, airspeed and commands of a flight until it comes down; a fix says that it flies."""
+    """IMU, airspeed and commands of a flight until it comes down; a fix shows that it flies."""
     scenario = scenario_of(vehicle)
     gusts: Any = "moderate" if seed % 2 else "light"
     air = msgspec.structs.replace(scenario.environment, gusts=gusts)
@@ -99,7 +99,7 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
         (frame,) = parser.push(commands.frame(t_us, values), datagram=True)
         assert isinstance(frame, Frame)
         rows.append((COMMAND, t_us, [*frame.values()["controls"][:COMMANDS], CONTROLS]))
-        if len(rows) == 1:  # what comes before the first command is not looked at
+        if len(rows) == 1:  # samples before the first command are ignored
             rows.append((FIX, t_us, [0.0] * 3 + list(CRUISE) + [FIX_3D]))
         if fault is not None and t_us >= START_S * 1e6:
             held = values if held is None else held
@@ -119,11 +119,13 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
     return Block(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), table, {})
 
 
-def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
-    """Who was blamed or suspected with another, and when, once for each."""
-    known = vehicle != LEARNT
-    watch = ActuatorDetector(vehicle_effects(scenario_of(vehicle)) if known else unknown_effects())
-    results, _ = watch.step(block, watch.new_state())
+def isolated(vehicle: str, block: Block) -> list[tuple[str, float]]:
+    """The isolated actuators or pairs, and when each was first."""
+    known = vehicle != LEARNED
+    detector = ActuatorDetector(
+        vehicle_effects(scenario_of(vehicle)) if known else unknown_effects()
+    )
+    results, _ = detector.step(block, detector.new_state())
     first: dict[str, float] = {}
     for _, result in results:
         if result.alarm:
@@ -132,23 +134,23 @@ def blamed(vehicle: str, block: Block) -> list[tuple[str, float]]:
 
 
 def cell(vehicle: str, faults: list[Fault]) -> str:
-    """A cell of the table: how many of the flights were named right, and how soon."""
+    """A cell of the table: how many faults were isolated, and how soon."""
     names = find_vehicle_kind(scenario_of(vehicle).vehicle.kind)
     actuators = names.actuators(names.read(scenario_of(vehicle).vehicle.parameters))
     counts, delays = Counter[str](), []
     for fault in faults:
         for seed in SEEDS:
-            found = blamed(vehicle, flown(vehicle, seed, START_S + WATCHED_S, fault))
-            word, own = "missed", actuators[fault.number]
-            at_s = {who: when for who, when in found if when >= START_S}
-            if any(own not in who.split("-or-") for who, _ in found) or len(at_s) < len(found):
-                word = "wrong"
+            found = isolated(vehicle, flown(vehicle, seed, START_S + FAULTY_S, fault))
+            verdict, own = "missed", actuators[fault.number]
+            at_s = {name: when for name, when in found if when >= START_S}
+            if any(own not in name.split("-or-") for name, _ in found) or len(at_s) < len(found):
+                verdict = "wrong"
             elif found:
-                word = "named" if own in at_s else "ambiguous"
+                verdict = "isolated" if own in at_s else "ambiguous"
                 delays.append(at_s.get(own, min(at_s.values())) - START_S)
-            counts[word] += 1
+            counts[verdict] += 1
     text = ", ".join(
-        f"{counts[w]} {w}" for w in ("named", "ambiguous", "missed", "wrong") if counts[w]
+        f"{counts[w]} {w}" for w in ("isolated", "ambiguous", "missed", "wrong") if counts[w]
     )
     return f"{text}; {np.median(delays):.1f} / {max(delays):.1f} s" if delays else text
 
@@ -164,9 +166,9 @@ def main() -> None:
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     cells = []
     for vehicle in FAULTS:
-        found = [blamed(vehicle, flown(vehicle, seed, GUSTY_S, None)) for seed in GUSTY_SEEDS]
+        found = [isolated(vehicle, flown(vehicle, seed, GUSTY_S, None)) for seed in GUSTY_SEEDS]
         hours = len(GUSTY_SEEDS) * GUSTY_S / 3600.0
-        cells.append(f"{sum(map(len, found))} blamed in {hours:.2f} h")
+        cells.append(f"{sum(map(len, found))} isolated in {hours:.2f} h")
     print(f"| gusts alone | {' | '.join(cells)} |", flush=True)
 
 

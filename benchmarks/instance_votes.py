@@ -1,10 +1,10 @@
-"""Whether a wrong one among several sensors of a kind is named, on recordings that have several.
+"""Whether the faulty one of several sensors of a kind is isolated, on recordings with several.
 
     python benchmarks/instance_votes.py LOG...
 
 Each sensor of each kind gets a bias in turn, for ten seconds from the middle of the log on. Prints
-a row for each bias: how often the sensor was named, how often only the pair, how often nobody, and
-how many logs blamed somebody without any bias.
+a row for each bias: how often the sensor was isolated, the pair named, the bias missed, or another
+sensor isolated, and how many logs have an alarm without any bias.
 """
 
 import argparse
@@ -29,8 +29,9 @@ from analysis.samples.block import (
 )
 from mavproxy_fault.documents.errors import ConfigError
 
+RESULTS = ("isolated", "pair named", "missed", "another isolated")
 FOR_US, AFTER_US = 10_000_000, 3_000_000
-# kind, what, first number that is wrong, by how much
+# kind, text, first biased value, bias
 BIASES = (
     (IMU, "gyro, 0.2 rad/s", 0, 0.2),
     (IMU, "accelerometer, 2 m/s^2", 3, 2.0),
@@ -45,9 +46,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="+", type=Path)
     blocks = [block for path in parser.parse_args().logs if (block := read(path)) is not None]
-    print("| bias | sensors | named | pair | nobody | somebody else | alarms without it |")
+    print(
+        "| bias | sensors | isolated | pair named | missed | another isolated | alarms without it |"
+    )
     print("|---|---|---|---|---|---|---|")
-    for kind, words, first, bias in BIASES:
+    for kind, text, first, bias in BIASES:
         voters = next(voters for voters in VOTERS if voters.kind == kind)
         for count in (2, 3):
             several = [block for block in blocks if len(instances(block, kind)) == count]
@@ -58,8 +61,11 @@ def main() -> None:
                     for block in several
                     for number in instances(block, kind)
                 )
-                row = (found[word] for word in ("named", "pair", "nobody", "somebody else"))
-                print(f"| {words} | {count} | {' | '.join(map(str, row))} | {clean} |", flush=True)
+                row = (
+                    found[result]
+                    for result in ("isolated", "pair named", "missed", "another isolated")
+                )
+                print(f"| {text} | {count} | {' | '.join(map(str, row))} | {clean} |", flush=True)
 
 
 def read(path: Path) -> Block | None:
@@ -84,33 +90,33 @@ def of(block: Block, kind: int, number: int) -> tuple[np.ndarray, int]:
 
 
 def instances(block: Block, kind: int) -> list[int]:
-    """The sensors of a kind that speak at all."""
+    """The sensors of a kind that have samples."""
     return [number for number in range(3) if len(of(block, kind, number)[0])]
 
 
 def reasons(block: Block, voters: VoterKind) -> list[tuple[int, str]]:
-    """When and what the vote tells of a kind."""
+    """Times and reasons of the alarms about a kind."""
     vote = InstanceVoteDetector()
     found, _ = vote.step(block, vote.new_state())
     return [(result.t_us, result.reason) for _, result in found if result.sensor == voters.sensor]
 
 
 def outcome(block: Block, voters: VoterKind, number: int, first: int, bias: float) -> str:
-    """What the vote makes of a bias on one sensor."""
+    """The result of the vote for a bias on one sensor."""
     begin_us = int(np.median(block.t_us))
     rows, column = of(block, voters.kind, number)
     wrong = rows[(block.t_us[rows] >= begin_us) & (block.t_us[rows] < begin_us + FOR_US)]
     values = block.values.copy()
     values[wrong, column + first] += bias
-    told = reasons(block._replace(values=values), voters)
+    alarms = reasons(block._replace(values=values), voters)
     last_us = begin_us + FOR_US + AFTER_US
-    during = {reason for t_us, reason in told if begin_us <= t_us <= last_us}
+    during = {reason for t_us, reason in alarms if begin_us <= t_us <= last_us}
     name = f"{voters.name} {number + 1}"
     if any("disagrees" in reason and not reason.startswith(name) for reason in during):
-        return "somebody else"
+        return "another isolated"
     if any(reason.startswith(f"{name} disagrees") for reason in during):
-        return "named"
-    return "pair" if during else "nobody"
+        return "isolated"
+    return "pair named" if during else "missed"
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """docs/extending.md, tried literally: its files and lines go into a copy, its commands are run."""
 
+import csv
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,9 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 PART = re.compile(
-    r"`((?:mavproxy_fault|simvehicle|analysis)/[\w/-]+\.\w+)`|^```(\w+)\n(.*?)^```", re.S | re.M
+    r"`((?:(?:mavproxy_fault|simvehicle|analysis)/[\w/-]+|baro_jump|pyproject|night|jumps)\.\w+)`"
+    r"|^```(\w+)\n(.*?)^```",
+    re.S | re.M,
 )
 
 TRY = """
@@ -94,19 +99,19 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for file, language, text in parts():
         if language == "diff":
             inserted(folder / file, text)
-        elif language in ("python", "yaml"):
+        elif language in ("python", "yaml") and "/" in file:  # not of another package
             assert not (folder / file).exists(), f"{file} is there already"
             (folder / file).write_text(text, encoding="utf-8")
     return folder
 
 
-def run(copy: Path, *arguments: str) -> str:
+def run(copy: Path, *arguments: str, code: int = 0) -> str:
     environment = {**os.environ, "PYTHONPATH": str(copy)}
     done = subprocess.run(
         [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
 
 
 def test_the_commands_of_the_page_print_what_it_says(copy: Path) -> None:
@@ -125,3 +130,61 @@ def test_what_the_page_adds_is_in_the_house_style(copy: Path) -> None:
     configured = ["--config", str(ROOT / "pyproject.toml")]
     run(copy, "-m", "ruff", "check", "--no-cache", *configured, *PACKAGES)
     run(copy, "-m", "ruff", "format", "--no-cache", "--check", *configured, *PACKAGES)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the page's detector package as an installer leaves it, and its scenarios."""
+    folder = tmp_path_factory.mktemp("installed")
+    for file, _, text in parts():
+        if "/" not in file:
+            (folder / file).write_text(text, encoding="utf-8")
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    groups = [
+        "\n".join([f"[{group}]", *(f"{name} = {value}" for name, value in points.items())])
+        for group, points in project["entry-points"].items()
+    ]
+    (info / "entry_points.txt").write_text("\n".join(groups))
+    return folder
+
+
+CLI = ("-m", "mavproxy_fault.cli")
+
+
+def test_a_detector_of_another_package_is_in_results_timeline_and_score(installed: Path) -> None:
+    run(installed, *CLI, "run", "night.yaml", "--out", "night", "--zenoh", "off")
+    lines = (installed / "night" / "results.jsonl").read_text(encoding="utf-8").splitlines()
+    own = [row for row in map(json.loads, lines) if row.get("sensor") == "baro-jump"]
+    alarms = [row for row in own if row["alarm"]]
+    assert len(own) > 500
+    assert {row["suspect"] for row in alarms} == {"baro"}
+    assert {row["threshold"] for row in own} == {20.0}  # the scenario's setting
+    assert "detected: baro-jump" in (installed / "night" / "report.html").read_text("utf-8")
+    summary = json.loads((installed / "night" / "summary.json").read_text(encoding="utf-8"))
+    (fault,) = summary["faults"]
+    assert fault["verdict"] == "isolated"
+    assert fault["delay_s"] <= 0.02  # one interval of the barometer
+    assert fault["channels"] == ["baro", "baro-jump"]
+    assert "baro-jump" in summary["watched"]
+    assert summary["false_alarms"] == 0
+
+
+def test_a_detector_of_another_package_is_a_subject_of_a_campaign(installed: Path) -> None:
+    run(installed, *CLI, "campaign", "jumps.yaml", "--out", "jumps", "--workers", "1")
+    with (installed / "jumps" / "cells.csv").open(encoding="utf-8") as file:
+        outcomes = {(r["subject"], r["magnitude"]): r["outcome"] for r in csv.DictReader(file)}
+    assert outcomes["baro-jump", "0.01"] == "unaffected"
+    assert outcomes["baro-jump", "1.0"] == "detected"
+
+
+def test_an_unknown_setting_of_a_detector_is_an_error_that_names_the_known(installed: Path) -> None:
+    for wrong, known in (("baro_jump: {limit: 20}", "limit_pa"), ("baro_jumps: {}", "baro_jump")):
+        (installed / "wrong.yaml").write_text(f"name: wrong\nmonitor:\n  {wrong}\n")
+        said = run(installed, *CLI, "run", "wrong.yaml", "--out", "x", code=2)
+        assert "is unknown" in said
+        assert known in said

@@ -11,6 +11,7 @@ from analysis.autopilots.user_parameters import read_parameters
 from analysis.campaign.cell import MONITOR
 from analysis.campaign.outcomes import OutcomeLimits
 from analysis.estimators import estimator_names
+from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
@@ -238,7 +239,7 @@ def read_campaign(path: Path | str) -> CampaignFile:
     for i, scenario in enumerate(campaign.scenarios):
         if isinstance(scenario, CompiledScenario):
             decode(document, TestFile, ("scenarios", i, "compiled"))
-    known = [MONITOR, *estimator_names()]
+    known = [MONITOR, *estimator_names(), *monitor_detectors(MonitorConfig())]
     check = DocumentCheck(document.where, document.lines)
     for i, subject in enumerate(campaign.subjects):
         if isinstance(subject, str) and subject not in known:

@@ -1,11 +1,10 @@
-"""Samples to results: the only place where the steps are strung together, live and offline alike.
+"""Samples to results: the monitor's detectors, listed in one place and run in order.
 
-A step is a frozen set of parameters with `new_state()` and `step(samples, state)`, which gives back
-results and the next state; samples come in blocks of any length, one or a whole log.
+A step is a frozen set of parameters with `new_state()` and `step(block, state)`, which returns
+results and the next state; blocks may have any length, from one sample to a complete log.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from operator import itemgetter
 from typing import Any
 
@@ -14,30 +13,26 @@ import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
-from analysis.detection.actuators.actuator_response import CRASH_US, ActuatorResponse
+from analysis.detection.actuators.actuator_response import CRASH_US
 from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRASHED_US
-from analysis.detection.actuators.alarm_precedence import NEVER_US, apply_precedence
+from analysis.detection.actuators.alarm_precedence import apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
-from analysis.detection.actuators.imu_hold_out import (
-    hold_out_until,
-    trusted_rows,
-    withdraw_silence,
-)
-from analysis.detection.actuators.tumble_kernel import new_tumble
-from analysis.detection.actuators.tumble_kernel import track_tumble as follow_tumble
+from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
+from analysis.detection.actuators.tumble_kernel import new_tumble, track_tumble
 from analysis.detection.compass.earth_field_detector import EarthFieldDetector
 from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
 from analysis.detection.compass.turn_detector import TurnDetector
+from analysis.detection.detector_registry import BlockDetector, other_detectors
 from analysis.detection.receiver.frozen_fix import FrozenFixDetector
 from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.detection.sensors.jamming_detector import JammingDetector
 from analysis.detection.sensors.level_detector import LevelDetector
-from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.detection.streams.pause_filter import PauseFilter, PauseState, drop_log_gaps
 from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
+from analysis.monitor.filter_step import FilterStep
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import Block, BlockSlice, block_of, split_at_events
+from analysis.samples.block import NEVER_US, Block, block_of
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import put_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
@@ -45,16 +40,16 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.wire.label import Label
 
-WITHOUT_ISOLATION = "fused without isolation"
+FILTER, ACTUATORS = "filter", "actuators"
 
 
 class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The detector with the checks of other sensors, attitude scores, and fusion where wanted.
+    """The navigation filter's parameters, attitude scores, fusion, and the other detectors.
 
-    `streams` asks for what only a link can do: fall silent, repeat itself, lose its time. `link` is
-    whether everything came by one: a log of the autopilot's own pauses when nobody writes it.
-    `actuators` is what commands do to the vehicle; where that is not known it is learnt in flight.
-    `field_ned_gauss` is the magnetic field of a world that has its own.
+    `streams` switches the tests of what only a link can do: silence, repetition, wrong timestamps.
+    `link` says whether all samples came over a link: an autopilot's own log pauses as a whole.
+    `actuators` are the vehicle's effects; unknown ones are learned in flight. `field_ned_gauss` is
+    the magnetic field of a simulated world. `others` are other packages' detectors by name.
     """
 
     detector: DetectorConfig = DetectorConfig()
@@ -64,12 +59,34 @@ class MonitorConfig(msgspec.Struct, frozen=True, kw_only=True):
     link: bool = True
     actuators: Effects = unknown_effects()
     field_ned_gauss: tuple[float, float, float] | None = None
+    others: dict[str, Any] = msgspec.field(
+        default_factory=lambda: {name: kind() for name, kind in other_detectors().items()}
+    )
+
+
+def monitor_detectors(config: MonitorConfig) -> dict[str, BlockDetector]:
+    """Every detector but the filter by name, in the order of their results; ours win by name."""
+    own: dict[str, BlockDetector] = {
+        "streams": StreamDetector(config.link),
+        "levels": LevelDetector(),
+        "instances": InstanceVoteDetector(),
+        "turns": TurnDetector(),
+        "mean-turns": MeanTurnDetector(),
+        "earth-field": EarthFieldDetector(config.field_ned_gauss),
+        "frozen-fix": FrozenFixDetector(),
+        "jamming": JammingDetector(),
+        ACTUATORS: ActuatorDetector(config.actuators),
+    }
+    if not config.streams:
+        del own["streams"]
+    return {**own, **{name: other for name, other in config.others.items() if name not in own}}
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
-    """The `monitor` section of a scenario: the detector's keys, and what else the monitor does.
+    """The `monitor` section of a scenario: the filter's keys, and what else the monitor does.
 
-    A mapping `fusion`, empty or not, switches the fusion on.
+    A mapping `fusion`, empty or not, switches the fusion on. Other packages' detectors add their
+    names.
     """
 
     attitude: AttitudeConfig = AttitudeConfig()
@@ -86,145 +103,88 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
     """
     # Below the name that it has in the file: errors then say `monitor.sigma...`.
     document = Document({"monitor": {} if values is None else values}, where, lines or {})
-    section = decode(document, MonitorSection, ("monitor",))
+    kinds = {name: (name.replace("-", "_"), kind) for name, kind in other_detectors().items()}
+    fields = [(key, kind, msgspec.field(default_factory=kind)) for key, kind in kinds.values()]
+    section: Any = decode(
+        document,
+        msgspec.defstruct("Section", fields, bases=(MonitorSection,), frozen=True, kw_only=True),
+        ("monitor",),
+    )
     detector = {name: getattr(section, name) for name in DetectorConfig.__struct_fields__}
     return MonitorConfig(
-        detector=DetectorConfig(**detector), attitude=section.attitude, fusion=section.fusion
+        detector=DetectorConfig(**detector),
+        attitude=section.attitude,
+        fusion=section.fusion,
+        others={name: getattr(section, key) for name, (key, _) in kinds.items()},
     )
 
 
 class Pipeline:
-    """The steps and their states."""
+    """The steps and their states; `alarms` are those of each detector before `apply_precedence`."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self._attitude = AttitudeScorer(config.attitude)
         self._attitude_state = self._attitude.new_state()
-        self._detector = NavigationDetector(config.detector)
-        self._detector_state = self._detector.new_state()
-        self._streams = StreamDetector(config.link) if config.streams else None
-        self._streams_state = StreamDetector().new_state()
+        self._filter = FilterStep(config.detector, config.fusion)
+        self._detectors = monitor_detectors(config)
+        steps: dict[str, Any] = {FILTER: self._filter, **self._detectors}
+        self.states = {name: step.new_state() for name, step in steps.items()}
+        self.alarms: dict[str, list[SensorDecision]] = {name: [] for name in self._detectors}
         self._pauses = PauseFilter() if config.streams else None
         self._pauses_state = PauseState()
         self._lost_us: Sequence[tuple[int, int]] = ()
-        self._vote = InstanceVoteDetector()
-        self._vote_state = self._vote.new_state()
-        self._turns = TurnDetector()
-        self._turns_state = self._turns.new_state()
-        self._mean_turns = MeanTurnDetector()
-        self._mean_turns_state = self._mean_turns.new_state()
-        self._earth = EarthFieldDetector(config.field_ned_gauss)
-        self._earth_state = self._earth.new_state()
-        self._levels = LevelDetector()
-        self._levels_state = self._levels.new_state()
-        self._frozen = FrozenFixDetector()
-        self._frozen_state = self._frozen.new_state()
-        self._jamming = JammingDetector()
-        self._jamming_state = self._jamming.new_state()
-        self._actuators = ActuatorDetector(config.actuators)
-        self._actuators_state: ActuatorResponse | None = None
         self._tumble = new_tumble()
-        self._suspected_us = NEVER_US  # until when the IMU is suspected
-        self._imu_us = NEVER_US  # when the IMU was blamed last
-        self._fusions: list[Any] = []
-        self._feed_back: Any = None
-        if config.fusion is not None:
-            from analysis.fusion.feedback import feed_back  # GTSAM takes its time to load
-            from analysis.fusion.smoother import Fusion
-
-            self._fusions.append(Fusion(config.fusion, config.detector))
-            if config.fusion.compare:
-                # A second fusion that trusts everything: what isolation gains is seen in one run.
-                believing = msgspec.structs.replace(config.fusion, decide=False)
-                self._fusions.append(Fusion(believing, config.detector, WITHOUT_ISOLATION))
-            self._feed_back = feed_back if config.fusion.feedback else None
-        self._fusion_states = [fusion.new_state() for fusion in self._fusions]
+        self._held_out_us = NEVER_US  # until when the filter does without the IMU
+        self._imu_us = NEVER_US  # when the IMU was isolated last
 
     def set_log_gaps(self, lost_us: Sequence[tuple[int, int]]) -> None:
-        """Hold silences against nobody in stretches in which a log's writer lost records."""
+        """Ignore silences during and just after times in which a log's writer lost records."""
         self._lost_us = lost_us
 
     def push(self, samples: Sample | Block) -> list[Result]:
-        """What a block of samples, or a single one, leads to."""
+        """The results of a block of samples, or of a single one."""
         block = samples if isinstance(samples, Block) else block_of(samples)
         return [result for _, result in self.push_rows(block)]
 
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
-        """The same with the row of the block that led to each."""
-        # Whether sensors speak at all, and agree, is looked at apart from what they say.
-        troubles = self._troubles(block)
-        found = self._detected(block, troubles)
+        """The same, each with the row of the block that led to it."""
+        found: list[tuple[int, SensorDecision]] = []
+        for name, detector in self._detectors.items():
+            rows, self.states[name] = detector.step(block, self.states[name])
+            rows = drop_log_gaps(rows, self._lost_us)
+            self.alarms[name] += [result for _, result in rows if result.alarm]
+            found += rows
+        results = self._filtered(block, found)
         if self._pauses is not None:
-            found, self._pauses_state = self._pauses.step(block, found, self._pauses_state)
-            found = drop_log_gaps(found, self._lost_us)
-        jammed, self._jamming_state = self._jamming.step(block, self._jamming_state)
-        found += troubles + jammed
-        obeyed, self._actuators_state = self._actuators.step(block, self._actuators_state)
-        found += obeyed
+            results, self._pauses_state = self._pauses.step(block, results, self._pauses_state)
+            results = drop_log_gaps(results, self._lost_us)
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
-        found += errors
-        # By row, so that results do not hang on how the stream was cut into blocks.
-        found.sort(key=itemgetter(0))
-        lost = follow_tumble(block.kind, block.t_us, block.values, self._tumble)
-        known = self._actuators_state
-        if known is not None or lost.any():
-            crash_us = int(known.counts[CRASH_US]) if known is not None else NEVER_CRASHED_US
-            found, self._imu_us = apply_precedence(found, crash_us, lost, self._imu_us)
-        return found
+        results += [*found, *errors]
+        # By row, so that results do not depend on how the stream was cut into blocks.
+        results.sort(key=itemgetter(0))
+        lost = track_tumble(block.kind, block.t_us, block.values, self._tumble)
+        actuators = self.states[ACTUATORS]
+        if actuators is not None or lost.any():
+            crash_us = NEVER_CRASHED_US if actuators is None else int(actuators.counts[CRASH_US])
+            results, self._imu_us = apply_precedence(results, crash_us, lost, self._imu_us)
+        return results
 
-    def _troubles(self, block: Block) -> list[tuple[int, SensorDecision]]:
-        """What streams and sensors show by themselves, without the filter."""
-        if self._streams is None:
-            return []
-        troubles, self._streams_state = self._streams.step(block, self._streams_state)
-        troubles = drop_log_gaps(troubles, self._lost_us)
-        left, self._levels_state = self._levels.step(block, self._levels_state)
-        voted, self._vote_state = self._vote.step(block, self._vote_state)
-        turned, self._turns_state = self._turns.step(block, self._turns_state)
-        drifted, self._mean_turns_state = self._mean_turns.step(block, self._mean_turns_state)
-        alien, self._earth_state = self._earth.step(block, self._earth_state)
-        frozen, self._frozen_state = self._frozen.step(block, self._frozen_state)
-        return troubles + left + voted + turned + drifted + alien + frozen
-
-    def _detected(
-        self, block: Block, troubles: list[tuple[int, SensorDecision]]
+    def _filtered(
+        self, block: Block, found: Sequence[tuple[int, SensorDecision]]
     ) -> list[tuple[int, Result]]:
-        """What the filter finds, or with it the fusion, without an IMU that is suspected."""
+        """The filter's results, without the IMU while a detector has `found` it faulty."""
         if not len(block.kind):
             return []
-        until = hold_out_until(block, troubles, self._suspected_us)
-        self._suspected_us = int(until[-1])
+        until = hold_out_until(block, found, self._held_out_us)
+        self._held_out_us = int(until[-1])
         rows = trusted_rows(block, until)
         used = block if rows is None else block.where(np.isin(np.arange(len(until)), rows))
-        if self._fusions:
-            found = [
-                (piece.last, result)
-                for piece in split_at_events(used)
-                for result in self._fused(piece)
-            ]
-        else:
-            found, self._detector_state = self._detector.step_rows(used, self._detector_state)
+        results, self.states[FILTER] = self._filter.step(used, self.states[FILTER])
         if rows is not None:
-            found = [(int(rows[row]), result) for row, result in found]
-        return withdraw_silence(found, until) if until[-1] != NEVER_US else found
-
-    def _fused(self, piece: BlockSlice) -> list[Result]:
-        """Results with the fused states; with feedback the detector goes on from those."""
-        results, self._detector_state = self._detector.step_piece(piece, self._detector_state)
-        detector = self._detector_state.detector
-        states: list[Result] = []
-        for i, fusion in enumerate(self._fusions):
-            fused, self._fusion_states[i] = fusion.step_piece(
-                piece, results, detector.core, self._fusion_states[i]
-            )
-            states += fused
-        if states and self._feed_back is not None:
-            # Of the first fusion: the second is there for comparison only.
-            core = self._feed_back(detector.core, self._fusion_states[0].graph)
-            detector = detector._replace(core=core)
-            self._detector_state = replace(self._detector_state, detector=detector)
-        return [*results, *states]
+            results = [(int(rows[row]), result) for row, result in results]
+        return withdraw_silence(results, until) if until[-1] != NEVER_US else results
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
-        """Scores by estimator; an autopilot that only repeats the truth is called so, and last."""
+        """Scores by estimator; an autopilot that only repeats the truth is marked and put last."""
         scores = self._attitude.summary(self._attitude_state, labels)
         return put_repeaters_last(scores, AUTOPILOTS)

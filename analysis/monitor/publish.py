@@ -1,15 +1,8 @@
-"""Results to Zenoh: one key per kind of result, events kept for late joiners."""
+"""Publishes results on Zenoh: one key per kind of result; events are kept for late joiners."""
 
 from collections.abc import Iterable
 
-from analysis.results import (
-    AttitudeError,
-    Decision,
-    FusedState,
-    Result,
-    SensorDecision,
-    encode,
-)
+from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision, encode
 from mavproxy_fault.links.bus import Bus
 
 SCHEMA = "mavfault.v1"
@@ -30,7 +23,7 @@ def result_key(result: Result) -> str:
 
 
 class Publisher:
-    """Puts every result on the bus; changes of a verdict also go to the keys for events."""
+    """Publishes every result; changes of a verdict also go to the keys for events."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -42,10 +35,10 @@ class Publisher:
         for result in results:
             key, data = result_key(result), encode(result)
             self._bus.put(key, data, f"{SCHEMA}.{type(result).__name__}")
-            # A change of exclusions, not of verdicts: each is told once.
+            # Each change of the exclusions is published once, whatever the verdict.
             if isinstance(result, Decision) and result.excluded != self._excluded:
                 self._excluded = result.excluded
-                # The last one is kept: who joins late wants to know who is excluded now.
+                # The last one is kept: late joiners need the present exclusions.
                 self._bus.put("fdi/isolation", data, f"{SCHEMA}.Decision", history=1)
             if self._changed(key, result):
                 schema = f"{SCHEMA}.{type(result).__name__}"
@@ -57,12 +50,12 @@ class Publisher:
                 verdict: tuple[object, ...] = (result.alarm, result.hypothesis, result.excluded)
             case SensorDecision():
                 verdict = (result.alarm, result.isolated)
-                key += "" if result.dof else "/stream"  # its samples are judged apart
+                key += "" if result.dof else "/stream"  # its samples have a verdict of their own
             case _:
                 return False
-        # Remembered in the same breath, so that each change is an event once.
-        return self._verdicts.get(key) != verdict and self._remember(key, verdict)
+        # Stored at once, so that each change is one event.
+        return self._verdicts.get(key) != verdict and self._store(key, verdict)
 
-    def _remember(self, key: str, verdict: tuple[object, ...]) -> bool:
+    def _store(self, key: str, verdict: tuple[object, ...]) -> bool:
         self._verdicts[key] = verdict
         return True

@@ -11,11 +11,12 @@ from rich.text import Text
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 
 REDRAW_S = 0.2
-OLD_S = 3.0  # of a verdict: some detectors speak of alarms alone, and fall silent when they end
+# age of an outdated verdict: some detectors report alarms only, and nothing when they end
+OLD_S = 3.0
 
 
 class TerminalStatus:
-    """Redraws a small table a few times a second; into a pipe it prints what changes.
+    """Redraws a small table a few times a second; into a pipe it prints changes.
 
     Seconds count from the first result.
     """
@@ -24,7 +25,7 @@ class TerminalStatus:
         self._console = Console(markup=False)
         self._rows: dict[str, tuple[str, str, str]] = {}
         self._reported_s: dict[str, float] = {}
-        # Redrawn by hand: a thread of its own would cost more than the table.
+        # Redrawn explicitly: a thread of its own would cost more than the table.
         self._live = Live(console=self._console, auto_refresh=False)
         self._drawn_s = 0.0
         self._begin_s: float | None = None
@@ -43,16 +44,16 @@ class TerminalStatus:
         self._live.stop()
 
     def show(self, results: list[Result]) -> None:
-        """Take results and redraw when it is time."""
+        """Add results and redraw when it is due."""
         for result in results:
             name, row = _status_row(result)
             if self._begin_s is None:
                 self._begin_s = result.t_s
             since_s = result.t_s - self._begin_s
             # Into a pipe only changes of the verdict are printed.
-            before = self._rows.get(name)
+            previous = self._rows.get(name)
             self._rows[name], self._reported_s[name] = row, since_s
-            if not self._console.is_terminal and (before is None or before[1] != row[1]):
+            if not self._console.is_terminal and (previous is None or previous[1] != row[1]):
                 self._console.print(f"{since_s:9.1f} s  {name:<14} {row[1]} {row[2]}")
         now_s = time.monotonic()
         if results and self._console.is_terminal and now_s - self._drawn_s > REDRAW_S:
@@ -63,7 +64,7 @@ class TerminalStatus:
         table = Table("source", "value", "verdict", "", box=None, title=f"{t_s:.1f} s")
         for name, (value, verdict, remark) in self._rows.items():
             old_s = t_s - self._reported_s[name]
-            colour = "green" if verdict in ("sound", "none", "") else "red"
+            colour = "green" if verdict in ("healthy", "none", "") else "red"
             if old_s > OLD_S:
                 colour, remark = "dim", f"{remark} ({old_s:.0f} s ago)".lstrip()
             table.add_row(name, value, Text(verdict, colour), remark)
@@ -71,7 +72,7 @@ class TerminalStatus:
 
 
 def _status_row(result: Result) -> tuple[str, tuple[str, str, str]]:
-    """Name, value, verdict and remark of a result."""
+    """Name, and value, verdict and remark of a result."""
     match result:
         case Decision():
             return "satellites", (
@@ -80,7 +81,7 @@ def _status_row(result: Result) -> tuple[str, tuple[str, str, str]]:
                 " ".join(result.excluded) or result.reason,
             )
         case SensorDecision():
-            verdict = "isolated" if result.isolated else "alarm" if result.alarm else "sound"
+            verdict = "isolated" if result.isolated else "alarm" if result.alarm else "healthy"
             return result.sensor, (
                 _ratio(result.statistic, result.threshold),
                 verdict,

@@ -33,6 +33,8 @@ from mavproxy_fault.numerics.compile import compiled
 
 Stamps = NDArray[np.int64]
 Indices = NDArray[np.int64]
+NEVER_US = -(1 << 62)  # before every stamp
+FIX_3D = 3  # least fix type with a position, as in GPS_FIX_TYPE
 
 # The longest row, the truth, has 4 + 3 + 3 + 3 values.
 WIDTH = 13

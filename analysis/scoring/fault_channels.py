@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from analysis.detection.detector_registry import other_detectors
 from mavproxy_fault.wire.label import Label
 
 SATELLITES, POSITION, VELOCITY = "satellites", "gps-position", "gps-velocity"
@@ -104,7 +105,19 @@ RECEIVER_PLANT_FAULT = re.compile(
 
 
 def fault_visibility(label: Label) -> FaultVisibility:
-    """The visibility of the fault of a label."""
+    """Which channels can see the fault of a label, those of other packages' detectors included."""
+    known = _own_visibility(label)
+    if label.fault in HARMLESS_FAULTS:
+        return known
+    names = known.channels.union(label.targets, (t.partition(".")[0] for t in label.targets))
+    others = [kind.channels for kind in other_detectors().values() if kind.sees & names]
+    return known._replace(
+        channels=known.channels.union(*others), may_isolate=known.may_isolate.union(*others)
+    )
+
+
+def _own_visibility(label: Label) -> FaultVisibility:
+    """Which channels of the built-in detectors can see the fault of a label."""
     if label.fault == "gps-spoof":
         return RECEIVER_VISIBILITY
     if label.fault in HARMLESS_FAULTS:

@@ -8,9 +8,10 @@ from pathlib import Path
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
-from analysis.campaign.cell import HEALTHY, MONITOR, CampaignFlight, Cell, CellResult, Evidence
+from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, Evidence
 from analysis.campaign.flying.internal_flight import run_simulated_flight
 from analysis.campaign.outcomes import ABORTED, classify_flight, outcome_rank
+from analysis.estimators import estimator_names
 from analysis.run.run_setup import RunSetup, read_setup
 from mavproxy_fault.schedule.entries import parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change
@@ -142,8 +143,8 @@ def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None
 def cell_setup(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> RunSetup:
     """Read the scenario with the cell's seed and the estimators under test."""
     setup = setup_by_name(campaign, cell.scenario, cell.seed)
-    # The monitor always runs and is not an attitude estimator.
-    estimators = tuple(name for name in subjects if name != MONITOR)
+    # The monitor and its detectors run in any case.
+    estimators = tuple(name for name in subjects if name in estimator_names())
     attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)
     monitor = msgspec.structs.replace(setup.monitor, attitude=attitude)
     return replace(setup, monitor=monitor)

@@ -69,6 +69,8 @@ def run_simulated_flight(
     evidence = {
         name: monitor_evidence(results, np.array(track), t0_us)
         if name == MONITOR
+        else Evidence({}, alarm_marks(monitor.alarms[name], t0_us))
+        if name in monitor.alarms
         else estimator_evidence(results, name, t0_us)
         for name in subjects
     }
@@ -104,6 +106,15 @@ def estimator_evidence(results: Sequence[Result], name: str, t0_us: int) -> Evid
     return Evidence({ATTITUDE: curve})
 
 
+def alarm_marks(results: Sequence[Result], t0_us: int) -> list[FlightMark]:
+    """The alarms among the results of detectors, by seconds from `t0_us`."""
+    return [
+        FlightMark(_seconds(r, t0_us), "detected", r.sensor)
+        for r in results
+        if isinstance(r, SensorDecision) and r.alarm
+    ]
+
+
 def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Evidence:
     """Return the monitor's position error and alarms; `track` (n, 4) is the truth [us, m ECEF]."""
     decisions = [r for r in results if isinstance(r, Decision)]
@@ -119,9 +130,5 @@ def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Ev
     alarms = [
         FlightMark(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm
     ]
-    alarms += [
-        FlightMark(_seconds(r, t0_us), "detected", r.sensor)
-        for r in results
-        if isinstance(r, SensorDecision) and r.alarm
-    ]
+    alarms += alarm_marks(results, t0_us)
     return Evidence(curves, sorted(alarms, key=lambda mark: mark.t_s))

@@ -1,6 +1,6 @@
-"""Commands of the actuators against what the body did: motors and surfaces that do not obey.
+"""Fault detection for actuators: compares their commands with the vehicle's motion.
 
-A *command* is what an output is driven with; an *effect* is what a command does to the body's
-motion, by axis; a *deficit* is how much less than its command an actuator does, in the command's
-own unit. Nothing happens here without commands, or without the vehicle's effects.
+A *command* is the value an output is driven with. An *effect* is the change of the body's motion,
+per axis, that a command causes. A *deficit* is how much less than its command an actuator does, in
+units of the command. Without commands or effects nothing is tested.
 """

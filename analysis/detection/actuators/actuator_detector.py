@@ -1,10 +1,9 @@
-"""Actuators that do not obey: a step of the pipeline beside the detector.
+"""The actuator detector: isolates motors and surfaces that do not respond to their commands.
 
-The vehicle's effects are known; commands come with the samples. Every second of flight tells that
-the actuators obey, and every half second who does not.
+It reports every second while all actuators respond, and every half second while one does not.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,29 +32,24 @@ from analysis.detection.actuators.motion_filter import initial_motion_model
 from analysis.detection.actuators.motor_imbalance import new_motor_trim
 from analysis.detection.actuators.response_regression import new_regression
 from analysis.detection.actuators.switched_off import new_output_states
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import OR_SEPARATOR, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
-ELEVATOR = "elevator"  # of those with wings
+ELEVATOR = "elevator"  # only vehicles with wings have one
 
 
-@dataclass(frozen=True)
-class ActuatorDetector:
-    """A step of the pipeline; without commands it does nothing."""
+class ActuatorDetector(BlockDetector, frozen=True):
+    """Compares commands with the motion that `effects` predict; idle until the first command."""
+
+    channels: ClassVar = frozenset({ACTUATORS})
 
     effects: Effects
-
-    def new_state(self) -> ActuatorResponse | None:
-        """No command came yet."""
-        return None
 
     def step(
         self, block: Block, state: ActuatorResponse | None
     ) -> tuple[list[tuple[int, SensorDecision]], ActuatorResponse | None]:
-        """Whether the actuators obey, by the row that shows it, and the next state.
-
-        The state is changed in place.
-        """
+        """The results of the next samples by row, and the state, which is changed in place."""
         if state is None:
             if not (block.kind == COMMAND).any():
                 return [], None
@@ -66,11 +60,11 @@ class ActuatorDetector:
         )
         track_actuators(block.kind, block.t_us, block.values, state, verdicts)
         filled = int(verdicts.filled[0])
-        rows = zip(verdicts.rows[:filled].tolist(), verdicts.figures[:filled].tolist(), strict=True)
+        rows = zip(verdicts.rows[:filled].tolist(), verdicts.values[:filled].tolist(), strict=True)
         names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
-            (row, _result(t_us, [names[n] for n in numbers if n != NO_HYPOTHESIS], *figures))
-            for (row, t_us, *numbers), figures in rows
+            (row, _result(t_us, [names[n] for n in numbers if n != NO_HYPOTHESIS], *values))
+            for (row, t_us, *numbers), values in rows
         ], state
 
 
@@ -94,30 +88,30 @@ def _initial_state(effects: Effects) -> ActuatorResponse:
 
 
 def _result(
-    t_us: int, blamed: list[str], statistic: float, deficit: float, lost: float
+    t_us: int, isolated: list[str], statistic: float, deficit: float, loss: float
 ) -> SensorDecision:
-    name = OR_SEPARATOR.join(blamed)
+    name = OR_SEPARATOR.join(isolated)
     return SensorDecision(
         t_us=t_us,
         sensor=ACTUATORS,
         statistic=None if statistic == NO_STATISTIC else statistic,
         threshold=None if statistic == NO_STATISTIC else DETECTION_SCORE,
         dof=AXES,
-        alarm=bool(blamed),
-        isolated=len(blamed) == 1,
-        reason=_reason(name, deficit, lost),
+        alarm=bool(isolated),
+        isolated=len(isolated) == 1,
+        reason=_reason(name, deficit, loss),
         suspect=name,
     )
 
 
-def _reason(name: str, deficit: float, lost: float) -> str:
+def _reason(name: str, deficit: float, loss: float) -> str:
     if not name:
         return ""
     if deficit == NO_STATISTIC:
         return f"{name}: its output is switched off in flight"
-    if lost > 0.0:
-        return f"{name}: follows {max(0.0, 1.0 - lost):.2f} of its command"
-    if deficit == 0.0:  # nobody is suspected now, but was
+    if loss > 0.0:
+        return f"{name}: follows {max(0.0, 1.0 - loss):.2f} of its command"
+    if deficit == 0.0:  # the hypothesis holds no longer, the alarm has not ended yet
         return name
     side = "below" if deficit > 0.0 else "above"
     return f"{name}: {abs(deficit):.2f} {side} its command"

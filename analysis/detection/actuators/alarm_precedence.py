@@ -1,8 +1,8 @@
-"""Sensors and actuators hold each other up: whose word counts when both seem to be at fault.
+"""Which verdicts count when sensors and actuators seem faulty at the same time.
 
-The actuators are judged by the IMU, so nobody of them is blamed while the IMU is, nor for a while
-after. After a crash that an actuator led to, what the sensors say proves nothing against them: a
-blow of many g is beyond what an IMU measures, and so is a tumble faster than its gyro's range.
+Actuators are tested with the IMU, so none is isolated while the IMU is, nor for a while after.
+After a crash that an actuator caused, sensor verdicts are void: an impact of many g exceeds an
+IMU's range, and so does a tumble faster than its gyro's range.
 """
 
 from collections.abc import Iterable
@@ -13,42 +13,43 @@ from numpy.typing import NDArray
 
 from analysis.results import Decision, Result, SensorDecision
 
-ACTUATORS = "actuators"  # the sensor's name in results
-IMU_US = 20_000_000  # after an alarm of the IMU: as long as its hold, and until it is learnt anew
-NEVER_US = -(1 << 62)
+ACTUATORS = "actuators"  # their `sensor` in results
+IMU_US = 20_000_000  # after an IMU alarm: its hold time and the time to learn the model again
 CRASHED, IMU_AT_FAULT = "after a crash", "the IMU is at fault"
-TUMBLING = "turned faster than the gyro can tell"
+TUMBLING = "turns faster than the gyro's range"
 
 
 def apply_precedence(
-    found: Iterable[tuple[int, Result]], crash_us: int, lost: NDArray[np.bool_], imu_us: int
+    rows: Iterable[tuple[int, Result]], crash_us: int, tumbling: NDArray[np.bool_], imu_us: int
 ) -> tuple[list[tuple[int, Result]], int]:
-    """Results as they count, by row in order, and when the IMU was blamed last.
+    """The results that count, by row in order, and when the IMU was isolated last.
 
     Parameters
     ----------
-    found : iterable of row and result
-        In order of their rows.
+    rows : iterable of row and result
+        In the order of their rows.
     crash_us : int
-        When the vehicle crashed.
-    lost : array
+        Time of the vehicle's crash.
+    tumbling : array
         Whether the attitude is lost at each row, shape (n,).
     imu_us : int
-        When the IMU was blamed last, before these.
+        When the IMU was isolated last, before these rows.
     """
-    kept: list[tuple[int, Result]] = []
-    for row, result in found:
-        one = result
+    results: list[tuple[int, Result]] = []
+    for row, result in rows:
+        changed = result
         if result.t_us >= crash_us:
-            one = _without_sensor_verdict(result, CRASHED)
-        elif lost[row]:
-            one = _without_sensor_verdict(result, TUMBLING)
-        if _isolates_imu(one):
-            imu_us = one.t_us
-        elif isinstance(one, SensorDecision) and one.sensor == ACTUATORS and one.alarm:
-            one = _untested(one, IMU_AT_FAULT) if one.t_us - imu_us < IMU_US else one
-        kept.append((row, one))
-    return kept, imu_us
+            changed = _without_sensor_verdict(result, CRASHED)
+        elif tumbling[row]:
+            changed = _without_sensor_verdict(result, TUMBLING)
+        if _isolates_imu(changed):
+            imu_us = changed.t_us
+        elif isinstance(changed, SensorDecision) and changed.sensor == ACTUATORS and changed.alarm:
+            changed = (
+                _untested(changed, IMU_AT_FAULT) if changed.t_us - imu_us < IMU_US else changed
+            )
+        results.append((row, changed))
+    return results, imu_us
 
 
 def _isolates_imu(result: Result) -> bool:

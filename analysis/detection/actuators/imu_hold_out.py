@@ -1,8 +1,8 @@
-"""The filter does without an IMU that others have found wrong.
+"""Keeps an IMU that other detectors found faulty out of the navigation filter.
 
-Two IMUs that disagree, one that stands still, or one that turns otherwise than the compass are
-told within a second or two, from what they measure alone. What the filter made of such an IMU
-would be held against the receiver for a minute, long after the IMU is well again.
+Disagreeing IMUs, repeated values and a disagreement with the compass are detected within a second
+or two without the filter. If the filter had used such an IMU, it would exclude the receiver for
+long.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,43 +14,41 @@ from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import IMU, Block, Indices, Stamps
 
-HELD_US = 1_500_000  # after an alarm, which is repeated more often while it lasts
-STREAM_SILENT = "silent for"  # how the reason of a silent stream begins
-HELD_OUT = "the IMU is found wrong by others"
-NEVER_US = -(1 << 62)
+HELD_US = 1_500_000  # after an alarm; detectors repeat it within this time
+STREAM_SILENT = "silent for"  # prefix of the reason of a silent stream
+HELD_OUT = "the IMU is held out: other detectors found it faulty"
 
 
 def hold_out_until(
-    block: Block, troubles: Iterable[tuple[int, SensorDecision]], before_us: int
+    block: Block, alarms: Iterable[tuple[int, SensorDecision]], before_us: int
 ) -> Stamps:
-    """Until when the IMU is suspected, by row (n,): by troubles of a block, and from `before_us` on
-    by those of the past."""
+    """Until when the IMU is held out, by row (n,): from `before_us` and a block's alarms."""
     until = np.full(len(block.kind), before_us)
-    for row, result in troubles:
+    for row, result in alarms:
         alone = result.sensor == "imu" and result.suspect in ("", "imu")
-        # One that is silent gives nothing to hold out.
+        # A silent IMU has no samples to hold out.
         if alone and result.alarm and not result.reason.startswith(STREAM_SILENT):
             until[row + 1 :] = np.maximum(until[row + 1 :], block.t_us[row] + HELD_US)
     return until
 
 
 def trusted_rows(block: Block, until: Stamps) -> Indices | None:
-    """The rows that the filter may use, None for all of them."""
-    held = (block.kind == IMU) & (block.t_us < until)
-    return np.flatnonzero(~held) if held.any() else None
+    """The rows that the filter may use; None for all of them."""
+    held_out = (block.kind == IMU) & (block.t_us < until)
+    return np.flatnonzero(~held_out) if held_out.any() else None
 
 
 def withdraw_silence(
-    found: Sequence[tuple[int, Result]], until: Stamps
+    results: Sequence[tuple[int, Result]], until: Stamps
 ) -> list[tuple[int, Result]]:
-    """Results by row, in which an IMU that was left out is not called silent."""
-    kept: list[tuple[int, Result]] = []
-    for row, result in found:
+    """The results without alarms that a held-out IMU is silent."""
+    changed: list[tuple[int, Result]] = []
+    for row, result in results:
         if (
             isinstance(result, SensorDecision)
             and result.reason.startswith(IMU_SILENT)
             and result.t_us < until[row] + HELD_US
         ):
             result = msgspec.structs.replace(result, alarm=False, isolated=False, reason=HELD_OUT)
-        kept.append((row, result))
-    return kept
+        changed.append((row, result))
+    return changed

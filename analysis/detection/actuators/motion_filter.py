@@ -1,13 +1,13 @@
-"""The coefficients of the motion as they are learnt in flight, compiled: a Kalman filter an axis.
+"""Learns the coefficients of the motion in flight, compiled: one Kalman filter per axis.
 
-The terms x of a cell predict the motion of each axis by theta' x, theta being constant but for its
-first element, the constant term, which walks: trim, load and steady wind change. What remains, e,
-averaged over a short memory is m. Its spread C is learnt from its own past, so that gusts and model
-errors that last count as what they are; e is taken to be white with the noise that would give m
-the variance that it shows.
+The terms x of a bin predict the motion of each axis as theta' x. theta is constant except for its
+first element, the constant term, which follows a random walk, as trim, load and steady wind change.
+The mean of the residual e over a short memory is m. The covariance C of m is learned from its own
+past, so that lasting gusts and model errors are accounted for; e is taken as white, with the noise
+that would give m its observed variance.
 
-A cell is learnt from only some cells later, and only if nothing was suspected meanwhile: otherwise
-a fault would be part of the model before it is seen [1]_.
+A bin is used for learning only some bins later, and only if no fault was suspected meanwhile:
+otherwise a fault would become part of the model before it is detected [1]_.
 
 References
 ----------
@@ -39,33 +39,33 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 BIN_S = 0.1
-SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0  # memories of m, of C, and of the constant term
-EARLY_SHARE = (
-    3.0  # memories are at most this part of the flight so far, or its end would never count
-)
-DELAY_BINS = 8  # cells until one is learnt from
-SPREAD_FROM_BIN = 10  # cells after which C is learnt: before, theta is off by its beginning
-NOISE_PER_SPREAD = 3.0  # of e over that of m; 10 would be white noise
-FIRST_SPREAD = 0.03  # variance of m before anything is known
-UNOBSERVED_VARIANCE = 1e6  # variance of what is not told
-MOST_SIGMAS = 3.0  # sigmas of e that are learnt from
-MOST_SPEED_RATIO = 2.0  # airspeeds of the cruise that terms are scaled by
-MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m beyond which m counts less for C
+# Time constants of m, of C and the constant term, chosen.
+SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0
+EARLY_SHARE = 3.0  # a memory is at most a third of the flight so far, or its start would dominate
+DELAY_BINS = 8  # delay of learning: 0.8 s, above the 0.3 s that a fault needs to be confirmed
+SPREAD_FROM_BIN = 10  # bins after which C is learned: before, theta is in its initial transient
+# variance of e over that of m, chosen for correlated gusts; white noise would give 10
+NOISE_PER_SPREAD = 3.0
+FIRST_SPREAD = 0.03  # variance of m before the flight, chosen
+UNOBSERVED_VARIANCE = 1e6  # variance of an axis that is not observed
+MOST_SIGMAS = 3.0  # e is clipped to three sigma: p 0.3 %
+MOST_SPEED_RATIO = 2.0  # bound of the airspeed's scale, in cruise speeds
+MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m above which m has less weight in C: chi2inv(0.875, 6)
 
 
-# Of `counts`: cells since the start, cells that wait, whether nothing was known beforehand
+# Of `counts`: bins since the start, bins that wait, whether the vehicle is unknown
 BINS, WAITING, UNKNOWN = range(3)
 
 
 class MotionModel(NamedTuple):
-    """What is known of the motion; `compare_motion` and `learn_motion` change it in place.
+    """The model of the motion; `compare_motion` and `learn_motion` change it in place.
 
-    `powers` (TERMS,) and `cruise_mps` as in `Effects`; `theta` (AXES, TERMS), its covariances `p`
-    (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread` (AXES, AXES) is C, and `bent` (AXES,) what m
-    has of a motion that is not linear; `usual` (TERMS,) are the terms that it is linear about;
-    `error` and `doubt` (AXES,): e and the variance of theta' x.
-    `waiting` (LATER + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of cells that are
-    not yet learnt from; `counts` (3,).
+    `powers` (TERMS,) and `cruise_mps` as in `Effects`; `theta` (AXES, TERMS) and its covariances
+    `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread` (AXES, AXES) is C, `nonlinearity`
+    (AXES,) the part of m that the linear model cannot predict; `mean_terms` (TERMS,) are the terms
+    that it is linear about; `error` and `doubt` (AXES,): e and the variance of theta' x. `waiting`
+    (DELAY_BINS + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of bins that wait for
+    learning; `counts` (3,).
     """
 
     powers: Vector
@@ -74,8 +74,8 @@ class MotionModel(NamedTuple):
     p: Vector
     mean: Vector
     spread: Vector
-    bent: Vector
-    usual: Vector
+    nonlinearity: Vector
+    mean_terms: Vector
     error: Vector
     doubt: Vector
     waiting: Vector
@@ -83,7 +83,7 @@ class MotionModel(NamedTuple):
 
 
 def initial_motion_model(effects: Effects) -> MotionModel:
-    """What is known before the flight."""
+    """The model before the flight."""
     return MotionModel(
         effects.powers,
         effects.cruise_mps,
@@ -101,138 +101,139 @@ def initial_motion_model(effects: Effects) -> MotionModel:
 
 
 @compiled
-def _memory_share(memory_s: float, cells: int) -> float:
-    """How much a cell counts in a memory that is short at the beginning."""
-    share: float = max(BIN_S / memory_s, EARLY_SHARE / (cells + EARLY_SHARE))
+def _memory_share(memory_s: float, bins: int) -> float:
+    """The weight of a bin in a memory, larger in the first bins."""
+    share: float = max(BIN_S / memory_s, EARLY_SHARE / (bins + EARLY_SHARE))
     return share
 
 
 @compiled
-def has_airspeed_model(terms: Vector, learnt: MotionModel) -> bool:
-    """Whether the axis that is told the airspeed says anything of a cell."""
-    known: bool = terms[AIRSPEED] > 0.0 and learnt.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0
+def has_airspeed_model(terms: Vector, model: MotionModel) -> bool:
+    """Whether the axis with the airspeed can be predicted for a bin."""
+    known: bool = terms[AIRSPEED] > 0.0 and model.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0
     return known
 
 
 @compiled
-def scale_by_airspeed(terms: Vector, learnt: MotionModel) -> Vector:
+def scale_by_airspeed(terms: Vector, model: MotionModel) -> Vector:
     """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
-    seen = np.empty((AXES, TERMS))
-    seen[:] = terms
+    scaled = np.empty((AXES, TERMS))
+    scaled[:] = terms
     if terms[AIRSPEED] > 0.0:
-        ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / learnt.cruise_mps)
+        ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / model.cruise_mps)
         for i in range(TERMS):
-            if learnt.powers[i] != 0.0:
-                seen[:ANGULAR, i] *= ratio ** learnt.powers[i]
-    return seen
+            if model.powers[i] != 0.0:
+                scaled[:ANGULAR, i] *= ratio ** model.powers[i]
+    return scaled
 
 
 @compiled
-def _predict(seen: Vector, motion: Vector, learnt: MotionModel) -> None:
-    """Fill in error and doubt of the motion in a cell with these terms (AXES, TERMS)."""
+def _predict(scaled: Vector, motion: Vector, model: MotionModel) -> None:
+    """Compute error and doubt of a bin's motion for these terms (AXES, TERMS)."""
     for axis in range(AXES):
         count = FORCE if axis == DOWN else TERMS
-        terms = seen[axis]
+        terms = scaled[axis]
         predicted = variance = 0.0
         for i in range(count):
-            if terms[i] == 0.0:  # most outputs drive nothing
+            if terms[i] == 0.0:  # most outputs are unused
                 continue
-            predicted += learnt.theta[axis, i] * terms[i]
+            predicted += model.theta[axis, i] * terms[i]
             for j in range(count):
-                variance += terms[i] * learnt.p[axis, i, j] * terms[j]
-        learnt.error[axis], learnt.doubt[axis] = motion[axis] - predicted, variance
-    if not has_airspeed_model(seen[FORWARD_BY_AIRSPEED], learnt):
-        learnt.error[FORWARD_BY_AIRSPEED], learnt.doubt[FORWARD_BY_AIRSPEED] = (
+                variance += terms[i] * model.p[axis, i, j] * terms[j]
+        model.error[axis], model.doubt[axis] = motion[axis] - predicted, variance
+    if not has_airspeed_model(scaled[FORWARD_BY_AIRSPEED], model):
+        model.error[FORWARD_BY_AIRSPEED], model.doubt[FORWARD_BY_AIRSPEED] = (
             0.0,
             UNOBSERVED_VARIANCE,
         )
 
 
 @compiled
-def compare_motion(terms: Vector, motion: Vector, learnt: MotionModel) -> None:
-    """Predict the motion of a cell, and average what remains."""
-    _predict(scale_by_airspeed(terms, learnt), motion, learnt)
-    _average_nonlinearity(terms, learnt)
-    learnt.counts[BINS] += 1
+def compare_motion(terms: Vector, motion: Vector, model: MotionModel) -> None:
+    """Predict the motion of a bin, and average the residual."""
+    _predict(scale_by_airspeed(terms, model), motion, model)
+    _average_nonlinearity(terms, model)
+    model.counts[BINS] += 1
     for axis in range(AXES):
-        learnt.mean[axis] += BIN_S / SHORT_S * (learnt.error[axis] - learnt.mean[axis])
+        model.mean[axis] += BIN_S / SHORT_S * (model.error[axis] - model.mean[axis])
 
 
 @compiled
-def _average_nonlinearity(terms: Vector, learnt: MotionModel) -> None:
-    """Average what of a cell's motion is not linear."""
+def _average_nonlinearity(terms: Vector, model: MotionModel) -> None:
+    """Average the nonlinear part of a bin's motion."""
     square = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
     for axis in range(DOWN):
-        bent = 0.0
+        nonlinearity = 0.0
         if axis >= ANGULAR:
-            # What drags goes with the square of what lifts, and a propeller pulls less in faster
-            # air.
-            bent = (learnt.theta[axis, FORCE + 1] * square) ** 2
+            # Drag grows with the square of lift, and a propeller pulls less in faster air.
+            nonlinearity = (model.theta[axis, FORCE + 1] * square) ** 2
             for i in range(OUTPUT, TERMS):
-                bent += (
-                    EFFECT_SIGMA_SHARE * learnt.theta[axis, i] * (terms[i] - learnt.usual[i])
+                nonlinearity += (
+                    EFFECT_SIGMA_SHARE * model.theta[axis, i] * (terms[i] - model.mean_terms[i])
                 ) ** 2
         elif terms[AIRSPEED] == 0.0:
-            for i in range(TERMS):  # what an airspeed that is not known would scale
-                bent += learnt.powers[i] * learnt.theta[axis, i] * terms[i]
-            bent = (bent * GUST_MPS / learnt.cruise_mps) ** 2
-        learnt.bent[axis] += BIN_S / SHORT_S * (np.sqrt(bent) - learnt.bent[axis])
+            for i in range(TERMS):  # the scale of an unknown airspeed
+                nonlinearity += model.powers[i] * model.theta[axis, i] * terms[i]
+            nonlinearity = (nonlinearity * GUST_MPS / model.cruise_mps) ** 2
+        model.nonlinearity[axis] += (
+            BIN_S / SHORT_S * (np.sqrt(nonlinearity) - model.nonlinearity[axis])
+        )
 
 
 @compiled
 def learn_motion(
-    terms: Vector, motion: Vector, learnt: MotionModel, statistic: float, suspected: bool
+    terms: Vector, motion: Vector, model: MotionModel, statistic: float, suspected: bool
 ) -> None:
-    """Let a cell wait, and learn from the one that has waited; `suspected` forgets all that wait.
+    """Queue a bin and learn from the oldest one; `suspected` drops the queue.
 
-    `statistic` is m' inv(V) m of the cell.
+    `statistic` is m' inv(V) m of the bin.
     """
     if suspected:
-        learnt.counts[WAITING] = 0
+        model.counts[WAITING] = 0
         return
-    last = learnt.counts[WAITING]
-    row = learnt.waiting[last]
+    last = model.counts[WAITING]
+    row = model.waiting[last]
     row[:TERMS], row[TERMS : TERMS + AXES] = terms, motion
-    row[TERMS + AXES : TERMS + 2 * AXES] = learnt.mean
+    row[TERMS + AXES : TERMS + 2 * AXES] = model.mean
     row[-1] = statistic
     if last < DELAY_BINS:
-        learnt.counts[WAITING] = last + 1
+        model.counts[WAITING] = last + 1
         return
-    first = learnt.waiting[0].copy()
-    learnt.waiting[:-1] = learnt.waiting[1:].copy()
-    _update(first[:TERMS], first[TERMS : TERMS + AXES], learnt)
-    if learnt.counts[BINS] > SPREAD_FROM_BIN:
+    first = model.waiting[0].copy()
+    model.waiting[:-1] = model.waiting[1:].copy()
+    _update(first[:TERMS], first[TERMS : TERMS + AXES], model)
+    if model.counts[BINS] > SPREAD_FROM_BIN:
         mean = first[TERMS + AXES : TERMS + 2 * AXES]
         weight = min(1.0, MEAN_OUTLIER_STATISTIC / max(first[-1], 1e-9))
-        share = _memory_share(LONG_S, learnt.counts[BINS])
+        share = _memory_share(LONG_S, model.counts[BINS])
         for i in range(AXES):
             for j in range(AXES):
-                learnt.spread[i, j] += share * (weight * mean[i] * mean[j] - learnt.spread[i, j])
+                model.spread[i, j] += share * (weight * mean[i] * mean[j] - model.spread[i, j])
 
 
 @compiled
-def _update(terms: Vector, motion: Vector, learnt: MotionModel) -> None:
-    """One Kalman update an axis."""
-    seen = scale_by_airspeed(terms, learnt)
-    _predict(seen, motion, learnt)
-    walk = _memory_share(CONSTANT_S, learnt.counts[BINS])
-    learnt.usual[:] += walk * (terms - learnt.usual)
+def _update(terms: Vector, motion: Vector, model: MotionModel) -> None:
+    """One Kalman update per axis."""
+    scaled = scale_by_airspeed(terms, model)
+    _predict(scaled, motion, model)
+    walk = _memory_share(CONSTANT_S, model.counts[BINS])
+    model.mean_terms[:] += walk * (terms - model.mean_terms)
     for axis in range(AXES):
         count = FORCE if axis == DOWN else TERMS
-        noise = NOISE_PER_SPREAD * learnt.spread[axis, axis]
-        variance = learnt.doubt[axis] + noise
+        noise = NOISE_PER_SPREAD * model.spread[axis, axis]
+        variance = model.doubt[axis] + noise
         most = MOST_SIGMAS * np.sqrt(variance)
-        error = min(most, max(-most, learnt.error[axis]))
-        p, gain = learnt.p[axis], np.zeros(TERMS)
+        error = min(most, max(-most, model.error[axis]))
+        p, gain = model.p[axis], np.zeros(TERMS)
         for j in range(count):
-            if seen[axis, j] != 0.0:
+            if scaled[axis, j] != 0.0:
                 for i in range(count):
-                    gain[i] += p[i, j] * seen[axis, j]
+                    gain[i] += p[i, j] * scaled[axis, j]
         for i in range(count):
             if gain[i] == 0.0:
                 continue
-            learnt.theta[axis, i] += gain[i] / variance * error
+            model.theta[axis, i] += gain[i] / variance * error
             for j in range(count):
                 p[i, j] -= gain[i] * gain[j] / variance
-        # A share of k a cell is what a walk of k^2 times the noise leads to.
+        # A random walk of k^2 times the noise gives a bin the weight k.
         p[CONSTANT, CONSTANT] += noise * walk * walk

@@ -1,16 +1,16 @@
-"""Whether actuators follow their commands, over seconds, compiled: one regression a hypothesis.
+"""Tests over seconds whether actuators follow their commands, compiled: one regression each.
 
-An actuator that lost a share g of its effect, or is stuck (g = 1), leaves less of each of its
-moves. Every half second tells how the motion missed its prediction, e, and what a hypothesis would
-have made of that, s: for actuator i what its command did by the model, with the sign turned; for a
-load that slides a moment about y that goes with the force along z; for a pitot tube that lies what
-the airspeed is thought to do. With a trim that wanders by a few V beside noise of the covariance V,
+An actuator that lost a share g of its effect, or is stuck (g = 1), falls short by that share of
+every movement. Each step of half a second gives the residual e of the motion, and the signal s that
+a hypothesis predicts in it: for actuator i the modelled effect of its command, reversed; for a
+shifted load a moment about y proportional to the force along z; for a faulty pitot tube the
+modelled effect of the airspeed. With a trim that walks by a few V beside noise of covariance V,
 
     e = g s + trim + noise,   A = sum s' inv(V) s,   g = sum s' inv(V) e / A,   r = g^2 A,
 
-the sums being taken over some seconds, and r what the hypothesis explains of sum e' inv(V) e. One
-that is stuck may push by a constant as well. Of g the variance is 1 / A and what is not known of
-the effect itself.
+where the sums extend over some seconds and r is the part of sum e' inv(V) e that the hypothesis
+explains. A stuck actuator may also push by a constant. The variance of g is 1 / A plus the
+uncertainty of the effect itself.
 """
 
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from analysis.detection.actuators.actuator_hypotheses import (
     LOAD,
     NO_HYPOTHESIS,
+    OUTLIER_STATISTIC,
     PITCH,
     PITOT,
     is_known_rotor,
@@ -47,41 +48,40 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
 
 HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
-BINS_PER_STEP = 5  # cells of half a second
-RETENTION = 0.95  # of what was known half a second ago: 10 s
-LONG_S, EARLY_SHARE = 60.0, 3.0  # memory of V, at most this part of the flight so far
-OUTLIER_STATISTIC = 16.8  # e' inv(V) e beyond which e counts less for V
-INITIAL_SPREADS = 2.0  # spreads of m in V before anything is known
-TRIM_VARIANCES = 4.0  # variances of half a second in that of the trim
-STUCK_LEAST_EXPLAINED = 6.0  # what a free constant has to explain
-STUCK_SHARE = 0.4  # share of its moves that are missing, of one that is stuck since some seconds
-# r of who is suspected, and g^2 over its variance; what it may leave of each degree of freedom, or
-# which share; how far it is ahead of the next, in what it leaves, the least of it, and of
-# another actuator which share of r: one loud half second tells more than the model knows
+BINS_PER_STEP = 5  # bins of a step: half a second
+RETENTION = 0.95  # per step: a memory of 10 s
+# Memory of V in seconds, at most a third of the flight so far, chosen.
+LONG_S, EARLY_SHARE = 60.0, 3.0
+INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m, chosen
+TRIM_VARIANCES = 4.0  # variance of the trim over V, chosen
+STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add, chosen
+STUCK_SHARE = 0.4  # least g of an actuator that has been stuck for some seconds
+# Least r and least g^2 over its variance (5.5 and 3.7 sigma of one degree of freedom); largest
+# remainder per degree of freedom, absolute and as a share of r; least lead over the next hypothesis
+# in units of the remainder, the smallest unit, and for another actuator as a share of r (one
+# outlier says more than the model knows). Chosen on benchmarks/actuator_watch.py.
 LEAST_EXPLAINED, LEAST_SIGNIFICANCE, MOST_LEFT, MOST_LEFT_SHARE = 30.0, 14.0, 3.0, 0.15
 LEAST_LEAD, LEAST_NOISE, LEAST_LEAD_SHARE = 12.0, 0.25, 0.2
-# Half seconds that V is learnt from before anybody is suspected, and of an unknown vehicle
+# Steps before the first test: 10 s; of an unknown vehicle 30 s: gusts led to an alarm at 29 s
 LEARNED_STEPS, UNKNOWN_LEARNED_STEPS = 20.0, 60.0
-LEAST_STEPS = 2.5  # half seconds
-MOST_LOSS = 1.25  # g of an actuator
-JUMP_STATISTIC = (
-    150.0  # what is left of one half second after what explained those before: something new
-)
-EFFECT_SIGMA = 0.03  # one sigma of g: what no effect is constant to
+LEAST_STEPS = 2.5  # steps since the last reset
+MOST_LOSS = 1.25  # largest g of an actuator: 1, and room for its error
+JUMP_STATISTIC = 150.0  # remainder of one step beyond the hypothesis: a new fault, chosen
+EFFECT_SIGMA = 0.03  # one sigma of g: no effect is constant to better than 3 %, chosen
 
 
 class ResponseRegression(NamedTuple):
     """Sums over the past; `update_regression` changes them in place.
 
-    `cells` (TERMS + AXES,) are sums of terms and e of the half second that is being filled, and
-    `filled` (1,) its cells; `weight` (1,) is how many half seconds are remembered. About the means
-    of s (HYPOTHESES, AXES) and of e (AXES,) there are the sums of s' inv(V) s, of s' inv(V) e
-    (HYPOTHESES,) and of e' inv(V) e (1,). `usual` (AXES, AXES) is V, `learnt` (1,) the half seconds
-    that it was learnt from. `explained`, `shares` and `sure` (HYPOTHESES,) are r, g and g^2 over
-    its variance; `who` (2,) explains it best, and who does as well, if anybody.
+    `bins` (TERMS + AXES,) are sums of terms and e of the step that is being filled, `filled` (1,)
+    its number of bins; `weight` (1,) is the number of steps in memory. About the means of s
+    (HYPOTHESES, AXES) and of e (AXES,) there are the sums of s' inv(V) s, of s' inv(V) e
+    (HYPOTHESES,) and of e' inv(V) e (1,). `cov` (AXES, AXES) is V, `learned_steps` (1,) what
+    it was learned from. `explained`, `shares` and `significance` (HYPOTHESES,) are r, g and g^2
+    over its variance; `hypotheses` (2,) are the best one, and one that explains as much.
     """
 
-    cells: Vector
+    bins: Vector
     filled: NDArray[np.int64]
     weight: Vector
     signals: Vector
@@ -89,16 +89,16 @@ class ResponseRegression(NamedTuple):
     own: Vector
     shared: Vector
     square: Vector
-    usual: Vector
-    learnt: Vector
+    cov: Vector
+    learned_steps: Vector
     explained: Vector
     shares: Vector
-    sure: Vector
-    who: NDArray[np.int64]
+    significance: Vector
+    hypotheses: NDArray[np.int64]
 
 
 def new_regression() -> ResponseRegression:
-    """Nothing came yet."""
+    """No bin has come yet."""
     return ResponseRegression(
         np.zeros(TERMS + AXES),
         np.zeros(1, np.int64),
@@ -118,186 +118,193 @@ def new_regression() -> ResponseRegression:
 
 
 @compiled
-def reset_regression(kept: ResponseRegression) -> None:
-    """Begin anew."""
-    kept.cells[:] = 0.0
-    kept.filled[0] = 0
-    kept.weight[0] = 0.0
-    kept.own[:] = kept.shared[:] = 0.0
-    kept.square[0] = 0.0
-    kept.explained[:] = 0.0
-    kept.who[:] = NO_HYPOTHESIS
+def reset_regression(state: ResponseRegression) -> None:
+    """Start again; V is kept."""
+    state.bins[:] = 0.0
+    state.filled[0] = 0
+    state.weight[0] = 0.0
+    state.own[:] = state.shared[:] = 0.0
+    state.square[0] = 0.0
+    state.explained[:] = 0.0
+    state.hypotheses[:] = NO_HYPOTHESIS
 
 
 @compiled
 def update_regression(
-    terms: Vector, learnt: MotionModel, suspected: bool, kept: ResponseRegression
+    terms: Vector, model: MotionModel, suspected: bool, state: ResponseRegression
 ) -> None:
-    """Take a cell's terms and error; every half second tells. Where somebody is suspected V is not
-    learnt."""
+    """Add a bin's terms and error; evaluate every half second; V is frozen while `suspected`."""
     for i in range(TERMS):
-        kept.cells[i] += terms[i]
+        state.bins[i] += terms[i]
     for i in range(AXES):
-        kept.cells[TERMS + i] += learnt.error[i]
-    kept.filled[0] += 1
-    if kept.filled[0] < BINS_PER_STEP:
+        state.bins[TERMS + i] += model.error[i]
+    state.filled[0] += 1
+    if state.filled[0] < BINS_PER_STEP:
         return
-    mean = kept.cells / BINS_PER_STEP
-    kept.cells[:], kept.filled[0] = 0.0, 0
-    if kept.learnt[0] == 0.0:
-        kept.usual[:] = INITIAL_SPREADS * learnt.spread
-    _add_step(scale_by_airspeed(mean[:TERMS], learnt), mean[TERMS:], learnt, not suspected, kept)
-    _weigh_hypotheses(learnt, kept)
+    mean = state.bins / BINS_PER_STEP
+    state.bins[:], state.filled[0] = 0.0, 0
+    if state.learned_steps[0] == 0.0:
+        state.cov[:] = INITIAL_SPREADS * model.spread
+    _add_step(scale_by_airspeed(mean[:TERMS], model), mean[TERMS:], model, not suspected, state)
+    _weigh_hypotheses(model, state)
 
 
 @compiled
 def _add_step(
-    seen: Vector, error: Vector, learnt: MotionModel, sound: bool, kept: ResponseRegression
+    scaled: Vector, error: Vector, model: MotionModel, healthy: bool, state: ResponseRegression
 ) -> None:
     """Add half a second with the terms (AXES, TERMS) and e (AXES,)."""
-    information = invert_positive_definite(_noise_covariance(learnt, kept))
-    off = error - kept.error
-    if _jumps(off, seen, information, learnt, kept):
-        reset_regression(kept)
+    information = invert_positive_definite(_noise_covariance(model, state))
+    change = error - state.error
+    if _jumps(change, scaled, information, model, state):
+        reset_regression(state)
         return
-    kept.weight[0] = RETENTION * kept.weight[0] + 1.0
-    share = 1.0 / kept.weight[0]
-    kept.error[:] += share * off
-    told = multiply_vector(information, off)
-    square = (off * told).sum()
-    kept.square[0] = RETENTION * kept.square[0] + (1.0 - share) * square
-    if sound and kept.weight[0] > EARLY_SHARE:
-        kept.learnt[0] += 1.0
-        memory = max(BINS_PER_STEP * BIN_S / LONG_S, EARLY_SHARE / (kept.learnt[0] + EARLY_SHARE))
+    state.weight[0] = RETENTION * state.weight[0] + 1.0
+    share = 1.0 / state.weight[0]
+    state.error[:] += share * change
+    weighted = multiply_vector(information, change)
+    square = (change * weighted).sum()
+    state.square[0] = RETENTION * state.square[0] + (1.0 - share) * square
+    if healthy and state.weight[0] > EARLY_SHARE:
+        state.learned_steps[0] += 1.0
+        memory = max(
+            BINS_PER_STEP * BIN_S / LONG_S, EARLY_SHARE / (state.learned_steps[0] + EARLY_SHARE)
+        )
         weight = min(1.0, OUTLIER_STATISTIC / max(square, 1e-9))
         for i in range(AXES):
             for j in range(AXES):
-                kept.usual[i, j] += memory * (weight * off[i] * off[j] - kept.usual[i, j])
+                state.cov[i, j] += memory * (weight * change[i] * change[j] - state.cov[i, j])
     for i in range(HYPOTHESES):
-        signal = _signal(i, seen, learnt) - kept.signals[i]
-        kept.signals[i] += share * signal
+        signal = _signal(i, scaled, model) - state.signals[i]
+        state.signals[i] += share * signal
         own = (signal * multiply_vector(information, signal)).sum()
-        kept.own[i] = RETENTION * kept.own[i] + (1.0 - share) * own
-        kept.shared[i] = RETENTION * kept.shared[i] + (1.0 - share) * (signal * told).sum()
+        state.own[i] = RETENTION * state.own[i] + (1.0 - share) * own
+        state.shared[i] = RETENTION * state.shared[i] + (1.0 - share) * (signal * weighted).sum()
 
 
 @compiled
 def _jumps(
-    off: Vector, seen: Vector, information: Vector, learnt: MotionModel, kept: ResponseRegression
+    change: Vector,
+    scaled: Vector,
+    information: Vector,
+    model: MotionModel,
+    state: ResponseRegression,
 ) -> bool:
-    """Whether who is suspected explains what went before, but not this e (AXES,) off its mean."""
-    first = kept.who[0]
+    """Whether the hypothesis explains the past but not this deviation (AXES,) of e."""
+    first = state.hypotheses[0]
     if first == NO_HYPOTHESIS:
         return False
-    rest = off - kept.shares[first] * (_signal(first, seen, learnt) - kept.signals[first])
+    rest = change - state.shares[first] * (_signal(first, scaled, model) - state.signals[first])
     return bool((rest * multiply_vector(information, rest)).sum() > JUMP_STATISTIC)
 
 
 @compiled
-def _signal(i: int, seen: Vector, learnt: MotionModel) -> Vector:
-    """What a hypothesis makes of e (AXES,) for g of 1."""
+def _signal(i: int, scaled: Vector, model: MotionModel) -> Vector:
+    """The e (AXES,) that a hypothesis predicts for g of 1."""
     signal = np.zeros(AXES)
     if i == LOAD:
-        signal[PITCH] = seen[PITCH, FORCE + 1]
+        signal[PITCH] = scaled[PITCH, FORCE + 1]
     elif i == PITOT:
         for axis in range(ANGULAR):
             for k in range(TERMS):
-                signal[axis] -= learnt.powers[k] * learnt.theta[axis, k] * seen[axis, k]
+                signal[axis] -= model.powers[k] * model.theta[axis, k] * scaled[axis, k]
     else:
         for axis in range(AXES):
-            if axis != FORWARD_BY_AIRSPEED or has_airspeed_model(seen[axis], learnt):
-                signal[axis] = -learnt.theta[axis, OUTPUT + i] * seen[axis, OUTPUT + i]
+            if axis != FORWARD_BY_AIRSPEED or has_airspeed_model(scaled[axis], model):
+                signal[axis] = -model.theta[axis, OUTPUT + i] * scaled[axis, OUTPUT + i]
     return signal
 
 
 @compiled
-def _weigh_hypotheses(learnt: MotionModel, kept: ResponseRegression) -> None:
-    """What each hypothesis explains, and who it is."""
-    kept.who[:] = NO_HYPOTHESIS
-    information = invert_positive_definite(_noise_covariance(learnt, kept))
-    steady = multiply_vector(information, kept.error) / TRIM_VARIANCES
-    total = kept.square[0] + (kept.error * steady).sum()
+def _weigh_hypotheses(model: MotionModel, state: ResponseRegression) -> None:
+    """Compute what each hypothesis explains, and choose one."""
+    state.hypotheses[:] = NO_HYPOTHESIS
+    information = invert_positive_definite(_noise_covariance(model, state))
+    steady = multiply_vector(information, state.error) / TRIM_VARIANCES
+    total = state.square[0] + (state.error * steady).sum()
     for i in range(HYPOTHESES):
-        kept.explained[i] = kept.shares[i] = kept.sure[i] = 0.0
-        if kept.own[i] <= 1e-9 or not _is_possible(i, learnt):
+        state.explained[i] = state.shares[i] = state.significance[i] = 0.0
+        if state.own[i] <= 1e-9 or not _is_possible(i, model):
             continue
-        signal = kept.signals[i]
-        own = kept.own[i] + (signal * multiply_vector(information, signal)).sum() / TRIM_VARIANCES
-        shared = kept.shared[i] + (signal * steady).sum()
+        signal = state.signals[i]
+        own = state.own[i] + (signal * multiply_vector(information, signal)).sum() / TRIM_VARIANCES
+        shared = state.shared[i] + (signal * steady).sum()
         explained = shared**2 / own
         if i < COMMANDS:
-            effect = learnt.theta[:, OUTPUT + i].copy()
+            effect = model.theta[:, OUTPUT + i].copy()
             effect[FORWARD_BY_AIRSPEED] = 0.0
             along = (effect * steady).sum() ** 2 / (
                 effect * multiply_vector(information, effect)
             ).sum()
             held = (
-                kept.shared[i] ** 2 / kept.own[i] + TRIM_VARIANCES * along - STUCK_LEAST_EXPLAINED
+                state.shared[i] ** 2 / state.own[i] + TRIM_VARIANCES * along - STUCK_LEAST_EXPLAINED
             )
-            if held > explained and kept.shared[i] > STUCK_SHARE * kept.own[i]:
-                explained, own, shared = held, kept.own[i], kept.shared[i]
+            if held > explained and state.shared[i] > STUCK_SHARE * state.own[i]:
+                explained, own, shared = held, state.own[i], state.shared[i]
             if not 0.0 < shared < MOST_LOSS * own:
                 continue
-        kept.explained[i], kept.shares[i] = explained, shared / own
-        kept.sure[i] = kept.shares[i] ** 2 / (1.0 / own + _effect_variance(i, learnt, kept))
-    known = LEARNED_STEPS if learnt.counts[UNKNOWN] == 0 else UNKNOWN_LEARNED_STEPS
-    if kept.learnt[0] >= known and kept.weight[0] >= LEAST_STEPS:
-        _choose_hypothesis(total, kept)
+        state.explained[i], state.shares[i] = explained, shared / own
+        state.significance[i] = state.shares[i] ** 2 / (
+            1.0 / own + _effect_variance(i, model, state)
+        )
+    known = LEARNED_STEPS if model.counts[UNKNOWN] == 0 else UNKNOWN_LEARNED_STEPS
+    if state.learned_steps[0] >= known and state.weight[0] >= LEAST_STEPS:
+        _choose_hypothesis(total, state)
 
 
 @compiled
-def _is_possible(i: int, learnt: MotionModel) -> bool:
-    """Whether a hypothesis counts: of an unknown vehicle known rotors, a load on wings."""
+def _is_possible(i: int, model: MotionModel) -> bool:
+    """Whether a hypothesis applies: known rotors of an unknown vehicle, a load on wings."""
     if i >= COMMANDS:
-        return bool(learnt.powers[CONSTANT] > 0.0)
-    if learnt.counts[UNKNOWN] == 0:
+        return bool(model.powers[CONSTANT] > 0.0)
+    if model.counts[UNKNOWN] == 0:
         return True
-    return is_known_rotor(i, learnt.theta, learnt.p)
+    return is_known_rotor(i, model.theta, model.p)
 
 
 @compiled
-def _choose_hypothesis(total: float, kept: ResponseRegression) -> None:
-    """Who explains it best of a total of sum e' inv(V) e, and who as well."""
-    first = int(np.argmax(kept.explained))
-    best = kept.explained[first]
-    left = max(0.0, total - best) / (AXES * kept.weight[0])
-    fits = left < max(MOST_LEFT, MOST_LEFT_SHARE * best / (AXES * kept.weight[0]))
-    if best < LEAST_EXPLAINED or kept.sure[first] < LEAST_SIGNIFICANCE or not fits:
+def _choose_hypothesis(total: float, state: ResponseRegression) -> None:
+    """Choose the hypothesis that explains most of the `total`, and one that explains as much."""
+    first = int(np.argmax(state.explained))
+    best = state.explained[first]
+    left = max(0.0, total - best) / (AXES * state.weight[0])
+    fits = left < max(MOST_LEFT, MOST_LEFT_SHARE * best / (AXES * state.weight[0]))
+    if best < LEAST_EXPLAINED or state.significance[first] < LEAST_SIGNIFICANCE or not fits:
         return
-    kept.who[0] = first
-    following = 0.0
+    state.hypotheses[0] = first
+    second = 0.0
     for i in range(HYPOTHESES):
-        if i != first and kept.explained[i] > following:
-            following = kept.explained[i]
+        if i != first and state.explained[i] > second:
+            second = state.explained[i]
             alike = LEAST_LEAD_SHARE * best if first < COMMANDS and i < COMMANDS else 0.0
-            if best - following < max(LEAST_LEAD * max(LEAST_NOISE, left), alike):
-                kept.who[1] = i
-    if kept.who[1] == PITOT or first == PITOT:
-        # Noise of the airspeed scales what surfaces do: it proves nothing against them.
-        kept.who[0], kept.who[1] = PITOT, NO_HYPOTHESIS
-    elif first == LOAD and kept.who[1] != NO_HYPOTHESIS:
-        # Of an actuator and a load it may be the actuator.
-        kept.who[0], kept.who[1] = kept.who[1], first
+            if best - second < max(LEAST_LEAD * max(LEAST_NOISE, left), alike):
+                state.hypotheses[1] = i
+    if state.hypotheses[1] == PITOT or first == PITOT:
+        # Airspeed noise scales the surfaces' effects, so it is no evidence against them.
+        state.hypotheses[0], state.hypotheses[1] = PITOT, NO_HYPOTHESIS
+    elif first == LOAD and state.hypotheses[1] != NO_HYPOTHESIS:
+        # Of an actuator and a load the actuator is reported first.
+        state.hypotheses[0], state.hypotheses[1] = state.hypotheses[1], first
 
 
 @compiled
-def _noise_covariance(learnt: MotionModel, kept: ResponseRegression) -> Vector:
-    """V with what is not sure of the model (AXES, AXES)."""
-    usual = kept.usual.copy()
+def _noise_covariance(model: MotionModel, state: ResponseRegression) -> Vector:
+    """V with the model's uncertainty (AXES, AXES)."""
+    cov = state.cov.copy()
     for axis in range(AXES):
-        usual[axis, axis] += learnt.doubt[axis] + learnt.bent[axis] ** 2
-    return usual
+        cov[axis, axis] += model.doubt[axis] + model.nonlinearity[axis] ** 2
+    return cov
 
 
 @compiled
-def _effect_variance(i: int, learnt: MotionModel, kept: ResponseRegression) -> float:
-    """The variance of g for what is not known of a hypothesis's effect."""
+def _effect_variance(i: int, model: MotionModel, state: ResponseRegression) -> float:
+    """The variance of g due to the uncertainty of a hypothesis' effect."""
     if i >= COMMANDS:
         return 0.0
     best, doubt = 0.0, 0.0
     for axis in range(AXES):
-        square = learnt.theta[axis, OUTPUT + i] ** 2
-        if square > best * kept.usual[axis, axis]:
-            best = square / kept.usual[axis, axis]
-            doubt = learnt.p[axis, OUTPUT + i, OUTPUT + i] / square
+        square = model.theta[axis, OUTPUT + i] ** 2
+        if square > best * state.cov[axis, axis]:
+            best = square / state.cov[axis, axis]
+            doubt = model.p[axis, OUTPUT + i, OUTPUT + i] / square
     return EFFECT_SIGMA**2 + doubt

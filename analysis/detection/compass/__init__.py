@@ -1,5 +1,4 @@
-"""The compass against the gyro and against the Earth's field; neither filter nor attitude is asked.
+"""Fault detection for compass and gyro without filter or attitude.
 
-Compass and gyro *turn apart* where the field does not turn as the rates say; the *Earth* is what
-the World Magnetic Model expects at the place.
+The compass is compared with the integrated gyro, and with the World Magnetic Model.
 """

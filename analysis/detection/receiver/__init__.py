@@ -1,1 +1,1 @@
-"""A receiver's own position and velocity against the filter, where raw ranges are missing."""
+"""Tests of a receiver's own position and velocity with the filter, without raw ranges."""

@@ -1,4 +1,4 @@
-"""A receiver that is being carried off, and one left out for it that is not yet back."""
+"""Tests for the carry-off of a receiver (slow spoofing) and for its end."""
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 
-AT_REST_MPS = 0.3
-STEADY_MPS2 = 1.0
-IMPACT_MPS2 = 5.0  # more than a flight's own change of mean force from fix to fix
-Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity where it is known
+AT_REST_MPS = 0.3  # one sigma of a receiver's horizontal velocity
+STEADY_MPS2 = 1.0  # a latency of 0.15 s is then an error of 0.15 m/s
+IMPACT_MPS2 = 5.0  # chosen: the mean force of a flight changes by less from fix to fix
+Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity if known
 
 
 def detect_carry_off(
@@ -105,8 +105,8 @@ def estimate_carry_off(
 def is_still_carried_off(
     carry_off: CarryOff | None, measurement: FixMeasurement, tests: Tests, motion: MotionEstimate
 ) -> bool:
-    """Whether a receiver that was left out for it goes on as it was carried: without it the filter
-    grows so unsure that its position, however wrong, fits."""
+    """Whether an excluded receiver continues its carry-off: without it the filter is too
+    uncertain."""
     position, velocity = tests
     if carry_off is None or velocity is None:
         return False

@@ -1,10 +1,10 @@
-"""How late a receiver's fixes are, which real receivers do not tell: 0.1 to 0.5 s.
+"""Estimates the latency of a receiver's fixes, which real receivers do not report: 0.1 to 0.5 s.
 
-A fix is stamped when its message came, or was logged. While the vehicle accelerates the velocity it
-tells is one that has passed, and a sound receiver contradicts a sound IMU. What the IMU showed
-since carries the fix to where the vehicle is by now. The latency hardly changes in a flight, so it
-is a state of one number: learnt from the velocities while the vehicle accelerates, and as unsure as
-it is it widens the test. A simulator's HIL_GPS is stamped when it was measured.
+A fix is stamped when its message arrived or was logged. While the vehicle accelerates, the reported
+velocity is outdated, and a healthy receiver contradicts a healthy IMU. The IMU's motion since then
+moves the fix to the present. The latency hardly changes in a flight, so it is a single state:
+learned from the velocities while the vehicle accelerates, and its variance widens the test. A
+simulator's HIL_GPS has the stamp of its measurement.
 """
 
 from typing import NamedTuple
@@ -15,17 +15,17 @@ from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.receiver.position_test import FixMeasurement, FixTest
 from analysis.samples.sample import Vector
 
-USUAL_S, SIGMA_S = 0.15, 0.15
+USUAL_S, SIGMA_S = 0.15, 0.15  # prior of a real receiver, for the 0.1 to 0.5 s above
 LEAST_S, MOST_S = 0.0, 0.6
-LEAST_VARIANCE = 0.05**2  # for the test: what accelerates changes meanwhile
-# A mean over a flight is known better, and what is wrong for seconds may not move it.
+LEAST_VARIANCE = 0.05**2  # for the test: the acceleration changes meanwhile
+# A smaller variance for learning, so that errors that last for seconds do not move the mean.
 LEAST_LEARNED_VARIANCE = 0.01**2
 EXACT_SOURCE = "HIL_GPS"
 
 
 class Latency(NamedTuple):
     """Seconds and their variance; `past` are the durations of the newest intervals between fixes
-    and the mean accelerations (3,) in them, the newest first."""
+    and the mean accelerations (3,) in them, newest first."""
 
     seconds: float = 0.0
     variance: float = 0.0
@@ -33,21 +33,21 @@ class Latency(NamedTuple):
 
     @property
     def sigma_s(self) -> float:
-        """How unsure it is in a test."""
+        """One sigma in a test."""
         return float(np.sqrt(max(self.variance, LEAST_VARIANCE)))
 
     def velocity_change(self, seconds: float) -> Vector:
-        """By how much the velocity (3,) changed in the last `seconds`."""
+        """The change of the velocity (3,) in the last `seconds`."""
         change = np.zeros(3)
         for at, (duration_s, acceleration) in enumerate(self.past):
-            # Before all that is known it is taken to have gone on as at first.
+            # Before the first interval the first acceleration is assumed.
             span_s = seconds if at == len(self.past) - 1 else min(seconds, duration_s)
             change += span_s * acceleration
             seconds -= span_s
         return change
 
     def slope(self) -> Vector:
-        """By how much the velocity told changes with the latency: the acceleration (3,) then."""
+        """The derivative of the reported velocity by the latency: the acceleration (3,) then."""
         sigma_s = self.sigma_s
         first, last = max(self.seconds - sigma_s, 0.0), self.seconds + sigma_s
         slope: Vector = (self.velocity_change(last) - self.velocity_change(first)) / (last - first)
@@ -55,7 +55,7 @@ class Latency(NamedTuple):
 
 
 def initial_latency(source: str) -> Latency:
-    """What is known of a receiver by its message alone."""
+    """The prior for a receiver, by its message."""
     return Latency() if source == EXACT_SOURCE else Latency(USUAL_S, SIGMA_S**2)
 
 
@@ -72,33 +72,32 @@ def append_interval(latency: Latency, dt_s: float, acceleration_mps2: Vector) ->
     """The latency after an interval of `dt_s` with an acceleration (3,)."""
     if latency.variance == 0.0:
         return latency
-    kept, known_s = [(dt_s, acceleration_mps2)], dt_s
+    intervals, total_s = [(dt_s, acceleration_mps2)], dt_s
     for interval in latency.past:
-        if known_s >= MOST_S + SIGMA_S:
+        if total_s >= MOST_S + SIGMA_S:
             break
-        kept.append(interval)
-        known_s += interval[0]
-    return latency._replace(past=tuple(kept))
+        intervals.append(interval)
+        total_s += interval[0]
+    return latency._replace(past=tuple(intervals))
 
 
 def compensate_latency(
-    measured: FixMeasurement, predicted: MotionEstimate, latency: Latency
+    fix: FixMeasurement, predicted: MotionEstimate, latency: Latency
 ) -> FixMeasurement:
-    """The fix where the vehicle is by now, as unsure as its latency is."""
+    """The fix moved to the present, with the uncertainty of the latency."""
     if latency.variance == 0.0 or not predicted.inertial:
-        return measured
-    velocity, variance = measured.axes @ predicted.x[3:6], latency.sigma_s**2
+        return fix
+    velocity, variance = fix.axes @ predicted.x[3:6], latency.sigma_s**2
     gained = latency.velocity_change(latency.seconds)
-    moved = latency.seconds * (predicted.x[3:6] - measured.axes.T @ gained / 2.0)
-    measured = measured._replace(
-        r_ecef_m=measured.r_ecef_m + moved,
-        variance_m2=measured.variance_m2 + variance * velocity**2,
+    moved = latency.seconds * (predicted.x[3:6] - fix.axes.T @ gained / 2.0)
+    fix = fix._replace(
+        r_ecef_m=fix.r_ecef_m + moved, variance_m2=fix.variance_m2 + variance * velocity**2
     )
-    if measured.v_ned_mps is None:
-        return measured
-    return measured._replace(
-        v_ned_mps=measured.v_ned_mps + gained,
-        v_variance=measured.v_variance + variance * latency.slope() ** 2,
+    if fix.v_ned_mps is None:
+        return fix
+    return fix._replace(
+        v_ned_mps=fix.v_ned_mps + gained,
+        v_variance=fix.v_variance + variance * latency.slope() ** 2,
     )
 
 
@@ -107,11 +106,11 @@ def update_latency(latency: Latency, velocity: FixTest, p: Vector) -> Latency:
     if latency.variance == 0.0 or len(velocity.v) < 3:
         return latency
     seconds, variance, _ = latency
-    # The test's variance has the latency's own part in it already.
+    # The test's variance already contains the latency's part.
     spread = np.diag(velocity.h @ p @ velocity.h.T) + velocity.variance
-    for v, a, whole in zip(velocity.v, latency.slope(), spread, strict=True):
-        gain = variance * a / max(whole, variance * a * a)
-        seconds -= gain * v  # the innovation is how much too long it is, times the acceleration
+    for v, a, total in zip(velocity.v, latency.slope(), spread, strict=True):
+        gain = variance * a / max(total, variance * a * a)
+        seconds -= gain * v  # the innovation is the latency's error times the acceleration
         variance -= gain * a * variance
     seconds = float(np.clip(seconds, LEAST_S, MOST_S))
     return latency._replace(seconds=seconds, variance=max(variance, LEAST_LEARNED_VARIANCE))

@@ -1,10 +1,10 @@
-"""How well fixes tell the heading: no better than the vehicle's acceleration beside their error's.
+"""Limits how well fixes determine the heading: by the vehicle's acceleration over their error's.
 
-Only by accelerating does a vehicle show which way it points. What errs in a receiver's velocity
-lasts for seconds, though, and looks like an acceleration of its own; a filter that takes it for
-noise that is new at each fix is sure within a minute of hovering of a heading that is anywhere
-(by up to 180 degrees on real multirotors). So an update gives back what it may not have learnt of
-the rotation about the vertical: the partial update of [1]_, of state and covariance alike.
+Only acceleration shows a vehicle's heading. A receiver's velocity has errors that last for seconds
+and look like an acceleration. A filter that treats them as white noise is certain of a wrong
+heading after a minute of hovering (by up to 180 degrees on real multirotors). So an update gives
+back the information about the rotation about the vertical that the fix cannot have: the partial
+update of [1]_, of state and covariance alike.
 
 References
 ----------
@@ -19,16 +19,17 @@ from analysis.detection.filter.inertial import BG, ERROR_SIZE, PSI, X_BG, X_Q
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference, rotation_matrix
 
-VELOCITY_ERROR_MPS2 = 0.2  # of the acceleration that a receiver's velocities make believe
+# apparent acceleration of a receiver's slow velocity errors, as NATURAL_MPS in 1 s
+VELOCITY_ERROR_MPS2 = 0.2
 
 
 def limit_heading_update(
     before: MotionEstimate, after: MotionEstimate, acceleration_mps2: Vector, axes: Vector
 ) -> MotionEstimate:
-    """`after` an update of `before` by a fix, as sure of its heading as the fix may make it.
+    """`after` an update of `before` by a fix, with no more heading information than the fix has.
 
-    `acceleration_mps2` (3,) is the vehicle's since the last fix, along `axes` (3, 3) north, east
-    and down in ECEF.
+    `acceleration_mps2` (3,) is the vehicle's since the last fix, along the NED `axes` (3, 3) in
+    ECEF.
     """
     if not (before.inertial and after.inertial):
         return after
@@ -41,7 +42,7 @@ def limit_heading_update(
     if learnt >= allowed:
         return after
     share = float(np.sqrt((allowed - learnt) / (was - learnt)))
-    # The gyro's bias that turns the vehicle about the vertical goes with it.
+    # The gyro bias about the vertical is limited with it.
     down_b = rotation_matrix(after.x[X_Q:X_BG]).T @ down
     back = np.zeros((ERROR_SIZE, ERROR_SIZE))
     back[PSI : PSI + 3, PSI : PSI + 3] = share * (down[:, None] * down)

@@ -1,15 +1,15 @@
-"""Without raw ranges: who is wrong when a receiver's velocity and the IMU contradict each other.
+"""Isolates the fault when a receiver's velocity and the IMU disagree, without raw ranges.
 
-A spoofer moves position and velocity together, so a receiver that agrees with itself may still lie,
-and two sources alone cannot vote. Two things tell more:
+A spoofer moves position and velocity together, so a receiver that is consistent with itself may
+still be faulty, and two sources cannot vote. Two criteria help:
 
-- What is wrong with the IMU stands in its own output. If its specific force changed within the last
-  three intervals, and the velocities differ by what that makes in the time since, it is the IMU.
-- A wrong attitude turns the specific force f. One that is 60 degrees wrong errs by |f|; gyros would
-  have to be 3 rad/s off to get there before they are found. If the difference of the velocities
+- An IMU fault shows in its own output. If its specific force changed within the last three
+  intervals, and the velocities differ by the effect of that change since, it is the IMU.
+- A wrong attitude rotates the specific force f. An attitude error of 60 degrees is an error of |f|;
+  gyros would have to err by 3 rad/s to reach it undetected. If the difference of the velocities
   grew faster than that while the IMU showed no such change, it is the receiver.
 
-Whatever neither explains is the receiver or the IMU, and that is the verdict.
+If neither explains it, the verdict is that it is the receiver or the IMU.
 """
 
 import numpy as np
@@ -29,28 +29,30 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 UNDECIDED = "GPS-or-imu"
-EXCUSED_SIGMAS = 4.0  # of the velocity's noise, that a growth may exceed what an IMU can do
-ALIKE_SHARE = 0.4  # share by which a change of the IMU's force may differ from a wrong acceleration
-# In which a fault of the IMU may have begun before a fix shows it, or several together
+# of the velocity's noise: allowance on the largest growth that an IMU fault can cause
+EXCUSED_SIGMAS = 4.0
+# largest difference between a change of force and a wrong acceleration, as a share; chosen
+ALIKE_SHARE = 0.4
+# Intervals in which an IMU fault may have begun before one fix shows it, or the windows do
 INTERVALS, HISTORY_INTERVALS = 3, 6
-FORCE = slice(4, 7)  # of a row of the IMU's segment: specific force, behind its time and rates
+FORCE = slice(4, 7)  # columns of the specific force in the IMU's segment, after time and rates
 
 
 def new_last_fix(
-    before: LastFix | None, measured: FixMeasurement, part: ImuSegment, motion: MotionEstimate
+    before: LastFix | None, measurement: FixMeasurement, segment: ImuSegment, motion: MotionEstimate
 ) -> LastFix:
-    """The fix as the next one needs it; `motion` is the filter after it."""
-    velocity = np.full(3, np.nan) if measured.v_ned_mps is None else measured.v_ned_mps
-    off = known_or_zero(velocity - measured.axes @ motion.x[3:6])
-    force = mean_force(part)
+    """The data of the fix that the next one needs; `motion` is the filter after it."""
+    velocity = np.full(3, np.nan) if measurement.v_ned_mps is None else measurement.v_ned_mps
+    off = known_or_zero(velocity - measurement.axes @ motion.x[3:6])
+    force = mean_force(segment)
     past = () if before is None else before.forces_b_mps2[: HISTORY_INTERVALS - 1]
     forces = () if force is None else (force, *past)
-    return LastFix(motion.t_us, measured.r_ecef_m, velocity, forces, off)
+    return LastFix(motion.t_us, measurement.r_ecef_m, velocity, forces, off)
 
 
-def mean_force(part: ImuSegment) -> Vector | None:
+def mean_force(segment: ImuSegment) -> Vector | None:
     """Mean specific force (3,) of an interval in body axes; None without samples."""
-    rows = part.samples
+    rows = segment.samples
     total_s = rows[:, 0].sum() if len(rows) else 0.0
     return rows[:, 0] @ rows[:, FORCE] / total_s if total_s > 0.0 else None
 
@@ -58,10 +60,10 @@ def mean_force(part: ImuSegment) -> Vector | None:
 def unexplained_square(
     v_mps: Vector, sigma_mps: Vector, changed_mps: Vector, intervals: int
 ) -> float:
-    """What a force that changed by what makes `changed_mps` (n,) of velocity an interval, within
-    some intervals, leaves of a difference of velocities (n,): squared over its sigma (n,)."""
+    """The squared remainder, over its sigma (n,), of a velocity difference (n,) after the best fit
+    of a force that changed within some intervals, by `changed_mps` (n,) per interval."""
     size = float(changed_mps @ changed_mps)
-    # A fault that began in these intervals has acted for none to all of their time.
+    # A fault that began in these intervals has acted for 0 to all of their time.
     times = min(max(-float(v_mps @ changed_mps) / size, 0.0), intervals) if size > 0.0 else 0.0
     remaining = (v_mps + times * changed_mps) / sigma_mps
     return float(remaining @ remaining)
@@ -69,23 +71,22 @@ def unexplained_square(
 
 def isolate_receiver_or_imu(
     last: LastFix | None,
-    measured: FixMeasurement,
+    measurement: FixMeasurement,
     predicted: MotionEstimate,
     velocity: FixTest,
-    part: ImuSegment,
+    segment: ImuSegment,
     config: FalseAlarmRates,
 ) -> str:
-    """`imu`, `gps` or `GPS-or-imu`, for a receiver that agrees with itself but not with the IMU.
+    """`imu`, `gps` or `GPS-or-imu`, for a receiver that is consistent, but not with the IMU.
 
-    `velocity` is the failed test, `part` the IMU since the last fix, `predicted` the filter moved
-    by it.
+    `velocity` is the failed test, `segment` the IMU since the last fix, which led to `predicted`.
     """
-    force = mean_force(part)
-    if last is None or force is None or not last.forces_b_mps2 or measured.v_ned_mps is None:
+    force = mean_force(segment)
+    if last is None or force is None or not last.forces_b_mps2 or measurement.v_ned_mps is None:
         return UNDECIDED
-    known = np.isfinite(measured.v_ned_mps)
+    known = np.isfinite(measurement.v_ned_mps)
     dt_s = (predicted.t_us - last.t_us) * 1e-6
-    rot = measured.axes @ rotation_matrix(predicted.x[6:10])
+    rot = measurement.axes @ rotation_matrix(predicted.x[6:10])
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
     for since, before in enumerate(last.forces_b_mps2[:INTERVALS], start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
@@ -93,25 +94,25 @@ def isolate_receiver_or_imu(
         if remaining <= chi_square_threshold(len(sigma_mps), config.p_other):
             return "imu"
     grown_mps = float(np.linalg.norm(velocity.v - last.off_mps[known]))
-    most_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
-    excused_mps = float(most_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
+    limit_mps2 = max(np.linalg.norm(force), np.linalg.norm(last.forces_b_mps2[0]))
+    excused_mps = float(limit_mps2) * dt_s + EXCUSED_SIGMAS * VELOCITY_SIGMA_MPS[0]
     return "gps" if grown_mps > excused_mps else UNDECIDED
 
 
 def isolate_acceleration_fault(
     last: LastFix | None,
     wrong_mps2: Vector,
-    measured: FixMeasurement,
+    measurement: FixMeasurement,
     predicted: MotionEstimate,
-    part: ImuSegment,
+    segment: ImuSegment,
 ) -> str:
-    """`imu` or `GPS-or-imu`, for a filter that is accelerated wrongly (3,), against a receiver that
-    agrees with itself: the IMU, if its force changed by that within the last intervals."""
-    force = mean_force(part)
+    """`imu` or `GPS-or-imu`, for a wrong acceleration (3,) of the filter and a receiver that is
+    consistent with itself: the IMU, if its force changed by that within the last intervals."""
+    force = mean_force(segment)
     if last is None or force is None:
         return UNDECIDED
-    rot = measured.axes @ rotation_matrix(predicted.x[6:10])
-    most_mps2 = ALIKE_SHARE * float(np.linalg.norm(wrong_mps2))
+    rot = measurement.axes @ rotation_matrix(predicted.x[6:10])
+    limit_mps2 = ALIKE_SHARE * float(np.linalg.norm(wrong_mps2))
     changes = [rot @ (force - before) for before in last.forces_b_mps2]
-    alike = [float(np.linalg.norm(change - wrong_mps2)) <= most_mps2 for change in changes]
-    return "imu" if any(alike) else UNDECIDED
+    similar = [float(np.linalg.norm(change - wrong_mps2)) <= limit_mps2 for change in changes]
+    return "imu" if any(similar) else UNDECIDED

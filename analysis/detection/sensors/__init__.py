@@ -1,5 +1,5 @@
-"""Sensors other than pseudoranges and IMU, tested against the navigation filter or each other.
+"""Fault detection for sensors other than pseudoranges and IMU, with the filter or with each other.
 
-Here too are those that leave their own *level*, and signals that are jammed; what is about heading
-is in `compass`, whether samples come at all in `streams`.
+It also has the detectors of a changed *level* and of jammed signals. Detectors about heading are in
+`compass`, those about the arrival of samples in `streams`.
 """

@@ -1,23 +1,25 @@
-"""Sensors of one kind vote: who disagrees with two others that agree is at fault.
+"""Detects the faulty one of several sensors of a kind by a majority vote.
 
-All of them feel the same, so that the differences of their means over a moment stay what they are:
-mounting, calibration. Two differences that change together name the sensor that both have in
-common; of two sensors a difference tells that one of them is wrong, and not who. IMUs vote on rates
-and forces, magnetometers on the field along the vehicle's axes, barometers on the altitude,
-receivers on their place. A further magnetometer or barometer that no longer comes is told as well.
+All of them measure the same, so the differences of their means over a window are constant:
+mounting, calibration. Two differences that change together isolate the sensor that both have in
+common; the difference of only two sensors shows that one of them is faulty, but not which. IMUs
+vote on rates and forces, magnetometers on the field along the vehicle's axes, barometers on the
+altitude, receivers on position. A silent additional magnetometer or barometer is reported too.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
     FIX,
+    FIX_3D,
     FIX_TYPE,
     IMU,
     IMU_ID,
@@ -33,26 +35,23 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 MOST_INSTANCES = 3  # of one kind
-LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # windows
-CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row
-STANDARD_ERRORS = (
-    4.0  # standard errors of the difference of two means: shaken sensors do not err alike
-)
+LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual difference
+CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row; chosen on benchmarks/instance_votes.py
+STANDARD_ERRORS = 4.0  # of the difference of two means: vibration is not the same everywhere
 PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
-FIX_3D = 3
 METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
 
 
 class VoterKind(NamedTuple):
-    """The sensors of one kind: `sensor` is their channel; a mean is that of a window of `window_us`
-    with `fewest` samples, `least` (n,) is the least change of a difference that counts."""
+    """The sensors of one kind: `sensor` is their channel; a mean is over `window_us` with at least
+    `fewest` samples; `limits` (n,) are the smallest changes of a difference that count."""
 
     kind: int
     sensor: str
     name: str
     window_us: int
     fewest: int
-    least: Vector
+    limits: Vector
 
 
 VOTERS = (
@@ -66,18 +65,17 @@ VOTERS = (
 
 @dataclass
 class InstanceDifference:
-    """Of two sensors: mean and mean square (n,) of the difference, windows, windows off in a
-    row."""
+    """Mean and mean square (n,) of the difference of two sensors, windows, outliers in a row."""
 
     mean: Vector
     square: Vector
     windows: int = 0
-    off: int = 0
+    outliers: int = 0
 
 
 class VoteState:
-    """Of one kind: the window that is being filled, its sums and those of squared changes from
-    sample to sample (MOST, n), counts (MOST,) and newest samples (MOST, n); and differences."""
+    """The window of one kind that is being filled: sums and those of squared changes from sample to
+    sample (MOST_INSTANCES, n), counts (MOST_INSTANCES,), newest samples; and the differences."""
 
     def __init__(self, count: int) -> None:
         self.window: int | None = None
@@ -95,62 +93,62 @@ class VoteState:
         }
 
 
-@dataclass(frozen=True)
-class InstanceVoteDetector:
-    """A step of the pipeline; with one sensor of each kind it does nothing."""
+class InstanceVoteDetector(BlockDetector, frozen=True):
+    """Compares sensors of a kind; idle with a single sensor of each kind."""
+
+    channels: ClassVar = frozenset(voters.sensor for voters in VOTERS)
 
     def new_state(self) -> list[VoteState]:
-        """Nothing came yet."""
-        return [VoteState(len(voters.least)) for voters in VOTERS]
+        """No sample has come yet."""
+        return [VoteState(len(voters.limits)) for voters in VOTERS]
 
     def step(
         self, block: Block, state: list[VoteState]
     ) -> tuple[list[tuple[int, SensorDecision]], list[VoteState]]:
-        """Who disagrees, by the row that shows it, and the next state.
-
-        The state is changed in place.
-        """
-        found: list[tuple[int, SensorDecision]] = []
+        """The alarms of the next samples by row, and the state, which is changed in place."""
+        results: list[tuple[int, SensorDecision]] = []
         spare = block.rows(SPARE)
         for voters, own in zip(VOTERS, state, strict=True):
-            found += _vote(block, spare, voters, own)
-        return found, state
+            results += _vote(block, spare, voters, own)
+        return results, state
 
 
 def _vote(
     block: Block, spare: Indices, voters: VoterKind, state: VoteState
 ) -> list[tuple[int, SensorDecision]]:
     rows, ids = _rows(block, spare, voters.kind)
-    # Only the first has spoken so far: there is nobody to compare it with.
+    # Only the first sensor has samples so far.
     if state.window is None and not ids.any():
         return []
     numbers = _compared_values(block, rows, voters.kind)
     known = (ids >= 0) & (ids < MOST_INSTANCES) & np.isfinite(numbers).all(axis=1)
     rows, ids, numbers = rows[known], ids[known], numbers[known]
     windows = block.t_us[rows] // voters.window_us
-    found: list[tuple[int, SensorDecision]] = []
+    results: list[tuple[int, SensorDecision]] = []
     for begin, end in _runs(windows):
         row, window = int(rows[begin]), int(windows[begin])
         if window != state.window:
-            found += [(row, result) for result in _vote_window(int(block.t_us[row]), voters, state)]
+            results += [
+                (row, result) for result in _vote_window(int(block.t_us[row]), voters, state)
+            ]
             state.window = window
             state.sums[:], state.changes[:], state.counts[:] = 0.0, 0.0, 0.0
         for i in np.unique(ids[begin:end]):
             _add(state, int(i), numbers[begin:end][ids[begin:end] == i])
-    return found
+    return results
 
 
 def _add(state: VoteState, i: int, samples: Vector) -> None:
     """Add samples (m, n) of a sensor to the window."""
     changes = np.diff(samples, axis=0, prepend=state.newest[i : i + 1])
     state.sums[i] += samples.sum(axis=0)
-    state.changes[i] += np.nansum(changes**2, axis=0)  # there is none before the first
+    state.changes[i] += np.nansum(changes**2, axis=0)  # the first sample has none
     state.counts[i] += len(samples)
     state.newest[i] = samples[-1]
 
 
 def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
-    """The rows (m,) of all sensors of a kind in their order, and which sensor each is of."""
+    """The rows (m,) of all sensors of a kind in order, and the number of each one's sensor."""
     rows = block.rows(kind)
     ids = block.values[rows, IMU_ID].astype(int) if kind == IMU else np.zeros(len(rows), int)
     further = spare[block.values[spare, SPARE_KIND] == kind]
@@ -163,7 +161,7 @@ def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
 
 
 def _compared_values(block: Block, rows: Indices, kind: int) -> Vector:
-    """What the sensors of a kind are compared by (m, n); not finite where there is nothing."""
+    """The values that sensors of a kind are compared by (m, n); not finite if there is none."""
     first = block.kind[rows] == kind
     count = IMU_ID if kind == IMU else 3
     at = np.where(first, 0, SPARE_NUMBERS)[:, None] + np.arange(count)
@@ -174,50 +172,51 @@ def _compared_values(block: Block, rows: Indices, kind: int) -> Vector:
         return -METRES_PER_PASCAL * values[:, :1]
     lat, lon = np.radians(values[:, 0]), np.radians(values[:, 1])
     level = MEAN_EARTH_RADIUS_M * np.column_stack([lat, lon * np.cos(lat)])
-    found = np.column_stack([level, values[:, 2]])
-    found[first & ~(block.values[rows, FIX_TYPE] >= FIX_3D)] = np.nan
-    return found
+    results = np.column_stack([level, values[:, 2]])
+    results[first & ~(block.values[rows, FIX_TYPE] >= FIX_3D)] = np.nan
+    return results
 
 
 def _runs(numbers: Indices) -> Iterator[tuple[int, int]]:
-    """Where equal numbers in a row begin and end."""
+    """Begin and end of runs of equal numbers."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return ((a, b) for a, b in pairwise(edges) if b > a)
 
 
 def _vote_window(t_us: int, voters: VoterKind, state: VoteState) -> list[SensorDecision]:
-    """The vote on the window that is full."""
+    """The vote on a full window."""
     if voters.kind in (MAG, BARO) and (silent := _silent(state)):
         names = " and ".join(f"{voters.name} {i + 1}" for i in silent)
         for_s = voters.window_us * 1e-6 * min(state.missing[i] for i in silent)
         return [pattern_alarm(t_us, voters.sensor, f"silent for {for_s:.0f} s: {names}")]
-    heard = [i for i in range(MOST_INSTANCES) if state.counts[i] >= voters.fewest]
-    mean = {i: state.sums[i] / state.counts[i] for i in heard}
-    # Of the mean, squared: the change of two samples has twice the variance of one, and what moves
-    # all sensors slowly is not in it.
-    error = {i: state.changes[i] / (2.0 * state.counts[i] ** 2) for i in heard}
-    off = {
+    sampled = [i for i in range(MOST_INSTANCES) if state.counts[i] >= voters.fewest]
+    mean = {i: state.sums[i] / state.counts[i] for i in sampled}
+    # Variance of the mean: a change between samples has twice that of one, without slow motion.
+    error = {i: state.changes[i] / (2.0 * state.counts[i] ** 2) for i in sampled}
+    outliers = {
         (i, j)
-        for i, j in combinations(heard, 2)
+        for i, j in combinations(sampled, 2)
         if _is_off(
             mean[i] - mean[j],
             state.differences[i, j],
-            np.maximum(voters.least, STANDARD_ERRORS * np.sqrt(error[i] + error[j])),
+            np.maximum(voters.limits, STANDARD_ERRORS * np.sqrt(error[i] + error[j])),
         )
     }
-    alone = [
-        i for i in heard if len(heard) > 2 and all(_pair(i, j) in off for j in heard if j != i)
+    outvoted = [
+        i
+        for i in sampled
+        if len(sampled) > 2 and all(_pair(i, j) in outliers for j in sampled if j != i)
     ]
-    if len(alone) == 1:
-        return [_result(t_us, voters, alone, "disagrees with the others")]
-    if len(heard) == 2 and off:
-        return [_result(t_us, voters, heard, "disagree")]
+    if len(outvoted) == 1:
+        return [_result(t_us, voters, outvoted, "disagrees with the others")]
+    if len(sampled) == 2 and outliers:
+        return [_result(t_us, voters, sampled, "disagree")]
     return []
 
 
 def _silent(state: VoteState) -> list[int]:
-    """Further sensors that no longer come though others do. The first one of a kind and every IMU
-    are streams, and of a receiver only what has a fix is compared."""
+    """Additional sensors that are silent while others are not. The first one of a kind and every
+    IMU are streams; only a receiver's fixes are compared."""
     state.missing = np.where(state.counts > 0, 0, state.missing + 1)
     return [
         i
@@ -231,29 +230,29 @@ def _pair(i: int, j: int) -> tuple[int, int]:
     return (min(i, j), max(i, j))
 
 
-def _is_off(now: Vector, known: InstanceDifference, least: Vector) -> bool:
-    """Whether a difference (n,) has left what it was, which is learnt where it has not."""
-    change = now - known.mean
-    most = np.maximum(least, CHANGE_SIGMAS * np.sqrt(known.square))
-    # Nothing is learnt meanwhile, or the fault would become what is usual.
-    if known.windows >= LEARNED_WINDOWS and (np.abs(change) > most).any():
-        known.off += 1
-        return known.off >= CONFIRM_WINDOWS
-    known.off = 0
+def _is_off(difference: Vector, known: InstanceDifference, limits: Vector) -> bool:
+    """Whether a difference (n,) has changed; it is learned while it has not."""
+    change = difference - known.mean
+    limit = np.maximum(limits, CHANGE_SIGMAS * np.sqrt(known.square))
+    # Learning stops meanwhile, or the fault would become the usual difference.
+    if known.windows >= LEARNED_WINDOWS and (np.abs(change) > limit).any():
+        known.outliers += 1
+        return known.outliers >= CONFIRM_WINDOWS
+    known.outliers = 0
     known.windows += 1
-    # A plain mean at first, then one that remembers some 30 s.
+    # A plain mean at first, then one over MEMORY_WINDOWS.
     share = 1.0 / min(known.windows, MEMORY_WINDOWS)
     known.mean = known.mean + share * change
     known.square = known.square + share * (change**2 * (1.0 - share) - known.square)
     return False
 
 
-def _result(t_us: int, voters: VoterKind, who: list[int], says: str) -> SensorDecision:
-    names = [f"{voters.name} {i + 1}" for i in who]
+def _result(t_us: int, voters: VoterKind, instances: list[int], text: str) -> SensorDecision:
+    names = [f"{voters.name} {i + 1}" for i in instances]
     return pattern_alarm(
         t_us,
         voters.sensor,
-        f"{' and '.join(names)} {says}",
-        isolated=len(who) == 1,
-        dof=len(voters.least),
+        f"{' and '.join(names)} {text}",
+        isolated=len(instances) == 1,
+        dof=len(voters.limits),
     )

@@ -1,13 +1,14 @@
-"""Sensors that leave their own level: a step of the pipeline that needs no filter and no attitude.
+"""Detects sensors that leave their own level, without filter and attitude.
 
 - The size of the magnetic field, whichever way the vehicle points.
-- Whether a receiver says that it has a fix.
+- Whether a receiver reports a fix.
 """
 
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from analysis.detection.detector_registry import BlockDetector
 from analysis.detection.sensors.level_kernel import (
     FIELD,
     HAS_FIX,
@@ -17,50 +18,43 @@ from analysis.detection.sensors.level_kernel import (
     track_levels,
 )
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import FIX, FIX_TYPE, IMU, IMU_ID, KINDS, MAG, Block, Indices
+from analysis.samples.block import FIX, FIX_3D, FIX_TYPE, IMU, IMU_ID, KINDS, MAG, Block, Indices
 from analysis.samples.sample import Vector
 
-FIX_3D = 3
-# A sample of a compass is a mean over the time since the one before, at most this time; turned so
-# far meanwhile it has lost 1 % of the field
+# A compass averages since its last sample, at most so long; a turn of 0.5 rad reduces it by 1 %
 MEAN_US, TURN_RAD = 200_000, 0.5
 SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position"}
-REASONS = {
-    FIELD: "the field's size is off by {:.3f} gauss",
-    HAS_FIX: "says that it has no fix",
-}
+REASONS = {FIELD: "the field's size is off by {:.3f} gauss", HAS_FIX: "reports no fix"}
 IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX))
-Quantities = tuple[int, Indices, Vector]  # of a level: rows of the block, and values
+Quantities = tuple[int, Indices, Vector]  # of a level: its number, rows of the block, values
 
 
-@dataclass(frozen=True)
-class LevelDetector:
-    """A step of the pipeline."""
+class LevelDetector(BlockDetector, frozen=True):
+    """Tests the field's size and the fix type."""
+
+    channels: ClassVar = frozenset(SENSOR_OF.values())
 
     def new_state(self) -> LevelState:
-        """Nothing came yet."""
+        """No sample has come yet."""
         return new_levels()
 
     def step(
         self, block: Block, state: LevelState
     ) -> tuple[list[tuple[int, SensorDecision]], LevelState]:
-        """Who has left its level, by the row that shows it, and the next state.
-
-        The state is changed in place.
-        """
+        """The alarms of the next samples by row, and the state, which is changed in place."""
         if not IN_LEVELS[block.kind].any():
             return [], state
         quantities = [_field(block, state), _has_fix(block)]
         row = np.concatenate([rows for _, rows, _ in quantities])
-        # By row, as the kernel follows the quantities in the order in which they came.
+        # By row: the kernel takes the quantities in the order of the samples.
         order = np.argsort(row, kind="stable")
         level = np.concatenate([np.full(len(rows), number) for number, rows, _ in quantities])
         value = np.concatenate([values for *_, values in quantities])
         row, level = row[order], level[order]
-        off = track_levels(level, block.t_us[row], value[order], state)
+        change = track_levels(level, block.t_us[row], value[order], state)
         return [
-            (int(row[i]), _result(int(block.t_us[row[i]]), int(level[i]), float(off[i])))
-            for i in np.flatnonzero(off)
+            (int(row[i]), _result(int(block.t_us[row[i]]), int(level[i]), float(change[i])))
+            for i in np.flatnonzero(change)
         ], state
 
 
@@ -75,7 +69,7 @@ def _field(block: Block, state: LevelState) -> Quantities:
 
 
 def _rates(block: Block, rows: Indices, state: LevelState) -> Vector:
-    """How fast (n,) the vehicle turned at some rows, by the newest sample of the IMU; rad/s."""
+    """Rates of turn (n,) at some rows, by the newest IMU sample; rad/s."""
     imu = block.rows(IMU)
     imu = imu[block.values[imu, IMU_ID] < 0.5]
     rates = np.linalg.norm(block.values[imu, :3], axis=1)
@@ -89,9 +83,5 @@ def _has_fix(block: Block) -> Quantities:
     return HAS_FIX, rows, (block.values[rows, FIX_TYPE] >= FIX_3D).astype(float)
 
 
-def _result(t_us: int, level: int, off: float) -> SensorDecision:
-    return pattern_alarm(
-        t_us,
-        SENSOR_OF[level],
-        REASONS[level].format(abs(off)),
-    )
+def _result(t_us: int, level: int, change: float) -> SensorDecision:
+    return pattern_alarm(t_us, SENSOR_OF[level], REASONS[level].format(abs(change)))

@@ -1,8 +1,8 @@
-"""Quantities that stay about the same in sound sensors, compiled: whether one has left its level.
+"""Detects a step in a quantity that is roughly constant in a healthy sensor, compiled.
 
-Of each quantity a short mean is held against a long one, and against how far the short mean usually
-lies from it. The long mean waits while they differ, so that a step stays one; after a while the new
-level is the usual one. Who comes back to the level from before is not off again.
+A short mean is compared with a long one, relative to the usual deviation of the two. The long mean
+is frozen while they differ, so that a step remains one; after a while the new level is the usual
+one. A return to the previous level is no new step.
 """
 
 from typing import NamedTuple
@@ -10,29 +10,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.samples.block import NEVER_US
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 FIELD, HAS_FIX = LEVELS = range(2)
-# Of each level: the least change that counts, upwards and downwards
-UP = np.array([0.05, np.inf])  # a fix that comes back is no fault
+# Smallest change of each level, up and down: 0.05 gauss is 10 % of the Earth's field.
+UP = np.array([0.05, np.inf])  # a fix that returns is no fault
 DOWN = np.array([0.05, 0.5])
-CHANGE_SIGMAS = 8.0  # of the short mean about the long one
-SHORT_S, LONG_S, LEARNED_S, USUAL_S = 0.3, 30.0, 4.0, 20.0
+CHANGE_SIGMAS = 8.0  # of the short mean about the long one, chosen
+SHORT_S, LONG_S, LEARNED_S, USUAL_S = 0.3, 30.0, 4.0, 20.0  # chosen
 CONFIRM_US, REPEAT_US = 300_000, 500_000
-GAP_US = 1_000_000  # after which a stream begins anew
+GAP_US = 1_000_000  # gap after which a level is learned again
 
-# Of the means, the last is the level from before; of the stamps in us: begin, newest, since when it
-# is off, when that was told last
+# The last mean is the previous level; stamps in us of begin, newest, change and last report.
 SHORT, LONG, SQUARE, PREVIOUS = range(4)
 BEGAN, NEWEST, OFF_SINCE, REPORTED = range(4)
-NEVER_US = -(1 << 62)
 
 
 class LevelState(NamedTuple):
-    """What is known of each level: `means` (l, 4) and `stamps` (l, 4); `track_levels` changes them.
+    """The state of each level: `means` (l, 4) and `stamps` (l, 4); `track_levels` changes them.
 
-    `rate` (1,) is how fast the vehicle turned when it was measured last, in rad/s.
+    `rate` (1,) is the newest rate of turn of the vehicle in rad/s.
     """
 
     means: Vector
@@ -41,23 +40,25 @@ class LevelState(NamedTuple):
 
 
 def new_levels() -> LevelState:
-    """Nothing came yet."""
+    """No sample has come yet."""
     stamps = np.full((len(LEVELS), 4), NEVER_US)
     return LevelState(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
 
 
 @compiled
 def track_levels(
-    level: NDArray[np.int64], t_us: NDArray[np.int64], value: Vector, kept: LevelState
+    level: NDArray[np.int64], t_us: NDArray[np.int64], value: Vector, state: LevelState
 ) -> Vector:
-    """How far (n,) each quantity is off where that is to be told, 0 elsewhere.
+    """The change (n,) of each quantity where it is to be reported, 0 elsewhere.
 
-    `level`, `t_us` and `value` (n,) are the quantities in their order.
+    `level`, `t_us` and `value` (n,) are the quantities in order.
     """
-    off = np.zeros(len(level))
+    changes = np.zeros(len(level))
     for i in range(len(level)):
-        off[i] = _step(level[i], t_us[i], value[i], kept.means[level[i]], kept.stamps[level[i]])
-    return off
+        changes[i] = _step(
+            level[i], t_us[i], value[i], state.means[level[i]], state.stamps[level[i]]
+        )
+    return changes
 
 
 @compiled
@@ -81,7 +82,7 @@ def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np
         if stamps[OFF_SINCE] == NEVER_US:
             stamps[OFF_SINCE] = t_us
         since_us = t_us - stamps[OFF_SINCE]
-        if since_us > USUAL_S * 1e6:  # what lasts is what it is like now
+        if since_us > USUAL_S * 1e6:  # a lasting change is the new level
             means[PREVIOUS], means[LONG], stamps[OFF_SINCE] = means[LONG], means[SHORT], NEVER_US
         elif since_us >= CONFIRM_US and t_us - stamps[REPORTED] >= REPEAT_US:
             stamps[REPORTED] = t_us
@@ -89,7 +90,7 @@ def _step(level: int, t_us: int, value: float, means: Vector, stamps: NDArray[np
         return 0.0
     stamps[OFF_SINCE] = NEVER_US
     age_s = (t_us - stamps[BEGAN]) * 1e-6
-    # A young stream's long mean is that of its age: its first value alone means little.
+    # A young stream's long mean is over its age, as its first value alone is noise.
     share = min(1.0, elapsed_s / min(LONG_S, max(age_s, SHORT_S)))
     means[LONG] += share * (value - means[LONG])
     means[SQUARE] += share * (change * change - means[SQUARE])

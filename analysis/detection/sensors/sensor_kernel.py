@@ -18,38 +18,37 @@ from analysis.detection.sensors.sensor_models import (
     S,
     V,
 )
-from analysis.samples.block import FIX, FIX_TYPE, IMU, Indices, Stamps
+from analysis.samples.block import FIX, FIX_TYPE, IMU, NEVER_US, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_matrices
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
-FAILS_TO_ISOLATE = 3
-SIZE_SIGMAS = 4.0  # by which the field's size must be off before it is the magnetometer's fault
-STALE_US = 500_000
-SLOW_US, FAILS, ISOLATED, HEALTHY_US = range(4)  # of what is counted for each sensor
-NEVER_US = -(1 << 62)
-SAME_US = 10_000  # a fix belongs to the epoch of this instant: a receiver sends it after the ranges
+FAILS_TO_ISOLATE = 3  # failures in a row, chosen: one outlier isolates no sensor
+SIZE_SIGMAS = 4.0  # error of the field's size above which the magnetometer is at fault: p 6e-5
+STALE_US = 500_000  # older samples are not tested
+SLOW_US, FAILS, ISOLATED, HEALTHY_US = range(4)  # counters of a sensor
+SAME_US = 10_000  # a fix this close to an epoch belongs to it: receivers send it after the ranges
 ROW, T_US, REFERENCE, BY_FIX = range(4)  # of a decision
-UNTESTED, SOUND, FAULTY = range(3)  # how
-# Columns of an outcome, and how many; the last is a fix's type.
+UNTESTED, SOUND, FAULTY = range(3)  # of the reference
+# Columns of an outcome and their number; the last is a fix's type.
 OF_ROW, SENSOR, CODE, STATISTIC, DOF, IS_OUT, DECIDED_US, FIX_OF, OUTCOME = range(9)
-NOISE_MEMORY_S = 30.0  # in which a sensor shows how quiet it is
+NOISE_MEMORY_S = 30.0  # memory of a sensor's noise
 SIGMA, WALK, LEAST_SIGMA = range(3)  # rows of the noise
-# By kind of sample the sensor it belongs to (of a fix the first of two); -1: none
+# Sensor by kind of sample (of a fix the first of two); -1: none
 SENSOR_OF = (-1, 0, 1, 2, 3, 4, -1, -1, models.GPS_POSITION, -1, -1, -1, -1, -1)
 
 Counts = NDArray[np.int64]
 
 
 class SensorStates(NamedTuple):
-    """What is kept of s sensors; `run_sensor_tests` changes it in place.
+    """The state of s sensors; `run_sensor_tests` changes it in place.
 
-    `stamps` (s,) and `values` (s, WIDTH): the newest sample since the newest decision, NEVER_US
-    where there is none; `counts` (s, 4) and `slow` (s, 12): what is counted, and the slow states, b
-    (3,) and p (3, 3); `shown` (s,): the variance that the innovations show; `last` (4,): the newest
-    decision; `turning` (1,): the greatest rate of turn since, rad/s.
+    `stamps` (s,) and `values` (s, WIDTH): the newest sample since the newest decision, NEVER_US if
+    there is none; `counts` (s, 4) and `slow` (s, 12): counters, and the slow states, b (3,) and p
+    (3, 3); `shown` (s,): the variance of the innovations; `last` (4,): the newest decision;
+    `turning` (1,): the largest rate of turn since, rad/s.
     """
 
     stamps: Stamps
@@ -61,7 +60,7 @@ class SensorStates(NamedTuple):
     turning: Vector
 
     def copy(self) -> "SensorStates":
-        """The same, to be changed."""
+        """A copy, to be changed."""
         return SensorStates(
             self.stamps.copy(),
             self.values.copy(),
@@ -84,8 +83,8 @@ class BlockRows(NamedTuple):
 class EpochDecisions(NamedTuple):
     """The detector's decisions on a block, and its filter before the first and at each.
 
-    `numbers` (m, 4): row, stamp, how the filter is (UNTESTED, SOUND, UNSOUND) and whether a fix was
-    its input; x (1 + m, 21), p (1 + m, 20, 20), and whether the IMU moves it, inertial (1 + m,).
+    `numbers` (m, 4): row, stamp, state of the reference (UNTESTED, SOUND, FAULTY) and whether a fix
+    was its input; x (1 + m, 21), p (1 + m, 20, 20), inertial (1 + m,): whether the IMU moves it.
     """
 
     numbers: Counts
@@ -95,8 +94,8 @@ class EpochDecisions(NamedTuple):
 
 
 class SensorLimits(NamedTuple):
-    """`noise` (3, s): one sigma, the slow states' walk and one sigma of the quietest sensor, as
-    `SensorNoise` gives them; `thresholds` (4,) by degrees of freedom; `readmit_us`."""
+    """`noise` (3, s): one sigma, the slow states' walk and one sigma of the best sensor, as
+    `SensorNoise` has them; `thresholds` (4,) by degrees of freedom; `readmit_us`."""
 
     noise: Vector
     thresholds: Vector
@@ -105,7 +104,7 @@ class SensorLimits(NamedTuple):
 
 @compiled
 def filter_view(x: Vector, p: Vector, inertial: bool) -> Vector:
-    """The filter, state x (19,) and covariance p (18, 18), as the sensors see it (VIEW,)."""
+    """The filter, state x (19,) and covariance p (18, 18), as sensor models see it (VIEW,)."""
     at = np.zeros(models.VIEW)
     lat, lon, height = geodetic_position(x[0:3])
     axes = ned_axes(lat, lon)
@@ -130,7 +129,7 @@ def filter_view(x: Vector, p: Vector, inertial: bool) -> Vector:
 def _innovation(
     sensor: int, z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """What the sensor's own function finds."""
+    """The innovation by the sensor's own model."""
     if sensor == models.MAG:
         return models.mag_innovation(z, at, b, known, sigma, out)
     if sensor == models.BARO:
@@ -175,8 +174,7 @@ def _updated(out: Vector, slow: Vector, m: int, k: int) -> tuple[float, Vector]:
 
 @compiled
 def _with_hysteresis(count: Counts, failed: bool, own: bool, t_us: int, readmit_us: float) -> None:
-    """Isolated after some failures running that are its own, and no more after a while of health;
-    in place."""
+    """Isolate after some failures of the sensor's own in a row, readmit after health; in place."""
     since_us = count[HEALTHY_US]
     count[HEALTHY_US] = NEVER_US
     if failed:
@@ -195,17 +193,17 @@ def _with_hysteresis(count: Counts, failed: bool, own: bool, t_us: int, readmit_
 
 
 @compiled
-def _sigma(sensor: int, kept: SensorStates, noise: Vector) -> float:
-    """One sigma of a sensor: what is assumed of any, or what it shows where that is less."""
-    shown = math.sqrt(kept.shown[sensor])
+def _sigma(sensor: int, states: SensorStates, noise: Vector) -> float:
+    """One sigma of a sensor: the assumed one, or its observed one if that is less."""
+    shown = math.sqrt(states.shown[sensor])
     sigma: float = min(noise[SIGMA, sensor], max(noise[LEAST_SIGMA, sensor], shown))
     return sigma
 
 
 @compiled
 def _is_own_fault(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
-    """Whether what failed is the sensor's: a field of the right size in the wrong direction may be
-    the attitude's fault, which is the IMU's."""
+    """Whether the failure is the sensor's own: a field of the right size in the wrong direction may
+    be due to the attitude, which is the IMU's fault."""
     if sensor != models.MAG:
         return True
     size, expected = 0.0, 0.0
@@ -218,62 +216,62 @@ def _is_own_fault(sensor: int, z: Vector, b: Vector, sigma: float) -> bool:
 
 @compiled
 def _test(
-    sensor: int, at: Vector, kept: SensorStates, limits: SensorLimits
+    sensor: int, at: Vector, states: SensorStates, limits: SensorLimits
 ) -> tuple[int, float, int]:
     """One sensor's test: code, statistic and degrees of freedom."""
     out = np.zeros((7, 3))
     noise = limits.noise
-    count, states, k, t_us = (
-        kept.counts[sensor],
-        kept.slow[sensor],
+    count, slow_states, k, t_us = (
+        states.counts[sensor],
+        states.slow[sensor],
         SLOW_STATES[sensor],
-        kept.last[T_US],
+        states.last[T_US],
     )
     known = count[SLOW_US] != NEVER_US
-    at[LATE_S] = (t_us - kept.stamps[sensor]) * 1e-6
-    z, sigma = kept.values[sensor], _sigma(sensor, kept, noise)
-    code, m = _innovation(sensor, z, at, states[:3], known, sigma, out)
+    at[LATE_S] = (t_us - states.stamps[sensor]) * 1e-6
+    z, sigma = states.values[sensor], _sigma(sensor, states, noise)
+    code, m = _innovation(sensor, z, at, slow_states[:3], known, sigma, out)
     if code == STARTED:
         for i in range(k):
-            states[i] = out[V, i]
+            slow_states[i] = out[V, i]
             for j in range(k):
-                states[3 + 3 * i + j] = out[S + i, j]
+                slow_states[3 + 3 * i + j] = out[S + i, j]
         count[SLOW_US] = t_us
         return NOTHING, 0.0, 0
     if code != TESTED:
         return code, 0.0, 0
-    moved = states.copy()
+    moved = slow_states.copy()
     dt_s = max((t_us - count[SLOW_US]) * 1e-6, 0.0)
     for i in range(k):
-        # The diagonal of p (3, 3), which lies behind the three states.
+        # The diagonal of p (3, 3), which follows the three states.
         moved[3 + 4 * i] += noise[WALK, sensor] * dt_s
     q, after = _updated(out, moved, m, k)
     failed = not q <= limits.thresholds[m]
-    own = _is_own_fault(sensor, z, states[:3], sigma)
+    own = _is_own_fault(sensor, z, slow_states[:3], sigma)
     _with_hysteresis(count, failed, own, t_us, limits.readmit_us)
-    if not failed and not count[ISOLATED]:  # or else the slow states keep still
+    if not failed and not count[ISOLATED]:  # else the slow states are frozen
         for i in range(12):
-            states[i] = after[i]
+            slow_states[i] = after[i]
         share = min(dt_s / NOISE_MEMORY_S, 1.0)
         for i in range(m):
-            kept.shown[sensor] += share / m * (out[V, i] ** 2 - kept.shown[sensor])
+            states.shown[sensor] += share / m * (out[V, i] ** 2 - states.shown[sensor])
     count[SLOW_US] = t_us
     return code, q, m
 
 
 @compiled
-def _store_sample(sensor: int, t_us: int, numbers: Vector, kept: SensorStates) -> None:
-    """Take a sample as the sensor's newest."""
-    kept.stamps[sensor] = t_us
+def _store_sample(sensor: int, t_us: int, numbers: Vector, states: SensorStates) -> None:
+    """Store a sample as the sensor's newest."""
+    states.stamps[sensor] = t_us
     for i in range(len(numbers)):
-        kept.values[sensor, i] = numbers[i]
+        states.values[sensor, i] = numbers[i]
 
 
 @compiled
 def _calls_for_tests(
     row: int, kind: int, t_us: int, decisions: Counts, used: int, last: Counts
 ) -> tuple[bool, int]:
-    """Whether a row calls for tests, of which `last` is the decision; how many are used then."""
+    """Whether a row calls for tests by the decision `last`; how many decisions are used then."""
     if used < len(decisions) and decisions[used, ROW] == row:
         if decisions[used, REFERENCE] == UNTESTED:
             return False, used + 1
@@ -289,83 +287,81 @@ def _outcomes(
     row: int,
     first: int,
     at: Vector,
-    kept: SensorStates,
+    states: SensorStates,
     limits: SensorLimits,
     found: Vector,
     count: int,
 ) -> int:
-    """The tests of the `first` sensor and those behind it at a decision, added to `found` behind
-    `count`; how many there are."""
-    sound = kept.last[REFERENCE] == SOUND
-    for sensor in range(first, len(kept.stamps)):
-        late_us = abs(kept.stamps[sensor] - kept.last[T_US])
-        if kept.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
+    """The tests from the `first` sensor on, appended to `found` at `count`; the new count."""
+    sound = states.last[REFERENCE] == SOUND
+    for sensor in range(first, len(states.stamps)):
+        late_us = abs(states.stamps[sensor] - states.last[T_US])
+        if states.stamps[sensor] == NEVER_US or (sound and late_us > STALE_US):
             continue
         code, q, m = NO_REFERENCE, 0.0, 0
         if sound:
-            code, q, m = _test(sensor, at, kept, limits)
+            code, q, m = _test(sensor, at, states, limits)
         if code != NOTHING:
             found[count, OF_ROW], found[count, SENSOR], found[count, CODE] = row, sensor, code
             found[count, STATISTIC], found[count, DOF] = q, m
-            found[count, IS_OUT] = kept.counts[sensor, ISOLATED]
-            # A fix comes later than its stamp: what is held against a sample is not older than it.
-            found[count, DECIDED_US] = max(kept.last[T_US], kept.stamps[sensor])
-            found[count, FIX_OF] = kept.values[sensor, FIX_TYPE]
+            found[count, IS_OUT] = states.counts[sensor, ISOLATED]
+            # A fix comes later than its stamp; a result is not older than its sample.
+            found[count, DECIDED_US] = max(states.last[T_US], states.stamps[sensor])
+            found[count, FIX_OF] = states.values[sensor, FIX_TYPE]
             count += 1
-    for sensor in range(first, len(kept.stamps)):
+    for sensor in range(first, len(states.stamps)):
         # Each sample is tested once.
-        kept.stamps[sensor] = NEVER_US
+        states.stamps[sensor] = NEVER_US
     return count
 
 
 @compiled
-def _update_turn_rate(rates: Vector, kept: SensorStates) -> None:
-    """Keep the greatest rate of turn."""
+def _update_turn_rate(rates: Vector, states: SensorStates) -> None:
+    """Update the largest rate of turn."""
     rate = math.sqrt(rates[0] ** 2 + rates[1] ** 2 + rates[2] ** 2)
-    if rate > kept.turning[0]:  # not where it is no number
-        kept.turning[0] = rate
+    if rate > states.turning[0]:  # false for NaN
+        states.turning[0] = rate
 
 
 @compiled
 def run_sensor_tests(
-    rows: BlockRows, decisions: EpochDecisions, kept: SensorStates, limits: SensorLimits
+    rows: BlockRows, decisions: EpochDecisions, states: SensorStates, limits: SensorLimits
 ) -> Vector:
     """Every sensor's test at each decision on an epoch; a receiver's at fixes that belong to one.
 
-    `kept` is changed in place. The outcomes (k, OUTCOME) are: row, sensor, code, statistic, degrees
-    of freedom, whether it is isolated, the decision's stamp, the sample's seventh number, a fix's
-    type.
+    `states` is changed in place. The outcomes (k, OUTCOME) are: row, sensor, code, statistic,
+    degrees of freedom, whether it is isolated, the decision's stamp, and the type of a fix.
     """
     # A bound on the outcomes, so that no array grows in the loop.
-    most = len(decisions.numbers)
+    bound = len(decisions.numbers)
     for row in range(len(rows.kind)):
-        most += rows.kind[row] == FIX
-    found = np.empty((len(kept.stamps) * most, OUTCOME))
+        bound += rows.kind[row] == FIX
+    found = np.empty((len(states.stamps) * bound, OUTCOME))
     count = used = 0
     for row in range(len(rows.kind)):
         kind, t_us = rows.kind[row], rows.t_us[row]
         sensor = SENSOR_OF[kind]
         if sensor >= 0:
-            _store_sample(sensor, t_us, rows.values[row], kept)
+            _store_sample(sensor, t_us, rows.values[row], states)
         elif kind == IMU:
-            _update_turn_rate(rows.values[row], kept)
+            _update_turn_rate(rows.values[row], states)
         if kind == FIX:
-            _store_sample(sensor + 1, t_us, rows.values[row], kept)
+            _store_sample(sensor + 1, t_us, rows.values[row], states)
         before = used
-        fits, used = _calls_for_tests(row, kind, t_us, decisions.numbers, used, kept.last)
+        fits, used = _calls_for_tests(row, kind, t_us, decisions.numbers, used, states.last)
         if not fits:
             continue
-        # A fix may come long after its epoch, when the others' newest samples are of the next one.
+        # A late fix comes when other sensors' newest samples belong to the next epoch.
         first = 0 if used > before else models.GPS_POSITION
-        if kept.last[BY_FIX]:  # it is the filter's own input
-            kept.stamps[models.GPS_POSITION] = kept.stamps[models.GPS_VELOCITY] = NEVER_US
-        if kept.stamps.max() == NEVER_US:
+        if states.last[BY_FIX]:  # the fix is the filter's input
+            states.stamps[models.GPS_POSITION] = states.stamps[models.GPS_VELOCITY] = NEVER_US
+        if states.stamps.max() == NEVER_US:
             continue
         at = np.zeros(models.VIEW)
-        if kept.last[REFERENCE] == SOUND:
+        if states.last[REFERENCE] == SOUND:
             at = filter_view(decisions.x[used], decisions.p[used], decisions.inertial[used] != 0)
-            at[models.TURNING] = kept.turning[0]
-        count = _outcomes(row, first, at, kept, limits, found, count)
+            at[models.TURNING] = states.turning[0]
+        count = _outcomes(row, first, at, states, limits, found, count)
         if first == 0:
-            kept.turning[0] = 0.0
+            states.turning[0] = 0.0
     return found[:count]

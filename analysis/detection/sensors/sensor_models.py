@@ -1,13 +1,13 @@
-"""What each sensor should say where the filter is: one compiled function a sensor.
+"""Measurement models of the sensors, compiled: one function computes the innovation of each.
 
 Each takes the numbers z (WIDTH,) of the newest sample (see `analysis.samples.block`), the filter's
-view `at` (VIEW,) (see `sensor_kernel.view`), the sensor's slow states b (3,) if they are known, and
-one sigma of its noise. It fills in what a test needs, in the rows of `out` (7, 3): the innovation v
-(m,), then its sensitivity h (m, k) to the slow states, then the rest r (m, m) of its variance; or
-the first slow states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number
-of a reason why it cannot be tested, and m or k.
+view `at` (VIEW,) (see `sensor_kernel.filter_view`), the sensor's slow states b (3,) if they are
+known, and one sigma of its noise. It fills in the rows of `out` (7, 3) for a test: the innovation v
+(m,), its sensitivity h (m, k) to the slow states, and the rest r (m, m) of its variance; or the
+first slow states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number of a
+reason why it cannot be tested, and m or k.
 
-Numbers lie in flat arrays because numba takes seconds to compile functions of many arguments.
+Numbers are in flat arrays because numba takes seconds to compile functions of many arguments.
 """
 
 import math
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.samples.block import FIX_TYPE, FIX_VELOCITY
+from analysis.samples.block import FIX_3D, FIX_TYPE, FIX_VELOCITY
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -24,11 +24,10 @@ from mavproxy_fault.numerics.earth_kernel import ecef_of
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
 DENSITY_EXPONENT = 4.25588
-LEAST_UPRIGHT = 0.7  # a beam further off the vertical than 45 degrees says little
-UNKNOWN_SLANT = 0.1  # of the distance: what a tilt of up to 25 degrees that nobody knows adds
-SLOW_AIR_MPS = 6.0  # below it a pitot tube says little
-WIND_MPS = 6.0  # one sigma of what the wind may be
-FIX_3D = 3
+LEAST_UPRIGHT = 0.7  # beyond 45 degrees off the vertical a beam may miss the terrain below
+UNKNOWN_SLANT = 0.1  # of the distance: the error of an unknown tilt of up to 25 degrees, 1 - cos
+SLOW_AIR_MPS = 6.0  # below it a pitot tube is inaccurate
+WIND_MPS = 6.0  # one sigma of the unknown wind
 
 MAG, BARO, AIRSPEED, RANGE, VISION, GPS_POSITION, GPS_VELOCITY = range(7)
 SENSORS = ("mag", "baro", "airspeed", "range", "vision", "gps-position", "gps-velocity")
@@ -38,7 +37,7 @@ NOTHING, STARTED, TESTED = 0, 1, 2
 NO_ATTITUDE, NO_FIELD, NO_PRESSURE, NO_AIR_DATA, SLOW_AIR, NO_RANGE, TILTED = range(3, 10)
 NO_POSITION, NO_FIX, NO_VELOCITY, NO_REFERENCE = range(10, 14)
 REASONS = {
-    NO_ATTITUDE: "attitude not known",
+    NO_ATTITUDE: "attitude unknown",
     NO_FIELD: "the field is not finite",
     NO_PRESSURE: "the pressure is not positive",
     NO_AIR_DATA: "the pressure is not finite",
@@ -48,21 +47,20 @@ REASONS = {
     NO_POSITION: "the position is not finite",
     NO_FIX: "fix type {fix_type:.0f}",
     NO_VELOCITY: "no velocity",
-    NO_REFERENCE: "no sound reference",
+    NO_REFERENCE: "no healthy reference",
 }
-# The view: position in ECEF, height, velocity NED, how much older the sample is in s, axes NED in
-# ECEF, rotation body to NED (known or not), covariances of position, velocity and attitude, and the
-# greatest rate of turn of late in rad/s.
+# The view: position in ECEF, height, velocity NED, age of the sample in s, axes NED in ECEF,
+# rotation body to NED (known or not), covariances of position, velocity, attitude; turn in rad/s.
 R, HEIGHT, V_NED, LATE_S, AXES, ROT, UPRIGHT = 0, 3, 4, 7, 8, 17, 53
 P_POSITION, P_VELOCITY, P_ATTITUDE, TURNING, VIEW = 26, 35, 44, 54, 55
 V, H, S = 0, 1, 4  # rows of `out`
 
 
 class SensorNoise(NamedTuple):
-    """One sigma of each sensor, and how fast its slow states walk (per square root of a second).
+    """One sigma of each sensor, and the walk of its slow states (per square root of a second).
 
-    `mag_gauss` is what currents and iron do to any magnetometer, `mag_quiet_gauss` what remains of
-    one that shows for a while that it is better mounted.
+    `mag_gauss` is the disturbance of any magnetometer by currents and iron, `mag_quiet_gauss` what
+    remains of one that proves to be better mounted. All are chosen for small autopilots' sensors.
     """
 
     baro_m: float = 1.0
@@ -90,7 +88,7 @@ class SensorNoise(NamedTuple):
         )
 
     def quiet(self) -> Vector:
-        """One sigma of each sensor where it shows that it is as good as this (s,)."""
+        """One sigma of each sensor that proves to be at its best (s,)."""
         sigmas = self.sigmas()
         sigmas[MAG] = self.mag_quiet_gauss
         return sigmas
@@ -117,7 +115,7 @@ def density_kgpm3(altitude_m: float) -> float:
 
 @compiled
 def _offset_innovation(out: Vector, b: Vector, known: bool, count: int) -> tuple[int, int]:
-    """A sensor that sees its own slow states: less these, or these to begin with."""
+    """The innovation of a sensor of its own slow states: less these, or these initially."""
     if not known:
         return STARTED, count
     for i in range(count):
@@ -136,7 +134,7 @@ def _finite(z: Vector) -> bool:
 def mag_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """The field in NED is steady."""
+    """The field in NED is constant."""
     if at[UPRIGHT] == 0.0:
         return NO_ATTITUDE, 0
     if not _finite(z):
@@ -145,7 +143,7 @@ def mag_innovation(
         for j in range(3):
             out[V, i] += at[ROT + 3 * i + j] * z[j]
     x, y, z_ = out[V, 0], out[V, 1], out[V, 2]
-    # A small rotation moves the field by its cross product: the attitude's share of doubt.
+    # A small rotation moves the field by its cross product: the attitude's uncertainty.
     cross = np.array([0.0, -z_, y, z_, 0.0, -x, -y, x, 0.0])
     turned_sq = (at[LATE_S] * at[TURNING]) ** 2
     for i in range(3):
@@ -153,7 +151,7 @@ def mag_innovation(
             for k in range(9):
                 part = cross[3 * i + k // 3] * at[P_ATTITUDE + k] * cross[3 * j + k % 3]
                 out[S + i, j] += part
-        # What it may have turned between the sample and the state, about any axis.
+        # The turn between the sample and the state, about any axis.
         out[S + i, i] += sigma**2 + turned_sq * (x * x + y * y + z_ * z_)
     return _offset_innovation(out, b, known, 3)
 
@@ -162,7 +160,7 @@ def mag_innovation(
 def baro_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """Pressure altitude less height is steady."""
+    """Pressure altitude less height is constant."""
     if not z[0] > 0.0:
         return NO_PRESSURE, 0
     out[V, 0] = pressure_altitude_m(z[0]) - at[HEIGHT]
@@ -174,7 +172,7 @@ def baro_innovation(
 def airspeed_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """Dynamic pressure is that of the velocity less a level wind."""
+    """Dynamic pressure is that of the velocity less a horizontal wind."""
     if not np.isfinite(z[0]):
         return NO_AIR_DATA, 0
     speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at[HEIGHT]))
@@ -199,7 +197,7 @@ def airspeed_innovation(
 def range_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """Height less the distance, upright, is that of the terrain."""
+    """Height less the vertical part of the distance is that of the terrain."""
     if not np.isfinite(z[0]):
         return NO_RANGE, 0
     known_upright = at[UPRIGHT] != 0.0
@@ -209,7 +207,7 @@ def range_innovation(
     level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
     tilt = (at[P_ATTITUDE] + at[P_ATTITUDE + 4] + at[P_ATTITUDE + 8]) / 3.0
     out[V, 0] = at[HEIGHT] - z[0] * upright
-    # A tilt that is wrong moves the height of the foot by the beam's level part times the angle.
+    # An attitude error moves the height of the beam's foot by its horizontal part times the angle.
     slant = level**2 * tilt if known_upright else (UNKNOWN_SLANT * z[0]) ** 2
     out[S, 0] = sigma**2 + at[P_POSITION + 8] + slant
     return _offset_innovation(out, b, known, 1)
@@ -219,7 +217,7 @@ def range_innovation(
 def vision_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """The origin of a local position, in ECEF, is steady."""
+    """The origin of a local position, in ECEF, is constant."""
     if not _finite(z):
         return NO_POSITION, 0
     trace = at[P_POSITION] + at[P_POSITION + 4] + at[P_POSITION + 8]
@@ -242,7 +240,7 @@ def vision_innovation(
 def gps_position_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """The receiver's position, carried to the epoch by the filter's velocity, is off by little."""
+    """The receiver's position, moved to the epoch by the velocity, has a small constant offset."""
     if z[FIX_TYPE] < FIX_3D:
         return NO_FIX, 0
     x, y, z_ = ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
@@ -260,7 +258,7 @@ def gps_position_innovation(
 def gps_velocity_innovation(
     z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
 ) -> tuple[int, int]:
-    """The receiver's velocity is the filter's; its last part may be missing."""
+    """The receiver's velocity is the filter's; its vertical part may be missing."""
     if z[FIX_TYPE] < FIX_3D or not np.isfinite(z[FIX_VELOCITY]):
         return NO_VELOCITY, 0
     if not known:

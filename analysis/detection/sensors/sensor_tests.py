@@ -1,19 +1,18 @@
-"""The other sensors against the navigation filter.
+"""Tests the other sensors with the navigation filter: barometer, airspeed, magnetometer, vision,
+range, and a receiver's own position and velocity.
 
-Barometer, airspeed, magnetometer, vision, range, and a receiver's own position and velocity.
+While the detector finds the IMU (or at least the satellites) healthy, its filter is the reference.
+Every sensor's newest sample is tested at each GNSS epoch, with the innovation v, and the variance
+of what the filter and the sensor's own slow states (an offset, the wind, the local field) leave
+uncertain:
 
-While the detector finds the IMU (or at least the satellites) sound, its filter is the reference.
-Every sensor is tested at each GNSS epoch with its newest sample: innovation v, what the filter and
-the sensor's own slow states (an offset, the wind, the local field) leave uncertain of it, and
+    v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
 
-    v' inv(H_b P_b H_b' + R) v  against chi-square(m),
+with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
+isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. Each
+sensor's prediction is in `sensor_models`.
 
-with a false-alarm probability of its own (`p_other`). A sensor that fails several times running is
-isolated until it has been healthy for `readmit_s`; its slow states stand still meanwhile. How each
-is predicted is in `sensor_models`.
-
-`NavigationDetector` contains the detector: its results are the detector's and the sensors'
-together, so a pipeline holds either a `Detector` or a `NavigationDetector`.
+`NavigationDetector` contains the detector: it returns the results of both.
 """
 
 import math
@@ -37,7 +36,6 @@ from analysis.detection.sensors.sensor_kernel import (
     FIX_OF,
     HEALTHY_US,
     IS_OUT,
-    NEVER_US,
     OF_ROW,
     SENSOR,
     SENSOR_OF,
@@ -55,27 +53,27 @@ from analysis.detection.sensors.sensor_kernel import (
 from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.results import Decision, Result, SensorDecision
-from analysis.samples.block import WIDTH, Block, BlockSlice, block_of, split_at_events
+from analysis.samples.block import NEVER_US, WIDTH, Block, BlockSlice, block_of, split_at_events
 from analysis.samples.sample import Sample, Vector
 
 STALE_S = STALE_US * 1e-6  # older samples are not tested
-SOUND_FILTER = ("none", "satellites", "clock", "gps")  # hypotheses that leave the filter sound
-EpochReference = tuple[
-    int, Decision, MotionEstimate | None
-]  # a block's row, the decision there, and the filter
+# hypotheses under which the filter is healthy
+SOUND_FILTER = ("none", "satellites", "clock", "gps")
+# A block's row, the decision there, and the filter.
+EpochReference = tuple[int, Decision, MotionEstimate | None]
 
 
 @dataclass(frozen=True, slots=True)
 class NavigationState:
-    """The detector's state and what is kept of the other sensors."""
+    """The state of the detector and of the other sensors."""
 
     detector: DetectorState
-    kept: SensorStates
+    states: SensorStates
 
 
 @dataclass(frozen=True)
 class NavigationDetector:
-    """The detector and the tests of the other sensors against it."""
+    """The detector, and the tests of the other sensors with its filter."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
     sensors: SensorNoise = field(default_factory=SensorNoise)
@@ -97,11 +95,11 @@ class NavigationDetector:
         return SensorLimits(noise, self._thresholds, self.config.readmit_s * 1e6)
 
     def new_state(self) -> NavigationState:
-        """Nothing known."""
+        """No sample has come yet."""
         count = len(SENSORS)
         counts = np.zeros((count, 4), np.int64)
         counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
-        kept = SensorStates(
+        states = SensorStates(
             np.full(count, NEVER_US),
             np.zeros((count, WIDTH)),
             counts,
@@ -110,12 +108,12 @@ class NavigationDetector:
             np.full(4, UNTESTED),
             np.zeros(1),
         )
-        return NavigationState(self.detector.new_state(), kept)
+        return NavigationState(self.detector.new_state(), states)
 
     def step(
         self, samples: Sample | Block, state: NavigationState
     ) -> tuple[list[Result], NavigationState]:
-        """Decisions that a block of samples, or a single one, allows, and the next state."""
+        """The results of a block of samples, or a single one, and the next state."""
         block = samples if isinstance(samples, Block) else block_of(samples)
         found, state = self.step_rows(block, state)
         return [result for _, result in sorted(found, key=itemgetter(0))], state
@@ -123,7 +121,7 @@ class NavigationDetector:
     def step_rows(
         self, block: Block, state: NavigationState
     ) -> tuple[list[tuple[int, Result]], NavigationState]:
-        """The same, each with the row of the block that led to it: the detector's, then others."""
+        """The same, each with its row of the block: the detector's results, then the sensors'."""
         found: list[tuple[int, Result]] = []
         decided: list[EpochReference] = []
         before, detector = state.detector.core.motion, state.detector
@@ -135,31 +133,31 @@ class NavigationDetector:
             results, detector = self.detector.step_piece(piece, detector)
             found += [(piece.last, result) for result in results]
             decided += _epoch_reference(piece.last, results, detector)
-        tested, kept = self._judged(block, decided, before, state.kept)
-        return found + tested, NavigationState(detector, kept)
+        tested, states = self._judged(block, decided, before, state.states)
+        return found + tested, NavigationState(detector, states)
 
     def step_piece(
         self, piece: BlockSlice, state: NavigationState
     ) -> tuple[list[Result], NavigationState]:
-        """The same for samples up to an event, where something else moves the filter meanwhile."""
+        """The same for samples up to an event, for callers that change the filter in between."""
         results, detector = self.detector.step_piece(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
         decided = _epoch_reference(piece.last - piece.first, results, detector)
-        tested, kept = self._judged(rows, decided, detector.core.motion, state.kept)
-        return [*results, *(result for _, result in tested)], NavigationState(detector, kept)
+        tested, states = self._judged(rows, decided, detector.core.motion, state.states)
+        return [*results, *(result for _, result in tested)], NavigationState(detector, states)
 
     def _judged(
         self,
         block: Block,
         decided: Sequence[EpochReference],
         before: MotionEstimate | None,
-        kept: SensorStates,
+        states: SensorStates,
     ) -> tuple[list[tuple[int, Result]], SensorStates]:
         """The sensors' tests at some decisions; `before` is the filter until the first."""
         if not decided and not _OF_SENSORS[block.kind].any():
-            return [], kept
-        # The kernel changes it in place; the state that was handed in stays as it is.
-        kept = kept.copy()
+            return [], states
+        # The kernel changes a copy in place; the given state is not changed.
+        states = states.copy()
         motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
         decisions = EpochDecisions(
             np.array([_kernel_row(*row) for row in decided], np.int64).reshape(-1, 4),
@@ -169,8 +167,8 @@ class NavigationDetector:
         )
         rows = BlockRows(block.kind, block.t_us, block.values)
         return _results(
-            run_sensor_tests(rows, decisions, kept, self._limits), self._thresholds
-        ), kept
+            run_sensor_tests(rows, decisions, states, self._limits), self._thresholds
+        ), states
 
 
 _OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
@@ -187,19 +185,19 @@ def _epoch_reference(
 def _kernel_row(
     row: int, decision: Decision, motion: MotionEstimate | None
 ) -> tuple[int, int, int, bool]:
-    """A decision as the kernel takes it."""
+    """A decision in the form of the kernel."""
     bounded = decision.position_sigma_m is not None
     how = (
         SOUND if motion is not None and decision.hypothesis in SOUND_FILTER and bounded else FAULTY
     )
-    # The epoch was untestable, so nothing is predicted to test against.
+    # An untestable epoch has no prediction.
     if decision.mode == "":
         how = UNTESTED
     return row, decision.t_us, how, decision.mode.startswith("position")
 
 
 def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
-    """The kernel's outcomes (k, OUTCOME), by row of the block, in the words of `results`."""
+    """The kernel's outcomes (k, OUTCOME) as results, by row of the block."""
     if not len(outcomes):
         return []
     whole = [OF_ROW, SENSOR, CODE, DOF, DECIDED_US]

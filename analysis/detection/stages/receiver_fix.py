@@ -1,9 +1,9 @@
-"""Without raw ranges: the same tests on a receiver's own position and velocity.
+"""The decision on a receiver's fix without raw ranges, by tests of its position and velocity.
 
-Three position components have no redundancy among themselves, so who lies is told by the velocity
-and by whether the receiver agrees with itself: a position that leaves while the velocity still
-fits the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move
-with it is the receiver's or the IMU's, see `receiver_or_imu`. Where that cannot be told the filter
+Three position components have no redundancy, so the fault is isolated by the velocity and by
+whether the receiver is consistent with itself. A position that leaves while the velocity still fits
+the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move with it
+is the receiver's or the IMU's, see `receiver_or_imu`. If these are not separable, the filter
 follows the receiver, and its position is declared unbounded.
 """
 
@@ -57,13 +57,10 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
-RECEIVER_VELOCITY = "gps-velocity"  # among what is excluded: beside the position, the velocity
-IMU_IN_DOUBT = (
-    "imu",
-    UNDECIDED,
-)  # hypotheses after which the filter does not trust the IMU for a while
-PAUSED_S = 1.5  # without a fix
-LOST_M = 300.0  # a filter as unsure as this is started anew
+RECEIVER_VELOCITY = "gps-velocity"  # the velocity's name among the excluded
+IMU_IN_DOUBT = ("imu", UNDECIDED)  # hypotheses after which the IMU is not used for a while
+PAUSED_S = 1.5  # without a fix: more than an interval at 1 Hz
+LOST_M = 300.0  # sigma above which the filter starts again
 
 
 def step_position(
@@ -161,7 +158,7 @@ def _restart(core: DetectorCore, motion: MotionEstimate) -> DetectorCore:
 
 
 def _reported_hypothesis(core: DetectorCore, hypothesis: str) -> str:
-    """What the decision says while somebody is still left out."""
+    """The hypothesis that the decision reports while a sensor is excluded."""
     if hypothesis != "none":
         return hypothesis
     if RECEIVER in core.trust.excluded:
@@ -202,10 +199,10 @@ def _isolate(
 def _self_consistent(
     last: LastFix | None, measurement: FixMeasurement, t_us: int, config: DetectorConfig
 ) -> bool:
-    """Whether the receiver's position moved as its velocities say since the last fix.
+    """Whether the receiver's position moved by its velocities since the last fix.
 
-    They say how fast it was at both ends. When in between the speed changed is not known: at an
-    impact with the ground at once. So it may have moved by either velocity, or anything between.
+    They are the velocities at both ends; when the speed changed in between is unknown (at an impact
+    it changes at once). So either velocity, or any between, may have moved the position.
     """
     if last is None or measurement.v_ned_mps is None:
         return True
@@ -274,7 +271,7 @@ def _update_filter(
     acceleration_mps2: Vector,
     config: DetectorConfig,
 ) -> MotionEstimate:
-    """The filter after what is trusted of the fix."""
+    """The filter after an update with the trusted parts of the fix."""
     position, velocity = tests
     if hypothesis in IMU_IN_DOUBT or (hypothesis == "none" and not position.passes):
         motion = free_position(motion)

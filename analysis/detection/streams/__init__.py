@@ -1,4 +1,5 @@
-"""Whether samples come as they should: silence, repetition, rate, stamps; values are not judged.
+"""Fault detection on the arrival of samples: silence, repetition, rate and timestamps.
 
-A *stream* is one kind of sample, of the IMU one instance; in a *pause* nobody comes.
+A *stream* is the samples of one kind, and of one instance for an IMU; in a *pause* no stream has
+samples. Values are not tested, except for their repetition.
 """

@@ -1,4 +1,4 @@
-"""When everything paused: an IMU that is silent while nobody speaks is not at fault."""
+"""Withdraws alarms about a silent IMU while everything paused: the IMU is not at fault."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,66 +6,64 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.detection.streams.stream_kernel import NEVER_US, STREAM_OF
+from analysis.detection.streams.stream_kernel import STREAM_OF
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import Block, Stamps
+from analysis.samples.block import NEVER_US, Block, Stamps
 
 PAUSE_US = 150_000  # as long as an IMU may be silent
-AFTER_PAUSE_US = 1_500_000  # after a pause: until the epoch behind it
-IMU_SILENT = "no IMU samples for"  # how the reason of such a finding begins
-ABSENCE_REASONS = ("silent for", "comes ", IMU_SILENT)  # and of any who did not come
+AFTER_PAUSE_US = 1_500_000  # after a pause: until the next epoch, at 1 Hz
+IMU_SILENT = "no IMU samples for"  # prefix of the reason of such a result
+ABSENCE_REASONS = ("silent for", "rate is", IMU_SILENT)  # prefixes of the reasons of absent samples
 R = TypeVar("R", bound=Result)
-_SHOWS_TIME = (
-    np.array(STREAM_OF) != -2
-)  # by kind of sample: not broadcasts, nor what has its own time
+# By kind of sample: broadcasts and samples with a time of their own do not show the time.
+_SHOWS_TIME = np.array(STREAM_OF) != -2
 
 
 @dataclass(frozen=True, slots=True)
 class PauseState:
-    """The newest stamp of any sensor, and the one at which the last pause of all ended."""
+    """The newest stamp of any sensor, and the one at which the last pause ended."""
 
-    heard_us: int = NEVER_US
+    newest_us: int = NEVER_US
     ended_us: int = NEVER_US
 
 
 @dataclass(frozen=True)
 class PauseFilter:
-    """A step of the pipeline that takes back what a pause explains."""
+    """A step of the pipeline that withdraws what a pause explains."""
 
     def step(
-        self, block: Block, found: list[tuple[int, Result]], state: PauseState
+        self, block: Block, results: list[tuple[int, Result]], state: PauseState
     ) -> tuple[list[tuple[int, Result]], PauseState]:
-        """What is left of the findings, each with its row, and the next state."""
+        """The remaining results, each with its row, and the next state."""
         if not len(block.kind):
-            return found, state
+            return results, state
         ended, state = _pause_ends(block, state)
         return [
             (row, result)
-            for row, result in found
+            for row, result in results
             if not _is_silence(result) or result.t_us - ended[row] > AFTER_PAUSE_US
         ], state
 
 
 def drop_log_gaps(
-    found: list[tuple[int, R]], lost_us: Sequence[tuple[int, int]]
+    results: list[tuple[int, R]], lost_us: Sequence[tuple[int, int]]
 ) -> list[tuple[int, R]]:
-    """What is left of the findings where a log's writer says from when to when it lost records:
-    who did not come then may have been there."""
+    """The results without those about samples that a log's writer may have lost."""
     if not lost_us:
-        return found
+        return results
     return [
         (row, result)
-        for row, result in found
+        for row, result in results
         if not (isinstance(result, SensorDecision) and result.reason.startswith(ABSENCE_REASONS))
         or not any(begin <= result.t_us <= end + AFTER_PAUSE_US for begin, end in lost_us)
     ]
 
 
 def _pause_ends(block: Block, state: PauseState) -> tuple[Stamps, PauseState]:
-    """By row (n,) when the last pause of everything ended."""
-    speaks = _SHOWS_TIME[block.kind] & (block.t_us > 0)
-    stamps = np.where(speaks, block.t_us, NEVER_US)
-    newest = np.maximum.accumulate(np.append(state.heard_us, stamps))
+    """When the last pause ended, by row (n,)."""
+    shows_time = _SHOWS_TIME[block.kind] & (block.t_us > 0)
+    stamps = np.where(shows_time, block.t_us, NEVER_US)
+    newest = np.maximum.accumulate(np.append(state.newest_us, stamps))
     ends = np.where(np.diff(newest) > PAUSE_US, newest[1:], NEVER_US)
     ended = np.maximum(np.maximum.accumulate(ends), state.ended_us)
     return ended, PauseState(int(newest[-1]), int(ended[-1]))

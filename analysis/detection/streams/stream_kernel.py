@@ -1,12 +1,12 @@
-"""The samples of every stream in a row, compiled: silence, repetition, stamps; see `stream_watch`.
+"""Tracks the samples of every stream, compiled: silence, repetition, timestamps; see
+`stream_detector`.
 
-A stream is one kind of sample, of the IMU one instance. Its own past says what is usual: the time
-between two samples, how late it is, how often a value stays the same. Clocks that count from boot
-and from 1970 are kept apart.
+A stream is the samples of one kind, and of one instance for an IMU. Its own past defines what is
+usual: the interval of samples, their lateness, how often a value repeats. Clocks that count from
+boot and from 1970 are tracked separately.
 
-Nearly every sample comes when it should. What it needs stands in the loop of `track_streams` and
-takes arrays by themselves, since an array that is taken out of a record costs its count of
-references; what is rare stands in functions of its own, which take the record.
+Nearly every sample is regular. The loop of `track_streams` handles these and uses plain arrays,
+since taking an array out of a record costs a reference count; rare cases are in other functions.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,16 @@ from analysis.detection.streams.rate_kernel import (
     is_rate_known,
     missing_share,
 )
-from analysis.samples.block import FIX, FIX_VELOCITY, IMU, IMU_ID, SOURCES, Indices, Stamps
+from analysis.samples.block import (
+    FIX,
+    FIX_VELOCITY,
+    IMU,
+    IMU_ID,
+    NEVER_US,
+    SOURCES,
+    Indices,
+    Stamps,
+)
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 
@@ -30,56 +39,50 @@ IMUS = 3
 STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
            "satellites", "link")  # fmt: skip
 LINK = len(STREAMS) - 1
-SATELLITES = LINK - 1  # raw ranges have no stamp of their own, theirs is another message's
-# By kind of sample its stream, and how many of its numbers are measured; -1: only a witness of time
+SATELLITES = LINK - 1  # raw ranges have another message's timestamp
+# Stream by kind of sample, and how many of its numbers are measured; -1: shows only the time
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2, -2)
 NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)
-FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of who sent it
-FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: place and level velocity together, while it moves
+FIX_SOURCE, OWN_SOURCE = 10, SOURCES.index("HIL_GPS")  # a fix's column of its source
+FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: position and level velocity together, while it moves
 
-LEARNED_SAMPLES, LEARNED_VALUES = 20, 200  # samples after which a stream and its values are known
-SHARE = 0.05  # of a new interval in what is usual
-SILENT_US = 500_000
-TIME_JUMP_US = 200_000
-SEVERAL_CONFIRM_US, SINGLE_CONFIRM_US = (
-    250_000,
-    1_000_000,
-)  # for which a leap of several streams, of one, has to last
-RHYTHM_SAMPLES = 5  # samples after which the interval of a stream is about known
-REGULAR_INTERVALS = 1.5  # usual intervals after which a sample still comes as it should
-INTERVALS = 5.0  # usual intervals that a pause must be long
-PAUSE_FACTOR, FORGOTTEN_US = (
-    1.5,
-    60e6,
-)  # longest pauses of late, in a log or on a link that loses much
-LATE_US, SPREAD_FACTOR = 300_000, 8.0  # later than usual: at least, and in what is usual of that
-BACK_US = 20_000
-FROZEN_STAMPS = 5
-# A repetition beyond what the sensor's own past shows
+# samples after which a stream and its values are known, chosen
+LEARNED_SAMPLES, LEARNED_VALUES = 20, 200
+SHARE = 0.05  # weight of an interval in the usual one: 20 intervals
+SILENT_US = 500_000  # shortest silence, chosen
+TIME_JUMP_US = 200_000  # smallest jump ahead: an interval at 5 Hz
+SEVERAL_CONFIRM_US, SINGLE_CONFIRM_US = 250_000, 1_000_000  # confirm a jump of several, of one
+RHYTHM_SAMPLES = 5  # samples after which a stream's interval is roughly known
+REGULAR_INTERVALS = 1.5  # usual intervals after which a sample is still regular
+INTERVALS = 5.0  # least length of a silence in usual intervals, chosen
+PAUSE_FACTOR, FORGOTTEN_US = 1.5, 60e6  # of the longest recent pause: lossy logs and links; memory
+LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness, and in its usual spread; chosen
+BACK_US = 20_000  # jump back: more than frames that a link swaps
+FROZEN_STAMPS = 5  # equal stamps in a row, chosen
+# A repetition beyond the sensor's past: factor, samples more, and duration; chosen.
 RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
-STILL_SAMPLES = 20  # samples for which a number once stood in a sound sensor: then it tells nothing
-EPOCH_1970_US = 100_000_000_000_000  # later stamps do not count from boot
-REPEAT_US = 500_000  # between two results about the same trouble
-NEVER_US = -(1 << 62)
+STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
+EPOCH_1970_US = 100_000_000_000_000  # larger stamps count from 1970
+REPEAT_US = 500_000  # between two results about the same anomaly
 
-INTERVAL, LATENESS, PAUSE, SPREAD = range(4)  # what is usual of a stream, the last of its lateness
-# What is counted of a stream; the last: its newest stamp while a leap was not yet understood
-LAST_US, COUNT, DUE_US, SAME_STAMPS, REPORTED_US, CLOCK, RECEIVED_US, ELAPSED_AT_US, WAITED_US = (
-    range(9)
-)
-# Of each number of a stream: when it took its value, how often it stayed, the most that it ever did
+# usual values of a stream; the last is the spread of its lateness
+INTERVAL, LATENESS, PAUSE, SPREAD = range(4)
+# State of a stream; the last: its newest stamp while a jump is unresolved
+LAST_US, COUNT, DUE_US, SAME_STAMPS, REPORTED_US = range(5)
+CLOCK, RECEIVED_US, ELAPSED_AT_US, WAITED_US = range(5, 9)
+# Of each number: when it took its value, repetitions, the most repetitions so far
 SINCE_US, RUN, LONGEST = range(3)
-# Of a clock: its newest stamp, before when nobody can be silent, a leap not yet understood, where
-# BY has a bit for each who made it, and how far it went while samples came: without pauses of all
+# Of a clock: its newest stamp, before when no stream can be silent, an unresolved jump (BY has a
+# bit for each stream that made it), and the time elapsed without pauses of all streams
 NEWEST_US, NONE_SILENT_US, FROM_US, TO_US, BY, ELAPSED_US = range(6)
 
 
 class StreamStates(NamedTuple):
-    """What is known of s streams; `track_streams` changes it in place.
+    """The state of s streams; `track_streams` changes it in place.
 
     `counts` (s, 9), `usual` (s, 4): interval, lateness, longest pause and the spread of the
-    lateness in us; the newest `values` (s, w) and the `runs` (s, w, 3) of each number; `rates`
-    (s, 8) of `rate_kernel`; `clocks` (2, 6).
+    lateness in us; the newest `values` (s, w), the `runs` (s, w, 3) of each number, `rates` (s, 8),
+    `clocks` (2, 6).
     """
 
     counts: NDArray[np.int64]
@@ -91,8 +94,7 @@ class StreamStates(NamedTuple):
 
 
 class StreamAnomalies(NamedTuple):
-    """Troubles (k, 4): row, stamp, stream, what; how much (k,), in s, a share or samples; how many
-    are `filled` (1,)."""
+    """`rows` (k, 4): row, stamp, stream, anomaly; `amounts` (k,) in s, a share or samples."""
 
     rows: NDArray[np.int64]
     amounts: Vector
@@ -101,14 +103,14 @@ class StreamAnomalies(NamedTuple):
 
 @compiled
 def _add_anomaly(
-    found: StreamAnomalies, row: int, t_us: int, stream: int, what: int, amount: float
+    out: StreamAnomalies, row: int, t_us: int, stream: int, anomaly: int, amount: float
 ) -> None:
-    at = found.filled[0]
-    if at < len(found.rows):
-        for i, number in enumerate((row, t_us, stream, what)):
-            found.rows[at, i] = number
-        found.amounts[at] = amount
-        found.filled[0] += 1
+    at = out.filled[0]
+    if at < len(out.rows):
+        for i, number in enumerate((row, t_us, stream, anomaly)):
+            out.rows[at, i] = number
+        out.amounts[at] = amount
+        out.filled[0] += 1
 
 
 @inlined
@@ -120,123 +122,125 @@ def _limit_us(usual: Vector, stream: int) -> int:
 
 @compiled
 def _accepts_time(
-    watched: StreamStates, found: StreamAnomalies, row: int, stream: int, clock: int, t_us: int
+    states: StreamStates, out: StreamAnomalies, row: int, stream: int, clock: int, t_us: int
 ) -> bool:
-    """Whether the time of a sample may be believed: one that leaps ahead has to wait.
+    """Whether a sample's time is accepted; one that jumps ahead has to be confirmed.
 
-    If time goes on from there for a while and nobody contradicts it, everything had paused; if
-    somebody does, the stamps of all who leapt are wrong. Several sensors often share one clock, so
-    that many who leap together prove nothing.
+    If time continues from there for a while without contradiction, everything had paused; if a
+    stream contradicts it, the timestamps of all streams that jumped are wrong. Sensors often share
+    a clock, so that several streams that jump together prove nothing.
     """
-    at = watched.clocks[clock]
-    own = 1 << (stream + 1)  # the lowest bit is that of the witnesses
-    if at[TO_US] != NEVER_US:
-        if t_us - at[FROM_US] < (at[TO_US] - at[FROM_US]) // 2:
-            _reject_jump(watched, found, row, clock)
+    times = states.clocks[clock]
+    stream_bit = 1 << (stream + 1)  # the lowest bit is for samples that only show the time
+    if times[TO_US] != NEVER_US:
+        if t_us - times[FROM_US] < (times[TO_US] - times[FROM_US]) // 2:
+            _reject_jump(states, out, row, clock)
         else:
-            at[BY] |= own
-            several = at[BY] & (at[BY] - 1) != 0
-            if t_us - at[TO_US] > (SEVERAL_CONFIRM_US if several else SINGLE_CONFIRM_US):
-                _accept_pause(watched, found, row, clock)
-    if at[NEWEST_US] == NEVER_US or not _jumps_ahead(watched, stream, clock, t_us):
+            times[BY] |= stream_bit
+            several = times[BY] & (times[BY] - 1) != 0
+            if t_us - times[TO_US] > (SEVERAL_CONFIRM_US if several else SINGLE_CONFIRM_US):
+                _accept_pause(states, out, row, clock)
+    if times[NEWEST_US] == NEVER_US or not _jumps_ahead(states, stream, clock, t_us):
         return True
-    if at[TO_US] == NEVER_US:
-        at[FROM_US], at[TO_US], at[BY] = at[NEWEST_US], t_us, own
+    if times[TO_US] == NEVER_US:
+        times[FROM_US], times[TO_US], times[BY] = (times[NEWEST_US], t_us, stream_bit)
     return False
 
 
 @compiled
-def _reject_jump(watched: StreamStates, found: StreamAnomalies, row: int, clock: int) -> None:
-    """Time did not leap: whoever did so is told, if it is known to have gone by this clock."""
-    at = watched.clocks[clock]
-    now_us = at[NEWEST_US]
+def _reject_jump(states: StreamStates, out: StreamAnomalies, row: int, clock: int) -> None:
+    """Time did not jump: report the streams that did, if they are known to use this clock."""
+    times = states.clocks[clock]
+    now_us = times[NEWEST_US]
     for s in range(LINK):
-        count = watched.counts[s]
-        if at[BY] >> (s + 1) & 1 and count[CLOCK] == clock and count[COUNT] >= RHYTHM_SAMPLES:
+        count = states.counts[s]
+        if times[BY] >> (s + 1) & 1 and count[CLOCK] == clock and count[COUNT] >= RHYTHM_SAMPLES:
             if s != SATELLITES and now_us - count[REPORTED_US] >= REPEAT_US:
-                _add_anomaly(found, row, now_us, s, JUMPED_AHEAD, (at[TO_US] - at[FROM_US]) * 1e-6)
+                _add_anomaly(
+                    out, row, now_us, s, JUMPED_AHEAD, (times[TO_US] - times[FROM_US]) * 1e-6
+                )
                 count[REPORTED_US] = now_us
-            count[DUE_US] = now_us + _limit_us(watched.usual, s)  # it is wrong, but not silent
-    at[TO_US] = NEVER_US
+            count[DUE_US] = now_us + _limit_us(states.usual, s)  # it is wrong, but not silent
+    times[TO_US] = NEVER_US
 
 
 @compiled
-def _jumps_ahead(watched: StreamStates, stream: int, clock: int, t_us: int) -> bool:
-    """Whether a sample is further ahead of the newest than its stream alone is believed."""
-    at = watched.clocks[clock]
-    ahead_us: int = t_us - at[NEWEST_US]
-    if stream < 0 or watched.counts[stream, COUNT] < RHYTHM_SAMPLES:
-        # Where others have leapt, one without a rhythm only bears them out.
-        return ahead_us > (SILENT_US if at[TO_US] == NEVER_US else TIME_JUMP_US)
+def _jumps_ahead(states: StreamStates, stream: int, clock: int, t_us: int) -> bool:
+    """Whether a sample is further ahead than its stream alone can move the time."""
+    times = states.clocks[clock]
+    ahead_us: int = t_us - times[NEWEST_US]
+    if stream < 0 or states.counts[stream, COUNT] < RHYTHM_SAMPLES:
+        # After a jump of others, a stream without a rhythm can only confirm it.
+        return ahead_us > (SILENT_US if times[TO_US] == NEVER_US else TIME_JUMP_US)
     regular_us = (
-        REGULAR_INTERVALS * watched.usual[stream, INTERVAL]
-    )  # a slow stream alone may carry time on
-    return ahead_us > TIME_JUMP_US and t_us - watched.counts[stream, LAST_US] > regular_us
+        REGULAR_INTERVALS * states.usual[stream, INTERVAL]
+    )  # a slow stream may advance the time by itself
+    return ahead_us > TIME_JUMP_US and t_us - states.counts[stream, LAST_US] > regular_us
 
 
 @compiled
-def _accept_pause(watched: StreamStates, found: StreamAnomalies, row: int, clock: int) -> None:
-    """The whole link had paused: it is told if that was long, and nobody was silent on his own."""
-    at = watched.clocks[clock]
-    for e in range(at[FROM_US] + _limit_us(watched.usual, LINK), at[TO_US], REPEAT_US):
-        _add_anomaly(found, row, e, LINK, SILENT, (e - at[FROM_US]) * 1e-6)
-    newest_us = at[TO_US]
+def _accept_pause(states: StreamStates, out: StreamAnomalies, row: int, clock: int) -> None:
+    """The link had paused: report it if that was long, and reset the silence of every stream."""
+    times = states.clocks[clock]
+    for e in range(times[FROM_US] + _limit_us(states.usual, LINK), times[TO_US], REPEAT_US):
+        _add_anomaly(out, row, e, LINK, SILENT, (e - times[FROM_US]) * 1e-6)
+    newest_us = times[TO_US]
     for s in range(LINK):
-        if watched.counts[s, CLOCK] == clock and watched.counts[s, COUNT] > 0:
-            heard_us = max(at[TO_US], watched.counts[s, WAITED_US])
-            watched.counts[s, LAST_US] = watched.counts[s, RECEIVED_US] = heard_us
-            watched.counts[s, ELAPSED_AT_US] = NEVER_US  # who came since then was not counted
-            watched.counts[s, DUE_US] = heard_us + _limit_us(watched.usual, s)
+        if states.counts[s, CLOCK] == clock and states.counts[s, COUNT] > 0:
+            heard_us = max(times[TO_US], states.counts[s, WAITED_US])
+            states.counts[s, LAST_US] = states.counts[s, RECEIVED_US] = heard_us
+            states.counts[s, ELAPSED_AT_US] = NEVER_US  # samples since then were not counted
+            states.counts[s, DUE_US] = heard_us + _limit_us(states.usual, s)
             newest_us = max(newest_us, heard_us)
-    at[NEWEST_US], at[TO_US] = newest_us, NEVER_US
+    times[NEWEST_US], times[TO_US] = newest_us, NEVER_US
 
 
 @compiled
 def _find_silent_streams(
-    watched: StreamStates, found: StreamAnomalies, row: int, stream: int, clock: int, t_us: int
+    states: StreamStates, out: StreamAnomalies, row: int, stream: int, clock: int, t_us: int
 ) -> None:
-    """Who has not come for too long when the time goes on to `t_us`; and until when nobody can be
-    silent, so that nobody need be asked: whoever comes later may be silent as long himself."""
-    quiet_us = t_us + SILENT_US
+    """Report the streams that are silent at `t_us`, and compute until when none can be: the test is
+    skipped until then, as a stream received later may be silent for as long."""
+    none_silent_us = t_us + SILENT_US
     for s in range(LINK):
-        count = watched.counts[s]
+        count = states.counts[s]
         if s == stream or count[COUNT] < LEARNED_SAMPLES or count[CLOCK] != clock:
             continue
         while count[DUE_US] <= t_us:
             _add_anomaly(
-                found, row, count[DUE_US], s, SILENT, (count[DUE_US] - count[RECEIVED_US]) * 1e-6
+                out, row, count[DUE_US], s, SILENT, (count[DUE_US] - count[RECEIVED_US]) * 1e-6
             )
             count[DUE_US] += REPEAT_US
-        quiet_us = min(quiet_us, count[DUE_US])
-    watched.clocks[clock, NONE_SILENT_US] = quiet_us
+        none_silent_us = min(none_silent_us, count[DUE_US])
+    states.clocks[clock, NONE_SILENT_US] = none_silent_us
 
 
 @compiled
 def _stamp_is_wrong(
-    watched: StreamStates, found: StreamAnomalies, row: int, s: int, t_us: int, newest_us: int
+    states: StreamStates, out: StreamAnomalies, row: int, s: int, t_us: int, newest_us: int
 ) -> bool:
-    """Whether a sample's stamp goes back, stands or comes too late, which is told."""
-    count = watched.counts[s]
+    """Whether a sample's stamp goes back, is frozen or too late, which is reported."""
+    count = states.counts[s]
     gap_us, late_us = t_us - count[LAST_US], newest_us - t_us
-    limit_us = watched.usual[s, LATENESS] + max(LATE_US, SPREAD_FACTOR * watched.usual[s, SPREAD])
+    limit_us = states.usual[s, LATENESS] + max(LATE_US, SPREAD_FACTOR * states.usual[s, SPREAD])
     if gap_us < -BACK_US:
-        _add_anomaly(found, row, newest_us, s, JUMPED_BACK, -gap_us * 1e-6)
+        _add_anomaly(out, row, newest_us, s, JUMPED_BACK, -gap_us * 1e-6)
         return True
     if count[SAME_STAMPS] >= FROZEN_STAMPS and newest_us - count[REPORTED_US] >= REPEAT_US:
-        what = FROZEN_TIME
+        anomaly = FROZEN_TIME
     elif count[COUNT] >= LEARNED_SAMPLES and late_us > limit_us:
-        what = LATE
+        anomaly = LATE
     else:
         return False
     if newest_us - count[REPORTED_US] >= REPEAT_US:
-        _add_anomaly(found, row, newest_us, s, what, late_us * 1e-6)
+        _add_anomaly(out, row, newest_us, s, anomaly, late_us * 1e-6)
         count[REPORTED_US] = newest_us
     return True
 
 
 @inlined
 def _learn(usual: Vector, s: int, count: int, gap_us: int, late_us: int) -> None:
-    """The interval and the lateness of a stream, from a sample as it should be."""
+    """Update a stream's interval and lateness from a regular sample."""
     share = max(SHARE, 1.0 / (1.0 + count))
     if count < LEARNED_SAMPLES or gap_us < INTERVALS * usual[s, INTERVAL]:
         usual[s, INTERVAL] += share * (gap_us - usual[s, INTERVAL])
@@ -248,31 +252,31 @@ def _learn(usual: Vector, s: int, count: int, gap_us: int, late_us: int) -> None
 
 @compiled
 def _rate_is_wrong(
-    watched: StreamStates,
-    found: StreamAnomalies,
+    states: StreamStates,
+    out: StreamAnomalies,
     row: int,
     s: int,
     share: float,
     together: float,
     t_us: int,
 ) -> None:
-    """Tell of a stream that several samples of it come at once, or too few."""
-    who = s if together > 0.0 or _another_is_regular(watched, s) else LINK
-    if t_us - watched.counts[who, REPORTED_US] >= REPEAT_US:
-        what, amount = (BURSTING, together) if together > 0.0 else (SPARSE, 1.0 - share)
-        _add_anomaly(found, row, t_us, who, what, amount)
-        watched.counts[who, REPORTED_US] = t_us
+    """Report a stream with a burst or a sparse rate."""
+    faulty = s if together > 0.0 or _another_is_regular(states, s) else LINK
+    if t_us - states.counts[faulty, REPORTED_US] >= REPEAT_US:
+        anomaly, amount = (BURSTING, together) if together > 0.0 else (SPARSE, 1.0 - share)
+        _add_anomaly(out, row, t_us, faulty, anomaly, amount)
+        states.counts[faulty, REPORTED_US] = t_us
 
 
 @compiled
-def _another_is_regular(watched: StreamStates, stream: int) -> bool:
-    """Whether a stream whose rate is known comes as usual, or no other is: else all sink."""
+def _another_is_regular(states: StreamStates, stream: int) -> bool:
+    """Whether another stream of known rate is regular, or none is known; else it is the link."""
     others = False
     for s in range(LINK):
-        interval_s = watched.usual[s, INTERVAL] * 1e-6
-        if s != stream and is_rate_known(watched.rates, s, interval_s):
+        interval_s = states.usual[s, INTERVAL] * 1e-6
+        if s != stream and is_rate_known(states.rates, s, interval_s):
             others = True
-            if missing_share(watched.rates, s, interval_s) < SINKING_SHARE:
+            if missing_share(states.rates, s, interval_s) < SINKING_SHARE:
                 return True
     return not others
 
@@ -282,7 +286,7 @@ def _repeated(
     last: Vector, runs: NDArray[np.int64], s: int, known: bool, values: Vector, row: int,
     width: int, t_us: int,
 ) -> float:  # fmt: skip
-    """For how long one of a sensor's numbers has stayed the same against its own past, in s."""
+    """For how long one of a sensor's numbers has repeated beyond its own past, in s."""
     worst = 0.0
     for i in range(width):
         run, longest = runs[s, i, RUN], runs[s, i, LONGEST]
@@ -303,13 +307,13 @@ def _repeated(
 
 
 @compiled
-def _fix_repeated(watched: StreamStates, s: int, numbers: Vector, t_us: int) -> float:
-    """The same for a fix, whose numbers repeat together, and only while it says that it moves."""
+def _fix_repeated(states: StreamStates, s: int, numbers: Vector, t_us: int) -> float:
+    """The same for a fix, whose numbers repeat together, and only while it reports motion."""
     same = True
     for i in range(FIX_NUMBERS):
-        same &= numbers[i] == watched.values[s, i]
-        watched.values[s, i] = numbers[i]
-    run = watched.runs[s, 0]
+        same &= numbers[i] == states.values[s, i]
+        states.values[s, i] = numbers[i]
+    run = states.runs[s, 0]
     if not same or not np.hypot(numbers[FIX_VELOCITY], numbers[FIX_VELOCITY + 1]) > MOVING_MPS:
         run[SINCE_US], run[RUN] = t_us, 0
         return 0.0
@@ -319,38 +323,38 @@ def _fix_repeated(watched: StreamStates, s: int, numbers: Vector, t_us: int) -> 
 
 
 @inlined
-def _is_from_receiver(watched: StreamStates, s: int, source: float) -> bool:
-    """Whether a fix is the receiver's own: what an autopilot passes on comes late and repeats."""
-    known = watched.values[s, FIX_SOURCE]
+def _is_from_receiver(states: StreamStates, s: int, source: float) -> bool:
+    """Whether a fix is the receiver's own: those that an autopilot forwards are late and repeat."""
+    known = states.values[s, FIX_SOURCE]
     if source == known:
         return True
     if source != OWN_SOURCE and not np.isnan(known):
         return False
-    watched.values[s, FIX_SOURCE], watched.counts[s, COUNT] = source, 0
+    states.values[s, FIX_SOURCE], states.counts[s, COUNT] = source, 0
     return True
 
 
 @compiled
 def track_streams(
-    kind: Indices, t_us: Stamps, values: Vector, watched: StreamStates, found: StreamAnomalies
+    kind: Indices, t_us: Stamps, values: Vector, states: StreamStates, out: StreamAnomalies
 ) -> None:
-    """Look at the samples of a block, kind (n,), t_us (n,), values (n, w), one after the other."""
-    counts, usual, last, runs, rates, clocks = watched
+    """Process the samples of a block, kind (n,), t_us (n,), values (n, w), in order."""
+    counts, usual, last, runs, rates, clocks = states
     for row in range(len(kind)):
         s = STREAM_OF[kind[row]]
-        if s == -2 or t_us[row] <= 0:  # broadcasts, and what has no stamp yet
+        if s == -2 or t_us[row] <= 0:  # broadcasts, and samples without a stamp
             continue
         if kind[row] == IMU:
             s = min(max(int(values[row, IMU_ID]), 0), IMUS - 1)
-        elif kind[row] == FIX and not _is_from_receiver(watched, s, values[row, FIX_SOURCE]):
+        elif kind[row] == FIX and not _is_from_receiver(states, s, values[row, FIX_SOURCE]):
             s = -1
         now_us = t_us[row]
         clock = 1 if now_us > EPOCH_1970_US else 0
-        # Nothing has to be understood unless this sample leaps, or one has leapt before it.
+        # Only a jump of this sample, or an unresolved one, needs more than this.
         suspect = (
             now_us - clocks[clock, NEWEST_US] > TIME_JUMP_US or clocks[clock, TO_US] != NEVER_US
         )
-        if suspect and not _accepts_time(watched, found, row, s, clock, now_us):
+        if suspect and not _accepts_time(states, out, row, s, clock, now_us):
             if s >= 0:
                 counts[s, WAITED_US] = now_us
             continue
@@ -362,32 +366,32 @@ def track_streams(
                 clocks[clock, ELAPSED_US] += min(step_us, int(INTERVALS * usual[LINK, INTERVAL]))
             clocks[clock, NEWEST_US] = newest_us = now_us
             if now_us >= clocks[clock, NONE_SILENT_US]:
-                _find_silent_streams(watched, found, row, s, clock, now_us)
+                _find_silent_streams(states, out, row, s, clock, now_us)
         if s < 0:
             continue
         if counts[s, COUNT] > 0 and counts[s, CLOCK] == clock:
             gap_us, late_us = now_us - counts[s, LAST_US], newest_us - now_us
             counts[s, SAME_STAMPS] = counts[s, SAME_STAMPS] + 1 if gap_us == 0 else 0
             wrong = (gap_us <= 0 or late_us > LATE_US) and _stamp_is_wrong(
-                watched, found, row, s, now_us, newest_us
+                states, out, row, s, now_us, newest_us
             )
             if gap_us > 0 and not wrong:
                 _learn(usual, s, counts[s, COUNT], gap_us, late_us)
                 share = 0.0
                 if gap_us < _limit_us(usual, s) and counts[s, ELAPSED_AT_US] != NEVER_US:
-                    went_us = clocks[clock, ELAPSED_US] - counts[s, ELAPSED_AT_US]
-                    share = count_sample(rates, s, went_us * 1e-6, usual[s, INTERVAL] * 1e-6)
-                stands = late_us > 0 and newest_us == counts[s, RECEIVED_US]
-                together = burst_size(rates, s, stands, counts[s, COUNT] >= LEARNED_VALUES)
+                    elapsed_us = clocks[clock, ELAPSED_US] - counts[s, ELAPSED_AT_US]
+                    share = count_sample(rates, s, elapsed_us * 1e-6, usual[s, INTERVAL] * 1e-6)
+                frozen = late_us > 0 and newest_us == counts[s, RECEIVED_US]
+                together = burst_size(rates, s, frozen, counts[s, COUNT] >= LEARNED_VALUES)
                 if share > 0.0 or together > 0.0:
-                    _rate_is_wrong(watched, found, row, s, share, together, newest_us)
+                    _rate_is_wrong(states, out, row, s, share, together, newest_us)
         if kind[row] == FIX:
-            for_s = _fix_repeated(watched, s, values[row], now_us)
+            for_s = _fix_repeated(states, s, values[row], now_us)
         else:
             known, width = counts[s, COUNT] >= LEARNED_VALUES, NUMBERS[kind[row]]
             for_s = _repeated(last, runs, s, known, values, row, width, now_us)
         if for_s > 0.0 and now_us - counts[s, REPORTED_US] >= REPEAT_US:
-            _add_anomaly(found, row, now_us, s, REPEATED, for_s)
+            _add_anomaly(out, row, now_us, s, REPEATED, for_s)
             counts[s, REPORTED_US] = now_us
         counts[s, LAST_US], counts[s, CLOCK] = now_us, clock
         counts[s, RECEIVED_US], counts[s, DUE_US] = newest_us, newest_us + _limit_us(usual, s)

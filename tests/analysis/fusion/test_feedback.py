@@ -7,7 +7,8 @@ import pytest
 
 from analysis.detection.filter.inertial import CLOCK, ISB, PSI, R, V
 from analysis.fusion.feedback import feed_back
-from analysis.monitor.pipeline import WITHOUT_ISOLATION, Pipeline, monitor_config
+from analysis.monitor.filter_step import WITHOUT_ISOLATION
+from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Epoch
 
@@ -53,8 +54,8 @@ def fed(short):
 
 def test_the_filter_takes_the_place_of_the_newest_node_with_its_covariance(fed):
     pipeline, results = fed
-    graph = pipeline._fusion_states[0].graph
-    core = pipeline._detector_state.detector.core
+    graph = pipeline.states[FILTER][1][0].graph
+    core = pipeline.states[FILTER][0].detector.core
     state = [result for result in results if isinstance(result, FusedState)][-1]
     assert np.allclose(core.motion.x[R : R + 3], state.position_ecef_m, atol=1e-6)
     to_body = graph.node.pose.rotation().matrix().T @ graph.frame.axes
@@ -67,7 +68,7 @@ def test_the_filter_takes_the_place_of_the_newest_node_with_its_covariance(fed):
 
 
 def test_without_a_graph_the_filter_stays(fed):
-    core = fed[0]._detector_state.detector.core
+    core = fed[0].states[FILTER][0].detector.core
     assert feed_back(core, None) is core
 
 

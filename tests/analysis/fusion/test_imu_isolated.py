@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.monitor.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
 from analysis.samples.sample import ImuSample
 
@@ -21,7 +21,7 @@ def flown(flights):
         if isinstance(sample, ImuSample) and FROM_US < sample.t_us <= UNTIL_US:
             sample = replace(sample, accel_b_mps2=sample.accel_b_mps2 + np.array([8.0, 0.0, 0.0]))
         states += [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
-    return states, pipeline._fusion_states[0].graph
+    return states, pipeline.states[FILTER][1][0].graph
 
 
 def test_the_graph_does_not_restart(flown):

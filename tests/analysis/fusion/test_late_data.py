@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.monitor.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
 from analysis.samples.sample import BaroSample, Epoch, ImuSample
 
@@ -18,7 +18,7 @@ def fused(samples, **settings):
     config = monitor_config({"fusion": settings, "attitude": {"estimators": []}}, "x")
     pipeline = Pipeline(config)
     states = [r for s in samples for r in pipeline.push(s) if isinstance(r, FusedState)]
-    return states, pipeline._fusion_states[0].graph
+    return states, pipeline.states[FILTER][1][0].graph
 
 
 def moved(samples, late, arrives_us):

@@ -10,7 +10,7 @@ from analysis.detection.sensors.sensor_models import density_kgpm3
 from analysis.fusion.factors.unary_factors import OFFSET_UNIT_M
 from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import variable_key
-from analysis.monitor.pipeline import Pipeline, monitor_config
+from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
 from analysis.samples.sample import (
     AirspeedSample,
@@ -71,7 +71,7 @@ def flown(samples, **settings):
     values = {"fusion": settings, "attitude": {"estimators": []}}
     pipeline = Pipeline(monitor_config(values, "x"))
     states = [r for s in samples for r in pipeline.push(s) if isinstance(r, FusedState)]
-    return states, pipeline._fusion_states[0].graph
+    return states, pipeline.states[FILTER][1][0].graph
 
 
 def used(states, source):

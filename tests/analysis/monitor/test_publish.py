@@ -38,15 +38,15 @@ def test_every_decision_is_published_and_only_changes_are_events() -> None:
     assert events == [decisions[0], decisions[2]]
 
 
-def test_isolation_is_told_when_the_excluded_change_and_not_with_every_verdict() -> None:
+def test_isolation_is_published_when_exclusions_change_and_not_with_every_verdict() -> None:
     alarmed = msgspec.structs.replace(decision(0.2), alarm=True, hypothesis="multiple-unknown")
     decisions = [decision(0.0), alarmed, decision(0.4, ("G12",)), decision(0.6, ("E05", "G12"))]
     with open_bus("tcp/127.0.0.1:0", run="t", router=True) as bus:
         got: queue.Queue[bytes] = queue.Queue(20)
         bus.subscribe("fdi/isolation", lambda _, data: got.put(data))
         Publisher(bus).publish(decisions)
-        told = [got.get(timeout=5) for _ in range(3)]  # one of each verdict would be another
-    assert [decode(data) for data in told] == [decisions[0], *decisions[2:]]
+        events = [got.get(timeout=5) for _ in range(3)]  # one of each verdict would be another
+    assert [decode(data) for data in events] == [decisions[0], *decisions[2:]]
 
 
 def test_every_key_that_is_published_has_a_schema_and_none_is_listed_in_vain() -> None:
@@ -76,7 +76,7 @@ def test_every_key_that_is_published_has_a_schema_and_none_is_listed_in_vain() -
     assert set(published) == listed
 
 
-def test_a_plain_get_finds_nothing_and_who_joins_late_the_newest() -> None:
+def test_a_plain_get_finds_nothing_and_a_late_joiner_gets_the_newest() -> None:
     with open_bus("tcp/127.0.0.1:0", run="t", router=True) as bus:
         Publisher(bus).publish([decision(0.0), decision(0.4, ("G12",))])
         with open_bus(bus.url, run="t") as late:

@@ -46,7 +46,7 @@ def test_the_monitor_scores_it_against_its_truth(tmp_path):
         one for one in read_results(tmp_path / "results.jsonl") if getattr(one, "alarm", False)
     ]
     assert alarms
-    assert all("its time stands still" in one.reason for one in alarms)
+    assert all("its timestamp is frozen" in one.reason for one in alarms)
 
 
 def test_without_the_truth_no_attitude_is_scored(tmp_path):

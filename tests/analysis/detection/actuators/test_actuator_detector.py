@@ -1,4 +1,4 @@
-"""Motors and surfaces that do not obey, in flights of the simulator through proxy and monitor."""
+"""Actuators that do not respond, in flights of the simulator through proxy and monitor."""
 
 import dataclasses
 import functools
@@ -81,8 +81,8 @@ def sent(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1
     return bytes(data)
 
 
-def blamed(results: list[Result]) -> dict[str, float]:
-    """Who of the actuators was blamed, and when first, in seconds of the flight."""
+def named(results: list[Result]) -> dict[str, float]:
+    """The isolated actuators, and when each was first, in seconds of the flight."""
     found: dict[str, float] = {}
     for result in results:
         if isinstance(result, SensorDecision) and result.sensor == "actuators" and result.isolated:
@@ -92,8 +92,8 @@ def blamed(results: list[Result]) -> dict[str, float]:
 
 def suspected(results: list[Result]) -> set[str]:
     """Of whom it was said that they may be at fault, one alone or two."""
-    told = (r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators")
-    return {result.suspect for result in told if result.alarm}
+    reported = (r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators")
+    return {result.suspect for result in reported if result.alarm}
 
 
 @pytest.mark.parametrize(
@@ -108,15 +108,15 @@ def suspected(results: list[Result]) -> set[str]:
     ],
 )
 def test_a_weak_actuator_is_named(vehicle: str, target: str, value: float, name: str) -> None:
-    found = blamed(flown(vehicle, 23.0, {"fault": "plant", "target": target, "value": value}))
+    found = named(flown(vehicle, 23.0, {"fault": "plant", "target": target, "value": value}))
     assert list(found) == [name]
     assert 20.0 < found[name] < 22.5
 
 
-def test_half_an_elevator_is_told_from_a_load_that_slides() -> None:
+def test_half_an_elevator_is_separable_from_a_shifting_load() -> None:
     """By how it answers its moves: a load would not change that."""
     fault = {"fault": "plant", "target": "PLANT.elevator_efficiency", "value": 0.5}
-    assert list(blamed(flown("fixed wing", 25.0, fault))) == ["elevator"]
+    assert list(named(flown("fixed wing", 25.0, fault))) == ["elevator"]
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ def test_half_an_elevator_is_told_from_a_load_that_slides() -> None:
         ),
     ],
 )
-def test_what_half_a_second_cannot_tell_from_gusts_is_told_by_its_moves(
+def test_a_fault_hidden_by_gusts_is_found_by_the_regression(
     vehicle: str, until_s: float, fault: dict[str, Any], name: str
 ) -> None:
     """A fifth of the elevator, and what is stuck where it is."""
-    found = blamed(flown(vehicle, until_s, {**fault, "at_s": 60.0}))
+    found = named(flown(vehicle, until_s, {**fault, "at_s": 60.0}))
     assert list(found) == [name]
     assert found[name] > 60.0
 
@@ -162,19 +162,19 @@ def test_what_half_a_second_cannot_tell_from_gusts_is_told_by_its_moves(
     ],
     ids=str,
 )
-def test_a_pitot_tube_that_lies_is_no_motor_that_is_weak(fault: dict[str, Any]) -> None:
+def test_a_faulty_pitot_tube_is_no_weak_motor(fault: dict[str, Any]) -> None:
     fault = {"target": "HIL_SENSOR.diff_pressure", **fault}
     assert not suspected(flown("fixed wing", 40.0, fault, NEVER))
 
 
-def test_a_wing_at_another_speed_than_usual_has_no_motor_that_is_strong() -> None:
+def test_a_wing_at_an_unusual_speed_has_no_strong_motor() -> None:
     """In 28 m/s of air after 24.5: a propeller pulls less there, by more than was learnt."""
     assert not suspected(flown("fixed wing", 30.0, NEVER, seed=107))
 
 
 @pytest.mark.parametrize("preset", ["load-shift", "link-poor"])
-def test_what_no_actuator_does_blames_none(preset: str) -> None:
-    assert not blamed(flown("fixed wing", 32.0, {"preset": preset, "for_s": 10.0}, NEVER))
+def test_sensor_faults_isolate_no_actuator(preset: str) -> None:
+    assert not named(flown("fixed wing", 32.0, {"preset": preset, "for_s": 10.0}, NEVER))
 
 
 @pytest.mark.parametrize(
@@ -190,23 +190,23 @@ def test_a_stuck_or_hard_over_surface_is_named(
     target: str, fault: dict[str, Any], name: str
 ) -> None:
     fault = {"target": f"HIL_ACTUATOR_CONTROLS.{target}", **fault}
-    found = blamed(flown("fixed wing", 24.0, fault))
+    found = named(flown("fixed wing", 24.0, fault))
     assert list(found) == [name]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.8])
-def test_a_weak_motor_is_named_by_what_was_learnt_of_an_unknown_quad(value: float) -> None:
+def test_a_weak_motor_of_an_unknown_quad_is_named_by_its_learned_effect(value: float) -> None:
     fault = {"fault": "plant", "target": "PLANT.motor_efficiency[2]", "value": value}
-    assert list(blamed(flown("quad", 23.0, fault, unknown=True))) == ["motor 3"]
+    assert list(named(flown("quad", 23.0, fault, unknown=True))) == ["motor 3"]
 
 
 @pytest.mark.parametrize("vehicle", ["hexa", "fixed wing"])
-def test_what_cannot_be_learnt_of_an_unknown_vehicle_is_not_judged(vehicle: str) -> None:
+def test_an_unknown_vehicle_whose_effects_are_not_observable_is_not_tested(vehicle: str) -> None:
     results = flown(vehicle, 40.0, NEVER, unknown=True)
     assert not [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
 
 
-def test_commands_that_are_logged_seldom_do_not_tell_what_an_unknown_quad_was_told() -> None:
+def test_sparse_commands_do_not_determine_the_motion_of_an_unknown_quad() -> None:
     fault = {"fault": "plant", "target": "PLANT.motor_efficiency[2]", "value": 0.8}
     frames = Parser().push(sent("quad", 23.0, fault), datagram=False)
     block = Decoder().decode(frame for frame in frames if isinstance(frame, Frame))
@@ -215,39 +215,39 @@ def test_commands_that_are_logged_seldom_do_not_tell_what_an_unknown_quad_was_to
     keep = np.ones(len(block.kind), bool)
     keep[commands] = np.arange(len(commands)) % round(100_000 / apart_us) == 0
     for heard, names in ((block, ["motor 3"]), (block.where(keep), [])):
-        assert list(blamed(Monitor(MonitorConfig()).push(heard))) == names
+        assert list(named(Monitor(MonitorConfig()).push(heard))) == names
 
 
-def test_gusts_blame_no_motor_of_an_unknown_quad() -> None:
+def test_gusts_isolate_no_motor_of_an_unknown_quad() -> None:
     results = flown("quad", 60.0, NEVER, seed=7, unknown=True)
-    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
-    assert len(told) > 30
-    assert not any(result.alarm for result in told)
+    reported = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    assert len(reported) > 30
+    assert not any(result.alarm for result in reported)
 
 
 @pytest.mark.parametrize("vehicle", ["quad", "hexa", "fixed wing"])
-def test_gusts_blame_no_actuator(vehicle: str) -> None:
+def test_gusts_isolate_no_actuator(vehicle: str) -> None:
     results = flown(vehicle, 60.0, NEVER, seed=7)
-    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
-    assert len(told) > 50  # one a second
-    assert not any(result.alarm for result in told)
+    reported = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    assert len(reported) > 50  # one a second
+    assert not any(result.alarm for result in reported)
 
 
-def test_a_gyro_that_says_no_number_blames_no_actuator() -> None:
+def test_a_gyro_that_is_nan_isolates_no_actuator() -> None:
     fault = {"fault": "not-a-number", "target": "HIL_SENSOR.xgyro", "for_s": 3.0}
-    assert not blamed(flown("quad", 26.0, fault, NEVER))
+    assert not named(flown("quad", 26.0, fault, NEVER))
 
 
-def test_a_gap_of_the_imu_blames_no_actuator() -> None:
+def test_a_gap_of_the_imu_isolates_no_actuator() -> None:
     outage = {"preset": "communication-interrupted", "for_s": 10.0}
-    assert not blamed(flown("quad", 34.0, outage, NEVER))
+    assert not named(flown("quad", 34.0, outage, NEVER))
 
 
-def test_after_a_crash_nobody_else_is_blamed() -> None:
+def test_after_a_crash_no_sensor_is_isolated() -> None:
     results = flown(
         "quad", 28.0, {"fault": "plant", "target": "PLANT.motor_efficiency[0]", "value": 0.0}
     )
-    assert list(blamed(results)) == ["motor 1"]
+    assert list(named(results)) == ["motor 1"]
     judged = [r for r in results if isinstance(r, Decision | SensorDecision)]
     others = [r for r in judged if getattr(r, "sensor", "") != "actuators"]
     assert any(result.reason == CRASHED for result in others)
@@ -258,30 +258,30 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
     """Rows one by one, and all at once."""
     effects = setup_of("quad").monitor.actuators
     assert effects is not None
-    watch, rng = ActuatorDetector(effects), np.random.default_rng(3)
+    detector, rng = ActuatorDetector(effects), np.random.default_rng(3)
     samples: list[Any] = []
     for k in range(600):
         t_us = 10_000 * k
         samples.append(CommandSample(t_us, np.full(12, 0.7)))
         samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
     whole = _flying(block_of(samples))
-    at_once, _ = watch.step(whole, watch.new_state())
-    state, one_by_one = watch.new_state(), []
+    at_once, _ = detector.step(whole, detector.new_state())
+    state, one_by_one = detector.new_state(), []
     for row in range(len(whole.kind)):
-        found, state = watch.step(whole.between(row, row + 1), state)
+        found, state = detector.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
     assert [result for _, result in at_once] == one_by_one
     assert len(one_by_one) == 5
 
 
 @pytest.mark.parametrize(("alt_m", "judged"), [(502.0, False), (510.0, True)])
-def test_low_and_slow_a_leg_may_touch_the_ground_and_nobody_is_blamed(
+def test_low_and_slow_a_leg_may_touch_the_ground_and_no_actuator_is_isolated(
     alt_m: float, judged: bool
 ) -> None:
-    """A motor told to do less, and nothing follows: 2 and 10 m above the place of the first fix."""
+    """A motor's command falls without a response: 2 and 10 m above the first fix."""
     effects = setup_of("quad").monitor.actuators
     assert effects is not None
-    watch, rng = ActuatorDetector(effects), np.random.default_rng(3)
+    detector, rng = ActuatorDetector(effects), np.random.default_rng(3)
     fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([0.0, 0.0, 2.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
     samples: list[Any] = [CommandSample(0, np.full(12, 0.7)), fix]
     for k in range(900):
@@ -291,20 +291,20 @@ def test_low_and_slow_a_leg_may_touch_the_ground_and_nobody_is_blamed(
             samples.append(dataclasses.replace(fix, t_us=t_us, alt_m=alt_m if k > 600 else 510.0))
         samples.append(CommandSample(t_us, commands))
         samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
-    found, _ = watch.step(block_of(samples), watch.new_state())
+    found, _ = detector.step(block_of(samples), detector.new_state())
     alarms = [r for _, r in found if isinstance(r, SensorDecision) and r.alarm]
     assert bool(alarms) == judged
 
 
 @pytest.mark.parametrize(("began_mps", "judged"), [(0.0, False), (12.0, True)])
-def test_wheels_hold_what_surfaces_would_turn_after_a_landing(
+def test_after_a_landing_the_wheels_hide_the_effect_of_surfaces(
     began_mps: float, judged: bool
 ) -> None:
-    """An elevator that is told to do more, and nothing follows, 2 m above the first fix; a plane
+    """An elevator's command rises without a response, 2 m above the first fix; a plane
     that began in flight may fly there."""
     effects = setup_of("fixed wing").monitor.actuators
     assert effects is not None
-    watch, rng = ActuatorDetector(effects), np.random.default_rng(3)
+    detector, rng = ActuatorDetector(effects), np.random.default_rng(3)
     fix = GpsFix(0, 47.0, 8.0, 500.0, np.array([began_mps, 0.0, 0.0]), 3, 12, 1.0, 1.0, "HIL_GPS")
     samples: list[Any] = [CommandSample(0, np.zeros(12)), fix]
     rolling = np.array([12.0, 0.0, 0.0])
@@ -316,7 +316,7 @@ def test_wheels_hold_what_surfaces_would_turn_after_a_landing(
             samples.append(dataclasses.replace(fix, t_us=t_us, alt_m=alt_m, v_ned_mps=rolling))
         samples.append(CommandSample(t_us, commands))
         samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
-    found, _ = watch.step(block_of(samples), watch.new_state())
+    found, _ = detector.step(block_of(samples), detector.new_state())
     alarms = [r for _, r in found if isinstance(r, SensorDecision) and r.alarm]
     assert bool(alarms) == judged
 
@@ -331,17 +331,17 @@ def _flying(block: Block) -> Block:
 def test_without_commands_nothing_is_done() -> None:
     effects = setup_of("quad").monitor.actuators
     assert effects is not None
-    watch = ActuatorDetector(effects)
+    detector = ActuatorDetector(effects)
     sample = ImuSample(1, np.zeros(3), np.zeros(3))
-    assert watch.step(block_of(sample), watch.new_state()) == ([], None)
+    assert detector.step(block_of(sample), detector.new_state()) == ([], None)
 
 
 @pytest.mark.parametrize("absurd", [1e200, -3e38, np.inf])
-def test_numbers_that_no_sensor_and_no_output_gives_are_passed_over(absurd: float) -> None:
+def test_impossible_values_are_ignored(absurd: float) -> None:
     """As a damaged log has them."""
     effects = setup_of("quad").monitor.actuators
     assert effects is not None
-    watch, rng = ActuatorDetector(effects), np.random.default_rng(3)
+    detector, rng = ActuatorDetector(effects), np.random.default_rng(3)
     samples: list[Any] = []
     for k in range(600):
         t_us, commands, force = 10_000 * k, np.full(12, 0.7), np.array([0.0, 0.0, -9.8])
@@ -349,6 +349,6 @@ def test_numbers_that_no_sensor_and_no_output_gives_are_passed_over(absurd: floa
             commands[1] = force[1] = absurd
         samples.append(CommandSample(t_us, commands))
         samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), force))
-    found, _ = watch.step(_flying(block_of(samples)), watch.new_state())
+    found, _ = detector.step(_flying(block_of(samples)), detector.new_state())
     assert len(found) == 5
     assert not any(result.alarm for _, result in found)

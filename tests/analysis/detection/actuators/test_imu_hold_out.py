@@ -5,13 +5,12 @@ import numpy as np
 from analysis.detection.actuators.imu_hold_out import (
     HELD_OUT,
     HELD_US,
-    NEVER_US,
     hold_out_until,
     trusted_rows,
     withdraw_silence,
 )
 from analysis.results import SensorDecision
-from analysis.samples.block import block_of
+from analysis.samples.block import NEVER_US, block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample
 
 
@@ -29,7 +28,7 @@ def flight() -> list[Sample]:
     return [s for t in stamps for s in (ImuSample(t, still, still), MagSample(t, still))]
 
 
-def test_samples_behind_an_alarm_are_held_out_until_a_while_after_the_last() -> None:
+def test_imu_samples_are_held_out_until_a_while_after_the_last_alarm() -> None:
     block = block_of(flight())
     until = hold_out_until(block, [(20, alarm(1_000_000)), (30, alarm(1_500_000))], NEVER_US)
     rows = trusted_rows(block, until)
@@ -40,7 +39,7 @@ def test_samples_behind_an_alarm_are_held_out_until_a_while_after_the_last() -> 
     assert block.t_us[held].max() == 1_500_000 + HELD_US - 100_000
 
 
-def test_what_was_suspected_before_a_block_lasts_into_it() -> None:
+def test_an_alarm_before_a_block_holds_the_imu_out_in_it() -> None:
     block = block_of(flight())
     until = hold_out_until(block, [], 300_000)
     rows = trusted_rows(block, until)
@@ -49,13 +48,13 @@ def test_what_was_suspected_before_a_block_lasts_into_it() -> None:
     assert trusted_rows(block, hold_out_until(block, [], NEVER_US)) is None
 
 
-def test_silence_and_what_may_be_the_compass_hold_no_imu_out() -> None:
+def test_silence_and_an_ambiguous_compass_do_not_hold_the_imu_out() -> None:
     block = block_of(flight())
     troubles = [(20, alarm(1_000_000, "silent for 0.60 s")), (21, alarm(1, suspect="imu-or-mag"))]
     assert trusted_rows(block, hold_out_until(block, troubles, NEVER_US)) is None
 
 
-def test_an_imu_that_is_left_out_is_not_called_silent() -> None:
+def test_a_held_out_imu_is_not_silent() -> None:
     until = np.array([2_000_000, 2_000_000])
     silent = alarm(1_500_000, "no IMU samples for 0.40 s")
     (_, found), (_, later) = withdraw_silence([(0, silent), (1, alarm(9_000_000))], until)

@@ -32,13 +32,13 @@ def flight(after: Mapping[int, float], source: str = "OUTPUTS") -> Block:
     return block_of(samples)
 
 
-def told(block: Block) -> list[SensorDecision]:
-    watch = ActuatorDetector(unknown_effects())
-    return [result for _, result in watch.step(block, watch.new_state())[0]]
+def alarms(block: Block) -> list[SensorDecision]:
+    detector = ActuatorDetector(unknown_effects())
+    return [result for _, result in detector.step(block, detector.new_state())[0]]
 
 
 def test_a_motor_that_is_switched_off_is_named_and_stays_named() -> None:
-    found = told(flight({2: GROUND}))
+    found = alarms(flight({2: GROUND}))
     assert {result.suspect for result in found} == {"motor 3"}
     assert all(result.isolated for result in found)
     assert found[0].t_us == (CHANGES_S + 0.5) * 1e6
@@ -47,7 +47,7 @@ def test_a_motor_that_is_switched_off_is_named_and_stays_named() -> None:
 
 
 def test_two_motors_that_are_switched_off_are_both_named() -> None:
-    assert {result.suspect for result in told(flight({0: GROUND, 3: GROUND}))} == {
+    assert {result.suspect for result in alarms(flight({0: GROUND, 3: GROUND}))} == {
         "motor 1",
         "motor 4",
     }
@@ -58,33 +58,33 @@ def test_two_motors_that_are_switched_off_are_both_named() -> None:
     [{i: GROUND for i in range(6)}, {2: LEAST}, {7: 0.9}, {}],
     ids=["all motors", "as low as a controller goes", "no motor", "nothing"],
 )
-def test_nobody_is_blamed_for(after: Mapping[int, float]) -> None:
-    assert told(flight(after)) == []
+def test_no_motor_is_isolated_for(after: Mapping[int, float]) -> None:
+    assert alarms(flight(after)) == []
 
 
-def test_motors_that_are_parked_are_not_switched_off_and_one_that_starts_again_may_be() -> None:
+def test_parked_motors_are_not_switched_off_and_one_that_starts_again_may_be() -> None:
     """As a vehicle does that is carried by its wings, and keeps two motors for itself."""
     block = flight({2: GROUND, 3: GROUND, 4: GROUND, 5: GROUND})
-    assert told(block) == []
+    assert alarms(block) == []
     late = (block.kind == COMMAND) & (block.t_us >= (CHANGES_S + 1.0) * 1e6)
     block.values[late, 2:4] = HOVER  # two of them again, two stay parked
-    assert told(block) == []
+    assert alarms(block) == []
     later = (block.kind == COMMAND) & (block.t_us >= (CHANGES_S + 2.0) * 1e6)
     block.values[later, 4:6] = HOVER
     block.values[later, 0] = GROUND
-    assert {result.suspect for result in told(block)} == {"motor 1"}
+    assert {result.suspect for result in alarms(block)} == {"motor 1"}
 
 
-def test_controls_say_nothing_of_being_off() -> None:
+def test_controls_do_not_show_that_a_motor_is_off() -> None:
     """Their least value is what a controller may want."""
-    assert told(flight({2: GROUND}, "HIL_ACTUATOR_CONTROLS")) == []
+    assert alarms(flight({2: GROUND}, "HIL_ACTUATOR_CONTROLS")) == []
 
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight({2: GROUND})
-    watch = ActuatorDetector(unknown_effects())
-    state, one_by_one = watch.new_state(), []
+    detector = ActuatorDetector(unknown_effects())
+    state, one_by_one = detector.new_state(), []
     for row in range(len(whole.kind)):
-        found, state = watch.step(whole.between(row, row + 1), state)
+        found, state = detector.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
-    assert one_by_one == told(whole)
+    assert one_by_one == alarms(whole)

@@ -1,4 +1,4 @@
-"""A body that turns faster than its gyro can tell."""
+"""A body that turns faster than its gyro's range."""
 
 from itertools import pairwise
 
@@ -39,17 +39,17 @@ def lost_s(block: Block) -> np.ndarray:
     return block.t_us[lost] * 1e-6
 
 
-def test_the_attitude_is_lost_where_gyro_stands_and_compass_turns_until_it_is_found_anew() -> None:
+def test_the_attitude_is_lost_while_the_gyro_is_saturated_and_the_compass_turns() -> None:
     found = lost_s(flight())
     assert 2.1 < found[0] < 2.4
     assert 22.0 < found[-1] < 23.5
 
 
-def test_a_blow_within_a_tumble_is_a_crash_and_ends_it_for_good() -> None:
+def test_an_impact_within_a_tumble_is_a_crash_for_the_rest_of_the_flight() -> None:
     assert lost_s(flight(blow_s=4.0))[-1] == pytest.approx(29.995)
 
 
-def test_a_gyro_that_stands_while_the_compass_does_too_is_the_gyros_fault() -> None:
+def test_a_saturated_gyro_without_a_turn_of_the_compass_is_faulty() -> None:
     assert not len(lost_s(flight(turns=False, jumps=True)))
 
 
@@ -64,7 +64,7 @@ def test_how_the_stream_is_cut_changes_nothing() -> None:
     assert (np.concatenate(parts) == whole).all()
 
 
-def test_what_is_held_against_a_lost_attitude_is_not_judged() -> None:
+def test_with_a_lost_attitude_no_sensor_is_tested() -> None:
     alarm = SensorDecision(
         t_us=5, sensor="imu", statistic=None, threshold=None, dof=0, alarm=True, isolated=True
     )

@@ -30,11 +30,11 @@ def flight(
     return block_of(samples)
 
 
-def told(*blocks: Block, watch: EarthFieldDetector | None = None) -> list[SensorDecision]:
-    watch = watch or EarthFieldDetector()
-    state, found = watch.new_state(), []
+def alarms(*blocks: Block, detector: EarthFieldDetector | None = None) -> list[SensorDecision]:
+    detector = detector or EarthFieldDetector()
+    state, found = detector.new_state(), []
     for block in blocks:
-        results, state = watch.step(block, state)
+        results, state = detector.step(block, state)
         found += [result for _, result in results]
     return found
 
@@ -48,47 +48,47 @@ def told(*blocks: Block, watch: EarthFieldDetector | None = None) -> list[Sensor
         (np.full(3, np.nan), AT_REST_MPS2),
     ],
 )
-def test_a_sound_compass_is_left_alone(field_gauss: Vector, force_mps2: Vector) -> None:
-    assert told(flight(field_gauss, force_mps2)) == []
+def test_a_healthy_compass_raises_no_alarm(field_gauss: Vector, force_mps2: Vector) -> None:
+    assert alarms(flight(field_gauss, force_mps2)) == []
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_a_field_of_another_size_is_the_compass_fault_from_its_start_on(factor: float) -> None:
-    found = told(flight(factor * EARTH_GAUSS))
+    found = alarms(flight(factor * EARTH_GAUSS))
     assert {(result.sensor, result.isolated) for result in found} == {("mag", True)}
     assert found[0].t_us <= 7_000_000
     off = (factor - 1.0) * np.linalg.norm(EARTH_GAUSS)
     assert found[0].reason.startswith(f"the field's size is {off:+.2f} gauss off")
 
 
-def test_a_compass_mounted_on_its_side_is_told_and_may_be_the_accelerometer() -> None:
+def test_a_compass_mounted_on_its_side_raises_an_alarm_and_may_be_the_accelerometer() -> None:
     north, east, down = EARTH_GAUSS
-    found = told(flight(np.array([down, east, -north])))
+    found = alarms(flight(np.array([down, east, -north])))
     assert {(r.sensor, r.suspect, r.isolated, r.alarm) for r in found} == {
         ("mag", "imu-or-mag", False, True)
     }
 
 
 def test_without_a_place_nothing_is_known() -> None:
-    assert told(flight(2.0 * EARTH_GAUSS, place_deg=(120.0, 8.5))) == []
+    assert alarms(flight(2.0 * EARTH_GAUSS, place_deg=(120.0, 8.5))) == []
 
 
 def test_a_place_far_away_has_another_field() -> None:
     tropics = (-10.0, -55.0)
     there = np.array(magnetic_field_gauss(*tropics, 0.0, UNKNOWN_DATE))
     assert np.linalg.norm(EARTH_GAUSS) - np.linalg.norm(there) > 0.2
-    assert told(flight(there, place_deg=tropics)) == []
-    assert told(flight(EARTH_GAUSS, place_deg=tropics)) != []
+    assert alarms(flight(there, place_deg=tropics)) == []
+    assert alarms(flight(EARTH_GAUSS, place_deg=tropics)) != []
 
 
-def test_a_world_with_a_field_of_its_own_is_believed() -> None:
+def test_the_field_of_a_simulated_world_is_accepted() -> None:
     own = (0.6, 0.0, 0.5)
-    assert told(flight(np.array(own)), watch=EarthFieldDetector(own)) == []
-    assert told(flight(EARTH_GAUSS), watch=EarthFieldDetector(own)) != []
+    assert alarms(flight(np.array(own)), detector=EarthFieldDetector(own)) == []
+    assert alarms(flight(EARTH_GAUSS), detector=EarthFieldDetector(own)) != []
 
 
 def test_blocks_of_any_length_say_the_same() -> None:
     whole = flight(1.5 * EARTH_GAUSS)
     count = len(whole.kind)
     parts = [whole.between(i, min(i + 7, count)) for i in range(0, count, 7)]
-    assert told(*parts) == told(whole) != []
+    assert alarms(*parts) == alarms(whole) != []

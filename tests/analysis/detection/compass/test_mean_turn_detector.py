@@ -16,7 +16,7 @@ BEGIN_S, END_S, SECONDS = 30.0, 45.0, 60.0
 STEP_US = 4_000
 
 
-def told(
+def alarms(
     *,
     bias_rps: tuple[float, float, float] = (0.0, 0.0, 0.0),
     offset_gauss: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -40,34 +40,34 @@ def told(
             if not (wrong and stands):
                 field = rotation_matrix(q).T @ FIELD + rng.normal(0.0, 0.002, 3)
             samples.append(MagSample(t_us, field + wrong * np.array(offset_gauss)))
-    watch = MeanTurnDetector()
-    return [result for _, result in watch.step(block_of(samples), watch.new_state())[0]]
+    detector = MeanTurnDetector()
+    return [result for _, result in detector.step(block_of(samples), detector.new_state())[0]]
 
 
-def test_shaking_and_turning_alarm_nobody() -> None:
-    assert told() == []
+def test_vibration_and_turns_raise_no_alarm() -> None:
+    assert alarms() == []
 
 
 @pytest.mark.parametrize("axis", range(2))
-def test_a_gyro_that_is_biased_is_told_within_seven_seconds(axis: int) -> None:
+def test_a_biased_gyro_raises_an_alarm_within_seven_seconds(axis: int) -> None:
     bias = np.zeros(3)
     bias[axis] = 0.2
-    found = told(bias_rps=(bias[0], bias[1], bias[2]))
+    found = alarms(bias_rps=(bias[0], bias[1], bias[2]))
     assert {result.suspect or result.sensor for result in found} == {"imu"}
     assert BEGIN_S + 3.0 < found[0].t_s < BEGIN_S + 7.0
     assert found[-1].t_s < END_S + 6.0
 
 
-def test_a_slight_bias_may_be_either_s() -> None:
-    found = told(bias_rps=(0.0, 0.113, 0.0), yaw_rps=0.0, shakes_rps=0.2)
+def test_a_slight_bias_may_be_of_either_sensor() -> None:
+    found = alarms(bias_rps=(0.0, 0.113, 0.0), yaw_rps=0.0, shakes_rps=0.2)
     assert {result.suspect for result in found} == {"imu-or-mag"}
 
 
 def test_a_field_that_jumps_is_the_compass_s_fault() -> None:
-    found = told(offset_gauss=(0.0, 0.25, 0.0))
+    found = alarms(offset_gauss=(0.0, 0.25, 0.0))
     assert {result.suspect or result.sensor for result in found} == {"mag"}
     assert BEGIN_S < found[0].t_s < BEGIN_S + 1.0
 
 
-def test_a_compass_that_stands_is_not_held_against_the_gyro() -> None:
-    assert told(stands=True, yaw_rps=0.5) == []
+def test_a_frozen_compass_is_not_compared_with_the_gyro() -> None:
+    assert alarms(stands=True, yaw_rps=0.5) == []

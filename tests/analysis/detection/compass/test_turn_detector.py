@@ -46,11 +46,11 @@ def flight(
     return block_of(samples)
 
 
-def told(*blocks: Block) -> list[SensorDecision]:
-    watch = TurnDetector()
-    state, found = watch.new_state(), []
+def alarms(*blocks: Block) -> list[SensorDecision]:
+    detector = TurnDetector()
+    state, found = detector.new_state(), []
     for block in blocks:
-        results, state = watch.step(block, state)
+        results, state = detector.step(block, state)
         found += [result for _, result in results]
     return found
 
@@ -61,23 +61,23 @@ def rates(*rps: float) -> Wrong:
 
 @pytest.mark.parametrize("yaw_rps", [0.0, 0.5, -2.0])
 @pytest.mark.parametrize("iron_gauss", [0.0, 0.04])
-def test_sound_sensors_are_not_told_of_though_the_compass_is_poor(
+def test_healthy_sensors_raise_no_alarm_with_a_poor_compass(
     yaw_rps: float, iron_gauss: float
 ) -> None:
-    assert told(flight(yaw_rps, iron_gauss=iron_gauss, noise_gauss=0.01)) == []
+    assert alarms(flight(yaw_rps, iron_gauss=iron_gauss, noise_gauss=0.01)) == []
 
 
-def test_a_gyros_bias_about_the_vertical_is_told_and_may_be_the_compass() -> None:
-    found = told(flight(gyro=rates(0.0, 0.0, 0.1)))
+def test_a_gyro_bias_about_the_vertical_raises_an_alarm_and_may_be_the_compass() -> None:
+    found = alarms(flight(gyro=rates(0.0, 0.0, 0.1)))
     assert {(r.sensor, r.suspect, r.isolated) for r in found} == {("imu", "imu-or-mag", False)}
     assert 2.0 < found[0].t_s - BEGIN_S <= 4.0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_gyro_that_turns_further_than_any_field_of_this_size_is_blamed(axis: int) -> None:
+def test_a_gyro_that_turns_further_than_any_field_of_this_size_is_isolated(axis: int) -> None:
     wrong = np.zeros(3)
     wrong[axis] = 1.0
-    found = told(flight(gyro=lambda t_s: wrong))
+    found = alarms(flight(gyro=lambda t_s: wrong))
     assert ("imu", "", True) in {(r.sensor, r.suspect, r.isolated) for r in found}
     assert "mag" not in {r.sensor for r in found}
     assert found[0].t_s - BEGIN_S <= 2.5
@@ -93,36 +93,36 @@ def test_a_gyro_that_turns_further_than_any_field_of_this_size_is_blamed(axis: i
 def test_a_field_that_jumps_without_a_turn_is_the_compass_fault(
     offset_gauss: tuple[float, float, float],
 ) -> None:
-    found = told(flight(mag=rates(*offset_gauss)))
+    found = alarms(flight(mag=rates(*offset_gauss)))
     assert {(r.sensor, r.isolated) for r in found} == {("mag", True)}
     assert found[0].t_s - BEGIN_S <= 2.0
 
 
-def test_a_compass_that_repeats_itself_blames_nobody_else() -> None:
+def test_a_frozen_compass_isolates_no_other_sensor() -> None:
     block = flight(1.0)
     rows = block.rows(1)
     frozen = rows[block.t_us[rows] >= BEGIN_S * 1e6]
     block.values[frozen, :3] = block.values[frozen[0], :3]
-    assert told(block) == []
+    assert alarms(block) == []
 
 
-def test_nothing_is_known_across_a_pause_of_the_gyro_or_of_a_slow_one() -> None:
+def test_nothing_is_tested_across_a_pause_of_the_gyro() -> None:
     block = flight(gyro=rates(0.0, 0.0, 0.1))
     pauses = (block.kind == 0) & (block.t_us % 2_000_000 < 300_000)
     kept = np.flatnonzero(~pauses)
-    assert told(Block(block.kind[kept], block.t_us[kept], block.values[kept], {})) == []
-    assert told(flight(gyro=rates(0.0, 0.0, 0.1), imu_s=0.2)) == []
+    assert alarms(Block(block.kind[kept], block.t_us[kept], block.values[kept], {})) == []
+    assert alarms(flight(gyro=rates(0.0, 0.0, 0.1), imu_s=0.2)) == []
 
 
 @pytest.mark.parametrize(("shakes_rps", "judged"), [(0.0, True), (0.4, False)])
-def test_a_slow_gyro_that_is_shaken_tells_no_turn(shakes_rps: float, judged: bool) -> None:
+def test_a_slow_gyro_under_vibration_shows_no_turn(shakes_rps: float, judged: bool) -> None:
     """Sampled 25 times a second, vibration looks like a slow turn, which it is not."""
     beat = 2.0 * np.pi * 12.0  # close to half of the rate: a sample is up, the next is down
 
     def gyro(t_s: float) -> np.ndarray:
         return np.array([shakes_rps * np.sin(beat * t_s), 0.0, 0.1])
 
-    assert bool(told(flight(gyro=gyro, imu_s=0.04))) == judged
+    assert bool(alarms(flight(gyro=gyro, imu_s=0.04))) == judged
 
 
 def test_how_the_stream_is_cut_changes_nothing() -> None:
@@ -131,6 +131,6 @@ def test_how_the_stream_is_cut_changes_nothing() -> None:
     parts = [
         Block(block.kind[a:b], block.t_us[a:b], block.values[a:b], {}) for a, b in pairwise(edges)
     ]
-    whole = told(block)
+    whole = alarms(block)
     assert whole
-    assert told(*parts) == whole
+    assert alarms(*parts) == whole

@@ -60,7 +60,7 @@ def apart_m(one: Decision, same: Decision) -> float:
 
 
 @pytest.mark.parametrize("speed_mps", [1.0, 1.3, 5.0])
-def test_a_carry_off_is_found_within_three_seconds_and_taken_back(
+def test_a_carry_off_is_detected_within_three_seconds_and_removed(
     speed_mps: float, without_ranges: list[Sample]
 ) -> None:
     clean, found = decided(without_ranges), decided(spoofed(without_ranges, speed_mps))
@@ -73,7 +73,7 @@ def test_a_carry_off_is_found_within_three_seconds_and_taken_back(
 
 
 @pytest.mark.parametrize("speed_mps", [1.0, 5.0])
-def test_it_comes_back_when_the_spoofer_has_ended_and_not_because_the_filter_drifts(
+def test_the_receiver_is_readmitted_after_the_spoofing_and_not_because_the_filter_drifts(
     speed_mps: float, without_ranges: list[Sample]
 ) -> None:
     clean, found = decided(without_ranges), decided(spoofed(without_ranges, speed_mps))
@@ -88,7 +88,7 @@ def test_it_comes_back_when_the_spoofer_has_ended_and_not_because_the_filter_dri
     assert apart_m(found[-1], clean[-1]) < 1.0
 
 
-def test_a_position_that_the_imu_alone_carries_is_soon_without_a_bound(
+def test_a_position_from_the_imu_alone_soon_has_no_bound(
     without_ranges: list[Sample],
 ) -> None:
     clean = decided(without_ranges)
@@ -101,7 +101,7 @@ def test_a_position_that_the_imu_alone_carries_is_soon_without_a_bound(
 
 
 @pytest.mark.parametrize("accel_b_mps2", [0.5, 1.0, 2.0])
-def test_a_wrong_accelerometer_is_told_and_no_receiver_is_blamed_for_it(
+def test_a_faulty_accelerometer_raises_an_alarm_and_the_receiver_is_not_isolated(
     accel_b_mps2: float, without_ranges: list[Sample]
 ) -> None:
     found = decided(pushed(without_ranges, accel_b_mps2, round(FLOWN_S * 1e6)))
@@ -112,7 +112,7 @@ def test_a_wrong_accelerometer_is_told_and_no_receiver_is_blamed_for_it(
 
 
 @pytest.mark.parametrize("growth_mps2", [0.5, 1.0, 2.0])
-def test_a_drag_that_grows_from_nothing_ends_the_bound_before_it_matters(
+def test_a_slowly_growing_drag_ends_the_bound_before_it_matters(
     growth_mps2: float, without_ranges: list[Sample]
 ) -> None:
     clean = decided(without_ranges)
@@ -125,7 +125,7 @@ def test_a_drag_that_grows_from_nothing_ends_the_bound_before_it_matters(
     assert max(apart_m(d, c) for d, c in dragged) > 40.0 * growth_mps2  # it is followed, unbounded
 
 
-def test_a_blow_that_the_imu_overstates_is_no_spoofer(without_ranges: list[Sample]) -> None:
+def test_an_impact_that_the_imu_overstates_is_no_spoofing(without_ranges: list[Sample]) -> None:
     # A tenth of a second: 1.2 m/s, as a step of the receiver's velocity would be.
     found = decided(pushed(without_ranges, 12.0, FROM_US + 100_000))
     assert {decision.hypothesis for decision in found} == {"none"}
@@ -147,7 +147,7 @@ def sinking(v_down_mps: Callable[[float], float]) -> list[Sample]:
     return out
 
 
-def test_a_touch_down_that_the_imu_does_not_show_is_no_spoofer() -> None:
+def test_a_touch_down_that_the_imu_misses_is_no_spoofing() -> None:
     landed = decided(sinking(lambda t_s: 0.7 if t_s < 40.0 else 0.0))
     assert {decision.hypothesis for decision in landed} == {"none"}
     faster = decided(sinking(lambda t_s: 0.7 if t_s < 40.0 else 1.4))
@@ -155,7 +155,7 @@ def test_a_touch_down_that_the_imu_does_not_show_is_no_spoofer() -> None:
 
 
 @pytest.mark.parametrize("speed_mps", [1.7, 2.0, 3.0])
-def test_what_is_carried_off_faster_is_the_receiver_or_undecided_and_then_unbounded(
+def test_a_faster_carry_off_isolates_the_receiver_or_is_undecided_and_unbounded(
     speed_mps: float, without_ranges: list[Sample]
 ) -> None:
     found = decided(spoofed(without_ranges, speed_mps))

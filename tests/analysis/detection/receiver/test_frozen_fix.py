@@ -16,7 +16,7 @@ FREEZES_S, GOES_ON_S, ENDS_S = 40.0, 50.0, 60.0
 
 
 def hover(noise_m: float = 0.1, every_s: float = 0.2, twice: bool = False) -> Block:
-    """Fixes of a hover, which stand between two times; each may be told twice."""
+    """Fixes of a hover, frozen between two times; each may be sent twice."""
     rng = np.random.default_rng(1)
     fixes, held = [], np.zeros(5)
     for k in range(round(ENDS_S / every_s)):
@@ -30,7 +30,7 @@ def hover(noise_m: float = 0.1, every_s: float = 0.2, twice: bool = False) -> Bl
     return block_of(fixes)
 
 
-def told(*blocks: Block) -> list[SensorDecision]:
+def alarms(*blocks: Block) -> list[SensorDecision]:
     watch = FrozenFixDetector()
     state, found = watch.new_state(), []
     for block in blocks:
@@ -40,18 +40,18 @@ def told(*blocks: Block) -> list[SensorDecision]:
 
 
 @pytest.mark.parametrize("twice", [False, True])
-def test_a_fix_that_stands_in_hover_is_told_until_it_goes_on(twice: bool) -> None:
-    found = told(hover(twice=twice))
+def test_a_frozen_fix_in_hover_raises_alarms_until_it_recovers(twice: bool) -> None:
+    found = alarms(hover(twice=twice))
     assert {(r.sensor, r.alarm, r.isolated) for r in found} == {("gps-position", True, True)}
     assert FREEZES_S + 1.0 < found[0].t_s < FREEZES_S + 4.0
     assert GOES_ON_S - 1.0 < found[-1].t_s < GOES_ON_S
 
 
-def test_a_receiver_without_noise_may_stand() -> None:
-    assert not told(hover(noise_m=0.0))
+def test_a_receiver_without_noise_may_repeat_itself() -> None:
+    assert not alarms(hover(noise_m=0.0))
 
 
-def test_a_receiver_that_stood_is_followed_again_where_the_vehicle_went_meanwhile() -> None:
+def test_a_frozen_receiver_is_used_again_after_it_recovers() -> None:
     """A hover that drifts by 3 m while the fix stands, without raw ranges."""
     rng = np.random.default_rng(2)
     samples: list[Sample] = []
@@ -67,8 +67,8 @@ def test_a_receiver_that_stood_is_followed_again_where_the_vehicle_went_meanwhil
                 held = (*rng.normal(0.0, 0.05, 3), *rng.normal(0.0, 0.03, 3))
                 held = (held[0] + north_m, *held[1:])
             place = 47.0 + held[0] / 111_200.0, 8.0 + held[1] / 75_000.0, 500.0 + held[2]
-            told = (*place, np.array(held[3:]), 3, 10, 1.0, 1.5, "HIL_GPS")
-            samples.append(GpsFix(round(t_s * 1e6), *told))
+            alarms = (*place, np.array(held[3:]), 3, 10, 1.0, 1.5, "HIL_GPS")
+            samples.append(GpsFix(round(t_s * 1e6), *alarms))
     found = [
         r for r in run_detector(Detector(DetectorConfig()), samples) if isinstance(r, Decision)
     ]
@@ -80,4 +80,4 @@ def test_how_the_stream_is_cut_changes_nothing() -> None:
     block = hover()
     edges = [0, 1, 205, 206, len(block.kind)]
     parts = [block.between(a, b) for a, b in pairwise(edges)]
-    assert told(*parts) == told(block)
+    assert alarms(*parts) == alarms(block)

@@ -44,7 +44,7 @@ def heading(motion: MotionEstimate) -> tuple[float, float]:
     return float(np.arctan2(rotation[1, 0], rotation[0, 0])), float(np.sqrt(variance))
 
 
-def test_a_hover_does_not_make_the_filter_sure_of_a_wrong_heading() -> None:
+def test_a_hover_does_not_make_the_filter_certain_of_a_wrong_heading() -> None:
     detector = Detector(DetectorConfig())
     state = detector.new_state()
     for sample in hovering(90.0):
@@ -58,7 +58,7 @@ def test_a_hover_does_not_make_the_filter_sure_of_a_wrong_heading() -> None:
 
 
 @pytest.mark.parametrize(("level_mps2", "sigma"), [(0.01, 0.6), (0.5, 0.4), (4.0, 0.05)])
-def test_an_update_leaves_as_much_doubt_as_the_acceleration_does(
+def test_an_update_gives_no_more_heading_information_than_the_acceleration(
     level_mps2: float, sigma: float
 ) -> None:
     """Before it 0.6 rad, after it 0.05: what it may have learnt lies between, at 0.2 / 0.5."""

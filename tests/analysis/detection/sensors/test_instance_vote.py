@@ -37,15 +37,15 @@ def flight(count: int, wrong: int | None = None, bias: np.ndarray = HEAVY) -> Bl
     return block_of(samples)
 
 
-def told(block: Block) -> list[SensorDecision]:
+def alarms(block: Block) -> list[SensorDecision]:
     vote = InstanceVoteDetector()
     return [result for _, result in vote.step(block, vote.new_state())[0]]
 
 
 @pytest.mark.parametrize("bias", [LIGHT, HEAVY], ids=["gyro", "accelerometer"])
 @pytest.mark.parametrize("wrong", [0, 1, 2])
-def test_one_against_two_is_blamed(wrong: int, bias: np.ndarray) -> None:
-    found = told(flight(3, wrong, bias))
+def test_a_sensor_that_disagrees_with_two_is_isolated(wrong: int, bias: np.ndarray) -> None:
+    found = alarms(flight(3, wrong, bias))
     assert {result.reason for result in found} == {f"IMU {wrong + 1} disagrees with the others"}
     assert all(result.isolated for result in found)
     assert WRONG_S[0] * 1e6 < found[0].t_us <= (WRONG_S[0] + 1.5) * 1e6
@@ -53,24 +53,24 @@ def test_one_against_two_is_blamed(wrong: int, bias: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("wrong", [0, 1])
-def test_of_two_that_disagree_nobody_is_blamed(wrong: int) -> None:
-    found = told(flight(2, wrong))
+def test_of_two_that_disagree_none_is_isolated(wrong: int) -> None:
+    found = alarms(flight(2, wrong))
     assert {result.reason for result in found} == {"IMU 1 and IMU 2 disagree"}
     assert all(result.alarm and not result.isolated for result in found)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_offsets_that_stay_are_no_disagreement(count: int) -> None:
-    assert told(flight(count)) == []
+def test_constant_offsets_are_no_disagreement(count: int) -> None:
+    assert alarms(flight(count)) == []
 
 
-def test_imus_that_are_shaken_do_not_disagree() -> None:
+def test_imus_under_vibration_do_not_disagree() -> None:
     """Each is sampled at other instants of a vibration that is far from what they are used to."""
     rng = np.random.default_rng(3)
     block = flight(2)
     shaken = (block.t_us > WRONG_S[0] * 1e6) & (block.t_us < WRONG_S[1] * 1e6)
     block.values[shaken, 3:6] += rng.normal(0.0, 20.0, (int(shaken.sum()), 3))
-    assert told(block) == []
+    assert alarms(block) == []
 
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
@@ -80,7 +80,7 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
     for row in range(len(whole.kind)):
         found, state = vote.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
-    assert one_by_one == told(whole)
+    assert one_by_one == alarms(whole)
 
 
 NUMBERS = {
@@ -127,9 +127,9 @@ def doubled(kind: int, count: int, wrong: int | None) -> Block:
 
 @pytest.mark.parametrize("kind", [MAG, BARO])
 @pytest.mark.parametrize("wrong", [0, 1, 2])
-def test_of_three_magnetometers_or_barometers_the_one_is_named(kind: int, wrong: int) -> None:
+def test_the_faulty_one_of_three_mags_or_barometers_is_named(kind: int, wrong: int) -> None:
     channel, name = NAMES[kind]
-    found = told(doubled(kind, 3, wrong))
+    found = alarms(doubled(kind, 3, wrong))
     assert {(r.sensor, r.reason, r.isolated) for r in found} == {
         (channel, f"{name} {wrong + 1} disagrees with the others", True)
     }
@@ -138,24 +138,24 @@ def test_of_three_magnetometers_or_barometers_the_one_is_named(kind: int, wrong:
 
 @pytest.mark.parametrize("kind", [MAG, BARO])
 @pytest.mark.parametrize("wrong", [0, 1])
-def test_of_two_that_disagree_both_are_named_and_nobody_blamed(kind: int, wrong: int) -> None:
+def test_of_two_that_disagree_both_are_named_and_none_is_isolated(kind: int, wrong: int) -> None:
     channel, name = NAMES[kind]
-    found = told(doubled(kind, 2, wrong))
+    found = alarms(doubled(kind, 2, wrong))
     assert {(r.sensor, r.reason, r.isolated) for r in found} == {
         (channel, f"{name} 1 and {name} 2 disagree", False)
     }
 
 
-def test_two_receivers_that_part_are_told() -> None:
+def test_two_receivers_that_diverge_raise_an_alarm() -> None:
     once = list(doubled(FIX, 2, None).samples())
     # Ten windows of two seconds are learnt first.
     longer = [replace(s, t_us=s.t_us + lap * 30_000_000) for lap in range(4) for s in once]
-    assert told(block_of(longer)) == []
+    assert alarms(block_of(longer)) == []
     parted = [
         moved(sample) if sample.t_us > 100_000_000 and isinstance(sample, SpareSample) else sample
         for sample in longer
     ]
-    found = told(block_of(parted))
+    found = alarms(block_of(parted))
     assert {(r.sensor, r.reason) for r in found} == {
         ("gps-position", "receiver 1 and receiver 2 disagree")
     }
@@ -166,12 +166,12 @@ def moved(sample: SpareSample) -> SpareSample:
 
 
 @pytest.mark.parametrize("kind", [MAG, BARO, FIX])
-def test_further_sensors_that_agree_are_not_told_of(kind: int) -> None:
-    assert told(doubled(kind, 3, None)) == []
+def test_additional_sensors_that_agree_raise_no_alarm(kind: int) -> None:
+    assert alarms(doubled(kind, 3, None)) == []
 
 
 @pytest.mark.parametrize("silent", [1, 2])
-def test_a_further_magnetometer_that_no_longer_comes_is_told(silent: int) -> None:
+def test_an_additional_magnetometer_that_falls_silent_raises_an_alarm(silent: int) -> None:
     rng = np.random.default_rng(2)
     samples: list[Sample] = []
     for k in range(int(ENDS_S * 10)):
@@ -182,7 +182,7 @@ def test_a_further_magnetometer_that_no_longer_comes_is_told(silent: int) -> Non
             field = np.array([0.2, 0.0, 0.4]) + rng.normal(0.0, 0.002, 3)
             spare = SpareSample(t_us, MAG, number, field)
             samples.append(MagSample(t_us, field) if number == 0 else spare)
-    found = told(block_of(samples))
+    found = alarms(block_of(samples))
     assert {result.sensor for result in found} == {"mag"}
     assert found[0].reason == f"silent for 3 s: magnetometer {silent + 1}"
     assert WRONG_S[0] + 3.0 <= found[0].t_s <= WRONG_S[0] + 4.0

@@ -19,9 +19,9 @@ BEGIN_S, END_S = 100.0, 130.0
 Fall = Callable[[float], np.ndarray]
 
 
-def told(block: Block) -> list[SensorDecision]:
-    watch = JammingDetector()
-    return [result for _, result in watch.step(block, watch.new_state())[0]]
+def alarms(block: Block) -> list[SensorDecision]:
+    detector = JammingDetector()
+    return [result for _, result in detector.step(block, detector.new_state())[0]]
 
 
 def sky(fall_db: Fall, step_s: float = 1.0, until_s: float = 160.0) -> Block:
@@ -48,8 +48,8 @@ def everybody(loss_db: float) -> Fall:
 @pytest.mark.parametrize(
     "fall", [everybody(10.0), everybody(25.0), lambda t_s: np.full(len(SATELLITES), 1.0 * t_s)]
 )
-def test_a_jammer_is_told_while_it_lasts(fall: Fall, step_s: float) -> None:
-    found = told(sky(fall, step_s))
+def test_a_jammer_raises_alarms_while_it_lasts(fall: Fall, step_s: float) -> None:
+    found = alarms(sky(fall, step_s))
     assert {(result.sensor, result.suspect) for result in found} == {("satellites", "")}
     assert all("jamming" in result.reason for result in found)
     # A jammer that comes nearer by a decibel a second has taken 10 dB by then.
@@ -57,16 +57,16 @@ def test_a_jammer_is_told_while_it_lasts(fall: Fall, step_s: float) -> None:
     assert END_S - 1.0 - step_s <= found[-1].t_s < END_S
 
 
-def test_signals_that_vanish_are_told_without_a_reason_for_it() -> None:
-    vanished = told(sky(lambda _: np.array([np.nan] * 6 + [20.0, 20.0])))
+def test_vanished_signals_are_reported_without_a_cause() -> None:
+    vanished = alarms(sky(lambda _: np.array([np.nan] * 6 + [20.0, 20.0])))
     assert {result.reason for result in vanished} == {"most signals are lost"}
 
 
-def test_a_jammer_that_comes_so_near_that_signals_vanish_stays_one_event() -> None:
+def test_a_jammer_near_enough_to_erase_signals_is_one_event() -> None:
     def fall(t_s: float) -> np.ndarray:
         return np.full(len(SATELLITES), np.nan if t_s > 20.0 else t_s)
 
-    found = told(sky(fall))
+    found = alarms(sky(fall))
     gaps_s = np.diff([result.t_s for result in found])
     assert gaps_s.max() == 1.0
     assert found[-1].t_s == END_S - 1.0
@@ -85,8 +85,8 @@ def test_a_jammer_that_comes_so_near_that_signals_vanish_stays_one_event() -> No
         lambda _: np.array([3.0, 5.0, 5.0, 7.0, 7.0, 9.0, 12.0, 13.0]),
     ],
 )
-def test_what_takes_signals_from_some_is_no_jammer(fall: Fall) -> None:
-    assert told(sky(fall)) == []
+def test_weaker_signals_of_some_satellites_are_no_jammer(fall: Fall) -> None:
+    assert alarms(sky(fall)) == []
 
 
 def test_a_jammer_of_one_band_leaves_the_others_as_they_are() -> None:
@@ -100,15 +100,15 @@ def test_a_jammer_of_one_band_leaves_the_others_as_they_are() -> None:
             round(t_s * 1e6), 2300, t_s, names, *np.full((2, 16), np.nan), strong, carriers
         )
 
-    assert told(block_of(epoch(t_s) for t_s in np.arange(0.0, 160.0)))[0].t_s == BEGIN_S + 2.0
+    assert alarms(block_of(epoch(t_s) for t_s in np.arange(0.0, 160.0)))[0].t_s == BEGIN_S + 2.0
 
 
-def test_few_satellites_tell_nothing() -> None:
+def test_few_satellites_are_not_tested() -> None:
     assert common_loss_db([20.0, 20.0, 20.0]) == 0.0
 
 
-def test_weak_signals_are_usual_after_a_while() -> None:
-    watch = JammingDetector()
+def test_weak_signals_become_usual_after_a_while() -> None:
+    detector = JammingDetector()
     weak = block_of(
         Epoch(
             round(t_s * 1e6), 2300, t_s, SATELLITES, *np.full((2, 8), np.nan),
@@ -116,26 +116,26 @@ def test_weak_signals_are_usual_after_a_while() -> None:
         )
         for t_s in np.arange(0.0, 500.0)
     )  # fmt: skip
-    found, _ = watch.step(weak, watch.new_state())
+    found, _ = detector.step(weak, detector.new_state())
     assert 340.0 < found[-1][1].t_s < 360.0
 
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
-    whole, watch = sky(everybody(10.0)), JammingDetector()
-    state, one_by_one = watch.new_state(), []
+    whole, detector = sky(everybody(10.0)), JammingDetector()
+    state, one_by_one = detector.new_state(), []
     for row in range(len(whole.kind)):
-        found, state = watch.step(whole.between(row, row + 1), state)
+        found, state = detector.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
-    assert one_by_one == told(whole)
+    assert one_by_one == alarms(whole)
 
 
-def test_a_recording_that_is_jammed_is_told_and_a_clean_one_is_not(shared_data: Path) -> None:
+def test_a_jammed_recording_raises_an_alarm_and_a_clean_one_does_not(shared_data: Path) -> None:
     folder = shared_data / "gnss_static"
     obs, nav = folder / "SEPT078M.21O", folder / "SEPT078M.21P"
-    assert told(read_rinex(obs, nav)) == []
+    assert alarms(read_rinex(obs, nav)) == []
     jammer = {"preset": "gnss-jamming-growing", "at_s": 100, "for_s": 60}
     lines, _ = faulted_lines(obs, parse_schedule({"faults": [jammer]}), [nav])
     block = read_rinex(obs, nav, None, lines)
-    found = told(block)
+    found = alarms(block)
     first_us = min(sample.t_us for sample in block.samples() if isinstance(sample, Epoch))
     assert 100.0 < (found[0].t_us - first_us) * 1e-6 <= 110.0

@@ -20,9 +20,9 @@ def flight(make: Callable[[int, bool], Sample], hz: float = 10.0) -> Block:
     return block_of([make(t_us, CHANGES_S <= t_us * 1e-6 < BACK_S) for t_us in stamps])
 
 
-def told(block: Block) -> list[SensorDecision]:
-    watch = LevelDetector()
-    return [result for _, result in watch.step(block, watch.new_state())[0]]
+def alarms(block: Block) -> list[SensorDecision]:
+    detector = LevelDetector()
+    return [result for _, result in detector.step(block, detector.new_state())[0]]
 
 
 def field_of(factor: float, noise_gauss: float = 0.002) -> Callable[[int, bool], Sample]:
@@ -55,10 +55,10 @@ def fix_of(fix_type: int) -> Callable[[int, bool], Sample]:
         (fix_of(2), "gps-position"),
     ],
 )
-def test_who_leaves_its_level_is_blamed_while_it_does(
+def test_a_sensor_is_isolated_while_it_is_off_its_level(
     make: Callable[[int, bool], Sample], sensor: str
 ) -> None:
-    found = told(flight(make))
+    found = alarms(flight(make))
     assert {result.sensor for result in found} == {sensor}
     assert all(result.isolated for result in found)
     assert 300_000 <= found[0].t_us - CHANGES_S * 1e6 < 1_000_000
@@ -66,14 +66,14 @@ def test_who_leaves_its_level_is_blamed_while_it_does(
 
 
 @pytest.mark.parametrize("make", [field_of(1.05), fix_of(4)])
-def test_small_changes_blame_nobody(make: Callable[[int, bool], Sample]) -> None:
-    assert told(flight(make)) == []
+def test_small_changes_isolate_no_sensor(make: Callable[[int, bool], Sample]) -> None:
+    assert alarms(flight(make)) == []
 
 
 @pytest.mark.parametrize("block_s", [0.1, 1.0, 20.0])
-@pytest.mark.parametrize(("rate_rps", "blamed"), [(28.0, False), (0.1, True)])
-def test_a_field_that_a_tumble_averages_away_is_no_fault(
-    rate_rps: float, blamed: bool, block_s: float
+@pytest.mark.parametrize(("rate_rps", "found_isolated"), [(28.0, False), (0.1, True)])
+def test_a_field_averaged_away_by_a_tumble_is_no_fault(
+    rate_rps: float, found_isolated: bool, block_s: float
 ) -> None:
     # As a falling hexacopter was logged: 25 samples of the gyro a second, some ten of the compass.
     make, samples = field_of(0.8), list[Sample]()
@@ -84,38 +84,38 @@ def test_a_field_that_a_tumble_averages_away_is_no_fault(
         samples.append(ImuSample(t_us, rates, np.array([0.0, 0.0, -9.81])))
         if k % 3 == 0:
             samples.append(make(t_us, tumbles))
-    watch = LevelDetector()
-    state, found = watch.new_state(), []
+    detector = LevelDetector()
+    state, found = detector.new_state(), []
     for first in range(0, len(samples), n := round(block_s * 33)):
-        found += watch.step(block_of(samples[first : first + n]), state)[0]
-    assert bool(found) == blamed
+        found += detector.step(block_of(samples[first : first + n]), state)[0]
+    assert bool(found) == found_isolated
 
 
 def test_a_noisy_field_has_to_change_by_more() -> None:
-    assert told(flight(field_of(1.15, noise_gauss=0.1))) == []
+    assert alarms(flight(field_of(1.15, noise_gauss=0.1))) == []
 
 
-def test_what_lasts_becomes_the_usual_level() -> None:
+def test_a_lasting_level_becomes_the_usual_one() -> None:
     stamps = range(0, 60_000_000, 100_000)
     block = block_of([fix_of(2)(t_us, t_us > 10_000_000) for t_us in stamps])
-    assert 29.0 < told(block)[-1].t_us * 1e-6 < 31.0
+    assert 29.0 < alarms(block)[-1].t_us * 1e-6 < 31.0
 
 
 @pytest.mark.parametrize("lasts_s", [20.1, 20.3, 25.0, 40.0])
-def test_who_comes_back_from_what_has_become_usual_is_not_off_again(lasts_s: float) -> None:
+def test_a_return_from_a_level_that_became_usual_is_no_new_step(lasts_s: float) -> None:
     make, begin_s = field_of(1.3), 10.0
     stamps = range(0, 90_000_000, 20_000)
     block = block_of([make(t_us, begin_s <= t_us * 1e-6 < begin_s + lasts_s) for t_us in stamps])
-    found = told(block)
+    found = alarms(block)
     assert found[0].t_us * 1e-6 < begin_s + 1.0
     assert found[-1].t_us * 1e-6 < begin_s + 20.6
 
 
 def test_the_cut_into_blocks_changes_nothing() -> None:
     whole = flight(field_of(1.3))
-    watch = LevelDetector()
-    state, one_by_one = watch.new_state(), []
+    detector = LevelDetector()
+    state, one_by_one = detector.new_state(), []
     for row in range(len(whole.kind)):
-        found, state = watch.step(whole.between(row, row + 1), state)
+        found, state = detector.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
-    assert one_by_one == told(whole)
+    assert one_by_one == alarms(whole)

@@ -63,7 +63,7 @@ def level() -> tuple[list[tuple[int, int, np.ndarray]], list[float]]:
     return rows, [0.0] * EPOCHS
 
 
-def test_a_fix_that_comes_late_holds_no_other_sample_against_an_old_state() -> None:
+def test_a_late_fix_does_not_test_other_samples_with_an_old_state() -> None:
     rows, rolls = level()
     epoch_us = (EPOCHS - 1) * STEP_US
     body, _ = turned(0.2)
@@ -81,9 +81,7 @@ def test_a_fix_that_comes_late_holds_no_other_sample_against_an_old_state() -> N
 
 
 @pytest.mark.parametrize(("rate_rps", "alarm"), [(0.0, True), (3.0, False)])
-def test_a_sample_of_a_moment_ago_may_have_been_taken_in_another_attitude(
-    rate_rps: float, alarm: bool
-) -> None:
+def test_an_older_sample_may_have_another_attitude(rate_rps: float, alarm: bool) -> None:
     rows, rolls = level()
     epoch_us = EPOCHS * STEP_US
     rows.append((kinds.IMU, epoch_us - 60_000, np.array([rate_rps, 0.0, 0.0])))

@@ -35,7 +35,7 @@ SENSORS = ("baro", "airspeed", "mag", "range", "vision", "gps-position", "gps-ve
 
 
 def readings(truth: TruthSample, rng: np.random.Generator, fault: str) -> list[Sample]:
-    """What sound sensors say at the truth, one of them faulty between FROM_S and UNTIL_S."""
+    """What healthy sensors measure at the truth, one of them faulty between FROM_S and UNTIL_S."""
     bad = {name: 0.0 for name in SENSORS}
     if FROM_S <= truth.t_us * 1e-6 < UNTIL_S and fault:
         bad[fault] = 1.0
@@ -88,7 +88,7 @@ def judged(samples: list[Sample]) -> list[SensorDecision]:
     return [r for r in results if isinstance(r, SensorDecision)]
 
 
-def test_sound_sensors_raise_no_alarm(flight):
+def test_healthy_sensors_raise_no_alarm(flight):
     found = judged(with_sensors(flight, ""))
     assert {r.sensor for r in found} >= set(SENSORS)
     assert not [r for r in found if r.alarm]
@@ -105,7 +105,7 @@ def test_a_faulty_sensor_alone_is_isolated(flight, sensor: str):
     assert first.t_s == pytest.approx(FROM_S, abs=0.41)
 
 
-def test_a_receiver_that_jumps_is_told_from_the_imu_without_raw_ranges(shared_data: Path):
+def test_a_jumping_receiver_is_separable_from_the_imu_without_raw_ranges(shared_data: Path):
     path = next((shared_data / "px4_hil").glob("*_hil.tlog"))
     samples = [sample for block in read_log(path) for sample in block.samples()]
     found = [
@@ -118,7 +118,7 @@ def test_a_receiver_that_jumps_is_told_from_the_imu_without_raw_ranges(shared_da
     assert out[-1] == pytest.approx(56.0 + DetectorConfig().readmit_s, abs=0.5)
 
 
-def test_a_faulty_imu_is_told_from_the_receiver_without_raw_ranges(flights):
+def test_a_faulty_imu_is_separable_from_the_receiver_without_raw_ranges(flights):
     samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
     faulty = [
         replace(s, accel_b_mps2=s.accel_b_mps2 + np.array([0.0, 8.0, 0.0]))
@@ -142,7 +142,7 @@ def spoofed(sample: Sample, speed_mps: float) -> Sample:
     return replace(sample, lat_deg=sample.lat_deg + away_deg, v_ned_mps=v_ned_mps)
 
 
-def test_a_spoofer_that_moves_position_and_velocity_together_is_not_taken_for_the_imu(flights):
+def test_spoofing_of_position_and_velocity_together_does_not_isolate_the_imu(flights):
     samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
     spoof = [spoofed(s, 5.0) for s in samples]
     found = [r for r in run_detector(Detector(DetectorConfig()), spoof) if isinstance(r, Decision)]
@@ -152,7 +152,7 @@ def test_a_spoofer_that_moves_position_and_velocity_together_is_not_taken_for_th
     assert {d.hypothesis for d in alarms} == {"gps"}
 
 
-def test_what_may_be_the_receiver_or_the_imu_is_called_so_and_bounds_no_position(flights):
+def test_an_undecided_receiver_or_imu_is_reported_so_and_its_position_is_unbounded(flights):
     samples = [s for s in flights(45.0, 2, with_fix=True) if not isinstance(s, Epoch)]
     faulty = [
         replace(s, gyro_b_rps=s.gyro_b_rps + np.array([0.1, 0.0, 0.0]))
@@ -167,7 +167,7 @@ def test_what_may_be_the_receiver_or_the_imu_is_called_so_and_bounds_no_position
     assert first.excluded == ()
 
 
-def test_a_field_of_the_right_size_in_a_wrong_direction_is_held_against_nobody(flight):
+def test_a_field_of_the_right_size_in_a_wrong_direction_isolates_no_sensor(flight):
     across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     samples = [
         replace(s, field_b_gauss=across @ s.field_b_gauss)
@@ -193,8 +193,8 @@ def test_a_fix_that_is_none_is_untestable():
         assert reason in result.reason
 
 
-def test_what_is_held_against_a_sample_is_not_dated_before_it(flight):
-    # An epoch that is told 60 ms after its stamp, when newer readings are there already.
+def test_a_result_is_not_older_than_its_sample(flight):
+    # An epoch that is decided 60 ms after its stamp, when newer readings are there already.
     begun_us = round((FROM_S + 0.03) * 1e6)
     samples = [
         replace(s, t_us=s.t_us + 64_000) if isinstance(s, MagSample) else s
@@ -229,9 +229,9 @@ def test_an_impact_with_the_ground_is_not_the_receivers_fault():
     assert {r.hypothesis for r in decisions if isinstance(r, Decision)} == {"none"}
 
 
-def test_a_velocity_that_stands_still_while_the_position_moves_is_the_receivers_fault():
+def test_a_frozen_velocity_of_a_moving_position_is_the_receivers_fault():
     fixes = falling(20.0, 60)
     lying = [replace(s, v_ned_mps=np.zeros(3)) for s in fixes[30:] if isinstance(s, GpsFix)]
     decisions = run_detector(Detector(DetectorConfig()), [*fixes[:30], *lying])
-    blamed = [r for r in decisions if isinstance(r, Decision) and r.hypothesis == "gps"]
-    assert blamed[0].t_us <= 200_000 * 31
+    found_isolated = [r for r in decisions if isinstance(r, Decision) and r.hypothesis == "gps"]
+    assert found_isolated[0].t_us <= 200_000 * 31

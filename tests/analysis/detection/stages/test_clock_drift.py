@@ -18,7 +18,7 @@ def motion(t_s: float, drift_mps: float, sigma_mps: float) -> MotionEstimate:
 
 
 def alarms(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[int]:
-    """The epochs, by number, at which a filter with these drifts raises an alarm on its clock."""
+    """The epochs, by number, at which a filter with these drifts raises an alarm."""
     history: tuple[EpochRecord, ...] = ()
     numbers = []
     for number, drift in enumerate(drifts_mps):
@@ -32,15 +32,15 @@ def alarms(drifts_mps: Vector, every_s: float, sigma_mps: float = 0.1) -> list[i
 
 
 @pytest.mark.parametrize("every_s", [0.2, 1.0])
-def test_a_sudden_change_of_drift_raises_the_alarm_for_a_second(every_s: float) -> None:
+def test_a_clock_that_runs_away_raises_alarms_for_a_second(every_s: float) -> None:
     drifts = np.repeat([100.0, 130.0], 20)
     assert alarms(drifts, every_s) == list(range(20, 20 + round(1.0 / every_s)))
 
 
-def test_neither_a_warming_crystal_nor_an_uncertain_clock_raises_it() -> None:
+def test_a_warming_crystal_and_an_uncertain_clock_raise_no_alarm() -> None:
     assert not alarms(np.arange(100) * 0.2 * 10.0, 0.2)  # 33 nanoseconds each second, every second
     assert not alarms(np.repeat([0.0, 30.0], 20), 0.2, sigma_mps=2.0)
 
 
-def test_after_a_gap_no_alarm_is_raised() -> None:
+def test_after_a_gap_there_is_no_result() -> None:
     assert not alarms(np.array([0.0, 0.0, 200.0]), 3.0)

@@ -48,8 +48,8 @@ def stream(seconds: float = 20, speed_mps: float = 5.0, step_pa: float = 0.0) ->
 
 
 def troubles(samples: Sequence[Sample]) -> list[SensorDecision]:
-    watch = StreamDetector()
-    found, _ = watch.step(block_of(samples), watch.new_state())
+    detector = StreamDetector()
+    found, _ = detector.step(block_of(samples), detector.new_state())
     return [result for _, result in found]
 
 
@@ -81,26 +81,26 @@ DONE = {
         lambda sample: replace(sample, lat_deg=47.0004),
         *("gps-position", "the same value for 1.00 s", 11.0),
     ),
-    "time stands": (
+    "time is frozen": (
         MagSample,
         lambda sample: replace(sample, t_us=BEGIN_US),
-        *("mag", "its time stands still", 10.1),
+        *("mag", "its timestamp is frozen", 10.1),
     ),
     "time goes back": (
         ImuSample,
         lambda sample: replace(sample, t_us=sample.t_us - 3 * SECOND),
-        *("imu", "its time goes back by 2.99 s", 10.0),
+        *("imu", "its timestamp jumps back by 2.99 s", 10.0),
     ),
-    "time leaps ahead": (
+    "time jumps ahead": (
         MagSample,
         lambda sample: replace(sample, t_us=sample.t_us + SECOND),
-        *("mag", "its time leaps 1.00 s ahead", 10.0),
+        *("mag", "its timestamp jumps 1.00 s ahead", 10.0),
     ),
 }
 
 
 @pytest.mark.parametrize("case", DONE.values(), ids=DONE.keys())
-def test_a_stream_in_trouble_is_named_at_once_with_its_reason_and_no_other(case: tuple) -> None:
+def test_an_anomalous_stream_is_named_at_once_with_its_reason_and_no_other(case: tuple) -> None:
     kind, change, sensor, reason, t_s = case
     found = troubles(changed(kind, change))
     assert {result.sensor for result in found} == {sensor}
@@ -110,11 +110,11 @@ def test_a_stream_in_trouble_is_named_at_once_with_its_reason_and_no_other(case:
 
 
 @pytest.mark.parametrize("options", [{}, {"speed_mps": 0.0}, {"step_pa": 4.0}])
-def test_a_sound_stream_is_left_alone(options: dict[str, float]) -> None:
+def test_a_healthy_stream_raises_no_alarm(options: dict[str, float]) -> None:
     assert troubles(stream(40, **options)) == []
 
 
-def test_a_number_that_stood_before_may_stand_again() -> None:
+def test_a_value_that_has_repeated_before_may_repeat_again() -> None:
     """A compass that is logged in whole milligauss does not show that a vehicle hovers."""
     rng = np.random.default_rng(4)
 
@@ -126,7 +126,7 @@ def test_a_number_that_stood_before_may_stand_again() -> None:
     assert troubles(samples) == []
 
 
-def test_what_an_autopilot_passes_on_of_its_receiver_is_no_stream_of_its_own() -> None:
+def test_fixes_that_an_autopilot_forwards_are_no_stream() -> None:
     samples: list[Sample] = []
     for sample in stream():
         samples.append(sample)
@@ -136,20 +136,20 @@ def test_what_an_autopilot_passes_on_of_its_receiver_is_no_stream_of_its_own() -
     assert troubles(samples) == []
 
 
-def test_a_pause_of_everything_is_the_links_and_nobody_elses() -> None:
+def test_a_pause_of_everything_is_the_links_fault_alone() -> None:
     found = troubles([s for s in stream() if not BEGIN_US <= s.t_us < END_US])
     assert {result.sensor for result in found} == {"link"}
     first, last = found[0], found[-1]
     assert (first.t_us * 1e-6, last.t_us * 1e-6) == pytest.approx((10.5, 14.0), abs=0.02)
 
 
-def test_a_log_that_pauses_blames_no_link() -> None:
-    watch = StreamDetector(link=False)
+def test_a_pausing_log_is_not_a_lost_link() -> None:
+    detector = StreamDetector(link=False)
     block = block_of([s for s in stream() if not BEGIN_US <= s.t_us < END_US])
-    assert watch.step(block, watch.new_state())[0] == []
+    assert detector.step(block, detector.new_state())[0] == []
 
 
-def test_who_comes_while_a_pause_is_not_yet_understood_is_silent_from_then_on() -> None:
+def test_a_stream_received_during_an_unresolved_pause_is_silent_from_then_on() -> None:
     back_us, last_us = BEGIN_US + 600_000, BEGIN_US + 800_000
     found = troubles(
         [
@@ -165,10 +165,10 @@ def test_who_comes_while_a_pause_is_not_yet_understood_is_silent_from_then_on() 
 
 
 @pytest.mark.parametrize("last_us", [20_000, 40_000, 60_000, 80_000, 100_000])
-def test_a_witness_of_time_alone_does_not_carry_it_on_over_a_pause_of_half_a_second(
+def test_samples_that_only_show_the_time_do_not_advance_it_over_a_pause(
     last_us: int,
 ) -> None:
-    watch = StreamDetector(link=False)
+    detector = StreamDetector(link=False)
     slow: dict[type, int] = {
         AttitudeSample: 100_000,
         ImuSample: 40_000,
@@ -179,10 +179,10 @@ def test_a_witness_of_time_alone_does_not_carry_it_on_over_a_pause_of_half_a_sec
     # The IMU goes on a little before the rest, as it comes more often.
     until_us = BEGIN_US + 460_000 + last_us
     block = block_of([s for s in kept if not BEGIN_US + last_us < s.t_us < until_us])
-    assert watch.step(block, watch.new_state())[0] == []
+    assert detector.step(block, detector.new_state())[0] == []
 
 
-def test_sensors_that_share_a_clock_which_leaps_are_told_and_those_that_do_not_are_sound() -> None:
+def test_sensors_with_a_jumping_clock_raise_an_alarm_and_others_do_not() -> None:
     ahead = (ImuSample, MagSample, GpsFix)
     samples = [
         replace(sample, t_us=sample.t_us + SECOND // 2)
@@ -194,13 +194,13 @@ def test_sensors_that_share_a_clock_which_leaps_are_told_and_those_that_do_not_a
     found = troubles(samples)
     assert {result.sensor for result in found} == {"imu", "mag", "gps-position"}
     assert {result.reason for result in found} <= {
-        *("its time leaps 0.50 s ahead", "its time leaps 0.51 s ahead"),
-        *("its time leaps 0.52 s ahead", "its time leaps 0.69 s ahead"),
+        *("its timestamp jumps 0.50 s ahead", "its timestamp jumps 0.51 s ahead"),
+        *("its timestamp jumps 0.52 s ahead", "its timestamp jumps 0.69 s ahead"),
     }
     assert all(BEGIN_US - 20_000 <= result.t_us <= END_US for result in found)
 
 
-def test_a_stream_alone_is_believed_after_a_second() -> None:
+def test_a_jump_of_one_stream_is_accepted_after_a_second() -> None:
     alone = [s for s in stream() if isinstance(s, MagSample)]
     found = troubles([s for s in alone if not BEGIN_US <= s.t_us < END_US])
     assert {result.sensor for result in found} == {"link"}
@@ -208,10 +208,10 @@ def test_a_stream_alone_is_believed_after_a_second() -> None:
 
 def test_blocks_of_any_length_say_the_same() -> None:
     samples = changed(BaroSample, lambda sample: None)
-    watch, state = StreamDetector(), StreamDetector().new_state()
+    detector, state = StreamDetector(), StreamDetector().new_state()
     found = []
     for begin in range(0, len(samples), 37):
-        results, state = watch.step(block_of(samples[begin : begin + 37]), state)
+        results, state = detector.step(block_of(samples[begin : begin + 37]), state)
         found += [result for _, result in results]
     assert found == troubles(samples)
 
@@ -229,20 +229,20 @@ def every_other(samples: Sequence[Sample], *kinds: type) -> list[Sample]:
     return kept
 
 
-def test_a_stream_that_comes_half_as_often_is_told_until_it_comes_as_before() -> None:
+def test_a_halved_rate_raises_alarms_until_it_recovers() -> None:
     found = troubles(every_other(stream(), BaroSample))
     assert {result.sensor for result in found} == {"baro"}
-    assert found[0].reason.startswith("comes 0.")
+    assert found[0].reason.startswith("rate is 0.")
     assert BEGIN_US + SECOND < found[0].t_us < END_US
     assert found[-1].t_us < END_US + 2 * SECOND
 
 
-def test_when_all_come_half_as_often_it_is_the_link() -> None:
+def test_when_all_rates_halve_the_link_is_at_fault() -> None:
     kinds = (ImuSample, MagSample, BaroSample, GpsFix)
     assert {result.sensor for result in troubles(every_other(stream(), *kinds))} == {"link"}
 
 
-def test_a_rate_that_stays_is_the_usual_one_after_a_while() -> None:
+def test_a_lasting_rate_becomes_the_usual_one() -> None:
     samples = [
         sample
         for at, sample in enumerate(stream(60))
@@ -254,11 +254,11 @@ def test_a_rate_that_stays_is_the_usual_one_after_a_while() -> None:
 
 
 @pytest.mark.parametrize("for_us", [SECOND // 3, 4 * SECOND // 10])
-def test_a_short_pause_of_everything_makes_no_stream_seldom(for_us: int) -> None:
+def test_a_short_pause_of_everything_makes_no_stream_sparse(for_us: int) -> None:
     assert troubles([s for s in stream() if not BEGIN_US <= s.t_us < BEGIN_US + for_us]) == []
 
 
-def test_samples_that_were_kept_back_and_come_at_once_are_told() -> None:
+def test_delayed_samples_that_come_at_once_are_a_burst() -> None:
     samples: list[Sample] = []
     kept: list[Sample] = []
     for sample in stream():
@@ -276,7 +276,7 @@ def test_samples_that_were_kept_back_and_come_at_once_are_told() -> None:
     assert {result.sensor for result in found} == {"mag"}
 
 
-def test_a_receiver_that_comes_half_a_second_later_than_usual_is_told() -> None:
+def test_a_receiver_half_a_second_later_than_usual_raises_an_alarm() -> None:
     late = [
         (s.t_us + SECOND // 2 if isinstance(s, GpsFix) and s.t_us >= BEGIN_US else s.t_us, s)
         for s in stream()

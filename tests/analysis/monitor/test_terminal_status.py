@@ -21,10 +21,10 @@ def attitude(t_s: float) -> AttitudeError:
 
 
 @pytest.mark.parametrize(("later_s", "old"), [(2.0, False), (9.0, True)])
-def test_a_verdict_that_nobody_repeats_is_told_as_old(later_s: float, old: bool) -> None:
+def test_a_verdict_that_is_not_repeated_is_shown_as_old(later_s: float, old: bool) -> None:
     watch = TerminalStatus()
-    told: list[Result] = [alarm(10.0), attitude(10.0 + later_s)]
-    watch.show(told)
+    results: list[Result] = [alarm(10.0), attitude(10.0 + later_s)]
+    watch.show(results)
     console = Console(width=120, record=True)
     console.print(watch._table(later_s))
     text = console.export_text()

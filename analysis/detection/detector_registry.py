@@ -1,0 +1,38 @@
+"""The protocol of the monitor's detectors, and those of other packages, which entry points name."""
+
+from functools import cache
+from typing import Any, ClassVar
+
+import msgspec
+
+from analysis.results import SensorDecision
+from analysis.samples.block import Block
+
+GROUP = "mavproxy_fault.detectors"
+
+
+class BlockDetector(msgspec.Struct, frozen=True):
+    """One test of the samples, independent of the navigation filter; its fields are its settings.
+
+    `channels` are the sensors that its results name. `sees` are channels, messages or targets
+    (`baro`, `BATTERY_STATUS`, `PLANT.mass_kg`): a fault of one of them can be detected here.
+    """
+
+    channels: ClassVar[frozenset[str]] = frozenset()
+    sees: ClassVar[frozenset[str]] = frozenset()
+
+    def new_state(self) -> Any:
+        """The state before the first sample."""
+        return None
+
+    def step(self, block: Block, state: Any) -> tuple[list[tuple[int, SensorDecision]], Any]:
+        """The results of the next samples, each with its row of the block, and the next state."""
+        raise NotImplementedError
+
+
+@cache
+def other_detectors() -> dict[str, type[BlockDetector]]:
+    """Name to class of the detectors of other packages, sorted by name."""
+    from importlib.metadata import entry_points  # takes 50 ms, which few commands need
+
+    return {point.name: point.load() for point in sorted(entry_points(group=GROUP))}
