@@ -97,11 +97,8 @@ def simulate_signals(
         # Antenna gain falls towards the horizon, roughly with the sine of the elevation.
         cn0 = levels[CN0_HORIZON] + levels[CN0_RISE] * sin(elevation)
         cn0 += levels[CN0_SIGMA] * wander[2, k] - faults[CN0_DROP, k]
-        code = (
-            geometry[RANGE, k]
-            + SPEED_OF_LIGHT_MPS * (offset_s - geometry[SAT_CLOCK, k])
-            + geometry[DELAY, k]
-        )
+        code = geometry[RANGE, k] + SPEED_OF_LIGHT_MPS * (offset_s - geometry[SAT_CLOCK, k])
+        code += geometry[DELAY, k]
         # The inter-system bias is common to all Galileo satellites: the receiver estimates it.
         code += levels[GALILEO] * channel.galileo[k] + faults[RANGE_ADDED, k]
         code += levels[ORBIT] * wander[1, k]
