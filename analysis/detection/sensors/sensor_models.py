@@ -37,7 +37,7 @@ NOTHING, STARTED, TESTED = 0, 1, 2
 NO_ATTITUDE, NO_FIELD, NO_PRESSURE, NO_AIR_DATA, SLOW_AIR, NO_RANGE, TILTED = range(3, 10)
 NO_POSITION, NO_FIX, NO_VELOCITY, NO_REFERENCE = range(10, 14)
 REASONS = {
-    NO_ATTITUDE: "attitude unknown",
+    NO_ATTITUDE: "attitude not known",
     NO_FIELD: "the field is not finite",
     NO_PRESSURE: "the pressure is not positive",
     NO_AIR_DATA: "the pressure is not finite",
