@@ -41,7 +41,7 @@ def test_another_schedule_drops_the_requirements_on_the_scenarios_faults(tmp_pat
         ("monitor:\n  p_false_alarm: 1", "scenario.yaml:3: monitor.p_false_alarm = 1 does not fit"),
         ("monitor: {sigma: {floor_m: .nan}}", "monitor.sigma.floor_m = nan is not finite"),
         ("monitor: {rule: best}", "monitor.rule = 'best' is unknown; known: explicit"),
-        ("monitor: {systems: X}", "monitor.systems = 'X' names no or other systems"),
+        ("monitor: {systems: X}", "monitor.systems = 'X' names no system or an unknown one"),
         ("monitor: {fusion: {lag_s: -1}}", "monitor.fusion.lag_s = -1.0 is not positive"),
         ("criteria: {must_detect: 3}", "scenario.yaml:2: criteria.must_detect = 3 does not fit"),
         ("criteria: {must: [a]}", "criteria.must is unknown; did you mean must_"),

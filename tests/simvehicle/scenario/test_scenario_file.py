@@ -100,7 +100,7 @@ WRONG = [
     ("gnss: {rate_hz: 0}\n", r"flight.yaml:1: gnss.rate_hz = 0.0 is out of range"),
     ("environment: {gusts: strong}\n", r"flight.yaml:1: environment.gusts"),
     ("start: {time: 2024-03-07T12:00:00}\n", r"flight.yaml:1: start.time has no time zone"),
-    ("sensors: {imu: {}}\nsensors: {}\n", r"flight.yaml:2: sensors stands twice"),
+    ("sensors: {imu: {}}\nsensors: {}\n", r"flight.yaml:2: sensors is given twice"),
     ("- a\n", r"flight.yaml:1: is no scenario"),
     ("a: [\n", r"flight.yaml:2: not YAML"),
 ]
