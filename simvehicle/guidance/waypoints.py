@@ -10,10 +10,10 @@ from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.guidance.mission import MissionPath
 from simvehicle.scenario.scenario_file import StartConfig
 
-# Longest leg [m], and largest distance [m] between a leg and the path that it approximates; chosen:
-# a multirotor stops at waypoints, so more of them slow it down; a plane flies past them.
-LONGEST_LEG_M = {"multirotor": 20.0, "fixedwing": 100.0}
-CHORD_TOLERANCE_M = {"multirotor": 1.0, "fixedwing": 5.0}
+# Longest leg, and largest distance between a leg and the path that it replaces [m]. A plane flies
+# past its corners; all others stop at them, so more of them would only slow these down.
+MULTIROTOR_LEGS_M = (20.0, 1.0)
+FIXED_WING_LEGS_M = (100.0, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,9 @@ class Waypoint:
 
 
 def path_waypoints(path: MissionPath, start: StartConfig, kind: str) -> tuple[Waypoint, ...]:
-    """The waypoints of a path for a kind of vehicle ("multirotor" or "fixedwing")."""
-    indices = simplify_path(path, LONGEST_LEG_M[kind], CHORD_TOLERANCE_M[kind])
+    """The waypoints of a path for this kind of vehicle; other kinds get a multirotor's."""
+    legs_m = FIXED_WING_LEGS_M if kind == "fixedwing" else MULTIROTOR_LEGS_M
+    indices = simplify_path(path, *legs_m)
     return tuple(
         make_waypoint(
             start,
