@@ -1,4 +1,4 @@
-"""Command-line arguments of the analysis subcommands; each imports its modules only when run."""
+"""Subcommands of the analysis; each imports its modules when it runs."""
 
 import argparse
 import contextlib

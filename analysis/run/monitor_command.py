@@ -59,9 +59,8 @@ def main(args: argparse.Namespace) -> int:
     # On a link, the proxy is still writing the labels: they are read at the end.
     if args.link is None:
         read_optional_labels(args.labels)  # report a wrong name before the work
-    recording = (
-        None if args.rinex is None else read_rinex_block(args)
-    )  # may fail: before the folder is made
+    # Read before the folder is made, since it may fail.
+    recording = None if args.rinex is None else read_rinex_block(args)
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     condition = LogCondition()
