@@ -151,7 +151,7 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
 
         from mavproxy_fault.live.session import short_thread_turns
     except OSError as error:  # no descriptor is left for the import
-        LOG.error("no live control, forwarding goes on: %s", error)
+        LOG.error("no live control, forwarding continues: %s", error)
         return
     coming: Future[LiveSession] = Future()
 
@@ -223,12 +223,11 @@ def main(args: argparse.Namespace) -> int:
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)
-        figures = format_endpoints(
-            server.stats()
-        )  # before closing, which loses the kernel's drop count
+        # Before closing, which loses the kernel's drop count.
+        statistics = format_endpoints(server.stats())
     finally:
         # Also after an error, to free the ports.
         for link in links:
             link.close()
-    print(figures, flush=True)
+    print(statistics, flush=True)
     return 0

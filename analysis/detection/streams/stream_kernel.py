@@ -350,10 +350,8 @@ def track_streams(
             s = -1
         now_us = t_us[row]
         clock = 1 if now_us > EPOCH_1970_US else 0
-        # Only a jump of this sample, or an unresolved one, needs more than this.
-        suspect = (
-            now_us - clocks[clock, NEWEST_US] > TIME_JUMP_US or clocks[clock, TO_US] != NEVER_US
-        )
+        ahead_us = now_us - clocks[clock, NEWEST_US]  # only a jump needs more than this
+        suspect = ahead_us > TIME_JUMP_US or clocks[clock, TO_US] != NEVER_US
         if suspect and not _accepts_time(states, out, row, s, clock, now_us):
             if s >= 0:
                 counts[s, WAITED_US] = now_us
