@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.results import encode, read_results
 from mavproxy_fault.wire import tlog
@@ -58,7 +58,7 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         return
     # Formats are recognised by their first bytes, as logs are often renamed.
     with path.open("rb") as file:
-        head = file.read(16)
+        head = file.read(HEAD)
     if is_dataflash(head):
         for (name, instance), topic in read_dataflash(path).topics.items():
             yield f"{name}_{instance}", topic

@@ -244,9 +244,51 @@ def read_parts(path: str | Path) -> Iterator[Log]:
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
-    frames = np.concatenate([_frames(data, some) for some in _unroll_frames(data, block)])
+    parts = [(some.at.copy(), _frames(data, some)) for some in _unroll_frames(data, block)]
+    at = np.concatenate([places for places, _ in parts])
+    frames = np.concatenate([some for _, some in parts])
     columns = _columns(data, block.counts, _unroll_frames(data, block))
-    return Log(columns, frames, block.junk_bytes, len(data), block.end)
+    others = _foreign_frames(data, at, frames)
+    junk = block.junk_bytes
+    if len(others.at):
+        junk -= int((_frame_ends(data, others.at) - others.at).sum()) + 8 * len(others.at)
+        order = np.argsort(np.concatenate([at, others.at]), kind="stable")
+        frames = np.concatenate([frames, _frames(data, others)])[order]
+    return Log(columns, frames, junk, len(data), block.end)
+
+
+def _frame_ends(data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where the frames that start at `at` (n,) end by their own length."""
+    second = data[at] == 0xFD
+    signed = second & (data[at + 2] & SIGNED == SIGNED)
+    ends = at + data[at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
+    return np.asarray(ends + np.where(signed, SIGNATURE_LENGTH, 0), np.int64)
+
+
+def _foreign_frames(
+    data: NDArray[np.uint8], at: NDArray[np.int64], frames: NDArray[np.void]
+) -> "LogFrames":
+    """Records of another dialect, which uses a known message id for another message.
+
+    Their lengths fill the bytes between two verified frames, and no frame with their id has a
+    valid checksum in this log; a corrupted frame has an id that other frames have too.
+    """
+    from mavproxy_fault.wire.log_walk import LogFrames
+
+    ends = _frame_ends(data, at)
+    begins = np.append(at[1:] - 8, len(data))
+    found: list[int] = []
+    for gap in np.flatnonzero(begins - ends > HEADER_V1 + 10).tolist():
+        place, stop, some = int(ends[gap]), int(begins[gap]), []
+        while place + HEADER_V2 + 8 < stop and data[place + 8] in (0xFD, 0xFE):
+            some.append(place + 8)
+            place = int(_frame_ends(data, np.array(some[-1:]))[0])
+        found += some if place == stop else []
+    places = np.array(found, np.int64)
+    stamps = data[places[:, None] - np.arange(8, 0, -1)].view(">i8")[:, 0].astype(np.int64)
+    others = LogFrames(places, stamps, np.full(len(places), -1, np.int16))
+    foreign = ~np.isin(_frames(data, others)["id"], frames["id"][frames["known"]])
+    return LogFrames(places[foreign], stamps[foreign], others.slot[foreign])
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
@@ -323,11 +365,7 @@ def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]
     layouts = [message_layout(name) for name in message_names()]
     for block in _blocks(data, BLOCK_FRAMES):
         for at, t_us, slot in _unroll_frames(data, block):
-            second = data[at] == 0xFD
-            signed = second & (data[at + 2] & SIGNED == SIGNED)
-            ends = at + data[at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
-            ends += np.where(signed, SIGNATURE_LENGTH, 0)
-            rows = (at.tolist(), ends.tolist(), t_us.tolist(), slot.tolist())
+            rows = (at.tolist(), _frame_ends(data, at).tolist(), t_us.tolist(), slot.tolist())
             for start, end, stamp, which in zip(*rows, strict=True):
                 layout = layouts[which] if which >= 0 else None
                 yield stamp, data[start:end].tobytes(), layout

@@ -17,6 +17,7 @@ from analysis.report.recordings.mode_names import mode_name
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
 from mavproxy_fault.numerics.earth import curvature_radii
+from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 from mavproxy_fault.wire.tlog import Columns, read_columns
 
 WARNING = 4  # MAV_SEVERITY
@@ -88,7 +89,7 @@ def path_curves(truth: LogRows, since: Any) -> dict[str, EvidenceCurve]:
     meridian_m, normal_m = curvature_radii(float(lat[0]))
     axes = (
         (lat - lat[0]) * meridian_m,
-        (lon - lon[0]) * normal_m * np.cos(lat[0]),
+        wrap_angles(lon - lon[0]) * normal_m * np.cos(lat[0]),
         (truth["alt"][::every] - truth["alt"][0]) * 1e-3,
     )
     times = t_s[airborne].round(3).tolist()

@@ -33,6 +33,7 @@ from analysis.samples.block import (
 )
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 
 MOST_INSTANCES = 3  # of one kind
 LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual difference
@@ -87,6 +88,7 @@ class VoteState:
             np.zeros(MOST_INSTANCES),
             np.full((MOST_INSTANCES, count), np.nan),
         )
+        self.meridian_rad = np.nan  # longitudes are compared near that of the first fix
         self.missing = np.zeros(MOST_INSTANCES, int)  # windows in a row without a sample
         self.differences = {
             pair: InstanceDifference(np.zeros(count), np.zeros(count)) for pair in PAIRS
@@ -120,7 +122,7 @@ def _vote(
     # Only the first sensor has samples so far.
     if state.window is None and not ids.any():
         return []
-    numbers = _compared_values(block, rows, voters.kind)
+    numbers = _compared_values(block, rows, voters.kind, state)
     known = (ids >= 0) & (ids < MOST_INSTANCES) & np.isfinite(numbers).all(axis=1)
     rows, ids, numbers = rows[known], ids[known], numbers[known]
     windows = block.t_us[rows] // voters.window_us
@@ -160,7 +162,7 @@ def _rows(block: Block, spare: Indices, kind: int) -> tuple[Indices, Indices]:
     return rows[order], ids[order]
 
 
-def _compared_values(block: Block, rows: Indices, kind: int) -> Vector:
+def _compared_values(block: Block, rows: Indices, kind: int, state: VoteState) -> Vector:
     """The values that sensors of a kind are compared by (m, n); not finite if there is none."""
     first = block.kind[rows] == kind
     count = IMU_ID if kind == IMU else 3
@@ -171,6 +173,9 @@ def _compared_values(block: Block, rows: Indices, kind: int) -> Vector:
     if kind == BARO:
         return -METRES_PER_PASCAL * values[:, :1]
     lat, lon = np.radians(values[:, 0]), np.radians(values[:, 1])
+    if not np.isfinite(state.meridian_rad) and np.isfinite(lon).any():
+        state.meridian_rad = float(lon[np.isfinite(lon)][0])
+    lon = state.meridian_rad + wrap_angles(lon - state.meridian_rad)
     level = MEAN_EARTH_RADIUS_M * np.column_stack([lat, lon * np.cos(lat)])
     results = np.column_stack([level, values[:, 2]])
     results[first & ~(block.values[rows, FIX_TYPE] >= FIX_3D)] = np.nan

@@ -11,7 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.dataflash import DataflashFile, is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.dataflash import (
+    HEAD,
+    DataflashFile,
+    is_dataflash,
+    read_dataflash,
+)
 from analysis.recordings.flight_logs.log_condition import (
     CORRUPTED,
     LogCondition,
@@ -48,7 +53,6 @@ from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 Topic = Mapping[str, NDArray[Any]]
 Columns = Callable[[Topic], list[NDArray[Any]]]
 Topics = Mapping[tuple[str, int], Topic]
-HEAD = 16
 FIX_3D = 3
 INSTANCES = 3
 # Fields by which an ArduPilot driver reports that its measurement is new and healthy
@@ -79,7 +83,7 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
     """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
-    log = read_ulog(path) if ulog else read_dataflash(path)
+    log = read_ulog(path) if ulog else read_dataflash(path, READ)
     if condition is not None:
         _add_losses(condition, log)
     topics = log.topics if ulog else _with_accuracy(log.topics)
@@ -110,8 +114,6 @@ def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
         condition.lost_us += ulog_losses(log.dropouts)
         return
     condition.lost_us += dataflash_losses(log.topics)
-    if log.unread_bytes:
-        condition.damage.append(f"its last {log.unread_bytes / 1e6:.0f} MB were not read")
 
 
 def _with_accuracy(topics: Topics) -> Topics:
@@ -286,3 +288,4 @@ DATAFLASH: tuple[tuple[str, int, Columns], ...] = (
     ("RCOU", COMMAND, _outputs(*(f"C{i + 1}" for i in range(COMMAND_SOURCE)))),
     ("RCOU", COMMAND, _outputs(*(f"Ch{i + 1}" for i in range(COMMAND_SOURCE)))),
 )
+READ = {*(name for name, _, _ in DATAFLASH), "GPA", "DSF"}  # of a dataflash log

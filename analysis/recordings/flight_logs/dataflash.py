@@ -1,36 +1,40 @@
-"""Read ArduPilot dataflash logs (.bin) as columns; pymavlink finds messages, numpy unpacks them.
+"""Read ArduPilot dataflash logs (.bin) as columns.
 
 A message's columns are its fields as the log's own FMT messages name them, scaled as pymavlink
 scales them, with `TimeUS` in microseconds since boot. In old logs it is computed from `TimeMS`; a
-message without a time gets that of the message before it.
+message without a time gets that of the message before it. A second boot in one file continues the
+time of the first.
 """
 
-import contextlib
-import os
-import re
-import struct
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.misdated_stamps import find_misdated
+from analysis.recordings.flight_logs.dataflash_blocks import (
+    BlockWalk,
+    read_formats,
+    rows_by_type,
+    walk_blocks,
+)
+from analysis.recordings.flight_logs.dataflash_formats import FIRST, MAGIC, TYPES, MessageFormat
+from analysis.recordings.flight_logs.misdated_stamps import find_misdated, find_restarts
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
-MAGIC = b"\xa3\x95"
-HEAD = 3  # header bytes of a message
-MAX_BYTES = 500_000_000  # read of a file, to limit memory use
-FORMATS = 0x80  # the type of FMT messages
+Rows = NDArray[np.void]
+HEAD = 4096  # bytes of a file that show its kind: text may stand in front of a log
+LATEST_US = 10**15  # 31 years after boot
+PAUSE_US = 1_000_000  # between two boots in one file, whose real pause is not logged
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # old logs: IMU2 is instance 1
 RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
-INSTANCES = ("I", "C", "Instance")  # fields with the number of the sensor or core
+# Fields with the number of the sensor or core.
+INSTANCES = ("I", "C", "Instance", "Inst", "IMU")
+MOST_INSTANCES = 32  # of motors; a larger number is a wrong byte
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +47,8 @@ class DataflashFile:
         Columns, with `TimeUS`, by message name and instance (from 0).
     start_us, end_us : int
         First and last time.
-    unread_bytes : int
-        Bytes at the end of a very large file that were not read.
+    restarts : int
+        Boots after the first one.
     corrupted : bool
         Whether bytes or messages with an impossible time were skipped.
     cut : bool
@@ -54,159 +58,142 @@ class DataflashFile:
     topics: Mapping[tuple[str, int], Topic]
     start_us: int
     end_us: int
-    unread_bytes: int
+    restarts: int
     corrupted: bool
     cut: bool
 
 
 def is_dataflash(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a dataflash log."""
-    return head.startswith(MAGIC)
+    """Whether a file that begins with these bytes (`HEAD` of them) is a dataflash log."""
+    return head.startswith(MAGIC) or FIRST in head
 
 
-def read_dataflash(path: str | Path) -> DataflashFile:
-    """Read a dataflash log; of a file larger than `MAX_BYTES` only the beginning.
+def read_dataflash(
+    path: str | Path,
+    only: Collection[str] | None = None,
+    thin: Callable[[Rows], Rows] = lambda rows: rows,
+) -> DataflashFile:
+    """Read a dataflash log, block by block.
+
+    Parameters
+    ----------
+    path : str or Path
+    only : collection of str, optional
+        Names of the messages to keep, without numbers of instances; all by default.
+    thin : callable
+        Chooses the rows (k,) to keep of those (n,) of one message in a block.
 
     Raises
     ------
     ConfigError
         If the file is not a dataflash log or holds no message with a time.
     """
-    with _readable_part(Path(path)) as readable, tempfile.TemporaryFile() as complaints:
-        try:
-            with _redirect_output(complaints):
-                raw, cut = _messages(readable)
-            corrupted = os.fstat(complaints.fileno()).st_size > 0
-        except Exception as error:  # pymavlink raises any type of error on corrupted input
-            raise ConfigError(f"{path}: not a dataflash log ({error}); give a .bin file") from error
-    times = _clock(raw)
+    path = Path(path)
+    try:
+        size = written_bytes(path)
+        walk = BlockWalk(forms=read_formats(path, size))
+        raw, times = _read_messages(path, size, walk, only, thin)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give the path of a .bin file") from error
     if len(times[0]) == 0:
         raise ConfigError(f"{path}: holds no message with a time; give a dataflash log of a flight")
     wrong = find_misdated(times[1])
-    places, corrupted = times[0][wrong], corrupted or bool(wrong.any())
-    times = times[0][~wrong], times[1][~wrong]
+    places, corrupted = times[0][wrong], walk.skipped_bytes > 0 or bool(wrong.any())
+    times = times[0][~wrong], times[1][~wrong].astype(np.int64)
+    boots, shifts = _boots(times)
+    times = times[0], times[1] + shifts[np.searchsorted(boots, times[0], "right")]
     topics: dict[tuple[str, int], Topic] = {}
-    for name, (place, fields) in raw.items():
-        sound = ~np.isin(place, places)
-        at, columns = place[sound], {key: values[sound] for key, values in fields.items()}
-        if not len(at):
-            continue
-        columns["TimeUS"] = _time_us(name, at, columns, times)
-        for key, rows in _instances(name, columns):
-            topics[key] = {column: values[rows] for column, values in columns.items()}
+    for name, (rows, form) in raw.items():
+        rows = rows[~np.isin(rows["at"], places)]
+        columns = _columns(rows, form)
+        own = _own_time(name, columns)
+        if own is None:
+            own = times[1][np.maximum(np.searchsorted(times[0], rows["at"]) - 1, 0)]
+        else:
+            own = own + shifts[np.searchsorted(boots, rows["at"], "right")]
+        columns["TimeUS"] = own
+        for key, some in _instances(name, columns) if len(own) else ():
+            topic = {column: values[some] for column, values in columns.items()}
+            topics[key], wrong = _in_order(topic)
+            corrupted |= wrong
     _rates_in_degrees(topics)
-    unread_bytes = max(written_bytes(Path(path)) - MAX_BYTES, 0)
     stamps = times[1]
-    return DataflashFile(topics, int(stamps.min()), int(stamps.max()), unread_bytes, corrupted, cut)
+    return DataflashFile(
+        topics, int(stamps.min()), int(stamps.max()), len(boots), corrupted, walk.cut
+    )
 
 
-@contextlib.contextmanager
-def _redirect_output(file: IO[bytes]) -> Iterator[None]:
-    """Redirect stdout and stderr to a file, to detect what pymavlink skips: it only prints it."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    # Redirect file descriptors: compiled code does not print through sys.stdout.
-    kept = [(number, os.dup(number)) for number in (1, 2)]
-    try:
-        for number, _ in kept:
-            os.dup2(file.fileno(), number)
-        yield
-        sys.stdout.flush()
-        sys.stderr.flush()
-    finally:
-        for number, copy in kept:
-            os.dup2(copy, number)
-            os.close(copy)
+def _in_order(topic: Topic) -> tuple[Topic, bool]:
+    """The rows of a topic in order of time, and whether some had a wrong time and were removed."""
+    times = topic["TimeUS"]
+    if not np.any(np.diff(times) < 0):
+        return topic, False
+    wrong = find_misdated(times, topic=True)
+    # Messages of one instant may be logged out of order.
+    order = np.flatnonzero(~wrong)[np.argsort(times[~wrong], kind="stable")]
+    return {column: values[order] for column, values in topic.items()}, bool(wrong.any())
 
 
-@contextlib.contextmanager
-def _readable_part(path: Path) -> Iterator[Path]:
-    """The file, or a copy of its first `MAX_BYTES`: pymavlink always reads complete files."""
-    written = written_bytes(path)
-    if written == path.stat().st_size <= MAX_BYTES:
-        yield path
-        return
-    with tempfile.NamedTemporaryFile(suffix=".bin") as copy, path.open("rb") as file:
-        remaining = min(written, MAX_BYTES)
-        while remaining > 0 and (data := file.read(min(remaining, 1 << 24))):
-            copy.write(data)
-            remaining -= len(data)
-        copy.flush()
-        yield Path(copy.name)
+def _read_messages(
+    path: Path,
+    size: int,
+    walk: BlockWalk,
+    only: Collection[str] | None,
+    thin: Callable[[Rows], Rows],
+) -> tuple[dict[str, tuple[Rows, MessageFormat]], tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Rows and format by message name; offsets and times of all kept messages with a time."""
+    parts: dict[int, list[Rows]] = {}
+    for at, data, starts in walk_blocks(path, size, walk):
+        for form, rows in rows_by_type(data, at, starts, walk.forms):
+            if only is None or form.name.rstrip("0123456789") in only or form.name in only:
+                parts.setdefault(form.type, []).append(thin(rows))
+    found: dict[str, tuple[Rows, MessageFormat]] = {}
+    stamps = [(np.empty(0, np.int64), np.empty(0, np.int64))]
+    for number, some in parts.items():
+        form, rows = walk.forms[number], some[0] if len(some) == 1 else np.concatenate(some)
+        name = form.name if form.name not in found else f"{form.name}_{number}"
+        found[name] = rows, form
+        own = _own_time(name, {key: rows[key] for key in form.columns})
+        if own is not None:
+            stamps.append((rows["at"], own))
+    place, time = (np.concatenate(columns) for columns in zip(*stamps, strict=True))
+    order = np.argsort(place, kind="stable")
+    return found, (place[order], time[order])
 
 
-def _messages(path: Path) -> tuple[dict[str, tuple[NDArray[np.int64], Topic]], bool]:
-    """File offsets and columns by message name; and whether the last message is incomplete."""
-    from pymavlink.DFReader import DFReader_binary
-
-    reader = DFReader_binary.__new__(DFReader_binary)  # so that its file is closed on failure
-    try:
-        reader.__init__(str(path), zero_time_base=True)
-        data = np.fromfile(path, np.uint8)
-        found = {}
-        end = 0
-        for form in reader.formats.values():
-            at = np.array(reader.offsets[form.type], np.int64)
-            # A corrupted FMT message may declare a length too short for its fields.
-            complete = at + max(form.len, HEAD + struct.calcsize(form.msg_struct)) <= len(data)
-            at = at[complete]
-            end = max(end, int(at.max(initial=0)) + form.len)
-            if len(at) and form.type != FORMATS:
-                found[form.name] = (at, _columns(data, at, form))
-        return found, data[end : end + len(MAGIC)].tobytes() == MAGIC
-    finally:
-        reader.filehandle.close()
-
-
-def _columns(data: NDArray[np.uint8], at: NDArray[np.int64], form: Any) -> Topic:
-    """The fields of all messages of one type as scaled columns."""
-    codes = re.findall(r"\d*[a-zA-Z]", form.msg_struct)
-    types = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
-    dtype = np.dtype(list(zip(form.columns, types, strict=True)))
-    # A sliding view over all bytes, indexed at the messages only: nothing is copied.
-    windows = np.lib.stride_tricks.sliding_window_view(data, dtype.itemsize)
-    rows = windows[at + HEAD].view(dtype)[:, 0]
+def _columns(rows: Rows, form: MessageFormat) -> Topic:
+    """The fields of a message as scaled columns, without those whose format is unreadable."""
+    factors = {name: TYPES[code][1] for name, code in zip(form.columns, form.codes, strict=True)
+               if code in TYPES}  # fmt: skip
     return {
         name: rows[name] if factor is None else rows[name] * factor
-        for name, factor in zip(form.columns, form.msg_mults, strict=True)
+        for name, factor in factors.items()
     }
+
+
+def _boots(
+    times: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Offsets (k,) of the first messages of later boots; shifts (k + 1,) of each boot's times that
+    place the boots one after another."""
+    again = find_restarts(times[1])
+    shifts = [0]
+    begins = [0, *again.tolist(), len(times[1])]
+    for begin, end, after in zip(begins, begins[1:], begins[2:], strict=False):
+        newest = int(times[1][begin:end].max()) + shifts[-1]
+        shifts.append(newest + PAUSE_US - int(times[1][end:after].min()))
+    return times[0][again], np.array(shifts, np.int64)
 
 
 def _own_time(name: str, columns: Topic) -> NDArray[np.int64] | None:
     """The time since boot in the messages, in microseconds; None if they have none."""
-    if "TimeUS" in columns:
-        return columns["TimeUS"].astype(np.int64)
     # Old logs: TimeMS of a GPS message is the time of week, T the time since boot.
-    key = "T" if name.startswith("GPS") else "TimeMS"
-    return columns[key].astype(np.int64) * 1000 if key in columns else None
-
-
-def _clock(
-    raw: Mapping[str, tuple[NDArray[np.int64], Topic]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """File offsets and times of all messages with a time, in file order."""
-    places, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for name, (at, columns) in raw.items():
-        own = _own_time(name, columns)
-        if own is not None:
-            places.append(at)
-            times.append(own)
-    place = np.concatenate(places)
-    order = np.argsort(place)
-    return place[order], np.concatenate(times)[order]
-
-
-def _time_us(
-    name: str,
-    at: NDArray[np.int64],
-    columns: Topic,
-    times: tuple[NDArray[np.int64], NDArray[np.int64]],
-) -> NDArray[np.int64]:
-    """The time of each message: its own, or that of the last message before it."""
-    own = _own_time(name, columns)
-    if own is not None:
-        return own
-    return times[1][np.maximum(np.searchsorted(times[0], at) - 1, 0)]
+    old = "T" if name.startswith("GPS") else "TimeMS"
+    key, scale = ("TimeUS", 1) if "TimeUS" in columns else (old, 1000)
+    if key not in columns or columns[key].dtype.kind not in "iu":
+        return None
+    # Clipped: sums and differences of wrong times must not overflow.
+    return np.clip(columns[key].astype(np.int64), -1, LATEST_US // scale) * scale
 
 
 def _rates_in_degrees(topics: Mapping[tuple[str, int], Topic]) -> None:
@@ -228,6 +215,8 @@ def _instances(
     key = next((key for key in INSTANCES if key in columns), None)
     if key is not None and columns[key].dtype.kind in "iu":
         for instance in np.unique(columns[key]).tolist():
+            if not 0 <= instance < MOST_INSTANCES:
+                continue
             yield (name, instance), columns[key] == instance
     elif name[-1:].isdigit() and name[:-1] in NUMBERED:
         yield (name[:-1], int(name[-1]) - 1), slice(None)

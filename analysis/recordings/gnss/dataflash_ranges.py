@@ -56,7 +56,7 @@ def read_dataflash_ranges(path: Path) -> list[Epoch]:
     ConfigError
         If the log cannot be read or holds no pseudoranges.
     """
-    topics = read_dataflash(path).topics
+    topics = read_dataflash(path, ("GRXH", "GRXS")).topics
     heads, ranges = topics.get(("GRXH", 0), {}), topics.get(("GRXS", 0), {})
     head = _rows(path, "GRXH", heads, HEAD, HEAD_FIELDS)
     table = _rows(path, "GRXS", ranges, RANGE, RANGE_FIELDS)

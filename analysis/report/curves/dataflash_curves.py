@@ -13,17 +13,13 @@ from analysis.report.curves.field_values import (
     accuracy_field,
     column,
     field,
+    heading_field,
     norm,
     used_field,
 )
 
 HIGH_V = 200.0  # above any battery: the log is old and gives hundredths
 CHANNELS, CELLS = 8, 12  # shown at most
-
-
-def _heading(name: str) -> Reader:
-    """A heading in degrees, wrapped to (-180, 180]."""
-    return lambda topic: 180 - (180 - column(topic, name)) % 360
 
 
 def _throttle(topic: Columns) -> Values:
@@ -72,15 +68,15 @@ def _estimator(status: str, innovations: str, state: str, core: str) -> tuple[Lo
         ("innovation-airspeed", "IVT", "airspeed"),
     )  # fmt: skip
     states = (
-        ("instance-roll", "Roll"), ("instance-pitch", "Pitch"), ("instance-yaw", "Yaw"),
-        ("instance-down", "PD"),
+        ("instance-roll", "Roll", field), ("instance-pitch", "Pitch", field),
+        ("instance-yaw", "Yaw", heading_field), ("instance-down", "PD", field),
     )  # fmt: skip
     return (
         *(LogCurve(status, "variance", label + core, field(name)) for name, label in ratios),
         *(LogCurve(innovations, panel, axis + core, field(name)) for panel, name, axis in parts),
         *(
-            LogCurve(state, panel, f"core{core}", _heading(name) if name == "Yaw" else field(name))
-            for panel, name in states
+            LogCurve(state, panel, f"core{core}", reader(name, 1.0))
+            for panel, name, reader in states
         ),
         # The last letter of a field is its axis.
         *(LogCurve(state, "gyro-bias", f"{axis[-1].lower()}{core}", field(axis, 1.0)) for axis in
@@ -103,8 +99,8 @@ CURVES: tuple[LogCurve, ...] = (
     LogCurve("ATT", "roll", "desired", field("DesRoll"), False),
     LogCurve("ATT", "pitch", "ATTITUDE", field("Pitch"), False),
     LogCurve("ATT", "pitch", "desired", field("DesPitch"), False),
-    LogCurve("ATT", "yaw", "ATTITUDE", _heading("Yaw"), False),
-    LogCurve("ATT", "yaw", "desired", _heading("DesYaw"), False),
+    LogCurve("ATT", "yaw", "ATTITUDE", heading_field("Yaw", 1.0), False),
+    LogCurve("ATT", "yaw", "desired", heading_field("DesYaw", 1.0), False),
     *(
         LogCurve("RATE", f"rate-{axis}", name, field(f"{axis[0].upper()}{suffix}"), False)
         for axis in ("roll", "pitch", "yaw")

@@ -7,6 +7,7 @@ import numpy as np
 from analysis.report.curves.fused_curves import fused_errors
 from analysis.report.curves.recording import Event, FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # chosen: over a longer interval a jump cannot be distinguished from motion
@@ -53,7 +54,7 @@ def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
     """Length of each step of a track beyond what its speed explains, m; shape (n - 1,)."""
     # A spherical earth is accurate enough for steps.
     north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
-    east = np.radians(np.diff(track.lon_deg)) * MEAN_EARTH_RADIUS_M
+    east = np.radians(wrap_degrees(np.diff(track.lon_deg))) * MEAN_EARTH_RADIUS_M
     east *= np.cos(np.radians(track.lat_deg[1:]))
     length = np.hypot(north, east)
     dt = np.diff(track.t_s)
@@ -102,8 +103,10 @@ def _position_errors(recording: FlightData) -> list[Signal]:
             continue
         t_s = track.t_s[inside]
         north = track.lat_deg[inside] - np.interp(t_s, truth.t_s, truth.lat_deg)
-        east = track.lon_deg[inside] - np.interp(t_s, truth.t_s, truth.lon_deg)
-        east = east * np.cos(np.radians(track.lat_deg[inside]))
+        there = np.interp(t_s, truth.t_s, np.unwrap(truth.lon_deg, period=360))
+        east = wrap_degrees(track.lon_deg[inside] - there) * np.cos(
+            np.radians(track.lat_deg[inside])
+        )
         error = np.radians(np.hypot(north, east)) * MEAN_EARTH_RADIUS_M
         found.append(Signal("position-error", track.name, t_s, error))
     return found
@@ -139,7 +142,7 @@ def _difference(panel: str, name: str, own: Signal, other: Signal) -> Signal:
     t_s = own.t_s[inside]
     # Unwrapped: interpolation from 179 to -179 degrees must not pass 0.
     there = np.interp(t_s, other.t_s, np.unwrap(other.value, period=360))
-    return Signal(panel, name, t_s, 180 - (180 - (own.value[inside] - there)) % 360)
+    return Signal(panel, name, t_s, wrap_degrees(own.value[inside] - there))
 
 
 def _divergence(recording: FlightData) -> list[Signal]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
+from mavproxy_fault.numerics.rotations.rotation import euler_from_quat, wrap_degrees
 
 Columns = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -113,7 +113,7 @@ def angle_field(name: str) -> Reader:
 
 def heading_field(name: str, scale: float = DEG) -> Reader:
     """A heading in degrees, wrapped to (-180, 180]."""
-    return lambda columns: 180 - (180 - column(columns, name) * scale) % 360
+    return lambda columns: wrap_degrees(column(columns, name) * scale)
 
 
 def norm(*names: str, scale: float = 1.0) -> Reader:

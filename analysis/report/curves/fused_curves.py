@@ -4,6 +4,7 @@ import numpy as np
 
 from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 AXES = ("north", "east", "down")
 FUSED = "fused"  # tracks of fused solutions begin with this
@@ -38,11 +39,15 @@ def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]
         own[inside] - np.interp(t_s, truth.t_s, true)
         for own, true in (
             (track.lat_deg, truth.lat_deg),
-            (track.lon_deg, truth.lon_deg),
+            (track.lon_deg, np.unwrap(truth.lon_deg, period=360)),
             (track.alt_m, truth.alt_m),
         )
     )
     north = np.radians(lat) * MEAN_EARTH_RADIUS_M
-    east = np.radians(lon) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(track.lat_deg[inside]))
+    east = (
+        np.radians(wrap_degrees(lon))
+        * MEAN_EARTH_RADIUS_M
+        * np.cos(np.radians(track.lat_deg[inside]))
+    )
     # Down is the negative height error.
     return t_s, np.column_stack((north, east, -alt))

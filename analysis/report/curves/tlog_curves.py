@@ -107,6 +107,7 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("GPS_RAW_INT", "speed", "GPS", field("vel", 1e-2, 65535)),
     ("HIL_STATE_QUATERNION", "speed", "truth", norm("vx", "vy", scale=1e-2)),
     ("VFR_HUD", "climb", "VFR_HUD", field("climb")),
+    ("GLOBAL_POSITION_INT", "climb", "estimate", field("vz", -1e-2)),
     ("VFR_HUD", "throttle", "throttle", field("throttle")),
     ("ESTIMATOR_STATUS", "ratio", "velocity", field("vel_ratio")),
     ("ESTIMATOR_STATUS", "ratio", "horizontal position", field("pos_horiz_ratio")),

@@ -16,7 +16,9 @@ GRID_STEP_S = 0.1  # time step of the resampled height
 AIRBORNE_M = 2.0  # chosen: above the noise of a barometric height
 FALLING_MPS = 3.0  # chosen: a faster sink at the end of a log is a fall
 UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
-ESTIMATES = ("estimate", "CTUN", "GPS")
+ESTIMATES = ("estimate", "CTUN", "VFR_HUD", "GPS")
+FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
+FALL_STEPS = 3  # over these many steps
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
@@ -37,7 +39,10 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
         return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
     t_s, height_m, sink_mps = motion
     worst, at_s = 0.0, 0.0
-    for i in np.flatnonzero(sink_mps > warn):
+    sped_up = np.diff(sink_mps, n=1, prepend=sink_mps[:1])
+    falls = np.convolve(sped_up, np.ones(FALL_STEPS), "full")[: len(sink_mps)]
+    falls = falls <= FALL_MPS2 * FALL_STEPS * GRID_STEP_S
+    for i in np.flatnonzero((sink_mps > warn) & falls):
         # Also shortly after disarming: the autopilot disarms on an impact.
         inside = armed is None or any(a <= t_s[i] <= b + REST_S for a, b in armed)
         if sink_mps[i] > worst and inside and _stopped(recording, t_s, height_m, sink_mps, int(i)):

@@ -1,7 +1,8 @@
 """Check of the autopilot's messages: alarming ones while armed, merged and ranked by severity.
 
-A message is rated by its severity if the log gives one, else by keywords. A message such as "GPS
-glitch cleared" ends the time window that "GPS glitch" began.
+A message is rated by its severity if the log gives one, else by keywords: a notice warns at most,
+information never does. A message such as "GPS glitch cleared" ends the time window that "GPS
+glitch" began.
 """
 
 import re
@@ -18,16 +19,22 @@ ALARMING = re.compile(
     re.IGNORECASE,
 )
 SEVERE = re.compile(
-    r"crash|emergency|parachute|terminat|failsafe(?!.*(short|clear))|thrust loss|hit ground",
+    r"crash|emergency|parachute|terminat|failsafe(?!.*(short|clear))|thrust loss",
     re.IGNORECASE,
 )
+# Reports of a loss, whatever their severity: ArduPilot and its simulator send them as information.
+HIT_GROUND = re.compile(r"hit ground(?: at (-?\d+(?:\.\d+)?))?", re.IGNORECASE)
+RELEASED = re.compile(r"parachute:? released", re.IGNORECASE)
+HARD_MPS = 3.0  # as the limit of the check "ground impact": the simulator reports every landing
+# A setting or a check that is switched, not a condition.
+SETTING = re.compile(r"\b(dis|en)abled\b|\bset to\b|\bnot required\b", re.IGNORECASE)
 ENDED = re.compile(
     r"\b(cleared|resolved|recovered|regained|restored|ended|off|ok)\b", re.IGNORECASE
 )
 # "BARO #0 failed: OFF!" and "compass not ok" do not end a condition.
 NOT_ENDED = re.compile(r"\bfail(ed|s|ure)?\b.*\boff\b|\bnot (yet )?\w+", re.IGNORECASE)
 PRE_ARM = re.compile(r"pre-?arm|preflight|arming denied|^arm(ing)?:", re.IGNORECASE)
-ALERT, ERROR, WARNING = 1, 3, 4  # MAV_SEVERITY
+ALERT, ERROR, WARNING, NOTICE = 1, 3, 4, 5  # MAV_SEVERITY
 TEXTS_SHOWN = 5  # messages quoted in the evidence
 AFTER_DISARM_S = 2.0  # chosen: a crash message may be logged just after the disarming it reports
 NAME = "messages of the autopilot"
@@ -49,14 +56,25 @@ def is_alarming(event: Event) -> bool:
     if event.kind == "error":
         return event.severity <= WARNING
     # Cleared conditions and pre-arm messages are not alarming in flight.
-    if is_over(event.text) or PRE_ARM.search(event.text):
+    if is_over(event.text) or PRE_ARM.search(event.text) or SETTING.search(event.text):
         return False
+    if is_loss(event.text):
+        return True
     if event.severity == UNGRADED:
         return bool(ALARMING.search(event.text))
     # Errors and worse are always alarming; lesser severities only with a keyword.
     if event.severity <= ERROR:
         return True
-    return bool((ALARMING if event.severity == WARNING else SEVERE).search(event.text))
+    word = {WARNING: ALARMING, NOTICE: SEVERE}.get(event.severity)
+    return word is not None and bool(word.search(event.text))
+
+
+def is_loss(text: str) -> bool:
+    """Whether a message reports a hard impact or a released parachute."""
+    hit = HIT_GROUND.search(text)
+    if hit is not None:
+        return hit[1] is None or abs(float(hit[1])) > HARD_MPS
+    return bool(RELEASED.search(text))
 
 
 def is_over(text: str) -> bool:
@@ -91,7 +109,11 @@ def find_alarms(spoken: Sequence[Event], armed: Windows | None) -> list[TextFind
         if is_over(event.text) or (event.kind == "error" and not is_alarming(event)):
             _end(found.get(subject), event.t_s)
             continue
-        grave = event.severity <= ALERT or bool(SEVERE.search(event.text))
+        grave = (
+            event.severity <= ALERT
+            or is_loss(event.text)
+            or (event.severity != NOTICE and bool(SEVERE.search(event.text)))
+        )
         flown = is_within(event.t_s, armed) or (
             grave and is_within(event.t_s - AFTER_DISARM_S, armed)
         )

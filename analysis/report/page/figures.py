@@ -97,7 +97,12 @@ def _map(folder: Path, recording: FlightData) -> list[Path]:
     tracks = tracks_in_flight(recording)
     colours = series_colours([track.name for track in tracks])
     for track, colour in zip(tracks, colours, strict=True):
-        axes.plot(track.lon_deg, track.lat_deg, color=PALETTE[colour], label=track.name)
+        axes.plot(
+            np.unwrap(track.lon_deg, period=360),
+            track.lat_deg,
+            color=PALETTE[colour],
+            label=track.name,
+        )
     if tracks:
         # A degree of longitude is shorter by cos(latitude); equal scales keep shapes.
         axes.set_aspect(1 / np.cos(np.radians(float(tracks[0].lat_deg[0]))), "datalim")

@@ -26,6 +26,7 @@ from analysis.report.page.page_parts import ReportPage
 from analysis.report.page.series_colours import series_colours
 from analysis.report.page.uncertainty import track_sigma
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 # Angles whose curves are broken where they wrap.
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
@@ -139,7 +140,11 @@ def _tracks(
     found = []
     for track, colour in zip(tracks, colours, strict=True):
         # A flat earth is accurate enough for a map of one flight.
-        east = np.radians(track.lon_deg - lon0) * MEAN_EARTH_RADIUS_M * np.cos(np.radians(lat0))
+        east = (
+            np.radians(wrap_degrees(track.lon_deg - lon0))
+            * MEAN_EARTH_RADIUS_M
+            * np.cos(np.radians(lat0))
+        )
         north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
         step = max(1, len(track.t_s) // TRACK_POINTS)
         axes: list[tuple[str, Vector]] = [("e", east), ("n", north), ("u", track.alt_m)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from analysis.recordings.flight_logs.dataflash import is_dataflash, read_dataflash
+from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.report.curves.recording import FlightData, join_recordings
 from analysis.report.recordings.from_dataflash import recording_of_dataflash
@@ -16,14 +16,13 @@ from analysis.report.recordings.from_results import axis_start, recording_of_res
 from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.reading_bar import reading_bar
-from analysis.report.recordings.thinning import read_contents
+from analysis.report.recordings.thinning import WHOLE_BYTES, dataflash_thinning, read_contents
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.label import Label, read_labels
 from mavproxy_fault.wire.written import written_bytes
 
-HEAD = 16
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 THINNED = (
     "{} is large ({:.0f} MB): rows of frequent messages are omitted, but no peaks; percentiles are "
@@ -97,7 +96,11 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
             log = read_ulog(paths[0], progress)
         recording = recording_of_ulog(log, name, t0_us)
     elif is_dataflash(head):
-        recording = recording_of_dataflash(read_dataflash(paths[0]), name, t0_us)
+        size = written_bytes(paths[0])
+        recording = recording_of_dataflash(
+            read_dataflash(paths[0], thin=dataflash_thinning(size)), name, t0_us
+        )
+        recording.notes.extend([THINNED.format(name, size / 1e6)] if size > WHOLE_BYTES else [])
     else:
         recording = _tlogs(paths, t0_us)
     if not (recording.signals or recording.spans or recording.events or recording.links):
@@ -133,6 +136,7 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
     )
     unknown = sum(log.unknown for log in logs.values())
     notes = [f"{unknown} frames of messages unknown to the dialect"] if unknown else []
+    notes += [note for log in logs.values() for note in log.notes]
     notes += [THINNED.format(name, log.size / 1e6) for name, log in logs.items() if log.thinned]
     return replace(
         found,

@@ -1,6 +1,6 @@
 """Convert the MAVLink messages of one or more tlogs of one flight to `FlightData`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,14 @@ from analysis.report.curves.recording import (
 )
 from analysis.report.curves.tlog_curves import CURVES
 from analysis.report.recordings.link_quality import link_quality
-from analysis.report.recordings.log_clock import LogClock, clock_of
+from analysis.report.recordings.log_clock import (
+    GROUND_STATION,
+    NO_AUTOPILOT,
+    WALL_US,
+    LogClock,
+    autopilot_component,
+    clock_of,
+)
 from analysis.report.recordings.mode_names import (
     ARDUPILOT,
     EKF_ARDUPILOT_GLITCH,
@@ -29,13 +36,11 @@ from analysis.report.recordings.mode_names import (
     STATES,
     mode_name,
 )
+from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
 from mavproxy_fault.wire.tlog import Columns
 
-GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
-NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: heartbeats of cameras and gimbals
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
-WALL_US = 1_000_000_000_000_000  # timestamps later than this (2001) are Unix time
 TRUTH = "HIL_STATE_QUATERNION"
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 TRACKS = (
@@ -48,10 +53,15 @@ TRACKS = (
 
 @dataclass(frozen=True, slots=True)
 class _Vehicle:
-    """One vehicle's rows, and the suffix of its signals if there are several vehicles."""
+    """One vehicle's rows, and the suffix of its signals if there are several vehicles.
+
+    `columns` are the autopilot's; `others` are rows of messages that companions, cameras or
+    gimbals of the same system send too.
+    """
 
     system: int
     columns: Columns
+    others: Columns
     clock: LogClock
     suffix: str
     autopilot: int
@@ -103,10 +113,11 @@ def recording_of_tlog(
         found.notes.extend(notes)
         # A single vehicle's curves need no suffix.
         suffix = f" (system {system})" if len(systems) > 1 else ""
-        vehicles.append(_Vehicle(system, own, clock, suffix, *_kind(own)))
+        vehicles.append(_Vehicle(system, *_by_component(own), clock, suffix, *_kind(own)))
     for vehicle in vehicles:
         _add_vehicle(found, vehicle)
-    quality, losses = link_quality(links or {}, vehicles[0].clock)
+    armed = [(s.start_s, s.end_s) for s in found.spans if s.text == "armed"]
+    quality, losses = link_quality(links or {}, vehicles[0].clock, armed)
     found.links.extend(quality)
     found.signals.extend(losses)
     # The first vehicle determines the autopilot.
@@ -119,6 +130,19 @@ def recording_of_tlog(
         found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
         messages=found.messages,
     )  # fmt: skip
+
+
+def _by_component(columns: Columns) -> tuple[Columns, Columns]:
+    """Rows of the autopilot, and those of other components in messages that both send."""
+    component = autopilot_component(columns)
+    own, others = {}, {}
+    for name, rows in columns.items():
+        mine = rows["component"] == component
+        # What only others send is of the vehicle too: simulated sensors, a radio.
+        own[name] = rows[mine] if mine.any() and name != "STATUSTEXT" else rows
+        if len(own[name]) < len(rows):
+            others[name] = rows[~mine]
+    return own, others
 
 
 def _utc0_us(columns: Columns, clock: LogClock) -> int:
@@ -179,6 +203,10 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
     }
     ending = f"_{vehicle.system}" if vehicle.suffix else ""
     found.messages.update({f"{name}{ending}": message for name, message in messages.items()})
+    for name, rows in vehicle.others.items():
+        for component in np.unique(rows["component"]).tolist():
+            some = _message(vehicle, rows[rows["component"] == component])
+            found.messages[f"{name}{ending}_component_{component}"] = some
     for curve in CURVES:
         message = messages.get(curve.message)
         if message is not None and (y := values_of(curve, message.columns)) is not None:
@@ -277,13 +305,47 @@ def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
     rows = vehicle.columns.get("STATUSTEXT")
     if rows is None:
         return
+    component = autopilot_component(vehicle.columns)
     # STATUSTEXT has no time field: use the log's timestamp.
-    t_s = vehicle.clock.at(rows["t_us"])
-    for i, row in enumerate(rows):
-        text = bytes(row["text"]).split(b"\0", 1)[0].decode("utf-8", "replace").strip()
-        found.events.append(
-            Event(float(t_s[i]), "text", text + vehicle.suffix, int(row["severity"]))
+    spoken = [
+        (t_s, int(row["component"]), int(row["severity"]), text)
+        for t_s, row, text in _joined_texts(vehicle.clock.at(rows["t_us"]).tolist(), rows)
+    ]
+    own = [(severity, text) for _, by, severity, text in spoken if by == component]
+    old = vehicle.autopilot == ARDUPILOT and has_old_severities(own)
+    for t_s, by, severity, text in spoken:
+        others = component >= 0 and by != component
+        who = f" (component {by})" if others else ""
+        event = Event(
+            t_s,
+            # What a companion or a gimbal says is shown, and judges no flight.
+            "note" if others else "text",
+            text + who + vehicle.suffix,
+            OLD_SEVERITIES.get(severity, severity) if old and not others else severity,
         )
+        found.events.append(event)
+
+
+def _joined_texts(
+    t_s: Sequence[float], rows: NDArray[np.void]
+) -> Iterator[tuple[float, NDArray[np.void], str]]:
+    """Time, row and text of each message; the chunks of a long text (same id) are one text."""
+    names = rows.dtype.names or ()
+    chunked = "chunk_seq" in names and "id" in names
+    started: dict[tuple[int, ...], int] = {}
+    texts: list[tuple[float, NDArray[np.void], bytes]] = []
+    for at_s, row in zip(t_s, rows, strict=True):
+        part = bytes(row["text"]).split(b"\0", 1)[0]
+        key = (int(row["system"]), int(row["component"]), int(row["id"]) if chunked else 0)
+        # An id of zero means a text of one chunk.
+        if key[2] and row["chunk_seq"] and key in started:
+            begun = texts[started[key]]
+            texts[started[key]] = begun[0], begun[1], begun[2] + part
+            continue
+        started[key] = len(texts)
+        texts.append((at_s, row, part))
+    for at_s, row, text in texts:
+        yield at_s, row, text.decode("utf-8", "replace").strip()
 
 
 def _add_parameters(found: FlightData, vehicle: _Vehicle) -> None:

@@ -1,6 +1,6 @@
 """Link quality: frames lost, from each sender's sequence numbers (modulo 256), and gaps in time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,8 @@ from analysis.report.recordings.log_clock import LogClock
 MOST_STRETCHES, LEAST_FRAMES = 200, 20  # chosen: periods per sender and block; frames per period
 FEWEST = 100  # chosen: least frames of a sender for a loss curve
 
-STRETCHES = np.dtype(
-    [("sender", "<i4"), ("t_us", "<i8"), ("frames", "<i8"), ("lost", "<i8"), ("gap_us", "<i8")]
-)
+INTEGERS = ("t_us", "frames", "lost", "gap_us", "gap_at_us")
+STRETCHES = np.dtype([("sender", "<i4"), *((name, "<i8") for name in INTEGERS)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +24,9 @@ class LastFrame:
     t_us: int
 
 
-def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArray[np.void]:
+def sum_stretches(
+    frames: NDArray[np.void], last: dict[int, LastFrame], restarts_us: Sequence[int] = ()
+) -> NDArray[np.void]:
     """Count frames, losses and gaps of each sender in short periods of a log or a block of it.
 
     Parameters
@@ -35,12 +36,14 @@ def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArr
     last : dict
         The last frame of each sender (system * 256 + component) in the blocks before; updated in
         place.
+    restarts_us : sequence of int
+        Timestamps of the first frames after a restart of the vehicle, which numbers them anew.
 
     Returns
     -------
     structured array
-        Per period the sender, the timestamp of its first frame, frames, lost frames and the longest
-        time between two frames.
+        Per period the sender, the timestamp of its first frame, frames, lost frames, the longest
+        time between two frames and its beginning.
     """
     found = [np.empty(0, STRETCHES)]
     # System and component in one number, for grouping.
@@ -51,6 +54,8 @@ def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArr
         before = last.get(key, LastFrame((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
         # Modulo 256, in a wider type.
         steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
+        anew = np.searchsorted(rows["t_us"], np.array(restarts_us, np.int64))
+        steps[anew[anew < len(rows)]] = 1
         # A limited number of periods, none too short for a loss rate.
         starts = np.arange(0, len(rows), max(LEAST_FRAMES, len(rows) // MOST_STRETCHES))
         some = np.zeros(len(starts), STRETCHES)
@@ -58,29 +63,52 @@ def sum_stretches(frames: NDArray[np.void], last: dict[int, LastFrame]) -> NDArr
         some["t_us"] = rows["t_us"][starts]
         some["frames"] = np.diff(starts, append=len(rows))
         some["lost"] = np.add.reduceat(np.maximum(steps - 1, 0).astype(np.int64), starts)
-        some["gap_us"] = np.maximum.reduceat(np.diff(rows["t_us"], prepend=before.t_us), starts)
+        gaps = np.diff(rows["t_us"], prepend=before.t_us)
+        parts = zip(starts.tolist(), np.split(gaps, starts[1:]), strict=True)
+        longest = [begin + int(part.argmax()) for begin, part in parts]
+        some["gap_us"] = gaps[longest]
+        some["gap_at_us"] = rows["t_us"][longest] - gaps[longest]
         last[key] = LastFrame(int(rows["seq"][-1]), int(rows["t_us"][-1]))
         found.append(some)
     return np.concatenate(found)
 
 
 def link_quality(
-    logs: Mapping[str, NDArray[np.void]], clock: LogClock
+    logs: Mapping[str, NDArray[np.void]],
+    clock: LogClock,
+    armed: Sequence[tuple[float, float]] | None,
 ) -> tuple[list[LinkQuality], list[Signal]]:
-    """Losses of every sender, and their curves; `logs` are rows (k,) of `sum_stretches` by log
-    name."""
+    """Losses and silences of every sender, and curves of the losses.
+
+    Parameters
+    ----------
+    logs : dict of structured arrays (k,)
+        Rows of `sum_stretches` by log name.
+    clock : LogClock
+    armed : sequence of (start_s, end_s), optional
+        Only what is lost within these windows counts; everything if there is none.
+    """
     links, signals = [], []
     for log, every in logs.items():
         for key in np.unique(every["sender"]).tolist():
             some = every[every["sender"] == key]
-            frames, lost = int(some["frames"].sum()), int(some["lost"].sum())
-            if frames < 2:
+            if (total := int(some["frames"].sum())) < 2:
                 continue
-            longest_s = float(some["gap_us"].max()) * 1e-6
-            links.append(LinkQuality(log, key >> 8, key & 255, frames, lost, longest_s))
-            if frames >= FEWEST and lost:
+            t_s, gap_s = clock.at(some["t_us"]), some["gap_us"] * 1e-6
+            begin_s = clock.at(some["gap_at_us"])
+            counts = np.ones(len(some), bool)
+            if armed:
+                ends_s = np.append(t_s[1:], np.inf)
+                starts, stops = np.array(armed).T[:, :, None]
+                counts = ((t_s < stops) & (ends_s > starts)).any(axis=0)
+                # Of a silence, what lies within an armed window.
+                covered = np.minimum(begin_s + gap_s, stops) - np.maximum(begin_s, starts)
+                gap_s = np.maximum(covered.max(axis=0), 0.0)
+            lost, longest_s = int(some["lost"][counts].sum()), float(gap_s.max())
+            links.append(LinkQuality(log, key >> 8, key & 255, total, lost, longest_s))
+            if total >= FEWEST and some["lost"].any():
                 name = f"{key >> 8}/{key & 255} {log}".strip()
-                signals.append(_loss(name, clock.at(some["t_us"]), some))
+                signals.append(_loss(name, t_s, some))
     return links, signals
 
 

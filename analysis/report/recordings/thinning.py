@@ -5,14 +5,16 @@ kept, and those with the minimum and maximum of each field, so that no peak is l
 (texts, modes, parameters) are kept whenever they change.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.flight_logs.dataflash_blocks import BLOCK_BYTES
 from analysis.report.recordings.link_quality import LastFrame, sum_stretches
+from analysis.report.recordings.log_clock import StampState, steady_stamps
 from analysis.report.recordings.reading_bar import ReportProgress
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import Columns
@@ -21,9 +23,10 @@ from mavproxy_fault.wire.written import written_bytes
 WHOLE_BYTES = 128_000_000  # larger logs are thinned; chosen to limit memory use
 ROWS = 300_000  # kept per message of a thinned log, at most
 LEAST_RECORD = 32  # bytes; the average record is longer
-SENDING = ("t_us", "system", "component", "seq")
+SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS")
 LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes
 HEAD = 11  # bytes of a row with its time and sender
+OFFSET_AND_TIME = 16  # bytes of a row of a dataflash log
 
 Rows = NDArray[np.void]
 
@@ -39,6 +42,7 @@ class TlogContents:
     junk_bytes: int
     size: int
     thinned: bool
+    notes: list[str]
 
 
 def extreme_indices(value: NDArray[np.float64], buckets: int) -> NDArray[np.int64]:
@@ -67,17 +71,29 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     links: list[NDArray[np.void]] = []
     senders: dict[int, LastFrame] = {}
     frames = unknown = junk_bytes = 0
+    clock = StampState()
     for part in tlog.read_parts(path) if thin else [tlog.read_log(path)]:
+        steady_stamps(part.frames, part.columns, clock)
         for name, rows in part.columns.items():
             kept = [thin_rows(some, budget) for some in _by_system(rows)] if thin else [rows]
             parts.setdefault(name, []).extend(kept)
-        links.append(sum_stretches(part.frames, senders))
+        links.append(sum_stretches(part.frames, senders, clock.restarts_us))
         frames += len(part.frames)
         unknown += int((~part.frames["known"]).sum())
         junk_bytes += part.junk_bytes
         progress(part.end / part.size)
     columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
-    return TlogContents(columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin)
+    return TlogContents(
+        columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin, clock.notes()
+    )
+
+
+def dataflash_thinning(size: int) -> Callable[[Rows], Rows]:
+    """Thins the rows of a message in one block of a dataflash log of `size` bytes."""
+    if size <= WHOLE_BYTES:
+        return lambda rows: rows
+    budget = max(60, ROWS * BLOCK_BYTES // size)
+    return lambda rows: thin_rows(rows, budget, OFFSET_AND_TIME)
 
 
 def _by_system(rows: Rows) -> Iterator[Rows]:
@@ -90,14 +106,17 @@ def _sorted(some: Sequence[Rows]) -> Rows:
     return rows[np.argsort(rows["t_us"], kind="stable")]
 
 
-def thin_rows(rows: Rows, budget: int) -> Rows:
-    """Thin the rows (n,) of a message to about `budget`: evenly spaced ones and the extremes."""
+def thin_rows(rows: Rows, budget: int, head: int = HEAD) -> Rows:
+    """Thin the rows (n,) of a message to about `budget`: evenly spaced ones and the extremes.
+
+    `head` bytes of a row differ in any case.
+    """
     if len(rows) <= budget:
         return rows
     names = rows.dtype.names or ()
     # Texts and modes are kept at every change.
     if "custom_mode" in names or any(rows.dtype[name].kind == "S" for name in names):
-        return rows[_changes(rows)]
+        return rows[_changes(rows, head)]
     curves = [column for name in names if name not in SENDING for column in _curves(rows[name])]
     # Half of the budget is for extremes, two per bucket and curve.
     buckets = max(1, budget // (4 * max(len(curves), 1)))
@@ -107,13 +126,15 @@ def thin_rows(rows: Rows, budget: int) -> Rows:
 
 
 def _curves(column: NDArray[np.generic]) -> list[NDArray[np.float64]]:
+    if column.dtype.kind not in "iufb":
+        return []
     if column.ndim == 1:
         return [column.astype(float)]
     return [column[:, i].astype(float) for i in range(min(column.shape[1], LONGEST_VECTOR))]
 
 
-def _changes(rows: Rows) -> NDArray[np.bool_]:
+def _changes(rows: Rows, head: int) -> NDArray[np.bool_]:
     """Rows that differ from the row before."""
-    content = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)[:, HEAD:]
+    content = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)[:, head:]
     differs = (content[1:] != content[:-1]).any(axis=1)
     return np.concatenate(([True], differs))

@@ -126,6 +126,11 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
     )
 
 
+def wrap_degrees(angle_deg: ArrayLike) -> Array:
+    """Angles in degrees within (-180, 180]; longitudes and headings are equal modulo 360."""
+    return np.asarray(180.0 - (180.0 - np.asarray(angle_deg, float)) % 360.0)
+
+
 def wrap_angles(angle: ArrayLike) -> Array:
     """Wrap angles to [-pi, pi) [rad]."""
     # The remainder has the divisor's sign, so negative angles need no special case.
