@@ -63,7 +63,11 @@ class Fault(Protocol):
 
 
 class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault of the link: it also acts on bytes that are not a frame, and on signed frames."""
+    """A fault of the link: it also acts on bytes that are not a frame, and on signed frames.
+
+    `takes_unknown` (by default `takes_bytes`) means frames of unknown messages, whose layout has no
+    fields.
+    """
 
     acts_on: ClassVar[ActsOn] = "frames"
     takes_bytes: ClassVar[bool] = True

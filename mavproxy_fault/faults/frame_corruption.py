@@ -76,6 +76,7 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "sequence-gap"
     example: ClassVar[dict[str, Any]] = {"value": 0.2}
     takes_bytes: ClassVar[bool] = False
+    takes_unknown: ClassVar[bool] = True
     # A new sequence number would break the signature, which covers the header.
     takes_sealed: ClassVar[bool] = False
 

@@ -54,6 +54,7 @@ class EndpointStatistics(Latencies, total=False):
     junk_in: Required[int]
     crc_errors: Required[int]
     unknown: Required[int]
+    unknown_ids: Required[dict[str, int]]
     gaps: Required[int]
     faulted: Required[int]
     loops: Required[int]

@@ -94,6 +94,9 @@ class ActiveEntry:
         self._where = (where.system, where.component, where.direction, where.id)
         self.matches_all = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
+        self.takes_unknown = entry.ids is None and getattr(
+            entry.fault, "takes_unknown", self.takes_bytes
+        )
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
         self.buffers = hasattr(entry.fault, "release")  # `Buffering`; isinstance would be slow
         self.ends_itself = hasattr(entry.fault, "done")
@@ -219,13 +222,20 @@ class ActiveEntry:
         name = frame.layout.instance or "id"
         return frame.read(name) if name in frame.layout.fields else 0
 
-    def matches_junk(self, direction: str) -> bool:
-        """Whether the fault acts on junk from this direction."""
+    def matches_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
+        """Whether the fault acts on junk, or on a frame of an unknown message."""
         system, component, way, instance = self._where
-        # Junk has no sender that a filter could match.
-        if not self.takes_bytes or (system, component, instance) != (None, None, None):
+        if isinstance(data, bytes):
+            # They have no sender that a filter could match.
+            anything = (system, component, instance) == (None, None, None)
+            return self.takes_bytes and anything and way in (None, direction)
+        # The instance is in the payload, which cannot be read.
+        if not self.takes_unknown or instance is not None or not self.matches(data, direction):
             return False
-        return way is None or way == direction
+        if sealed and not self.takes_sealed:
+            self.sealed += 1
+            return False
+        return True
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Apply the fault to a frame and count the effect."""

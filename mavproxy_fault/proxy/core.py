@@ -286,15 +286,29 @@ class Core:
         self._announce(engine.drain_labels(), arrival.now_us, batch)
 
     def _junk(self, junk: Junk, arrival: Arrival, batch: OutgoingBatch) -> None:
-        self.states[arrival.link].junk += 1
+        state = self.states[arrival.link]
+        state.junk += 1
         mask = self._routes.all_links & ~(1 << arrival.link)
         now_us = arrival.now_us
+        frame, sealed = junk.frame(), False
+        if frame is not None:
+            # Its checksum proves little: only a frame with a correct one introduces a sender.
+            known = self.senders[LINKS + (frame.system << 8 | frame.component)]
+            if known and not self._admit(frame, arrival):
+                state.loops += 1
+                return
+            sealed = frame.signed
+            if sealed and self._signing is not None:
+                frame, sealed = self._signing.verify_incoming(frame)
+                state.bad_signatures += sealed
+        raw = junk.raw if frame is None else frame.raw
         if self.engine is None:
-            self._send_now(mask, junk.raw, now_us, batch)
+            self._send_now(mask, raw, now_us, batch)
             return
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
-        for out in self.engine.junk(junk.raw, arrival.direction, t_us):
-            self._emit(out, None, mask, now_us - t_us, now_us, batch)
+        whole = raw if frame is None else frame
+        for out in self.engine.junk(whole, arrival.direction, t_us, sealed=sealed):
+            self._emit(out, frame, mask, now_us - t_us, now_us, batch)
         self._announce(self.engine.drain_labels(), now_us, batch)
 
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:

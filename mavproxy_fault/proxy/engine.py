@@ -263,8 +263,14 @@ class Engine:
         if any(begun):
             self._edge_us = t_us
 
-    def junk(self, data: bytes, direction: str, t_us: int) -> list[Outgoing]:
-        """Process bytes that are not a frame: faults on an entire link act on them too."""
+    def junk(
+        self, data: bytes | Frame, direction: str, t_us: int, *, sealed: bool = False
+    ) -> list[Outgoing]:
+        """Process bytes that are not a frame, or a frame of an unknown message.
+
+        Faults on an entire link act on both, and faults on a sender on the frame. With `sealed`
+        it is signed with an unknown key.
+        """
         sends = [Outgoing(t_us, data)]
         if self.t0_us is None:
             return sends
@@ -272,7 +278,7 @@ class Engine:
         if t_us >= self._edge_us:
             self._advance(t_us)
         for running in self._any:
-            if running.matches_junk(direction):
+            if running.matches_junk(data, direction, sealed=sealed):
                 sends = _apply_to_outgoing(running, sends, direction, t_us)
         return sends
 

@@ -52,8 +52,10 @@ class FaultEngine(Protocol):
     ) -> "list[Outgoing]":
         """Process a frame; a sealed (signed) one may be delayed or dropped but not changed."""
 
-    def junk(self, data: bytes, direction: Direction, t_us: int) -> "list[Outgoing]":
-        """Process bytes that are not a frame."""
+    def junk(
+        self, data: bytes | Frame, direction: Direction, t_us: int, *, sealed: bool = False
+    ) -> "list[Outgoing]":
+        """Process bytes that are not a frame, or a frame of an unknown message."""
 
     def due(self, t_us: int) -> "list[Outgoing]":
         """Return buffered frames due by `t_us`."""

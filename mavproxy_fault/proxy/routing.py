@@ -13,7 +13,7 @@ from functools import cache
 
 from mavproxy_fault.proxy.sender_rules import read_target, select_links
 from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
-from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.dialect import find_layout
 from mavproxy_fault.wire.frame import Frame
 
 LOOP_WINDOW_US = 1_000_000  # chosen: far above the round trip of a loop
@@ -23,7 +23,10 @@ MAX_REMEMBERED = 4096  # chosen: about a second of traffic; bounds the memory
 @cache
 def target_offsets(name: str) -> tuple[int, int]:
     """Return the offsets of a message's target system and component; -1 if it has none."""
-    fields = message_layout(name).fields
+    layout = find_layout(name)
+    if layout is None:  # an unknown message
+        return -1, -1
+    fields = layout.fields
     system, component = fields.get("target_system"), fields.get("target_component")
     return (system.offset if system else -1), (component.offset if component else -1)
 

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from mavproxy_fault.wire.dialect import describe_unknown
+
 if TYPE_CHECKING:
     from mavproxy_fault.proxy.core import Core
 
@@ -56,6 +58,7 @@ def link_statistics(core: "Core", number: int) -> dict[str, Any]:
         "junk_in": state.junk,
         "crc_errors": parsed.crc_errors,
         "unknown": parsed.unknown,
+        "unknown_ids": {str(number): count for number, count in parsed.unknown_ids.items()},
         "gaps": state.gaps,
         "faulted": state.faulted,
         "loops": state.loops,
@@ -65,17 +68,26 @@ def link_statistics(core: "Core", number: int) -> dict[str, Any]:
 
 
 def format_endpoints(endpoints: Sequence[dict[str, Any]]) -> str:
-    """Format the endpoints' statistics as an aligned table, one line each."""
+    """Format the endpoints' statistics as an aligned table, and name unknown messages."""
     rows = [[title for title, _ in COLUMNS]]
     rows += [
         ["-" if point.get(key) is None else str(point[key]) for _, key in COLUMNS]
         for point in endpoints
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
-    return "\n".join(
+    lines = [
         "  ".join(
             cell.ljust(width) if column == 0 else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         for row in rows
+    ]
+    unknown = [(point["name"], point.get("unknown_ids")) for point in endpoints]
+    return "\n".join(
+        lines
+        + [
+            f"{name}: {describe_unknown({int(number): count for number, count in ids.items()})}"
+            for name, ids in unknown
+            if ids
+        ]
     )

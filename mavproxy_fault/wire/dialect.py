@@ -10,6 +10,7 @@ References
 
 import json
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -115,6 +116,24 @@ def find_layout(key: str | int) -> Layout | None:
     return Layout(
         name, entry["id"], entry["crc_extra"], entry["instance"], fields, offset, base_length
     )
+
+
+def unknown_layout(number: int, crc_extra: int) -> Layout:
+    """Return the layout of a message that the dialect lacks: only its header can be read."""
+    return Layout(f"UNKNOWN_{number}", number, crc_extra, "", {}, 0, 0)
+
+
+def describe_unknown(counts: Mapping[int, int]) -> str:
+    """Describe frames of unknown messages, given their number by message id."""
+    ids = sorted(counts)
+    # Consecutive ids become one range.
+    starts = [number for number in ids if number - 1 not in counts]
+    ends = [number for number in ids if number + 1 not in counts]
+    ranges = [
+        f"{first}" if first == last else f"{first} to {last}"
+        for first, last in zip(starts, ends, strict=True)
+    ]
+    return f"{sum(counts.values()):,} frames of unknown messages {', '.join(ranges)}"
 
 
 def message_layout(key: str | int) -> Layout:

@@ -10,12 +10,12 @@ verified frame.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.dialect import Layout, find_layout
+from mavproxy_fault.wire.dialect import Layout, find_layout, unknown_layout
 from mavproxy_fault.wire.frame import (
     HEADER_V1,
     HEADER_V2,
@@ -27,11 +27,12 @@ from mavproxy_fault.wire.frame import (
 )
 
 CRC_LENGTH = 2
+MAX_UNKNOWN_IDS = 256  # chosen: more than a dialect has; bounds the memory against random ids
 NO_FRAME = (-1, -1)
 START_BYTES = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
-CRC_TABLE_ENTRIES = frozenset(
-    mcrf4xx(bytes((last,)), 0) for last in range(256)
-)  # table of the byte-wise CRC
+CRC_TABLE_ENTRIES = {  # table of the byte-wise CRC, to index
+    mcrf4xx(bytes((last,)), 0): last for last in range(256)
+}
 JunkKind = Literal["foreign", "crc", "unknown"]
 
 
@@ -46,6 +47,18 @@ class Junk:
     raw: bytes
     kind: JunkKind
 
+    def frame(self) -> Frame | None:
+        """Return a frame of an unknown message, whose header can be read; None for other bytes."""
+        if self.kind != "unknown":
+            return None
+        place = frame_span(self.raw, 0)
+        assert place is not None
+        _, number, checked = place
+        crc = int.from_bytes(self.raw[checked : checked + CRC_LENGTH], "little")
+        extra = _crc_extra_of(self.raw[1:checked], crc)
+        assert extra is not None
+        return Frame(self.raw, unknown_layout(number, extra))
+
 
 @dataclass(slots=True)
 class ParserCounters:
@@ -56,6 +69,13 @@ class ParserCounters:
     unknown: int = 0
     crc_errors: int = 0
     junk_bytes: int = 0
+    unknown_ids: dict[int, int] = field(default_factory=dict)  # frames by message id
+
+    def note_unknown(self, number: int) -> None:
+        """Count a frame that cannot be read."""
+        self.unknown += 1
+        if number in self.unknown_ids or len(self.unknown_ids) < MAX_UNKNOWN_IDS:
+            self.unknown_ids[number] = self.unknown_ids.get(number, 0) + 1
 
     def add(self, other: "ParserCounters") -> None:
         """Add another parser's counts."""
@@ -64,6 +84,8 @@ class ParserCounters:
         self.unknown += other.unknown
         self.crc_errors += other.crc_errors
         self.junk_bytes += other.junk_bytes
+        for number, count in other.unknown_ids.items():
+            self.unknown_ids[number] = self.unknown_ids.get(number, 0) + count
 
 
 class Parser:
@@ -155,9 +177,9 @@ class Parser:
         crc = data[at + checked] | data[at + checked + 1] << 8
         body = data[at + 1 : at + checked]
         if known is None:
-            if not _crc_is_possible(body, crc) or self._contains_frame(data, at, at + length):
+            if _crc_extra_of(body, crc) is None or self._contains_frame(data, at, at + length):
                 return False
-            self.counters.unknown += 1
+            self.counters.note_unknown(number)
             return Junk(data[at : at + length], "unknown")
         if mcrf4xx(body + bytes((known.crc_extra,))) != crc:
             self.counters.crc_errors += 1
@@ -165,7 +187,7 @@ class Parser:
         raw = data[at : at + length]
         # MAVLink: a receiver must not read frames with unknown incompat flags.
         if raw[0] == STX_V2 and raw[2] & ~SIGNED:
-            self.counters.unknown += 1
+            self.counters.note_unknown(number)
             return Junk(raw, "unknown")
         self.counters.frames += 1
         return Frame(raw, known)
@@ -200,10 +222,12 @@ def begins_with_frame(data: bytes) -> bool:
     return bool(data) and isinstance(next(iter(Parser().push(data, datagram=True))), Frame)
 
 
-def _crc_is_possible(body: bytes, crc: int) -> bool:
-    """Whether any CRC extra gives this CRC."""
+def _crc_extra_of(body: bytes, crc: int) -> int | None:
+    """Return the CRC extra that gives this CRC; None if there is none."""
     # The last step processes the extra: shift the register and XOR one table entry.
-    return crc ^ (mcrf4xx(body) >> 8) in CRC_TABLE_ENTRIES
+    before = mcrf4xx(body)
+    index = CRC_TABLE_ENTRIES.get(crc ^ before >> 8)
+    return None if index is None else index ^ before & 0xFF
 
 
 def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | None:

@@ -1,6 +1,7 @@
 """Read the flights behind the paths that a user gives: group logs of one flight and load them."""
 
 import struct
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from analysis.report.recordings.thinning import WHOLE_BYTES, dataflash_thinning,
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire import tlog
+from mavproxy_fault.wire.dialect import describe_unknown
 from mavproxy_fault.wire.label import Label, read_labels
 from mavproxy_fault.wire.written import written_bytes
 
@@ -134,8 +136,8 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
     found = recording_of_tlog(
         columns, name=" + ".join(Path(n).stem for n in logs), t0_us=t0_us, links=links
     )
-    unknown = sum(log.unknown for log in logs.values())
-    notes = [f"{unknown} frames of messages unknown to the dialect"] if unknown else []
+    unknown = sum((log.unknown for log in logs.values()), Counter())
+    notes = [describe_unknown(unknown)] if unknown else []
     notes += [note for log in logs.values() for note in log.notes]
     notes += [THINNED.format(name, log.size / 1e6) for name, log in logs.items() if log.thinned]
     return replace(

@@ -5,6 +5,7 @@ kept, and those with the minimum and maximum of each field, so that no peak is l
 (texts, modes, parameters) are kept whenever they change.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,12 +34,15 @@ Rows = NDArray[np.void]
 
 @dataclass(frozen=True, slots=True)
 class TlogContents:
-    """The contents of a tlog that a report needs; `thinned` if rows were omitted."""
+    """The contents of a tlog that a report needs; `thinned` if rows were omitted.
+
+    `unknown` counts the frames of messages that the dialect lacks, by id.
+    """
 
     columns: Columns
     links: NDArray[np.void]
     frames: int
-    unknown: int
+    unknown: Counter[int]
     junk_bytes: int
     size: int
     thinned: bool
@@ -70,7 +74,8 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     parts: dict[str, list[Rows]] = {}
     links: list[NDArray[np.void]] = []
     senders: dict[int, LastFrame] = {}
-    frames = unknown = junk_bytes = 0
+    frames = junk_bytes = 0
+    unknown: Counter[int] = Counter()
     clock = StampState()
     for part in tlog.read_parts(path) if thin else [tlog.read_log(path)]:
         steady_stamps(part.frames, part.columns, clock)
@@ -79,7 +84,7 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
             parts.setdefault(name, []).extend(kept)
         links.append(sum_stretches(part.frames, senders, clock.restarts_us))
         frames += len(part.frames)
-        unknown += int((~part.frames["known"]).sum())
+        unknown.update(part.frames["id"][~part.frames["known"]].tolist())
         junk_bytes += part.junk_bytes
         progress(part.end / part.size)
     columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}

@@ -1,5 +1,6 @@
 from collections.abc import Mapping
 
+from fastcrc.crc16 import mcrf4xx
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -7,6 +8,7 @@ from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.resync_deadline import MAX_BLOCKING_US, MAX_FRAME_US
+from mavproxy_fault.proxy.statistics import format_endpoints, link_statistics
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -339,3 +341,59 @@ def test_a_command_reaches_the_vehicle_though_another_sender_has_the_proxys_comp
                 if send.link == 0 and item.layout.name == "COMMAND_LONG":
                     heard.append([item.number("param1"), item.number("param2")])
     assert heard == [[65, 2], [65, 0]]
+
+
+def unknown(seq: int, *, system: int = 1, number: int = 52900, extra: int = 77) -> bytes:
+    """A frame of a message that no dialect here defines."""
+    body = bytes((5, 0, 0, seq, system, 1)) + number.to_bytes(3, "little") + b"hello"
+    return b"\xfd" + body + mcrf4xx(body + bytes((extra,))).to_bytes(2, "little")
+
+
+def test_an_outage_of_a_sender_stops_its_unknown_messages_too() -> None:
+    core = core_with("faults: [{fault: outage, where: {system: 1}}]")
+    core.received(AUTOPILOT, heartbeat(system=1) + heartbeat(system=2), WALL_US)
+    sends = core.received(AUTOPILOT, unknown(1) + unknown(1, system=2), WALL_US + 9)
+    assert sends == [Send(SIM, unknown(1, system=2), WALL_US + 9)]
+
+
+def test_a_sequence_gap_renumbers_unknown_messages_with_their_checksum() -> None:
+    core = core_with("faults: [{fault: sequence-gap, value: 1.0}]")
+    core.received(AUTOPILOT, heartbeat(seq=4), WALL_US)
+    (send,) = core.received(AUTOPILOT, unknown(5), WALL_US + 9)
+    assert send.data == unknown(7)  # the heartbeat got 5, and this frame two more than its own
+
+
+def test_a_fault_of_an_instance_leaves_unknown_messages_alone() -> None:
+    core = core_with("faults: [{fault: outage, where: {id: 0}}]")
+    core.received(AUTOPILOT, heartbeat(), WALL_US)
+    assert core.received(AUTOPILOT, unknown(1), WALL_US) == [Send(SIM, unknown(1), WALL_US)]
+
+
+def test_a_timestamp_fault_leaves_unknown_messages_alone() -> None:
+    core = core_with("faults: [{fault: time-drift, value: 0.5}]")
+    core.received(AUTOPILOT, heartbeat(), WALL_US)
+    assert core.received(AUTOPILOT, unknown(1), WALL_US) == [Send(SIM, unknown(1), WALL_US)]
+
+
+def test_unknown_messages_are_no_sequence_gaps() -> None:
+    core = Core(ROLES[:2])
+    for seq in range(0, 20, 2):
+        core.received(AUTOPILOT, heartbeat(seq=seq) + unknown(seq + 1), WALL_US + seq)
+    assert core.gaps() == {}
+
+
+def test_an_unknown_message_alone_introduces_no_sender() -> None:
+    core = Core(ROLES)
+    core.received(AUTOPILOT, unknown(1, system=7), WALL_US)
+    to_seven = message("COMMAND_LONG", system=255, target_system=7, target_component=1)
+    assert {send.link for send in core.received(GCS, to_seven, WALL_US)} == {SIM, AUTOPILOT}
+
+
+def test_the_statistics_name_unknown_messages() -> None:
+    core = Core(ROLES[:2])
+    for number in (60000, 60001, 60002, 60001, 7777777):
+        core.received(AUTOPILOT, unknown(1, number=number), WALL_US)
+    statistics = link_statistics(core, AUTOPILOT)
+    assert statistics["unknown_ids"] == {"60000": 1, "60001": 2, "60002": 1, "7777777": 1}
+    line = format_endpoints([statistics]).splitlines()[-1]
+    assert line == "autopilot: 5 frames of unknown messages 60000 to 60002, 7777777"
