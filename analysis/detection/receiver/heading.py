@@ -34,14 +34,14 @@ def limit_heading_update(
     if not (before.inertial and after.inertial):
         return after
     down = axes[2]
-    was, learnt = (
+    prior, updated = (
         float(down @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ down) for motion in (before, after)
     )
     level_mps2 = float(np.hypot(acceleration_mps2[0], acceleration_mps2[1]))
-    allowed = min(was, (VELOCITY_ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
-    if learnt >= allowed:
+    allowed = min(prior, (VELOCITY_ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
+    if updated >= allowed:
         return after
-    share = float(np.sqrt((allowed - learnt) / (was - learnt)))
+    share = float(np.sqrt((allowed - updated) / (prior - updated)))
     # The gyro bias about the vertical is limited with it.
     down_b = rotation_matrix(after.x[X_Q:X_BG]).T @ down
     back = np.zeros((ERROR_SIZE, ERROR_SIZE))
