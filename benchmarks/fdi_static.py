@@ -135,9 +135,9 @@ def with_noise(
                 s.week,
                 s.tow_s,
                 observed.satellites,
-                observed.pseudorange_m - seen.range_m + drawn,
+                observed.measurements.pseudorange_m - seen.range_m + drawn,
                 np.full(len(drawn), np.nan),
-                observed.cn0_dbhz,
+                observed.measurements.cn0_dbhz,
             )
         )
     return out

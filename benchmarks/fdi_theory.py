@@ -16,7 +16,7 @@ from analysis.detection.isolation.ramp_windows import (
     ramp_statistics,
     respond_to_ranges,
 )
-from analysis.detection.statistics.bank import normalised_by_weights, projected_weights
+from analysis.detection.statistics.bank import projected_weights
 from analysis.detection.statistics.chi_square import chi_square_threshold, two_sided_bound
 
 RNG = np.random.default_rng(20260101)
@@ -49,7 +49,7 @@ def statistics(design: np.ndarray, draws: int, bias: float) -> tuple[np.ndarray,
     v = RNG.standard_normal((draws, count)) @ np.linalg.cholesky(s).T
     v[np.arange(draws), RNG.integers(count, size=draws)] += bias
     projected = projected_weights(design, np.ones(count))
-    single = np.array([normalised_by_weights(m, m @ row) for row in v[:50]])
+    single = np.array([m @ row / np.sqrt(np.diag(m)) for row in v[:50]])
     return (
         np.einsum("ni,ij,nj->n", v, m, v),
         np.einsum("ni,ij,nj->n", v, projected, v),

@@ -2,9 +2,9 @@
 
 The shape over elevation and C/N0 is fitted to the leave-one-out residuals first: their variance is
 regressed on the model's three terms with coefficients of 0 or more. Then `scale` is set so that the
-parity test, which asks satellites alone, has a mean of 1 per degree of freedom, and the rates'
-sigma so that the median of their test has that of chi-square. Offsets are neither learnt nor taken
-off meanwhile: the noise is that of the raw ranges.
+parity test, which uses satellites alone, has a mean of 1 per degree of freedom, and the rates'
+sigma so that the median of their test has that of chi-square. Offsets are neither learned nor
+subtracted meanwhile: the noise is that of the raw ranges.
 """
 
 from collections.abc import Iterable
@@ -28,15 +28,15 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document, write_yaml
 
-LEAST_EPOCHS = 20
-LEAST_FLOOR_M = 0.05
+LEAST_EPOCHS = 20  # chosen: from fewer a scale is little more than noise
+LEAST_FLOOR_M = 0.05  # zero would trust a strong satellite in the zenith without limit
 NEGLIGIBLE_P = 1e-100  # a false-alarm probability
-OUTLIER_SIGMAS = 5.0  # residuals beyond this many sigma are no noise
+OUTLIER_SIGMAS = 5.0  # residuals beyond are not noise: 6e-7 by chance
 
 
 @dataclass(frozen=True, slots=True)
 class SigmaCalibration:
-    """A sigma model and what it was made from."""
+    """A sigma model and the data it is fitted to."""
 
     sigma: SigmaModel
     epochs: int
@@ -52,15 +52,15 @@ def calibrate_sigma(samples: Iterable[Sample], config: DetectorConfig) -> SigmaC
         If there are fewer than 20 epochs that can be tested.
     """
     kept = list(samples)
-    # What the recording is fitted with remembers nothing; `slow` is put back at the end.
-    wanted, config = config, _memoryless(config)
+    # The fit uses no test with memory; `slow` is restored at the end.
+    slow, config = config.sigma.slow, _memoryless(config)
     rows, decisions, rates = _pass(kept, config)
     if len(decisions) < LEAST_EPOCHS:
         raise ConfigError(
             f"calibrate: {len(decisions)} epochs can be tested; at least {LEAST_EPOCHS} are needed"
         )
     shaped = _shape(rows, config.sigma)
-    # The second pass weighs with the fitted shape: only a scale is left to find.
+    # The second pass weights with the fitted shape: only a scale remains.
     _, decisions, _ = _pass(kept, replace(config, sigma=shaped))
     ratio = _per_dof(decisions)
     scaled = replace(shaped, scale=shaped.scale * float(np.sqrt(ratio)))
@@ -73,13 +73,11 @@ def calibrate_sigma(samples: Iterable[Sample], config: DetectorConfig) -> SigmaC
         # A floor: no receiver's rates are better than that for long.
         scaled = replace(scaled, rate_mps=max(config.sigma.rate_mps * factor, 0.02))
     _, decisions, _ = _pass(kept, replace(config, sigma=scaled))
-    return SigmaCalibration(
-        replace(scaled, slow=wanted.sigma.slow), len(decisions), _per_dof(decisions)
-    )
+    return SigmaCalibration(replace(scaled, slow=slow), len(decisions), _per_dof(decisions))
 
 
 def _memoryless(config: DetectorConfig) -> DetectorConfig:
-    """The configuration without tests that have a memory, which is what they would remember."""
+    """The configuration without the tests that have a memory."""
     return replace(config, p_slow=NEGLIGIBLE_P, sigma=replace(config.sigma, slow=0.0))
 
 
@@ -98,7 +96,7 @@ def _pass(
     for sample in samples:
         results, state = detector.step(sample, state)
         for result in results:
-            # Alarmed epochs hold what is no noise.
+            # Epochs with an alarm contain faults.
             if isinstance(result, Decision) and result.parity_dof and not result.alarm:
                 decisions.append(result)
                 if isinstance(sample, Epoch):
@@ -116,12 +114,16 @@ def _residuals(epoch: Epoch, state: DetectorState, config: DetectorConfig) -> Ve
         return np.empty((3, 0))
     ionosphere = core.broadcast.ionosphere
     innovations = predict_innovations(observation, core.motion.x, config.sigma, ionosphere)
-    # Satellites that were excluded are no noise either.
+    # Excluded satellites are not noise either.
     keep = np.array([name not in core.trust.excluded for name in observation.satellites])
     keep &= innovations.elevation_rad >= np.radians(config.mask_deg)
     keep &= np.abs(innovations.range_m) < OUTLIER_SIGMAS * np.sqrt(innovations.variance)
     return np.array(
-        [innovations.range_m[keep], innovations.elevation_rad[keep], observation.cn0_dbhz[keep]]
+        [
+            innovations.range_m[keep],
+            innovations.elevation_rad[keep],
+            observation.measurements.cn0_dbhz[keep],
+        ]
     )
 
 
@@ -138,7 +140,7 @@ def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
             10.0 ** ((45.0 - cn0) / 10.0),
         ]
     )
-    # a squared residual's own spread is its mean: weigh by the model so far
+    # A squared residual's standard deviation is its mean: weight by the model so far.
     weight = 1.0 / before.sigma_m(table[1], table[2]) ** 2
     found, _ = nnls(terms * weight[:, None], table[0] ** 2 * weight)
     # Coefficients are variances.
@@ -146,7 +148,6 @@ def _shape(rows: list[Vector], before: SigmaModel) -> SigmaModel:
     return replace(
         before,
         scale=1.0,
-        # A floor of zero would trust a strong satellite in the zenith without limit.
         floor_m=max(float(floor), LEAST_FLOOR_M),
         zenith_m=float(zenith),
         thermal_m=float(thermal),
@@ -162,7 +163,7 @@ class SigmaFile(msgspec.Struct, frozen=True):
 def write_sigma(path: Path, calibration: SigmaCalibration) -> None:
     """The sigma model as YAML, as the `sigma` of a monitor's configuration."""
     numbers = msgspec.structs.asdict(calibration.sigma).items()
-    # Four digits: what a recording can tell.
+    # Four digits: no recording is more accurate.
     text = write_yaml({"sigma": {name: round(value, 4) for name, value in numbers}})
     made = f"{calibration.epochs} epochs, chi-square per dof {calibration.chi_square_per_dof:.3f}"
     path.write_text(f"# Pseudorange noise fitted to a clean recording: {made}\n{text}")
@@ -178,5 +179,5 @@ def read_sigma(path: Path) -> SigmaModel:
     """
     document = read_document(path)
     if not isinstance(document.data, dict) or "sigma" not in document.data:
-        raise ConfigError(f"{path}: has no `sigma`; a file of `monitor --calibrate` has one")
+        raise ConfigError(f"{path}: has no `sigma`; give a file that `monitor --calibrate` wrote")
     return decode(document, SigmaFile).sigma

@@ -1,7 +1,7 @@
 """The detector's state, in parts of one concern each; every step returns a new one.
 
-The parts of a room's own concern are defined in that room: `ImuStatus` and `BroadcastData` in
-`filter`, `Trust` and `EpochMemory` in `isolation`, `ReceiverState` in `receiver`.
+A part is defined in the package that it serves: `ImuStatus` and `BroadcastData` in `filter`,
+`Trust` and `EpochMemory` in `isolation`, `ReceiverState` in `receiver`.
 """
 
 from typing import NamedTuple

@@ -1,15 +1,15 @@
 """Protection levels: how far the position may be off at a stated integrity risk.
 
 By solution separation, as in advanced RAIM [1]_, about the detector's own position: whichever
-satellite, or whole system, may be faulty without having been found, the snapshot that does not use
-it bounds the truth. With d_k the distance from the position to that snapshot and sigma_k what the
-snapshot may be wrong by without a fault,
+satellite, or entire system, may have an undetected fault, the snapshot that does not use it bounds
+the truth. With d_k the distance from the position to that snapshot and sigma_k what the
+snapshot's error may be without a fault,
 
     level = max over k of |d_k| + K_k sigma_k,   Q(K_k) = risk / (3 axes, hypotheses, prior of k)
 
-No sigma of the filter is in it. A hypothesis without enough satellites left makes the level
-unknown; the fault of the only system in use cannot be seen and is not covered, nor is one of all
-systems together: each decision with levels says what they assume. With C = inv(A'WA)
+No sigma of the filter is used. A hypothesis that leaves too few satellites makes the level unknown;
+a fault of the only system in use is not observable and not covered, nor is one of all systems
+together: each decision with levels says what they assume. With C = inv(A'WA)
 and g = C a, a satellite's snapshot is a change of rank one [2]_:
 
     C_k = C + w g g' / (1 - w a'g),   x_k = x - w g (v - a'x) / (1 - w a'g).
@@ -46,23 +46,23 @@ from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
-INTEGRITY_RISK = 1e-7  # per epoch, of an error beyond a level without a word
-SATELLITE_PRIOR, SYSTEM_PRIOR = 1e-5, 1e-4  # of a fault that nobody has announced [1]_
+INTEGRITY_RISK = 1e-7  # per epoch, of an error beyond a level without an alarm [1]_
+SATELLITE_PRIOR, SYSTEM_PRIOR = 1e-5, 1e-4  # of an unannounced fault [1]_
 INTEGRITY_SIGNAL_M = 1.0  # sigma of orbit and clock for integrity [1]_
 # Of the vertical ionosphere up to 20 degrees, up to 55 and beyond [3]_.
 ZENITH_IONOSPHERE_M = 9.0, 4.5, 6.0
-# What a level takes for granted by how many systems are in use.
+# What a level assumes, by the number of systems in use.
 ONE_SYSTEM, SEVERAL_SYSTEMS = (
     "at most one satellite is wrong",
     "at most one satellite or system is wrong",
 )
-UNSEEN_INFORMATION = 1e-9  # keeps the clock of a system without satellites from making N singular
-LARGEST_LEVEL_M = 1e4  # a level beyond it is none
+UNSEEN_INFORMATION = 1e-9  # 1/m^2: keeps N regular where a system has no satellite left
+LARGEST_LEVEL_M = 1e4  # a larger level is reported as none
 
 
 class PositionBounds(NamedTuple):
-    """Of a position: the variance f of its noise, `lasting_m2` (3,) in ECEF of what lasts, and the
-    protection levels, infinite where a fault that may be there could not be seen by the others."""
+    """The bounds of a position: the variance factor of its noise, the variance of lasting errors
+    (3,) in ECEF, and the protection levels, infinite where a fault would not be observable."""
 
     factor: float
     lasting_m2: tuple[float, float, float]
@@ -81,7 +81,7 @@ def bound_position(
     """The bounds of a position (3,) by the n satellites in use.
 
     Their innovations were taken `moved_m` (3,) before it and less frozen offsets (n,);
-    `slow_share` is the variance of what lasts of a range over that of its noise.
+    `slow_share` is the variance of lasting range errors over that of noise.
     """
     factor = misfit.factor
     table = bounds_kernel(used, moved_m, offset_m, r_ecef_m, factor, slow_share, level_factors())
@@ -90,7 +90,7 @@ def bound_position(
 
 
 def level_assumptions(names: Iterable[str]) -> str:
-    """What the levels by some satellites take for granted."""
+    """What the levels by some satellites assume."""
     systems = {name[0] for name in names} - {"J"}  # QZSS counts as GPS
     return SEVERAL_SYSTEMS if len(systems) > 1 else ONE_SYSTEM
 
@@ -123,15 +123,15 @@ def bounds_kernel(
     """Lasting variance in ECEF (3) and the two levels."""
     lat, lon, _ = geodetic_position(r_ecef_m)
     axes = ned_axes(lat, lon)
-    lines = range_geometry(used, axes)
+    geometry = range_geometry(used, axes)
     weight = _weights(used, _vertical_m(lat, lon), max(factor, 1.0) * (1.0 + slow_share))
     v, out = np.empty(weight.shape[0]), np.empty(AXES + 2)
     for i in range(v.shape[0]):
         v[i] = used.range_m[i] + offset_m[i]
         for k in range(AXES):
             v[i] -= used.geometry[i, k] * moved_m[k]
-    out[:AXES] = lasting_position_variance(used, lines, axes, factor)
-    most = _levels(lines, weight, v, factors)
+    out[:AXES] = lasting_position_variance(used, geometry, axes, factor)
+    most = _levels(geometry, weight, v, factors)
     out[AXES], out[AXES + 1] = math.hypot(most[0], most[1]), most[2]
     return out
 
@@ -163,31 +163,31 @@ def _weights(used: Innovations, vertical_m: float, share: float) -> Vector:
 
 
 @compiled
-def _levels(lines: RangeGeometry, weight: Vector, v: Vector, factors: Vector) -> Vector:
+def _levels(geometry: RangeGeometry, weight: Vector, v: Vector, factors: Vector) -> Vector:
     """Levels (3,) north, east, down; infinite where a hypothesis cannot be tested."""
-    count, unknowns = v.shape[0], lines.unknowns
+    count, unknowns = v.shape[0], geometry.unknowns
     systems, of_system = unknowns - AXES, np.zeros(unknowns, np.int64)
     for i in range(count):
-        of_system[lines.clock[i]] += 1
+        of_system[geometry.clock[i]] += 1
     hypotheses = 1 + count + (systems if systems > 1 else 0)
-    healthy, single, whole = factors[min(hypotheses, factors.shape[0] - 1)]
-    off, cofactor = _snapshot(lines, weight, v)
+    healthy, single, entire = factors[min(hypotheses, factors.shape[0] - 1)]
+    off, cofactor = _snapshot(geometry, weight, v)
     most = np.zeros(AXES)
     for k in range(AXES):
         _widen(most, k, off[k], cofactor[k, k], healthy)
     for i in range(count):
-        # Without it a state would be unseen, but for its own clock: nobody would notice a fault.
-        if count - 1 < unknowns - (of_system[lines.clock[i]] == 1):
+        # Without it a state, other than its own clock, is unobserved: a fault would go undetected.
+        if count - 1 < unknowns - (of_system[geometry.clock[i]] == 1):
             most[:] = np.inf
             break
-        _widen_without(most, i, lines, weight, v, off, cofactor, single)
+        _widen_without(most, i, geometry, weight, v, off, cofactor, single)
     keep = np.empty(count)
     for system in range(AXES, unknowns if systems > 1 else AXES):
         for i in range(count):
-            keep[i] = 0.0 if lines.clock[i] == system else weight[i]
-        off, cofactor = _snapshot(lines, keep, v)
+            keep[i] = 0.0 if geometry.clock[i] == system else weight[i]
+        off, cofactor = _snapshot(geometry, keep, v)
         for k in range(AXES):
-            _widen(most, k, off[k], cofactor[k, k], whole)
+            _widen(most, k, off[k], cofactor[k, k], entire)
     return most
 
 
@@ -195,7 +195,7 @@ def _levels(lines: RangeGeometry, weight: Vector, v: Vector, factors: Vector) ->
 def _widen_without(
     most: Vector,
     i: int,
-    lines: RangeGeometry,
+    geometry: RangeGeometry,
     weight: Vector,
     v: Vector,
     off: Vector,
@@ -203,8 +203,12 @@ def _widen_without(
     factor: float,
 ) -> None:
     """Widen levels (3,), in place, by the snapshot of all ranges but one."""
-    w, at = weight[i], lines.clock[i]
-    x, y, z = lines.line_of_sight[i, 0], lines.line_of_sight[i, 1], lines.line_of_sight[i, 2]
+    w, at = weight[i], geometry.clock[i]
+    x, y, z = (
+        geometry.line_of_sight[i, 0],
+        geometry.line_of_sight[i, 1],
+        geometry.line_of_sight[i, 2],
+    )
     north = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z + cofactor[0, at]
     east = cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z + cofactor[1, at]
     down = cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z + cofactor[2, at]
@@ -224,20 +228,20 @@ def _widen(most: Vector, k: int, off_m: float, variance: float, factor: float) -
 
 
 @compiled
-def _snapshot(lines: RangeGeometry, weight: Vector, v: Vector) -> tuple[Vector, Vector]:
+def _snapshot(geometry: RangeGeometry, weight: Vector, v: Vector) -> tuple[Vector, Vector]:
     """The snapshot (c,) of those with a weight (n,), from where v (n,) was taken, with its
     covariance (c, c); NaN where they are too few."""
-    unknowns, remaining = lines.unknowns, 0
-    b, seen = np.zeros(unknowns), np.zeros(unknowns, np.bool_)
+    unknowns, remaining = geometry.unknowns, 0
+    b, observed = np.zeros(unknowns), np.zeros(unknowns, np.bool_)
     for i in range(v.shape[0]):
         remaining += weight[i] > 0.0
-        seen[lines.clock[i]] |= weight[i] > 0.0
-        b[lines.clock[i]] += weight[i] * v[i]
+        observed[geometry.clock[i]] |= weight[i] > 0.0
+        b[geometry.clock[i]] += weight[i] * v[i]
         for k in range(AXES):
-            b[k] += weight[i] * lines.line_of_sight[i, k] * v[i]
-    if remaining < AXES + seen.sum():
+            b[k] += weight[i] * geometry.line_of_sight[i, k] * v[i]
+    if remaining < AXES + observed.sum():
         return np.full(unknowns, np.nan), np.full((unknowns, unknowns), np.nan)
-    normal = normal_matrix(lines, weight)
+    normal = normal_matrix(geometry, weight)
     for k in range(AXES, unknowns):
         normal[k, k] += UNSEEN_INFORMATION
     cofactor, off = invert_positive_definite(normal), np.zeros(unknowns)

@@ -1,4 +1,4 @@
-"""Where the satellites of a RINEX recording stand, for whoever makes their signals up."""
+"""The positions of a RINEX recording's satellites, for faults that generate their signals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
-LEAST_SATELLITES = 6  # satellites that give a place with one to spare
+LEAST_SATELLITES = 6  # satellites: two systems' unknowns and one to spare
 
 
 def recorded_sky(
@@ -25,13 +25,13 @@ def recorded_sky(
     """A function of the stamp of an epoch: to each satellite with an orbit, north, east and down
     of the receiver [m], and how that changes [m/s] (6,).
 
-    The receiver is where the first epoch with enough satellites puts it: a kilometre further on a
-    satellite's direction is another one by 0.05 mrad.
+    The receiver is at the position of the first epoch with enough satellites: a kilometre further
+    on a satellite's direction differs by 0.05 mrad.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read, or no epoch gives a place.
+        If a file cannot be read, or no epoch gives a position.
     """
     block = read_rinex(observations, navigation)
     samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
@@ -40,15 +40,18 @@ def recorded_sky(
     fixes = (locate_receiver(epoch, orbits) for epoch in epochs.values())
     r_ecef_m = next((place for place in fixes if place is not None), None)
     if r_ecef_m is None:
-        raise ConfigError(f"{observations}: no epoch gives a place; a spoof needs one to move")
+        raise ConfigError(
+            f"{observations}: no epoch gives a position; a spoof needs one with {LEAST_SATELLITES}"
+            " satellites that have an ephemeris"
+        )
     lat, lon, _ = geodetic_position(r_ecef_m)
     axes = ned_axes(lat, lon)
 
     def sky(t_us: int) -> dict[str, Vector]:
         epoch = epochs.get(t_us)
-        observation = (
-            None if epoch is None else observe_epoch(epoch, select_ephemerides(epoch, orbits))
-        )
+        if epoch is None:
+            return {}
+        observation = observe_epoch(epoch, select_ephemerides(epoch, orbits))
         if observation is None:
             return {}
         states = observation.satellite_states
@@ -61,9 +64,9 @@ def recorded_sky(
 
 def locate_receiver(epoch: Epoch, orbits: dict[str, tuple[StoredOrbit, ...]]) -> Vector | None:
     """The receiver (3,), ECEF [m], by one epoch alone."""
-    chosen = select_ephemerides(epoch, orbits)
-    kept = epoch if chosen.keep is None else epoch.select(chosen.keep.tolist())
-    if len(chosen.names) < LEAST_SATELLITES:
+    selection = select_ephemerides(epoch, orbits)
+    kept = epoch if selection.keep is None else epoch.select(selection.keep.tolist())
+    if len(selection.names) < LEAST_SATELLITES:
         return None
-    fix = solve_position(kept, chosen.packed, NO_IONOSPHERE, np.ones(len(chosen.names)))
+    fix = solve_position(kept, selection.packed, NO_IONOSPHERE, np.ones(len(selection.names)))
     return None if fix is None else fix.r_ecef_m

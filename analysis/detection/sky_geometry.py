@@ -1,6 +1,6 @@
 """The sky of a recording's decisions: elevation, azimuth, C/N0, signals, dilution of precision.
 
-It is computed behind the detector, from the same orbits, so that no test of an epoch pays for it.
+It is computed after detection, from the same orbits, so that it costs the tests nothing.
 """
 
 import math
@@ -29,33 +29,33 @@ from analysis.samples.block import EPHEMERIS, EPOCH, Block
 from analysis.samples.sample import EphemerisSample, Epoch, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
-NO_IONOSPHERE = np.zeros(8)  # directions alone are asked for
+NO_IONOSPHERE = np.zeros(8)  # only directions are needed
 AT_REST = np.zeros(3)
 Dilution = tuple[float | None, float | None]
 
 
 class RecordedSky:
-    """The sky of a whole recording, for its results in whatever parts they come."""
+    """The sky of a complete recording, for its results in blocks of any size."""
 
     def __init__(self, block: Block, config: DetectorConfig) -> None:
         samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
         self._epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
         self._orbits, self._systems = orbits_of(block), config.systems
-        self._chosen: EphemerisSelection | None = None
+        self._selection: EphemerisSelection | None = None
 
     def add_sky(self, results: Sequence[Result]) -> list[Result]:
-        """The results, decisions with the sky above their position."""
+        """The results; decisions get the sky above their position."""
         return [
-            self._seen(result) if isinstance(result, Decision) else result for result in results
+            self._with_sky(result) if isinstance(result, Decision) else result for result in results
         ]
 
-    def _seen(self, decision: Decision) -> Decision:
+    def _with_sky(self, decision: Decision) -> Decision:
         epoch = self._epochs.get(decision.t_us)
         if epoch is None or not decision.position_ecef_m:
             return decision
-        if self._chosen is None or not self._chosen.is_valid_for(epoch):
-            self._chosen = select_ephemerides(epoch, self._orbits, self._systems)
-        return _seen(decision, epoch, self._chosen)
+        if self._selection is None or not self._selection.is_valid_for(epoch):
+            self._selection = select_ephemerides(epoch, self._orbits, self._systems)
+        return _with_sky(decision, epoch, self._selection)
 
 
 def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
@@ -70,13 +70,17 @@ def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
     return found
 
 
-def _seen(decision: Decision, epoch: Epoch, chosen: EphemerisSelection) -> Decision:
-    observation = observe_epoch(epoch, chosen)
+def _with_sky(decision: Decision, epoch: Epoch, selection: EphemerisSelection) -> Decision:
+    observation = observe_epoch(epoch, selection)
     if observation is None:
         return decision
     r_ecef_m = np.array(decision.position_ecef_m)
     table = predict_ranges(
-        observation.satellite_states, r_ecef_m, AT_REST, observation.tow_s, NO_IONOSPHERE
+        observation.satellite_states,
+        r_ecef_m,
+        AT_REST,
+        observation.measurements.tow_s,
+        NO_IONOSPHERE,
     )
     places = {name: i for i, name in enumerate(observation.satellites)}
     if not all(name in places for name in decision.satellites):
@@ -85,13 +89,17 @@ def _seen(decision: Decision, epoch: Epoch, chosen: EphemerisSelection) -> Decis
     signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
     used = [places[name] for name in decision.satellites if name not in decision.excluded]
     hdop, vdop = _dilution(
-        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3], observation.system[used], r_ecef_m
+        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3],
+        observation.measurements.system[used],
+        r_ecef_m,
     )
     return replace(
         decision,
         elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
         azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
-        cn0_dbhz=tuple(c if math.isfinite(c) else None for c in observation.cn0_dbhz[at].tolist()),
+        cn0_dbhz=tuple(
+            c if math.isfinite(c) else None for c in observation.measurements.cn0_dbhz[at].tolist()
+        ),
         signals=tuple(signals.get(name, "") for name in decision.satellites),
         hdop=hdop,
         vdop=vdop,
@@ -99,10 +107,10 @@ def _seen(decision: Decision, epoch: Epoch, chosen: EphemerisSelection) -> Decis
 
 
 def _dilution(
-    sight: Vector, system: Indices, r_ecef_m: Vector
+    line_of_sight: Vector, system: Indices, r_ecef_m: Vector
 ) -> tuple[float | None, float | None]:
     """Horizontal and vertical dilution of precision of satellites in the directions (n, 3)."""
-    design = design_matrix(sight, system)
+    design = design_matrix(line_of_sight, system)
     if len(design) < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
         return None, None
     lat, lon, _ = geodetic_position(r_ecef_m)

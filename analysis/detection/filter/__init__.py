@@ -1,1 +1,1 @@
-"""The detection filter: an error-state filter that predicts each epoch before it is tested."""
+"""The detection filter: an error-state Kalman filter that predicts each epoch before its tests."""

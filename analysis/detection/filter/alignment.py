@@ -1,4 +1,4 @@
-"""Attitude from nothing: the specific force integrated by the IMU against GNSS velocity.
+"""Attitude from scratch: the specific force integrated by the IMU against GNSS velocity.
 
 In axes fixed at the start (0), alpha = integral of C_0b f dt; by GNSS the same vector in ECEF is
 beta = v - v_0 - integral of (g - 2 Omega x v) dt. The rotation C_e0 with beta = C_e0 alpha for all
@@ -34,20 +34,16 @@ from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
-# An older alignment begins anew: the gyro's bias grows in it with time.
-LONGEST_ALIGNMENT_S = 20.0
-SLOWEST_SAMPLING_S = 0.07  # between samples of an IMU that may carry the filter
-# A shorter one would rest on the noise of a few velocities.
-SHORTEST_ALIGNMENT_S = 2.0
-HEADING_BY_MOTION_RAD = 0.12
+LONGEST_ALIGNMENT_S = 20.0  # then it restarts: the integral of the gyro bias grows with time
+SHORTEST_ALIGNMENT_S = 2.0  # a shorter one would rest on the noise of a few velocities
+SLOWEST_SAMPLING_S = 0.07  # mean interval of an IMU that may propagate the filter: 14 Hz
+HEADING_BY_MOTION_RAD = 0.12  # one sigma at which the attitude counts as found: 7 degrees
 HEADING_BY_MAG_RAD = 0.35  # declination unknown: 20 degrees
-# Motion has this long to give the better heading alone.
-MAG_AFTER_S = 4.0
-# The filter's own variance leaves out errors common to the epochs of an alignment.
+MAG_AFTER_S = 4.0  # motion has this long to give the better heading alone
+# Errors common to the epochs of an alignment, which the filter's own variance leaves out.
 VELOCITY_FLOOR_MPS = 0.2
 ALIGNMENT_FLOOR_RAD = 0.05  # gyro bias and timing over the alignment
-# Of the tilt: the filter is linear in its error, and sines of more are none
-LOST_TILT_RAD = 0.35
+LOST_TILT_RAD = 0.35  # 20 degrees: the filter is linear in the error of the tilt
 
 
 @compiled
@@ -71,7 +67,7 @@ def _integrate(
 
 
 def new_alignment(motion: MotionEstimate) -> Alignment:
-    """The state at the start."""
+    """An alignment that starts at the filter's epoch."""
     unit = np.array([1.0, 0.0, 0.0, 0.0])
     nothing = np.zeros((3, 3))
     still = np.zeros(3)
@@ -81,9 +77,9 @@ def new_alignment(motion: MotionEstimate) -> Alignment:
 def extend_alignment(
     alignment: Alignment, motion: MotionEstimate, samples: Vector, dt_s: float
 ) -> Alignment:
-    """One epoch more: the IMU's samples (k, 7) since the last and the filter's velocity now."""
+    """The alignment after one epoch more, with the IMU's samples (k, 7) since the last one."""
     q, alpha, more = _integrate(alignment.q_0b, alignment.alpha, samples)
-    speed, turn = (before + news for before, news in zip(alignment.unsampled, more, strict=True))
+    speed, turn = (a + b for a, b in zip(alignment.unsampled, more, strict=True))
     v = motion.x[3:6]
     # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)
@@ -93,7 +89,7 @@ def extend_alignment(
     variance = float(np.trace(motion.p[3:6, 3:6])) / 3.0 + VELOCITY_FLOOR_MPS**2
     variance += speed + turn * float(alpha @ alpha)
     cross = alignment.cross + np.outer(beta, alpha) / variance
-    # A pair of parallel vectors says nothing of a turn about them: hence the projection.
+    # A pair of parallel vectors does not observe a rotation about them: hence the projection.
     information = (
         alignment.information + (beta @ beta * np.eye(3) - np.outer(beta, beta)) / variance
     )
@@ -104,7 +100,7 @@ def extend_alignment(
 def finish_alignment(
     alignment: Alignment, motion: MotionEstimate, mag_b: Vector | None
 ) -> MotionEstimate | None:
-    """The filter with its attitude found, moved by the IMU from here; None while it is not.
+    """The filter with its attitude found, propagated by the IMU from here; None while it is not.
 
     `mag_b` (3,) is the field in body axes, in any unit: its direction alone is used.
     """
@@ -119,7 +115,7 @@ def finish_alignment(
         information = information + (np.eye(3) - np.outer(north, north)) / HEADING_BY_MAG_RAD**2
         # A heading by the magnetometer alone must pass, so the limit lies above its own sigma.
         limit = 1.1 * HEADING_BY_MAG_RAD
-    # The weakest axis decides, and how far the vehicle may have turned between two samples.
+    # The weakest axis decides, less the rotation that may have happened between two samples.
     turn = alignment.unsampled[1]
     if np.linalg.eigvalsh(information)[0] * (limit**2 - turn) < 1.0:
         return None
@@ -128,7 +124,7 @@ def finish_alignment(
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     x, p = motion.x.copy(), motion.p.copy()
     x[6:10] = quat_from_matrix(rotation @ rotation_matrix(alignment.q_0b))
-    # Biases cannot be told from the attitude in so short a time: they begin at zero.
+    # Biases are not separable from the attitude in so short a time: they begin at zero.
     x[10:16] = 0.0
     for at in (PSI, BG, BA):
         # Correlations of the old attitude with anything else are void.
@@ -144,9 +140,9 @@ def finish_alignment(
 
 
 def _lost(motion: MotionEstimate) -> bool:
-    """Whether the filter no longer knows the tilt, about the axis of which it is least sure."""
+    """Whether the filter has lost the tilt about the axis where it is least certain."""
     p = motion.p[PSI : PSI + 3, PSI : PSI + 3]
-    # No axis is less sure than all three together, which nearly every epoch ends with.
+    # No axis is less certain than all three together: the usual epoch ends here.
     if p[0, 0] + p[1, 1] + p[2, 2] < LOST_TILT_RAD**2:
         return False
     lat, lon, _ = geodetic_position(motion.x[0:3])
@@ -172,16 +168,16 @@ def align_attitude(
     dt_s: float,
     config: FilterConfig,
 ) -> MotionEstimate:
-    """After an epoch without inertial attitude: gather, and switch to the IMU once it is found; one
-    that has been lost is found anew."""
+    """The filter after an epoch: an unknown attitude is searched for, and the IMU is used once it
+    is found; a lost attitude is searched for again."""
     if motion.inertial:
         return motion._replace(inertial=False) if _lost(motion) else motion
     if not len(segment.samples) or segment.gap_s > config.gap_s:
         return motion
-    # Between samples so far apart a vehicle turns in ways that nobody measured.
+    # Between samples so far apart a vehicle rotates unmeasured.
     if dt_s > SLOWEST_SAMPLING_S * (len(segment.samples) - 1):
         return motion._replace(alignment=None)
-    # An IMU that was blamed must stay sound for a while before it may give an attitude.
+    # A suspended IMU gives no attitude.
     if imu.suspended_until_us is not None and motion.t_us < imu.suspended_until_us:
         return motion
     alignment = motion.alignment

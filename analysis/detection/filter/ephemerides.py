@@ -78,14 +78,11 @@ def _time_of(ephemeris: Ephemeris | StateVector) -> tuple[int, float]:
 
 
 def select_ephemerides(
-    epoch: Epoch,
-    ephemerides: StoredOrbits,
-    systems: str = SYSTEMS,
-    before: EphemerisSelection | None = None,
+    epoch: Epoch, ephemerides: StoredOrbits, systems: str = SYSTEMS
 ) -> EphemerisSelection:
     """Select the healthy ephemeris nearest in time for each satellite of an epoch that has one.
 
-    `systems` are the first letters of the systems in use, `before` is the last selection.
+    `systems` are the first letters of the systems in use.
     """
     keep, rows, valid_s = [], [], RESELECT_S
     carriers = [L1_HZ] * len(epoch.satellites)
@@ -98,8 +95,6 @@ def select_ephemerides(
             keep.append(i)
             rows.append(packed if carriers[i] == L1_HZ else packed_for_carrier(packed, carriers[i]))
     names = tuple(epoch.satellites[i] for i in keep)
-    # The same object where nothing changed: the ramp tests compare it by identity first.
-    names = before.names if before is not None and before.names == names else names
     return EphemerisSelection(
         epoch.satellites,
         epoch.week,

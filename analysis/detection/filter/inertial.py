@@ -43,8 +43,8 @@ DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how man
 DIAGONAL = ERROR_SIZE + 1  # from one diagonal element of a covariance (400,) to the next
 # One sigma of the biases of cheap MEMS sensors at power-on; the filter narrows them in flight.
 GYRO_BIAS_SIGMA_RPS, ACCEL_BIAS_SIGMA_MPS2 = 0.02, 0.3
-COVARIANCE_STEP_S = 0.25  # so much at most of the covariance's way at once
-SPARSE_SAMPLE_S = 0.03  # of longer steps nobody knows what force and rates were meanwhile
+COVARIANCE_STEP_S = 0.25  # at most propagated at once: exact but for the third power
+SPARSE_SAMPLE_S = 0.03  # in longer steps force and rates may have changed unmeasured
 
 
 @compiled
@@ -57,7 +57,7 @@ def gravity_ecef(r: Vector) -> Vector:
 
 @compiled
 def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """The same by components, which needs no memory."""
+    """The same by components, without an array."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
     # At the origin, where no fix is yet, gravity would be infinite.
@@ -100,7 +100,7 @@ def _mechanise(x: Vector, samples: Vector, row: int) -> tuple[Nine, Three]:
 
 @inlined
 def _rotate(x: Vector, samples: Vector, row: int) -> Nine:
-    """Turn the attitude in x by the rates of a row; the rotation at mid-step, row by row."""
+    """Rotate the attitude in x by the rates of a row; the rotation at mid-step, row by row."""
     earth, dt = GNSS_EARTH_RATE_RPS, samples[row, DT]
     rx = samples[row, GYRO] - x[X_BG]
     ry = samples[row, GYRO + 1] - x[X_BG + 1]
@@ -112,7 +112,7 @@ def _rotate(x: Vector, samples: Vector, row: int) -> Nine:
     a, scale = _quarter(rx * rx + ry * ry + rz * rz)
     b, d, e = scale * rx, scale * ry, scale * rz
     c = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    for half in range(2):  # the same turn to mid-step and to the end
+    for half in range(2):  # the same rotation to mid-step and to the end
         w, i, j, k = (
             a * w - b * i - d * j - e * k,
             a * i + b * w - d * k + e * j,
@@ -131,7 +131,8 @@ def _rotate(x: Vector, samples: Vector, row: int) -> Nine:
                 2.0 * (j * k + w * i),
                 1.0 - 2.0 * (i * i + j * j),
             )
-    length = 1.5 - 0.5 * (w * w + i * i + j * j + k * k)  # of a unit but for rounding, inverted
+    # One over its norm, which is 1 but for rounding.
+    length = 1.5 - 0.5 * (w * w + i * i + j * j + k * k)
     x[X_Q], x[X_Q + 1] = w * length, i * length
     x[X_Q + 2], x[X_Q + 3] = j * length, k * length
     return c
@@ -139,8 +140,8 @@ def _rotate(x: Vector, samples: Vector, row: int) -> Nine:
 
 @compiled
 def _quarter(square: float) -> tuple[float, float]:
-    """cos(a / 4) and sin(a / 4) / a of a turn by a, from its square; by series where it is small,
-    to the last digit."""
+    """cos(a / 4) and sin(a / 4) / a of a rotation by a, from its square; by series where it is
+    small, to the last digit."""
     if square > 0.01:
         angle = math.sqrt(square)
         return math.cos(0.25 * angle), math.sin(0.25 * angle) / angle
@@ -151,11 +152,11 @@ def _quarter(square: float) -> tuple[float, float]:
 
 @inlined
 def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
-    """Put one step behind the transition phi, rows of 20 one after the other in (400,), in place.
+    """Append one step to the transition phi (400,), the rows of a (20, 20) matrix, in place.
 
-    What depends on the IMU stands in the rows of position, velocity and attitude, from the columns
-    of velocity to those of the accelerometer's bias. The rows' distance is a number known when this
-    is compiled: so it becomes vector instructions.
+    The IMU affects the rows of position, velocity and attitude, from the columns of velocity to
+    those of the accelerometer's bias. The distance of rows is a constant, so that the compiler can
+    vectorise.
     """
     earth = GNSS_EARTH_RATE_RPS * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
@@ -185,7 +186,7 @@ def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
 
 @compiled
 def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """Add what the IMU's noise does in a while to p (400,), in place."""
+    """Add the IMU's noise over dt to p (400,), in place."""
     for i in range(3):
         p[DIAGONAL * (V + i)] += noise.accel_mps2 * dt
         p[DIAGONAL * (PSI + i)] += noise.gyro_rps * dt
@@ -194,7 +195,7 @@ def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
 
 @compiled
 def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """The same of its biases alone."""
+    """Add the random walk of its biases alone."""
     for i in range(3):
         p[DIAGONAL * (BG + i)] += noise.gyro_walk * dt
         p[DIAGONAL * (BA + i)] += noise.accel_walk * dt
@@ -202,7 +203,7 @@ def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
 
 @compiled
 def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """The same of the clock and the offsets of systems."""
+    """Add the noise of the clock and of the systems' offsets."""
     # White noise of the drift's rate, integrated twice, once and not at all.
     p[DIAGONAL * CLOCK] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
     p[ERROR_SIZE * CLOCK + DRIFT] += noise.drift_mps * dt * dt / 2.0
@@ -213,14 +214,14 @@ def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
 
 
 @compiled
-def _carried(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
-    """The covariance (20, 20) after a while of the transition phi (20, 20): half of the IMU's noise
-    comes before it and half after, which is exact but for the third power of the time."""
+def _propagated(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
+    """The covariance (20, 20) after the transition phi (20, 20): half of the IMU's noise comes
+    before it and half after, which is exact but for the third power of the time."""
     # The clock's own transition is the elapsed time, so `dt` need not be handed in.
     dt, p = phi[CLOCK, DRIFT], p.copy()
     _add_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, 0.5 * dt)
     p = multiply_matrices(phi, transpose_matrix(multiply_matrices(phi, p)))
-    # Rounding makes the product asymmetric, and Cholesky would amplify that.
+    # Rounding makes the product asymmetric, which Cholesky would amplify.
     for i in range(ERROR_SIZE):
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
@@ -235,7 +236,7 @@ def propagate_inertial(
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance over a run of IMU samples.
 
-    State and transition go by single samples, the covariance by transitions over at most
+    State and transition advance by single samples, the covariance by transitions over at most
     `COVARIANCE_STEP_S`.
 
     Parameters
@@ -254,7 +255,7 @@ def propagate_inertial(
         phi = np.eye(ERROR_SIZE)
         first = row
         row, speed, turn = _advance(x, phi.reshape(ERROR_SIZE * ERROR_SIZE), samples, row)
-        p = _carried(p, phi, noise)
+        p = _propagated(p, phi, noise)
         for i in range(3):
             p[V + i, V + i] += speed
             p[PSI + i, PSI + i] += turn
@@ -284,21 +285,21 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, fl
 
 @compiled
 def unsampled_variance(samples: Vector, row: int) -> tuple[float, float]:
-    """Variances of velocity and attitude by what no sample has seen since the row before."""
+    """Variances of velocity and attitude by unmeasured motion since the row before."""
     if row == 0 or samples[row, DT] <= SPARSE_SAMPLE_S:
         return 0.0, 0.0
-    return _unseen(samples, row, ACCEL), _unseen(samples, row, GYRO)
+    return _unmeasured(samples, row, ACCEL), _unmeasured(samples, row, GYRO)
 
 
 @compiled
-def _unseen(samples: Vector, row: int, first: int) -> float:
-    """Variance of the integral of force or rates over a step, beginning in a column of theirs,
-    where they may have been anything between two samples."""
+def _unmeasured(samples: Vector, row: int, first: int) -> float:
+    """Variance of the integral of force or rates (columns from `first`) over a step between whose
+    samples they may have been anything."""
     square = 0.0
     for i in range(first, first + 3):
         change = samples[row, i] - samples[row - 1, i]
         square += change * change
-    # Of white ones: a change has twice its variance, on each of three axes.
+    # Of white noise: a change has twice its variance, on each of three axes.
     variance: float = square * samples[row, DT] ** 2 / 6.0
     return variance
 
@@ -307,8 +308,8 @@ def _unseen(samples: Vector, row: int, first: int) -> float:
 def propagate_freely(
     x: Vector, p: Vector, dt: float, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
-    """The same over `dt` seconds without an IMU: steady velocity with random acceleration; x (21,),
-    p and the transition (20, 20)."""
+    """State, covariance and transition over `dt` seconds without an IMU: steady velocity with
+    random acceleration; shapes as for `propagate_inertial`."""
     x = x.copy()
     phi = np.eye(ERROR_SIZE)
     for i in range(3):

@@ -1,6 +1,6 @@
-"""Measurements used by the information they hold of the few states that they see.
+"""Measurement updates by the information on the few states that measurements observe.
 
-Pseudoranges see position, clock and the systems' offsets, Doppler rates velocity and drift: c
+Pseudoranges observe position, clock and the systems' offsets, Doppler rates velocity and drift: c
 states each, 4 to 7 of 20. With A (n, c) the geometry over these, R the noise (diagonal) and P_c the
 covariance of these states,
 
@@ -14,7 +14,7 @@ and the inverse innovation covariance is M = inv(R) - inv(R) A P+_c A' inv(R), s
     q = v' M v = v' inv(R) v - b' P+_c b.
 
 All of it is the Kalman update by the matrix inversion lemma [1]_; nothing of size n is inverted. T
-is never less than I, so what was forgotten (a large P) costs no digits.
+is never less than I, so a released state (a large P) costs no digits.
 
 References
 ----------
@@ -44,7 +44,7 @@ RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
 
 
 class NormalEquations(NamedTuple):
-    """n measurements as normal equations over the c states that they see.
+    """n measurements as normal equations over the c states that they observe.
 
     `states` (c,) are those states, `a` (n, c) the geometry over them, `variance` and `v` (n,) noise
     and innovations; `information` (c, c) is N, `b` (c,) is b, and `total` v' inv(R) v.
@@ -62,15 +62,15 @@ class NormalEquations(NamedTuple):
 @compiled
 def visible_states(h: Vector) -> Indices:
     """The states (c,) that a geometry h (n, 20) depends on."""
-    seen = np.empty(h.shape[1], dtype=np.int64)
+    observed = np.empty(h.shape[1], dtype=np.int64)
     count = 0
     for j in range(h.shape[1]):
         for i in range(h.shape[0]):
             if h[i, j] != 0.0:
-                seen[count] = j
+                observed[count] = j
                 count += 1
                 break
-    return seen[:count]
+    return observed[:count]
 
 
 @compiled
@@ -95,8 +95,8 @@ def covariance_block(p: Vector, states: Indices) -> Vector:
 
 @compiled
 def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
-    """What innovations v (n,) with variance (n,) and geometry h (n, 20) tell of the states they
-    depend on."""
+    """Normal equations of innovations v (n,) with variance (n,) and geometry h (n, 20), over the
+    states that they observe."""
     states = visible_states(h)
     return normal_equations_over(states, select_columns(h, states), variance, v)
 
@@ -217,7 +217,7 @@ def update_in_place(
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
             factor = rows[k, i]
-            # The lower half alone, then mirrored: half the work, and symmetric for sure.
+            # The lower half alone, then mirrored: half the work, and exactly symmetric.
             for j in range(i + 1):
                 p[i, j] -= factor * weighted[k, j]
         for j in range(i):
@@ -233,7 +233,7 @@ def add_error(x: Vector, d: Vector) -> None:
     """Add an error d (20,) to the state x (21,), in place."""
     q = rotate_in_reference(x[X_Q : X_Q + 4], d[PSI], d[PSI + 1], d[PSI + 2])
     for i in range(PSI):
-        # The attitude's error turns the quaternion; everything else adds.
+        # The attitude's error rotates the quaternion; everything else adds.
         x[i] += d[i]
     for i in range(4):
         x[X_Q + i] = q[i]

@@ -1,15 +1,15 @@
-"""Errors that last for minutes: what they make of the position beyond the filter's covariance.
+"""Errors that last for minutes: the position's covariance beyond that of the filter.
 
 A filter that takes epochs as independent averages its noise away, but not multipath, orbit and
-clock errors, and what the ionosphere's and the troposphere's models leave: these are the same at
-the next epoch. They are *considered*, not estimated [1]_: gain and tests stay as they are, and the
-covariance that is told of the position is
+clock errors, and the residuals of the atmosphere's models: these are the same at the next epoch.
+They are *considered*, not estimated [1]_: gain and tests stay as they are, and the reported
+covariance of the position is
 
     f P + S L S',   S = inv(A'WA) A'W,
 
 S the snapshot's response to the ranges, which the filter reaches within seconds, L (diagonal) the
-variances of what lasts, and f the a-posteriori variance factor: chi-square per degree of freedom of
-the parity test over the last minute. Where it is above 1 the excess is multipath, and lasts.
+variances of lasting errors, and f the a-posteriori variance factor: chi-square per degree of
+freedom of the parity test over the last minute. An excess over 1 is multipath, and lasts.
 
 References
 ----------
@@ -32,23 +32,26 @@ from mavproxy_fault.numerics.linear import invert_positive_definite
 
 LASTING_SIGNAL_M = 0.5  # orbit and clock: what GPS and Galileo reach in the root mean square
 IONOSPHERE_SHARE, TROPOSPHERE_M = 0.2, 0.12  # of Klobuchar's delay; of the zenith delay [2]_
-FACTOR_MEMORY_S = 60.0  # of the variance factor
-INDEPENDENT_AFTER_S = 1.0  # epochs closer than this share their errors
-ASSUMED_DOF = 10.0  # degrees of freedom in favour of the model as it is
-LEAST_FACTOR = 0.25
+FACTOR_MEMORY_S = 60.0  # of the variance factor: multipath changes within a minute
+INDEPENDENT_AFTER_S = 1.0  # epochs closer than this share their errors: they count for less
+ASSUMED_DOF = 10.0  # prior weight of a factor of 1: about one epoch of 14 satellites
+LEAST_FACTOR = 0.25  # no receiver is trusted beyond half the modelled sigma
 AXES = 3
-VAGUE_INFORMATION = 1e-4  # information in 1/m^2 of where an antenna is that too few satellites see
+VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of axes that no satellite observes
 
 
 class VarianceFactor(NamedTuple):
-    """Parity statistics of the last minute and their degrees of freedom, the older the less."""
+    """Exponentially weighted parity statistics of the last minute, and their degrees of freedom."""
 
     total: float = ASSUMED_DOF
     dof: float = ASSUMED_DOF
 
     def with_epoch(self, parity: float, dof: int, dt_s: float) -> "VarianceFactor":
-        """After an epoch `dt_s` after the last."""
-        return VarianceFactor(*update_variance_factor(self.total, self.dof, parity, dof, dt_s))
+        """The factor after an epoch `dt_s` after the last one."""
+        stays, news = math.exp(-dt_s / FACTOR_MEMORY_S), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
+        prior = (1.0 - stays) * ASSUMED_DOF
+        total = stays * self.total + prior + news * parity
+        return VarianceFactor(total, stays * self.dof + prior + news * dof)
 
     @property
     def factor(self) -> float:
@@ -56,19 +59,9 @@ class VarianceFactor(NamedTuple):
         return max(self.total / self.dof, LEAST_FACTOR)
 
 
-@compiled
-def update_variance_factor(
-    total: float, known: float, parity: float, dof: int, dt_s: float
-) -> tuple[float, float]:
-    """The fields of a `VarianceFactor` after an epoch."""
-    stays, news = math.exp(-dt_s / FACTOR_MEMORY_S), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
-    fresh = (1.0 - stays) * ASSUMED_DOF
-    return stays * total + fresh + news * parity, stays * known + fresh + news * dof
-
-
 class RangeGeometry(NamedTuple):
-    """The geometry of a snapshot by n ranges: unit vectors by some axes (n, 3), and where among the
-    `unknowns` the clock of each one's system is (n,), behind the position."""
+    """The geometry of a snapshot by n ranges: lines of sight (n, 3) along some axes, and the place
+    of the clock of each one's system among the `unknowns` (n,), behind the position."""
 
     line_of_sight: Vector
     clock: Indices
@@ -77,7 +70,7 @@ class RangeGeometry(NamedTuple):
 
 @compiled
 def range_geometry(used: Innovations, axes: Vector) -> RangeGeometry:
-    """The geometry by the rows of `axes` (3, 3), with a clock for each system that is in use."""
+    """The geometry along the rows of `axes` (3, 3), with a clock for each system in use."""
     count, h = used.geometry.shape[0], used.geometry
     sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
     # The last place is GPS's, whose clock is the filter's own.
@@ -117,7 +110,7 @@ def normal_matrix(lines: RangeGeometry, weight: Vector) -> Vector:
 
 @compiled
 def lasting_variance(used: Innovations, factor: float) -> Vector:
-    """What lasts of each range (n,) in m^2."""
+    """The variance of lasting errors of each range (n,) in m^2."""
     out = np.empty(used.variance.shape[0])
     for i in range(out.shape[0]):
         wet_m = troposphere_m(TROPOSPHERE_M, used.elevation_rad[i])
@@ -130,11 +123,11 @@ def lasting_variance(used: Innovations, factor: float) -> Vector:
 def lasting_position_variance(
     used: Innovations, lines: RangeGeometry, axes: Vector, factor: float
 ) -> Vector:
-    """The diagonal (3,) of S L S' in ECEF, m^2, of a geometry by the rows of `axes` (3, 3)."""
+    """The diagonal (3,) of S L S' in ECEF, m^2, of a geometry along the rows of `axes` (3, 3)."""
     lasts, weight = lasting_variance(used, factor), 1.0 / used.variance
     normal = normal_matrix(lines, weight)
     for k in range(lines.unknowns):
-        normal[k, k] += VAGUE_INFORMATION  # directions that nobody sees must not make it singular
+        normal[k, k] += VAGUE_INFORMATION  # unobserved directions must not make it singular
     cofactor, out, response = invert_positive_definite(normal), np.zeros(AXES), np.empty(AXES)
     for i in range(weight.shape[0]):
         for k in range(AXES):

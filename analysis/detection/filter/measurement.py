@@ -44,7 +44,11 @@ RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium and geosynchronous orbits as seen from
 
 
 class EpochMeasurements(NamedTuple):
-    """n satellites as kernels read them: the fields of `EpochObservation` without the names."""
+    """The measurements of n satellites: arrays (n,), and their ephemerides packed (n, 25).
+
+    `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the receiver's
+    time.
+    """
 
     packed: Vector
     pseudorange_m: Vector
@@ -56,33 +60,10 @@ class EpochMeasurements(NamedTuple):
 
 
 class EpochObservation(Value, frozen=True):
-    """The usable satellites of one epoch: parallel arrays (n,), their ephemerides packed (n, 25).
-
-    `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the receiver's
-    time.
-    """
+    """The usable satellites of one epoch and their measurements, in the same order."""
 
     satellites: tuple[str, ...]
-    pseudorange_m: Vector
-    doppler_mps: Vector
-    cn0_dbhz: Vector
-    packed: Vector
-    system: Indices
-    week: float
-    tow_s: float
-
-    @property
-    def measurements(self) -> EpochMeasurements:
-        """The numbers without the names."""
-        return EpochMeasurements(
-            self.packed,
-            self.pseudorange_m,
-            self.doppler_mps,
-            self.cn0_dbhz,
-            self.system,
-            self.week,
-            self.tow_s,
-        )
+    measurements: EpochMeasurements
 
     @property
     def satellite_states(self) -> Vector:
@@ -94,23 +75,20 @@ class EpochObservation(Value, frozen=True):
         if not names:
             return self
         wrong = [name in names for name in self.satellites]
-        return self._replace(doppler_mps=np.where(wrong, np.nan, self.doppler_mps))
+        rates = np.where(wrong, np.nan, self.measurements.doppler_mps)
+        return self._replace(measurements=self.measurements._replace(doppler_mps=rates))
 
     def select(self, keep: Mask) -> "EpochObservation":
         """The satellites that the mask `keep` (n,) selects."""
-        names = tuple(
-            name for name, kept in zip(self.satellites, keep.tolist(), strict=True) if kept
+        names, m = zip(self.satellites, keep.tolist(), strict=True), self.measurements
+        selected = m._replace(
+            packed=m.packed[keep],
+            pseudorange_m=m.pseudorange_m[keep],
+            doppler_mps=m.doppler_mps[keep],
+            cn0_dbhz=m.cn0_dbhz[keep],
+            system=m.system[keep],
         )
-        return EpochObservation(
-            names,
-            self.pseudorange_m[keep],
-            self.doppler_mps[keep],
-            self.cn0_dbhz[keep],
-            self.packed[keep],
-            self.system[keep],
-            self.week,
-            self.tow_s,
-        )
+        return EpochObservation(tuple(name for name, kept in names if kept), selected)
 
 
 class Innovations(NamedTuple):
@@ -160,17 +138,12 @@ def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservati
     if selection.keep is not None:
         keep = selection.keep
         columns = columns[0][keep], columns[1][keep], columns[2][keep]
-    observation = EpochObservation(
-        selection.names,
-        *columns,
-        selection.packed,
-        selection.system,
-        float(epoch.week),
-        epoch.tow_s,
+    measurements = EpochMeasurements(
+        selection.packed, *columns, selection.system, float(epoch.week), epoch.tow_s
     )
-    if _all_plausible(columns[0]):
+    observation, ranges = EpochObservation(selection.names, measurements), columns[0]
+    if _all_plausible(ranges):
         return observation
-    ranges = columns[0]
     plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
     return observation.select(plausible) if plausible.any() else None
 

@@ -1,4 +1,4 @@
-"""From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
+"""The filter from one epoch to the next: by the IMU where it is usable, freely otherwise."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -13,19 +13,17 @@ from analysis.samples.block import ImuRun, Stamps
 from analysis.samples.sample import IMU_VALUE_LIMIT, ImuSample, Vector
 from mavproxy_fault.numerics.compile import compiled
 
-PENDING_MAX = 40_000  # samples without an epoch between; older ones are forgotten
+PENDING_MAX = 40_000  # samples between two epochs, 200 s at 200 Hz; older ones are dropped
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
-RATE_SIGMA_RPS = 0.5  # how fast a body may turn while its IMU is silent
-SHORT_GAP_S = 1.0  # after a longer one the attitude is found anew
-SILENT_INTERVALS = (
-    5.0  # of the IMU that a gap must be long for the IMU to be blamed, as of any stream
-)
-INTERVAL_GAIN = 0.05  # share of an epoch in what is usual of the IMU's interval
+RATE_SIGMA_RPS = 0.5  # one sigma of a vehicle's rate while its IMU is silent: 30 degrees/s
+SHORT_GAP_S = 1.0  # after a longer one the attitude is searched for again
+SILENT_INTERVALS = 5.0  # usual intervals that a gap must exceed to be the IMU's fault
+INTERVAL_GAIN = 0.05  # of the usual interval's filter: a memory of 20 epochs
 
 
 class ImuSegment(NamedTuple):
-    """The IMU between two instants: samples (k, 7) with the length of each step; `gap_s` is the
-    longest silence in it and `any_sample` whether there was any sample."""
+    """The IMU between two epochs: samples (k, 7), each with the length of its step; `gap_s` is the
+    longest silence, `any_sample` whether there was any sample."""
 
     samples: Vector
     gap_s: float
@@ -41,7 +39,7 @@ def imu_run_of(samples: Iterable[ImuSample]) -> ImuRun:
 
 
 def add_pending(run: ImuRun, pending: PendingImu | None) -> PendingImu | None:
-    """A further run for the next epoch."""
+    """The pending samples with one run more."""
     # An empty run would only lengthen the chain.
     if not len(run.t_us):
         return pending
@@ -49,15 +47,15 @@ def add_pending(run: ImuRun, pending: PendingImu | None) -> PendingImu | None:
     # Twice the limit before it is cut: joining all runs at each arrival would be quadratic.
     if depth <= 2 * PENDING_MAX:
         return PendingImu(run, pending, depth)
-    whole = _whole(PendingImu(run, pending, depth))
-    return PendingImu(whole, None, len(whole.t_us))
+    joined = _join(PendingImu(run, pending, depth))
+    return PendingImu(joined, None, len(joined.t_us))
 
 
 def split_pending(pending: PendingImu | None, until_us: int) -> tuple[ImuRun, PendingImu | None]:
     """Samples up to `until_us`, and those that stay pending."""
     if pending is None:
         return NO_RUN, None
-    run = _whole(pending)
+    run = _join(pending)
     # `right`: a sample at the epoch's own stamp belongs to the time before it.
     at = int(run.t_us.searchsorted(until_us, side="right"))
     if at == len(run.t_us):
@@ -66,9 +64,9 @@ def split_pending(pending: PendingImu | None, until_us: int) -> tuple[ImuRun, Pe
     return ImuRun(run.t_us[:at], run.values[:at]), PendingImu(rest, None, len(rest.t_us))
 
 
-def _whole(pending: PendingImu) -> ImuRun:
-    """Everything that is pending as one run, but no more than `PENDING_MAX` samples; those that are
-    not later than all before them are left out."""
+def _join(pending: PendingImu) -> ImuRun:
+    """All pending samples as one run of at most `PENDING_MAX`, without those that are not later
+    than all before them."""
     run = pending.run
     if pending.older is not None:
         runs = [run]
@@ -81,7 +79,7 @@ def _whole(pending: PendingImu) -> ImuRun:
             np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
         )
     if not _rising(run.t_us):
-        # Stamps that go back are left out: sorting would mix two clocks.
+        # Stamps that go back are dropped: sorting would mix two clocks.
         later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
         run = ImuRun(run.t_us[later], run.values[later])
     if pending.depth <= PENDING_MAX:
@@ -108,12 +106,12 @@ def update_interval_s(known_s: float, run: ImuRun) -> float:
 
 
 def is_silent(gap_s: float, usual_s: float, config: FilterConfig) -> bool:
-    """Whether a gap is the IMU's fault: one too long for the filter, and for the IMU itself."""
+    """Whether a gap is the IMU's fault: too long for the filter, and for this IMU."""
     return gap_s > max(config.gap_s, SILENT_INTERVALS * usual_s)
 
 
 def imu_segment(run: ImuRun, motion: MotionEstimate, until_us: int) -> ImuSegment:
-    """Steps from the filter's time to `until_us`; the last sample is held to the end."""
+    """The steps from the filter's time to `until_us`; the last sample extends to the end."""
     return ImuSegment(*segment_steps(run.t_us, run.values, motion.t_us, until_us))
 
 
@@ -121,8 +119,8 @@ def imu_segment(run: ImuRun, motion: MotionEstimate, until_us: int) -> ImuSegmen
 def segment_steps(
     t_us: Stamps, values: Vector, from_us: int, until_us: int
 ) -> tuple[Vector, float, bool]:
-    """The fields of a `ImuSegment` from stamps (n,) and values (n, 6), rates in rad/s and specific
-    force in m/s^2; without samples if one of them cannot be."""
+    """The fields of an `ImuSegment` from stamps (n,) and values (n, 6), rates in rad/s and specific
+    force in m/s^2; without samples if one of them is implausible."""
     at = 0
     # Samples before the filter's time have been used already.
     while at < len(t_us) and t_us[at] <= from_us:
@@ -130,7 +128,7 @@ def segment_steps(
     count = len(t_us) - at
     if count == 0:
         return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
-    # One step more than samples: the last one is held until the epoch.
+    # One step more than samples: the last one extends to the epoch.
     table = np.empty((count + 1, 7))
     before_us, gap_s, total_s, usable = from_us, -np.inf, 0.0, True
     for k in range(count + 1):
@@ -149,27 +147,27 @@ def segment_steps(
 
 
 def propagate_filter(
-    motion: MotionEstimate, part: ImuSegment, until_us: int, config: FilterConfig
+    motion: MotionEstimate, segment: ImuSegment, until_us: int, config: FilterConfig
 ) -> tuple[MotionEstimate, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise.densities
-    whole = part.gap_s <= config.gap_s and len(part.samples) > 0
-    if motion.inertial and whole and config.antenna is None:
-        x, p, phi = propagate_inertial(motion.x, motion.p, part.samples, noise)
+    complete = segment.gap_s <= config.gap_s and len(segment.samples) > 0
+    if motion.inertial and complete and config.antenna is None:
+        x, p, phi = propagate_inertial(motion.x, motion.p, segment.samples, noise)
         return MotionEstimate(until_us, x, p, True), phi
-    # The filter's place is the antenna's, the IMU measures at its own: there and back.
-    if motion.inertial and whole and config.antenna is not None:
-        first, last, arm = part.samples[0, 1:4], part.samples[-1, 1:4], config.antenna
+    # The filter's position is the antenna's, the IMU measures at its own: there and back.
+    if motion.inertial and complete and config.antenna is not None:
+        first, last, arm = segment.samples[0, 1:4], segment.samples[-1, 1:4], config.antenna
         x, p, back = shift_by_lever_arm(motion.x, motion.p, first, arm, -1.0)
-        x, p, phi = propagate_inertial(x, p, part.samples, noise)
+        x, p, phi = propagate_inertial(x, p, segment.samples, noise)
         x, p, out = shift_by_lever_arm(x, p, last, arm, 1.0)
         return MotionEstimate(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
-    # Over a short silence the attitude is still known, only less well.
-    inertial = motion.inertial and part.gap_s <= SHORT_GAP_S and part.any_sample
+    # Over a short silence the attitude is still known, but less well.
+    inertial = motion.inertial and segment.gap_s <= SHORT_GAP_S and segment.any_sample
     if inertial:
-        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * part.gap_s) ** 2
-    # A gap breaks the integrals an alignment rests on.
-    alignment = motion.alignment if whole and not motion.inertial else None
+        p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * segment.gap_s) ** 2
+    # A gap breaks the integrals of an alignment.
+    alignment = motion.alignment if complete and not motion.inertial else None
     return MotionEstimate(until_us, x, p, inertial, alignment), phi

@@ -1,6 +1,6 @@
-"""Tests and verdicts: is anything wrong, and who.
+"""Tests of an epoch and verdicts: whether there is a fault, and which hypothesis explains it.
 
-The *assessment* of an epoch is every test statistic before anything is used. The *bank* holds a
-leave-out test per satellite. *Hypotheses* compete: satellites, IMU, clock, more than can be told.
-*Ramp tests* have memory. An *exclusion* lasts until the satellite earns its *readmission*.
+*Statistics* are computed before any measurement is used. *Hypotheses* compete: satellites, IMU,
+clock, an entire system, unknown. *Ramp tests* have memory. An *exclusion* lasts until the satellite
+earns its *readmission*; `Trust` holds what is believed from epoch to epoch.
 """

@@ -32,10 +32,8 @@ VELOCITY_SLACK_MPS = 0.5  # for noise, and for velocity errors from before
 JUMP_M, JUMP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity: no vehicle does more
 JUMP_SIGMAS = 5.0  # of the prediction: 6e-7 by chance
 AGREEING_DOF = 3  # redundancy with which the satellites must agree
-JUMP_REASON = "all satellites leapt together, and nothing tells which place is right"
-COASTING_REASON = (
-    "all satellites are left out: the IMU alone carries the position, and nothing bounds it"
-)
+JUMP_REASON = "all satellites jumped together: it is unknown which position is right"
+COASTING_REASON = "all satellites are excluded: the position is the IMU's alone, without a bound"
 FOLLOWED_REASON = (
     "all satellites or the IMU are wrong: the position is the satellites', without a bound"
 )
@@ -123,18 +121,19 @@ def ranges_beyond_imu(
     return reject_all(motion, ranges)
 
 
-def reject_all(motion: MotionEstimate, ranges: RangeVerdict) -> RangeVerdict:
-    """The ranges' verdict where all satellites are wrong: nothing of the epoch is used."""
-    return RangeVerdict(
-        motion,
-        "gps",
-        True,
-        (),
-        ranges.statistic,
-        ranges.threshold,
-        ranges.probabilities,
-        NO_INNOVATIONS,
-        True,
+def reject_all(
+    motion: MotionEstimate, ranges: RangeVerdict, usable: Innovations = NO_INNOVATIONS
+) -> RangeVerdict:
+    """The ranges' verdict where all satellites are wrong: nothing of the epoch is used, or only
+    what is `usable` all the same."""
+    return ranges._replace(
+        motion=motion,
+        hypothesis="gps",
+        alarm=True,
+        faulty=(),
+        usable=usable,
+        prediction_freed=True,
+        whole_system=False,
     )
 
 
@@ -167,17 +166,7 @@ def follow_jump(
     ranges: RangeVerdict, motion: MotionEstimate, innovations: Innovations
 ) -> RangeVerdict:
     """The verdict on satellites that jumped together: all are used, and the filter follows."""
-    return RangeVerdict(
-        free_system_clocks(free_position(motion)),
-        "gps",
-        True,
-        (),
-        ranges.statistic,
-        ranges.threshold,
-        ranges.probabilities,
-        innovations,
-        True,
-    )
+    return reject_all(free_system_clocks(free_position(motion)), ranges, innovations)
 
 
 def accumulated_jump_m(so_far_m: Vector | None, shift_m: Vector | None) -> Vector | None:

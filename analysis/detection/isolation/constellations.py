@@ -1,9 +1,9 @@
-"""Whole systems as hypotheses beside satellites, IMU and clock.
+"""Entire systems (constellations) as hypotheses beside satellites, IMU and clock.
 
-A spoofer of one system moves all its ranges along one shift of the position and one of the clock:
-four parameters, however many satellites. A system's clock that leaves moves them along one. So a
-system competes by rule D as they do, and healthy satellites of another are not left out one by one.
-Where the prediction cannot tell which of two systems moved, neither is believed.
+A spoofer of one system moves all its ranges by one shift of the position and one of the clock: four
+parameters, however many satellites. A fault of a system's clock moves them by one. So a system
+competes by rule D like the other hypotheses, and healthy satellites of another system are not left
+out one by one. Where it is ambiguous which of two systems moved, neither is used.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ from mavproxy_fault.numerics.compile import compiled
 
 PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
-LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system; with fewer anything can be explained
+LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system: one more than its parameters, two
 SYSTEM_CLOCK = "system-clock"
-SYSTEMS_CONTRADICT = "two systems contradict each other, and nothing tells which one is wrong"
+SYSTEMS_CONTRADICT = "two systems contradict each other, and it is ambiguous which one is wrong"
 FREED_PARAMETERS = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
-SHIFT_GAIN = chi_square_threshold(3, 0.01)  # of three parameters more
-SEPARABLE_COST = 10.0  # how much more a rival system must cost, or which one moved cannot be told
+SHIFT_GAIN = chi_square_threshold(3, 0.01)  # that three more parameters gain by chance in 1 %
+SEPARABLE_COST = 10.0  # a rival's additional J, or it is ambiguous: likelihoods 150 to 1
 
 
 class SystemGroups(NamedTuple):
-    """The satellites by system: the places of those of each, and what a shift of position (3) and
-    clock of a system does to the innovations (systems, n, 4)."""
+    """The satellites of each system, by their places, and what a shift of position (3) and clock of
+    the system does to the innovations (systems, n, 4)."""
 
     rows: tuple[tuple[int, ...], ...]
     columns: Vector
@@ -39,7 +39,7 @@ NO_SYSTEM_GROUPS = SystemGroups((), np.empty((0, 0, 4)))
 
 
 class Explanation(Value, frozen=True):
-    """One hypothesis: what it frees, the statistic left, and whether that passes its test."""
+    """A hypothesis: the satellites it leaves out, the remaining statistic, its test, its cost J."""
 
     hypothesis: str
     subset: tuple[int, ...]
@@ -49,16 +49,15 @@ class Explanation(Value, frozen=True):
 
     @property
     def passes(self) -> bool:
-        """Whether what is left fits the noise model."""
+        """Whether the remaining statistic passes its test."""
         return self.statistic <= self.threshold
 
 
-def group_by_system(sight: Vector, offsets: Vector) -> SystemGroups:
-    """The systems among n satellites: `sight` (n, 3) is what a shift of position does to their
-    innovations, `offsets` (n, k) what the systems' clock offsets do; none where there is only one.
-    """
+def group_by_system(line_of_sight: Vector, offsets: Vector) -> SystemGroups:
+    """The systems among n satellites, by what a shift of position (n, 3) and the systems' clock
+    offsets (n, k) do to their innovations; none where there is only one system."""
     # Contiguous, since a kernel is compiled anew for each memory layout.
-    of, columns = _moved(np.ascontiguousarray(sight), np.ascontiguousarray(offsets))
+    of, columns = _columns(np.ascontiguousarray(line_of_sight), np.ascontiguousarray(offsets))
     if len(columns) < 2:
         return NO_SYSTEM_GROUPS
     rows: list[list[int]] = [[] for _ in columns]
@@ -68,8 +67,8 @@ def group_by_system(sight: Vector, offsets: Vector) -> SystemGroups:
 
 
 @compiled
-def _moved(sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
-    """Which of the systems that are there each satellite (n,) is of, and the columns of each."""
+def _columns(line_of_sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
+    """The system of each satellite (n,), numbered by those in use, and the columns of each."""
     count, most = offsets.shape
     system, seen = np.zeros(count, np.int64), np.zeros(most + 1, np.int64)
     for i in range(count):
@@ -87,20 +86,20 @@ def _moved(sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
     for i in range(count):
         system[i] = seen[system[i]]
         for axis in range(3):
-            columns[system[i], i, axis] = sight[i, axis]
+            columns[system[i], i, axis] = line_of_sight[i, axis]
         columns[system[i], i, 3] = 1.0
     return system, columns
 
 
 @compiled
 def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> Vector:
-    """The statistics left (systems, 2) where the clock of each is freed, and where its position
-    is too."""
+    """The remaining statistics (systems, 2) with the clock of each system freed, and with its
+    position freed too."""
     out = np.empty((columns.shape[0], 2))
     for k in range(columns.shape[0]):
         out[k, 0] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, 3:]))
         out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k]))
-        if out[k, 1] == q:  # a snapshot has solved for the clocks: the shift alone
+        if out[k, 1] == q:  # a snapshot has solved for the clocks already
             out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, :3]))
     return out
 
@@ -108,48 +107,48 @@ def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> Vector:
 def explain_by_systems(
     m: Vector, u: Vector, q: float, systems: SystemGroups, p_false_alarm: float
 ) -> list[Explanation]:
-    """Each system moved as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
-    found = []
+    """Each system shifted as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
+    explanations = []
     remaining = _freed_by_system(m, u, q, systems.columns).tolist() if systems.rows else []
     for rows, lefts in zip(systems.rows, remaining, strict=True):
         clock_left = np.inf
         for (size, least, hypothesis), left in zip(FREED_PARAMETERS, lefts, strict=True):
-            # A shift is believed where it explains what a clock that left cannot.
+            # A shift must explain what a clock fault does not.
             if len(rows) < least or clock_left - left < SHIFT_GAIN:
                 continue
             clock_left = left
             threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
             subset = rows if hypothesis == "satellites" else ()
-            found.append(Explanation(hypothesis, subset, left, threshold, cost))
-    return found
+            explanations.append(Explanation(hypothesis, subset, left, threshold, cost))
+    return explanations
 
 
 def explain_by_small_systems(
     m: Vector, u: Vector, q: float, systems: SystemGroups, p_false_alarm: float
 ) -> list[Explanation]:
-    """Each system of too few satellites to be blamed as a whole, left out: a rival all the same."""
-    found, each = [], np.eye(len(u))
+    """Each system too small to be isolated as a whole, left out: a rival all the same."""
+    explanations, each = [], np.eye(len(u))
     for rows in systems.rows:
         size = len(rows)
         if size < LEAST_MOVED:
             left = freed_statistic(m, u, q, np.ascontiguousarray(each[:, list(rows)]))
             threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
-            found.append(Explanation("satellites", rows, left, threshold, cost))
-    return found
+            explanations.append(Explanation("satellites", rows, left, threshold, cost))
+    return explanations
 
 
 def leaves_out_system(best: Explanation, systems: SystemGroups) -> bool:
-    """Whether an explanation leaves out a system, or several of one that has one more at most:
-    that one fits anything by the system's clock."""
+    """Whether an explanation leaves out a system, or all but one of its satellites: the last one
+    fits anything by the system's clock."""
     out = set(best.subset)
     return len(out) > 1 and any(len(set(rows) - out) <= 1 for rows in systems.rows)
 
 
 def is_ambiguous(best: Explanation, rivals: Sequence[Explanation]) -> bool:
-    """Whether another system explains it about as well as the one that `best` leaves out."""
-    # A clock that leaves harms nobody, whichever it is.
+    """Whether another system explains the innovations about as well as `best`."""
+    # For a clock fault it does not matter which clock it is.
     return best.hypothesis != SYSTEM_CLOCK and any(
         rival.hypothesis == "satellites"
         and not set(rival.subset) & set(best.subset)

@@ -1,4 +1,4 @@
-"""Who is lying: satellites, the prediction (IMU), the receiver clock, or more than can be told.
+"""Which hypothesis is faulty: satellites, the prediction (IMU), the receiver clock, or unknown.
 
 Rule D: every explanation frees some parameters. Leaving out the set K of satellites frees |K| of
 them, a wrong prediction of position frees three (the clock is kept), a clock jump frees one. Of
@@ -29,12 +29,11 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import multiply_vector
 
 ISOLATION_RULES = ("explicit", "plain")
-# With one, too many sets would pass for the right one to stand out.
-LEAST_DOF_LEFT = 2  # degrees of freedom kept after leaving out
+LEAST_DOF_LEFT = 2  # after leaving out: with one, too many wrong sets pass
 
 
 class IsolationVerdict(Value, frozen=True):
-    """The explanation taken, and all that were weighed with their relative likelihoods;
+    """The selected hypothesis, the satellites it leaves out, and the relative likelihoods of all;
     `whole_system` says that it is about a system as a whole."""
 
     hypothesis: str
@@ -48,21 +47,21 @@ def explain_by_satellites(
 ) -> Explanation | None:
     """The smallest set whose leaving out passes (None if none of up to `largest` does).
 
-    A set that passes is still enlarged while one satellite more lowers the statistic by what a
-    healthy one would with probability `p_false_alarm` only: the omnibus test of what is left can
-    miss a second fault that a test of its own sees. `unknowns` is how many parameters `m` has
+    A set that passes is still enlarged while one satellite more lowers the statistic by more than a
+    healthy one does with probability `p_false_alarm`: the test of the rest can miss a second fault
+    that a test of its own detects. `unknowns` is how many parameters `m` has
     been projected off (0 for innovations of a filter, 4 or 5 for a snapshot). `m` (n, n) is the
     inverse covariance of the innovations v, `u` (n,) is m v.
     """
     count = len(u)
     found: Explanation | None = None
-    # Shared among the satellites that might be the one more.
-    telling = chi_square_threshold(1, p_false_alarm / count)
+    # Shared among the satellites that might be added.
+    significant = chi_square_threshold(1, p_false_alarm / count)
     for size in range(1, min(largest, count - unknowns - LEAST_DOF_LEFT) + 1):
         statistic, pick = best_subset(m, u, q, size)
         threshold = subset_threshold(count, size, p_false_alarm, unknowns)
-        # Size by size: once the next satellite is no news the smaller set is the verdict.
-        if found is not None and found.statistic - statistic <= telling:
+        # Once the next satellite is not significant the smaller set is the verdict.
+        if found is not None and found.statistic - statistic <= significant:
             return found
         if statistic <= threshold:
             subset = tuple(pick.tolist())
@@ -110,7 +109,7 @@ def select_hypothesis(
     u = multiply_vector(m, v)
     q = float(v @ u)
     satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
-    # The older rule, for comparison: it never weighs the clock.
+    # The older rule, for comparison: it never considers the clock.
     if rule == "plain":
         if satellites is None:
             return IsolationVerdict("imu", (), {"imu": 1.0})
@@ -124,16 +123,16 @@ def select_hypothesis(
     if satellites is not None:
         rivals.append(satellites)
     passing = [rival for rival in rivals if rival.passes]
-    chances = _probabilities(rivals, q, chi_square_threshold(len(u), p_false_alarm))
+    probabilities = _probabilities(rivals, q, chi_square_threshold(len(u), p_false_alarm))
     if not passing:
-        return IsolationVerdict("multiple-unknown", (), chances)
-    # Least J: what remains unexplained, and a price for what was freed.
+        return IsolationVerdict("multiple-unknown", (), probabilities)
+    # Least J: the unexplained rest, and a penalty for what was freed.
     best = min(passing, key=lambda rival: rival.cost)
     if leaves_out_system(best, systems):
         few = explain_by_small_systems(m, u, q, systems, p_false_alarm)
         if is_ambiguous(best, [*moved, *few]):
-            return IsolationVerdict("multiple-unknown", (), chances, True)
-    return IsolationVerdict(best.hypothesis, best.subset, chances, best in moved)
+            return IsolationVerdict("multiple-unknown", (), probabilities, True)
+    return IsolationVerdict(best.hypothesis, best.subset, probabilities, best in moved)
 
 
 def _probabilities(rivals: list[Explanation], q: float, threshold: float) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Ramp tests: faults that grow, which the filter follows, and so hides, epoch by epoch.
+"""Ramp tests: growing faults, which the filter follows, and so hides, epoch by epoch.
 
 A fault of one satellite that grows since t_0 adds r (t - t_0) to its range. What that does to the
 filter is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
@@ -11,17 +11,17 @@ fault [1]_. This equals a bank of sub-filters of their own memory, each with one
 set free since t_0, without running them. Several windows start `STRIDE_S` apart.
 
 The innovations of a healthy satellite have an offset that stays for minutes (multipath, ephemeris,
-atmosphere). Each satellite's is learnt as a first-order Gauss-Markov process, mean o and variance
-B, and what was known of it when a window started is taken off: with v - o in place of v and what is
-left of the offset marginalised,
+atmosphere). Each satellite's is learned as a first-order Gauss-Markov process, mean o and variance
+B, and the offset known when a window started is subtracted: with v - o in place of v and the rest
+of the offset marginalised,
 
     J = J_rr - J_ro^2 / (J_oo + 1/B),   c = c_r - J_ro c_o / (J_oo + 1/B),
 
 and a natural slope of variance k makes the test c^2 / (J + k J^2). A faulty accelerometer or a
-wrong attitude shows as a constant acceleration: three more responses, the rival explanation.
+wrong attitude shows as a constant acceleration: three more responses, the rival hypothesis.
 
 The innovations are never formed: with N, b and P+ of `information`, D_c the response of the states
-that are seen and gamma = A' inv(R) g = A' inv(R) e s - N D_c,
+that are observed and gamma = A' inv(R) g = A' inv(R) e s - N D_c,
 
     K g = P+_:c gamma,
     g' M v = g' inv(R) v - gamma' P+_c b,   g' M g = g' inv(R) g - gamma' P+_c gamma.
@@ -38,15 +38,15 @@ import numpy as np
 
 from analysis.detection.filter.inertial import V
 from analysis.detection.filter.information import Indices, NormalEquations, row_quadratic_form
+from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
 from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.linear import add_product, multiply_matrices, multiply_vector
 
 WINDOW_COUNT = 4
-STRIDE_S = 5.0
-YOUNGEST_S = 0.5  # a younger window says nothing that the main test does not
-NEWS_S = 1.0  # epochs closer than this tell little new of an offset
+STRIDE_S = 5.0  # four windows look back 15 to 20 s
+YOUNGEST_S = 0.5  # a younger window detects nothing that the main test does not
 
 
 class RampNumbers(NamedTuple):
@@ -82,8 +82,8 @@ class RampWindows(NamedTuple):
 
 
 class StrongestRamp(NamedTuple):
-    """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
-    window is old enough), and that of the rival, a wrong acceleration."""
+    """The largest likelihood ratio of a ramp, its window and satellite (-1: no window is old
+    enough), and that of the rival, a wrong acceleration."""
 
     ramp: float
     window: int
@@ -92,7 +92,7 @@ class StrongestRamp(NamedTuple):
 
 
 class WindowResponse(NamedTuple):
-    """Over the c states that are seen: D_c, gamma, and D_c + P+_c gamma (c, w s)."""
+    """Over the c observed states: D_c, gamma, and D_c + P+_c gamma (c, w s)."""
 
     seen: Vector
     gamma: Vector
@@ -116,10 +116,10 @@ def respond_to_ranges(
     ranges: NormalEquations,
     dt_s: float,
 ) -> tuple[Vector, Vector]:
-    """One epoch of ranges more in every window: d and sums after it, as new arrays.
+    """Add one epoch of ranges to every window: d and sums after it, as new arrays.
 
     `ages` (w,) are seconds since each window's start, phi (20, 20) the transition since the last
-    epoch, `dt_s` ago, and `after` (20, c) the columns of the states that are seen of the covariance
+    epoch, `dt_s` ago, and `after` (20, c) the columns of the observed states of the covariance
     after this one.
     """
     count = windows.offsets.shape[1]
@@ -144,9 +144,9 @@ def respond_to_ranges(
     response = WindowResponse(seen, gamma, _whole(seen, gamma, known))
     for w in range(ages.shape[0]):
         for i in range(count):
-            # J_oo: an epoch tells every window the same, but each sums since its own start.
+            # J_oo: an epoch adds the same to every window, but each sums since its own start.
             sums[w, 4 * count + i] += own[i]
-        news = _news(windows.offsets[w], ranges, known)
+        news = _window_innovations(windows.offsets[w], ranges, known)
         first = w * each
         _add_ramps(sums[w], response, first, ranges, ages[w], news)
         _add_accelerations(sums[w], response, first + count, news.b, news.moved)
@@ -156,8 +156,10 @@ def respond_to_ranges(
 
 
 @inlined
-def _news(offsets: Vector, ranges: NormalEquations, known: Vector) -> WindowInnovations:
-    """What the ranges tell beside the offsets (n,) of a window; `known` (c, c) is P+_c."""
+def _window_innovations(
+    offsets: Vector, ranges: NormalEquations, known: Vector
+) -> WindowInnovations:
+    """The ranges less the offsets (n,) of a window; `known` (c, c) is P+_c."""
     weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
     a, v, variance = ranges.a, ranges.v, ranges.variance
     for i in range(weighted.shape[0]):
@@ -243,7 +245,7 @@ def _add_accelerations(
 
 @compiled
 def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: NormalEquations) -> None:
-    """The same for Doppler rates, which no fault of a range touches: accelerations alone gain. d
+    """Add one epoch of Doppler rates, which no fault of a range affects: accelerations alone. d
     (20, w s) and sums (w, 5 n + 12) change in place; `after` (20, c) as for ranges."""
     count = (sums.shape[1] - 12) // 5
     known = _rows(after, rates.states)
@@ -263,16 +265,15 @@ def learn_offsets(
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations of one epoch.
 
-    `prior` (c, c) is the covariance of the states that are seen before it; an epoch `dt_s` after
-    the last tells min(dt_s, 1 s) of what an independent one would.
+    `prior` (c, c) is the covariance of the observed states before it; an epoch `dt_s` after the
+    last one counts min(dt_s / 1 s, 1) of an independent one.
     """
-    # Independent news at most once a second: epochs closer share their errors.
-    stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / NEWS_S, 1.0)
+    stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
     mean, spread = windows.offset.copy(), windows.spread.copy()
     a, v, variance = ranges.a, ranges.v, ranges.variance
     for i in range(mean.shape[0]):
         mean[i] *= stays
-        # What a first-order Gauss-Markov process of that variance gains in the time.
+        # The process noise of a first-order Gauss-Markov process of that variance.
         fresh = (1.0 - stays * stays) * numbers.offset_share * variance[i]
         spread[i] = stays * stays * spread[i] + fresh
         s = variance[i] + row_quadratic_form(a, i, prior)
@@ -288,7 +289,7 @@ def strongest_ramp(
 ) -> StrongestRamp:
     """The largest ratio of a ramp, and the largest of the rival, an acceleration error, where an
     IMU is used; `ages` (w,) in s."""
-    best, window, worst, rival = 0.0, -1, -1, 0.0
+    best, window, satellite, rival = 0.0, -1, -1, 0.0
     ramps = ramp_statistics(windows.sums, windows.spreads, numbers.slope)
     wrong = np.zeros(ages.shape[0])
     if inertial:
@@ -297,18 +298,19 @@ def strongest_ramp(
         if ages[w] >= YOUNGEST_S:
             rival = max(rival, wrong[w])
             for j in range(ramps.shape[1]):
-                # `worst < 0`: the first old enough window counts even with a ratio of zero.
-                if ramps[w, j] > best or worst < 0:
-                    best, window, worst = ramps[w, j], w, j
-    return StrongestRamp(best, window, worst, rival)
+                # `satellite < 0`: the first window that is old enough counts even with a ratio of
+                # zero.
+                if ramps[w, j] > best or satellite < 0:
+                    best, window, satellite = ramps[w, j], w, j
+    return StrongestRamp(best, window, satellite, rival)
 
 
 @compiled
 def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
     """Likelihood ratios (w, n) of a ramp on each satellite.
 
-    `spread` (w, n) is the variance of what a window does not know of a healthy satellite's offset,
-    `slope` that of its natural rate of change.
+    `spread` (w, n) is the variance of the unknown part of a healthy satellite's offset, `slope`
+    that of its natural rate of change.
     """
     windows, count = spread.shape
     out = np.zeros((windows, count))
@@ -330,7 +332,7 @@ def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
 def acceleration_statistics(sums: Vector, prior: float) -> Vector:
     """Likelihood ratios (w,) of a constant acceleration error, three components.
 
-    `prior` is the variance of what a sound IMU may be wrong by beyond its noise model.
+    `prior` is the variance of a healthy IMU's error beyond its noise model.
     """
     count = (sums.shape[1] - 12) // 5
     out = np.zeros(sums.shape[0])

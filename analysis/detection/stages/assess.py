@@ -29,14 +29,12 @@ class Assessment(Value, frozen=True):
     """An epoch before any verdict: satellites above the mask with their innovations.
 
     `satellites` are trusted, with `innovations` and their `statistics`; `excluded` are not, with
-    `excluded_innovations`. `in_view` are all satellites of the observation. `prediction` and
-    `memory` are those that the innovations hold for; `clock_jumped` says that the receiver set its
-    clock.
+    `excluded_innovations`. `prediction` and `memory` are those that the innovations hold for;
+    `clock_jumped` says that the receiver set its clock.
     """
 
     prediction: Prediction
     memory: EpochMemory
-    in_view: tuple[str, ...]
     satellites: tuple[str, ...]
     innovations: Innovations
     excluded: tuple[str, ...]
@@ -104,7 +102,7 @@ def compare(
         in_order = tuple(names[i] for i in ordered.order.tolist())
         used, outside = innovations.between(0, count), innovations.between(count, above)
         parts = in_order[:count], used, in_order[count:above], outside
-    return Assessment(prediction, memory, names, *parts, ordered.statistics)
+    return Assessment(prediction, memory, *parts, ordered.statistics)
 
 
 def _clock_jump_m(assessment: Assessment) -> float:

@@ -1,4 +1,4 @@
-"""The outcome of a receiver's fix in the words of `analysis.results`."""
+"""The results of a receiver's fix, as `analysis.results` has them."""
 
 import numpy as np
 
@@ -11,16 +11,12 @@ from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
 from analysis.samples.sample import GpsFix
 
-RECEIVER = "GPS"  # the receiver's name among what is excluded
+RECEIVER = "GPS"  # the receiver's name among the exclusions
+LASTING_SHARE = 0.6  # of a receiver's error that lasts for minutes: no filter averages it out
 UNBOUNDED_REASON = (
     "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
 )
-LASTING_SHARE = (
-    0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
-)
-COASTING_REASON = (
-    "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
-)
+EXCLUDED_REASON = "the receiver is excluded: the position is the IMU's alone, without a bound"
 
 
 def build_fix_decision(
@@ -37,9 +33,9 @@ def build_fix_decision(
     assert motion is not None
     sigma = np.sqrt(np.diag(motion.p)[:3])
     reason = UNBOUNDED_REASON if core.trust.unbounded else ""
-    # Once it is known less well than by a fix, an IMU's own fault would be seen by nobody.
+    # Once the position is less certain than a fix, a fault of the IMU would go undetected.
     if RECEIVER in core.trust.excluded and position and sigma @ sigma > position.variance.sum():
-        reason = COASTING_REASON
+        reason = EXCLUDED_REASON
     if position is not None:
         sigma = np.sqrt(
             sigma**2 + LASTING_SHARE**2 * (position.h[:, :3] ** 2).T @ position.variance
@@ -71,21 +67,21 @@ def fix_sensor_decisions(
     hypothesis: str,
     config: DetectorConfig,
 ) -> list[Result]:
-    """The same in the form of the other sensors' verdicts, and a silent IMU."""
+    """The decisions on the receiver as a sensor, and on a faulty or silent IMU."""
     results: list[Result] = []
-    # A receiver once excluded is blamed for what still fails.
-    blamed = hypothesis == "gps" or RECEIVER in core.trust.excluded
-    for sensor, part in (("gps-position", position), ("gps-velocity", velocity)):
-        if part is not None:
+    # An excluded receiver is isolated for every test that still fails.
+    isolated = hypothesis == "gps" or RECEIVER in core.trust.excluded
+    for sensor, test in (("gps-position", position), ("gps-velocity", velocity)):
+        if test is not None:
             results.append(
                 SensorDecision(
                     t_us=fix.t_us,
                     sensor=sensor,
-                    statistic=part.statistic,
-                    threshold=part.threshold,
-                    dof=len(part.v),
-                    alarm=not part.passes,
-                    isolated=blamed and not part.passes,
+                    statistic=test.statistic,
+                    threshold=test.threshold,
+                    dof=len(test.v),
+                    alarm=not test.passes,
+                    isolated=isolated and not test.passes,
                 )
             )
     silent = is_silent(gap_s, core.imu.interval_s, config)

@@ -39,21 +39,18 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
-# More would mean that it wanders.
-MOST_ITERATIONS = 12
+MOST_ITERATIONS = 12  # more means that Gauss-Newton diverges
 CONVERGED_M = 1e-3
-# A position inside this is no place to compute elevations from.
-FAR_FROM_EARTH_M = 1.0e6
-# Wide enough that a system's first ranges alone fix its offset.
-ISB_SIGMA_M = 300.0
-UNKNOWN_SPEED_SIGMA_MPS = 30.0
-UNKNOWN_DRIFT_SIGMA_MPS = 300.0
-TRUSTED_START_DOF = 3  # a start with fewer cannot tell a faulty satellite and test the rest
+NEAR_EARTH_M = 1.0e6  # below this radius elevations and weights are meaningless
+ISB_SIGMA_M = 300.0  # one microsecond: a system's first ranges alone determine its offset
+UNKNOWN_SPEED_SIGMA_MPS = 30.0  # chosen: most small vehicles are slower
+UNKNOWN_DRIFT_SIGMA_MPS = 300.0  # 1 ppm: an ordinary crystal
+TRUSTED_START_DOF = 3  # with fewer the rest is not tested after one satellite is left out
 
 
 @dataclass(frozen=True, slots=True)
 class InitialFix:
-    """A first state, what it was made from, and which satellites it found faulty (or why not)."""
+    """A first state with its test and the satellites that it isolated; or why there is none."""
 
     motion: MotionEstimate | None
     reason: str = ""
@@ -71,7 +68,7 @@ def solve_initial_fix(
 
     `ionosphere` (8,) are Klobuchar's coefficients.
     """
-    # First all, since the mask needs a position to tell elevations.
+    # First all satellites, since the mask needs a position to compute elevations.
     x = _solve(observation, np.zeros(X_SIZE), config, ionosphere)
     if x is None:
         return InitialFix(None, _too_few(observation))
@@ -81,9 +78,9 @@ def solve_initial_fix(
     if x is None:
         return InitialFix(None, _too_few(observation))
     innovations = predict_innovations(observation, x, config.sigma, ionosphere)
-    design = design_matrix(-innovations.geometry[:, 0:3], observation.system)
+    design = design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
     dof = len(design) - design.shape[1]
-    # Without redundancy a faulty start could not be told from a sound one.
+    # Without redundancy a faulty start is not distinguishable from a healthy one.
     if dof < 1:
         return InitialFix(
             None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test"
@@ -99,26 +96,25 @@ def solve_initial_fix(
 
 
 def check_against_prior(
-    begun: InitialFix, before: MotionEstimate, config: DetectorConfig
+    start: InitialFix, before: MotionEstimate, config: DetectorConfig
 ) -> InitialFix:
-    """The start, or none where it contradicts the filter before a gap and few satellites vouch.
+    """The start; or none where it has little redundancy and contradicts the filter before a gap.
 
-    The filter's position grows unsure as a vehicle without an IMU may move, so a place of long ago
-    contradicts nothing.
+    The uncertainty of that filter grows with the gap, so an old position contradicts nothing.
     """
-    motion = begun.motion
-    if motion is None or begun.dof >= TRUSTED_START_DOF:
-        return begun
+    motion = start.motion
+    if motion is None or start.dof >= TRUSTED_START_DOF:
+        return start
     gap_s = (motion.t_us - before.t_us) * 1e-6
     x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise.densities)
     shift_m = motion.x[:3] - x[:3]
     q = float(shift_m @ np.linalg.solve(p[:3, :3] + motion.p[:3, :3], shift_m))
     if q <= chi_square_threshold(3, config.p_false_alarm):
-        return begun
+        return start
     return InitialFix(
         None,
         f"a start {np.linalg.norm(shift_m):.0f} m from where the filter was {gap_s:.0f} s ago, with"
-        f" {begun.dof} degrees of freedom; {TRUSTED_START_DOF} are needed to believe it",
+        f" {start.dof} degrees of freedom; {TRUSTED_START_DOF} are needed to accept it",
     )
 
 
@@ -134,21 +130,21 @@ def _repaired(
     """The start without the satellites that make it fail."""
     innovations = predict_innovations(observation, x, config.sigma, ionosphere)
     u = m @ innovations.range_m
-    unknowns = 3 + len(systems_of(observation.system))
-    # Two satellites of redundancy for each that is left out, or the set is not the only one.
+    unknowns = 3 + len(systems_of(observation.measurements.system))
+    # Two satellites of redundancy for each one left out make the set unique.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
     systems = group_by_system(innovations.geometry[:, 0:3], innovations.geometry[:, ISB:ERROR_SIZE])
     wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
         return InitialFix(None, "the first solutions fail their test", (), q, len(u) - unknowns)
-    # A snapshot cannot tell which of two systems moved: it must not begin in between.
+    # Which of two systems moved is ambiguous in a snapshot: it must not start in between.
     several = len(found.subset) > 1
     if several and any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
         return InitialFix(None, SYSTEMS_CONTRADICT, (), q, len(u) - unknowns)
-    # Three wrong of eight look like two others: those left must vouch for each other.
-    vouching = len(u) - len(found.subset) - unknowns
-    if several and vouching < TRUSTED_START_DOF:
+    # Three wrong of eight look like two others: the rest must test each other.
+    redundancy = len(u) - len(found.subset) - unknowns
+    if several and redundancy < TRUSTED_START_DOF:
         reason = (
             f"{len(found.subset)} of {len(u)} satellites contradict the others, which are too few"
         )
@@ -161,7 +157,7 @@ def _repaired(
     if solved is None:
         return InitialFix(None, _too_few(observation))
     innovations = predict_innovations(observation, solved, config.sigma, ionosphere)
-    design = design_matrix(-innovations.geometry[:, 0:3], observation.system)
+    design = design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
     motion = _motion(t_us, solved, observation, innovations, design, config)
     dof = len(u) - unknowns
     threshold = chi_square_threshold(dof, config.p_false_alarm)
@@ -170,9 +166,9 @@ def _repaired(
 
 def _bounds(innovations: Innovations, x: Vector, config: DetectorConfig) -> PositionBounds:
     """The bounds of a snapshot x (21,) of its own satellites."""
-    nothing_m = np.zeros(len(innovations.range_m))
+    offset_m = np.zeros(len(innovations.range_m))
     return bound_position(
-        innovations, np.zeros(3), nothing_m, x[:3], VarianceFactor(), config.sigma.slow**2
+        innovations, np.zeros(3), offset_m, x[:3], VarianceFactor(), config.sigma.slow**2
     )
 
 
@@ -186,19 +182,22 @@ def _solve(
     """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""
     x = x.copy()
     # The first system's offset is the clock's; systems out of view have none.
-    offset = [X_ISB + kind - 1 for kind in systems_of(observation.system)[1:]]
+    offset = [X_ISB + kind - 1 for kind in systems_of(observation.measurements.system)[1:]]
     x[[i for i in range(X_ISB, X_SIZE) if i not in offset]] = 0.0
     if len(observation.satellites) < 4 + len(offset):
         return None
     for _ in range(MOST_ITERATIONS):
-        # From the middle of the Earth the weights, which depend on elevation, mean nothing.
-        near = float(x[:3] @ x[:3]) > FAR_FROM_EARTH_M**2
-        # At the exact centre the sight vectors have no direction.
+        # Near the centre of the Earth elevations, and so weights, are meaningless.
+        near = float(x[:3] @ x[:3]) > NEAR_EARTH_M**2
+        # At the exact centre the lines of sight have no direction.
         innovations = predict_innovations(
             observation, x if near else x + 1e-3, config.sigma, ionosphere
         )
         weight = innovations.variance**-0.5 if near else np.ones(len(innovations.range_m))
-        design = design_matrix(-innovations.geometry[:, 0:3], observation.system) * weight[:, None]
+        design = (
+            design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
+            * weight[:, None]
+        )
         step, _, rank, _ = np.linalg.lstsq(design, innovations.range_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
             return None
@@ -223,12 +222,18 @@ def _motion(
     # The cofactor of the solution is the covariance, since the rows are weighted by their sigmas.
     cofactor = np.linalg.inv(weighted.T @ weighted)
     p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = ISB_SIGMA_M**2
-    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in systems_of(observation.system)[1:])]
+    spots = [
+        0,
+        1,
+        2,
+        CLOCK,
+        *(ISB + kind - 1 for kind in systems_of(observation.measurements.system)[1:]),
+    ]
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
     # No attitude yet: any unit quaternion, with 3 rad of sigma below.
     x[X_Q] = 1.0
-    known = np.isfinite(observation.doppler_mps)
+    known = np.isfinite(observation.measurements.doppler_mps)
     # Four unknowns and one to spare.
     if known.sum() >= 5:
         h = np.hstack([innovations.geometry[known, 0:3], np.ones((known.sum(), 1))])
@@ -236,7 +241,7 @@ def _motion(
         *velocity_mps, drift_mps = solution
         x[V : V + 3] += velocity_mps
         x[X_DRIFT] += drift_mps
-        # Four times the innovations sigma: the start's rates are not tested.
+        # Four times the modelled sigma: the start's rates are not tested.
         rate = np.linalg.inv(h.T @ h) * (4.0 * config.sigma.rate_mps) ** 2
         # A floor of 0.1 m/s, also where the geometry is very good.
         p[np.ix_([3, 4, 5, DRIFT], [3, 4, 5, DRIFT])] = rate + 0.01 * np.eye(4)

@@ -187,9 +187,7 @@ def _update_with_ramps(
     prediction, ranges = assessment.prediction, verdict.ranges
     motion, t_us = ranges.motion, prediction.motion.t_us
     ramps = assessment.memory.ramps or new_ramps(prediction.before.t_us)
-    ramps = prepare_ramps(
-        ramps, t_us, assessment.in_view, assessment.satellites, ranges.usable.variance, config
-    )
+    ramps = prepare_ramps(ramps, t_us, assessment.satellites, ranges.usable.variance, config)
     step = EpochStep(prediction.transition, prediction.dt_s, t_us, motion.inertial)
     motion, ramps, strongest = update_with_ramps(
         motion, ranges.usable, verdict.rates.usable, ramps, step, config.ramp_numbers

@@ -15,6 +15,6 @@ def observe(
     selection = broadcast.selection
     # A selection is valid for a while; it is made anew when the satellites in view change.
     if selection is None or not selection.is_valid_for(epoch):
-        selection = select_ephemerides(epoch, broadcast.ephemerides, systems, selection)
+        selection = select_ephemerides(epoch, broadcast.ephemerides, systems)
         broadcast = broadcast._replace(selection=selection)
     return observe_epoch(epoch, selection), broadcast

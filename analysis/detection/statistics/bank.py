@@ -9,8 +9,8 @@ and the statistic with nuisance parameters along the columns of G freed is
 
     q_G = q - (G'u)' inv(G' M G) (G'u)
 
-Both are chi-square with as many degrees of freedom fewer as M_KK or G'MG has rank, when what is
-left is free of faults (block inversion; for a Kalman innovation as for least squares).
+Both are chi-square with as many degrees of freedom fewer as M_KK or G'MG has rank, when the rest
+is free of faults (block inversion; for a Kalman innovation as for least squares).
 """
 
 import math
@@ -40,7 +40,7 @@ def cholesky_reduction(block: Vector, right: Vector) -> float:
         pivot = block[i, i]
         for j in range(i):
             pivot -= block[i, j] * block[i, j]
-        # Relative to the element: of a smaller pivot only rounding is left.
+        # Relative to the element: a smaller pivot is only rounding.
         if pivot <= 1e-9 * block[i, i] or block[i, i] <= 0.0:
             return -1.0
         root = math.sqrt(pivot)
@@ -88,7 +88,7 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             for i in range(size):
                 best_pick[i] = pick[i]
         at = size - 1
-        # The next combination in lexical order: the last place that can still move, moves.
+        # The next combination in lexical order.
         while at >= 0 and pick[at] == n - size + at:
             at -= 1
         if at < 0:
@@ -107,19 +107,6 @@ def freed_statistic(m: Vector, u: Vector, q: float, g: Vector) -> float:
     )
     # Parameters that cannot be separated explain nothing: the statistic stays.
     return q - lowered if lowered >= 0.0 else q
-
-
-@compiled
-def normalised_by_weights(m: Vector, u: Vector) -> Vector:
-    """Per-measurement test statistics (n,), standard normal without faults: u_i / sqrt(M_ii).
-
-    Their squares are q - q_i; NaN where a measurement is not checked by the others.
-    """
-    out = np.empty(u.shape[0])
-    for i in range(u.shape[0]):
-        # The diagonal vanishes where a measurement alone determines a parameter.
-        out[i] = u[i] / math.sqrt(m[i, i]) if m[i, i] > 1e-12 else np.nan
-    return out
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Chi-square and normal thresholds, kept once computed.
+"""Chi-square and normal thresholds, cached.
 
 Whole degrees of freedom need no special functions: the tail of chi-square is a finite sum [1]_.
 Loading those of scipy would take longer than all thresholds of a flight.

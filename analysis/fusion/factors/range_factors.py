@@ -175,7 +175,7 @@ class EpochRanges:
     @property
     def unknowns(self) -> int:
         """Number of unknowns of a snapshot solution."""
-        return 3 + len(systems_of(self._observation.system))
+        return 3 + len(systems_of(self._observation.measurements.system))
 
     def slow_covariance(self, weights: Vector, share: float) -> Vector | None:
         """Covariance (3, 3) in ECEF of the errors that do not average out; None if undetermined.
@@ -185,5 +185,7 @@ class EpochRanges:
         """
         # The table's sigmas include the correlation factor; this needs those of one epoch.
         sigmas = share / self._config.correlation
-        covariance = snapshot_covariance(self.table, weights, self._observation.system, sigmas)
+        covariance = snapshot_covariance(
+            self.table, weights, self._observation.measurements.system, sigmas
+        )
         return covariance if math.isfinite(covariance[0, 0]) else None

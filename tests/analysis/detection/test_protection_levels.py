@@ -85,9 +85,9 @@ def test_a_position_that_is_off_has_levels_that_reach_back(seen):
 
 def test_a_faulty_range_widens_the_levels_by_what_it_moves_the_solution(seen):
     observed, ionosphere = seen
-    ranges = observed.pseudorange_m.copy()
+    ranges = observed.measurements.pseudorange_m.copy()
     ranges[0] += 30.0
-    moved = observed._replace(pseudorange_m=ranges)
+    moved = observed._replace(measurements=observed.measurements._replace(pseudorange_m=ranges))
     wider = levels_of(moved, ionosphere)
     assert wider[0] > levels(seen)[0]
 

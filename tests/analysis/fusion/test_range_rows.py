@@ -94,7 +94,9 @@ def test_the_slow_covariance_is_that_of_least_squares_with_biased_ranges(seen):
     ranges, _, _, weights = seen
     used, share = np.flatnonzero(weights), 0.3
     sigma = share * ranges.sigma_m[used] / FusionConfig().correlation
-    design = design_matrix(ranges.table[used, LOS : LOS + 3], ranges._observed.system[used])
+    design = design_matrix(
+        ranges.table[used, LOS : LOS + 3], ranges._observation.measurements.system[used]
+    )
     theirs = np.linalg.inv((design / sigma[:, None]).T @ (design / sigma[:, None]))[:3, :3]
     assert np.allclose(ranges.slow_covariance(weights, share), theirs, rtol=1e-9)
 

@@ -65,9 +65,3 @@ def test_an_ephemeris_serves_to_the_end_of_its_time_and_no_longer() -> None:
     at_the_end = select_ephemerides(epoch_at(107_200.0), orbits)
     assert at_the_end.names == ("G05",)
     assert not at_the_end.is_valid_for(epoch_at(107_200.1))
-
-
-def test_names_stay_the_same_object_while_nobody_comes_or_goes() -> None:
-    orbits = stored([("G05", 100_000.0, 0), ("E11", 100_000.0, 0)])
-    before = select_ephemerides(epoch_at(100_000.0), orbits)
-    assert select_ephemerides(epoch_at(101_000.0), orbits, before=before).names is before.names
