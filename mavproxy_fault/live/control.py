@@ -1,13 +1,16 @@
 """Live control: turn requests from ground stations, RflySim and Zenoh into schedule edits.
 
 All of it runs in the thread of the proxy's loop and does no I/O. `LiveControl` intercepts one
-MAVLink command, MAV_CMD_INJECT_FAILURE, and acknowledges it in the vehicle's name.
+MAVLink command, MAV_CMD_INJECT_FAILURE. Where the proxy changes what the autopilot reads, it
+applies the failure and acknowledges it in the vehicle's name; otherwise the command is forwarded,
+and the autopilot's own acknowledgement is labelled.
 """
 
-import math
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,38 +20,49 @@ import msgspec
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import MOST_BYTES, read_yaml
+from mavproxy_fault.faults.bit_faults import GROUPS
 from mavproxy_fault.live.failure_command import (
-    MESSAGES,
-    TYPES,
-    UNITS,
-    extent_of,
-    failure_id,
-    faults_for,
+    FAILURE_UNITS,
+    INPUTS,
+    LINK_UNITS,
+    PARTS,
+    FailureRequest,
+    UnitPart,
+    failure_entries,
+    instance_field,
+    reaches_autopilot,
+    telemetry_targets,
 )
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.senders import LINKS, VEHICLE_SYSTEM, new_senders
 from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.label import Label
 
 INJECT_FAILURE = 420  # MAV_CMD
-ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3  # MAV_RESULT
+ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5  # MAV_RESULT
 COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
+ACKNOWLEDGEMENT = message_layout("COMMAND_ACK").id
 PARAMETER = message_layout("PARAM_VALUE").id
 FAILURE_PARAMETER = (
     b"SYS_FAILURE_EN"  # PX4's parameter; 0 has the same bytes in every parameter type
 )
-NAMES = {message_layout(name).id: name for name in MESSAGES}
+LINK_PART = UnitPart("")  # stands for every message
+LEARN_US = 2_000_000  # instances of a sensor all come within this time; GPS sends once a second
+MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
 LARGEST = sys.float_info.max
-AUTOPILOT = 1  # the component that acknowledges a broadcast command
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1, the component in whose name a command is acknowledged
 
 
 class LiveControl:
-    """Applies live requests to the engine; denies them unless `allowed`.
+    """Applies live requests to the engine; refuses or forwards them unless `allowed`.
 
     Requests may name files below `folders` only; None allows any file.
     """
@@ -66,70 +80,193 @@ class LiveControl:
         self.rflysim = rflysim
         self.folders = folders
         self.view = SubscribedMessages()
-        # Names of the messages seen so far, on which a failure command can act.
-        self._seen: set[str] = set()
+        self.senders = new_senders()  # the core's, once attached
         self._latched: set[str] = set()
-        # A failure unit is supported once one of its messages has passed.
-        self._unseen: frozenset[int] = frozenset(NAMES)
+        # Instances heard in each part of a unit, from each system and direction.
+        self._sources: dict[tuple[UnitPart, int, str], set[int]] = {}
+        # Messages whose instances are still noted, until this time of the vehicle.
+        self._learning = dict.fromkeys((message_layout(name).id for name in PARTS), NEVER_US)
+        self._pending: list[tuple[Frame, FailureRequest]] = []  # forwarded, not yet acknowledged
+        self._whole: dict[str, FailureRequest] = {}  # failures of all instances
+        self._first_vehicle = 0
         self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
-        self.wanted: frozenset[int] = COMMANDS | {PARAMETER} | self._unseen
+        self.wanted: frozenset[int] = frozenset()
+        self._update_wanted()
 
     # -- MAVLink ---------------------------------------------------------------------------------
 
-    def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
-        """Return the reply to a command for the proxy; None for a frame to be forwarded."""
+    def consume(
+        self, frame: Frame, direction: str, t_us: int, *, sealed: bool = False
+    ) -> list[Frame] | None:
+        """Return the reply to a command for the proxy; None for a frame to be forwarded.
+
+        A `sealed` frame (signed with an unknown key) cannot be changed.
+        """
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
-        if frame.id not in COMMANDS:
-            if frame.id in self._unseen:
-                self._seen.add(frame.layout.name)
-                # Noted once; later frames of this message bypass this function.
-                self._unseen -= {frame.id}
-                self._update_wanted()
-            if frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
-                self._enabled = frame.number("param_value") != 0.0
-            return None
-        if frame.number("command") != INJECT_FAILURE:
-            return None
-        # COMMAND_INT has integer coordinates in place of params 5 and 6.
-        positions = range(1, 6 if "param5" in frame.layout.fields else 5)
-        result = self._inject([frame.number(f"param{n}") for n in positions], t_us)
-        return [acknowledge_command(frame, result)]
+        if frame.id in COMMANDS:
+            return self._command(frame, t_us) if frame.number("command") == INJECT_FAILURE else None
+        if frame.id == ACKNOWLEDGEMENT:
+            self._acknowledged(frame, t_us)
+        elif frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
+            self._enabled = frame.number("param_value") != 0.0
+        elif frame.id in self._learning:
+            self._learn(frame, direction, t_us, sealed=sealed)
+        return None
 
-    def _inject(self, parameters: list[int | float], t_us: int) -> int:
-        if not self.allowed or not self._enabled:
-            return DENIED
-        # NaN means "not given" in MAVLink; -1 is neither a unit nor a type.
-        numbers = [int(one) if math.isfinite(one) else -1 for one in parameters]
-        unit, kind = UNITS.get(numbers[0]), TYPES.get(numbers[1])
-        # An instance that is not given means all.
-        instance = 0 if math.isnan(parameters[2]) else numbers[2]
-        if unit is None or kind is None or instance < 0:
-            return UNSUPPORTED
+    def _learn(self, frame: Frame, direction: str, t_us: int, *, sealed: bool) -> None:
+        """Note which units and instances a message carries to the autopilot."""
+        name = frame.layout.name
+        field = instance_field(name)
+        instance = int(frame.number(field)) + 1 if field else 1
+        flags = int(frame.number("fields_updated")) if name == "HIL_SENSOR" else 0
+        for part in PARTS[name] if reaches_autopilot(name, direction) and not sealed else ():
+            if not part.group or flags & GROUPS[part.group]:
+                source = (part, frame.system, direction)
+                self._sources.setdefault(source, set()).add(instance)
+        # Later frames of this message bypass this function.
+        until_us = self._learning[frame.id]
+        if t_us >= until_us:
+            del self._learning[frame.id]
+            self._update_wanted()
+        elif until_us - t_us > LEARN_US:  # the first frame, or the clock has gone back
+            self._learning[frame.id] = t_us + LEARN_US
+
+    def _command(self, frame: Frame, t_us: int) -> list[Frame] | None:
+        """Carry out a failure command; None if it is left to the autopilot."""
+        request = FailureRequest.read(frame)
+        system = self._vehicle(frame)
+        parts = [] if system is None else self._parts(request, system)
+        known = parts and self._knows(request, [part for part, _ in parts])
+        if system is None or not known or not self.allowed or not self._enabled:
+            # Its module may know better, and its reply starts the label.
+            self._pending = [*self._pending[1 - MOST_PENDING :], (frame, request)]
+            # An instance that was not heard may exist by now.
+            for part, _ in parts:
+                self._learning[message_layout(part.message).id] = t_us + LEARN_US
+            self._update_wanted()
+            return None
+        if request.instances is None:
+            return [acknowledge_command(frame, DENIED, system)]
         self.engine.advance_time(t_us)
-        if kind == "ok":
-            return self._clear(unit, instance)
-        try:
-            extent = extent_of(kind, parameters[3:])
-            entries = faults_for(unit, kind, instance, self._seen, extent)
-        except ValueError:
-            return UNSUPPORTED  # the instance does not exist, e.g. the seventeenth motor
-        if not entries:
-            return UNSUPPORTED
-        # A new failure of a unit replaces the previous one, as in PX4.
-        self.engine.clear(failure_id(unit, instance))
-        for entry in entries:
-            self.engine.arm(entry)
-        return ACCEPTED
+        for instance in request.instances or (0,):
+            self._replace(system, request, instance, parts)
+        return [acknowledge_command(frame, ACCEPTED, system)]
 
-    def _clear(self, unit: str, instance: int) -> int:
-        """End the failures of one instance of a unit, or of all its instances."""
-        prefix = failure_id(unit, instance)
-        # Ids are `unit-instance.part`; instance 0 ends those of every instance.
-        for id in self.engine.ids():
-            if id.rpartition(".")[0] == prefix or (not instance and id.startswith(f"{prefix}-")):
+    def _vehicle(self, command: Frame) -> int | None:
+        """Return the system in whose name to reply; None if no autopilot was heard there."""
+        system = int(command.number("target_system")) or self.senders[VEHICLE_SYSTEM]
+        component = int(command.number("target_component")) or AUTOPILOT
+        heard = self.senders[LINKS + (system << 8 | AUTOPILOT)] != 0
+        return system if component == AUTOPILOT and heard else None
+
+    def _parts(self, request: FailureRequest, system: int) -> list[tuple[UnitPart, dict[str, Any]]]:
+        """Return what carries a unit to the autopilot of a system, and which frames those are."""
+        others = {n for n in range(1, 256) if self.senders[LINKS + (n << 8 | AUTOPILOT)]} - {system}
+        sender = {"system": system} if others else {}
+        if request.unit in LINK_UNITS and set(request.instances or ()) <= {1}:
+            return [(LINK_PART, sender)]
+        if not request.kind or request.unit not in FAILURE_UNITS:
+            return []
+        found = []
+        for part in FAILURE_UNITS[request.unit].parts:
+            # What other vehicles send is not this one's.
+            heard = {way for one, n, way in self._sources if one == part and n not in others}
+            if heard:
+                # The telemetry of the same name is left alone.
+                way = {} if part.message in INPUTS else {"direction": "to-vehicle"}
+                found.append((part, {**sender, **way}))
+        return found
+
+    def _knows(self, request: FailureRequest, parts: Sequence[UnitPart]) -> bool:
+        """Whether each addressed instance was heard in one of the parts."""
+        return all(any(self._carries(part, n) for part in parts) for n in request.instances or ())
+
+    def _carries(self, part: UnitPart, instance: int) -> bool:
+        if part == LINK_PART or not instance:
+            return True
+        if part.indexed:
+            fields = message_layout(part.message).fields
+            return all(instance <= fields[name].count for name, _ in part.fields)
+        return any(instance in seen for (one, *_), seen in self._sources.items() if one == part)
+
+    def _replace(
+        self,
+        system: int,
+        request: FailureRequest,
+        instance: int,
+        parts: Sequence[tuple[UnitPart, dict[str, Any]]],
+    ) -> None:
+        """Replace the failure of an instance (0: of all), as PX4 does; type `ok` only ends it."""
+        self._first_vehicle = self._first_vehicle or system
+        unit = f"{'mav' if system == self._first_vehicle else f'mav{system}'}-{request.unit}"
+        ids = [id for id in self.engine.ids() if re.fullmatch(rf"{unit}(-\d+)?\.\d+", id)]
+        for id in ids:
+            if not instance or id.rpartition(".")[0] == f"{unit}-{instance}":
                 self.engine.clear(id)
-        return ACCEPTED
+        # A failure of all instances goes on at the others.
+        whole = self._whole.get(unit)
+        if whole is not None:
+            self.engine.clear(unit)
+            del self._whole[unit]
+            heard = {n for part, _ in parts for n in self._instances(part)}
+            for other in sorted(heard - {instance}) if instance else ():
+                self._arm(f"{unit}-{other}", whole, other, parts)
+        if request.kind == "ok":
+            return
+        if not instance:
+            self._whole[unit] = request
+        self._arm(f"{unit}-{instance}" if instance else unit, request, instance, parts)
+
+    def _instances(self, part: UnitPart) -> set[int]:
+        if part.indexed:
+            return set(range(1, message_layout(part.message).fields[part.fields[0][0]].count + 1))
+        return {n for (one, *_), seen in self._sources.items() if one == part for n in seen}
+
+    def _arm(
+        self,
+        id: str,
+        request: FailureRequest,
+        instance: int,
+        parts: Sequence[tuple[UnitPart, dict[str, Any]]],
+    ) -> None:
+        carried = [(part, where) for part, where in parts if self._carries(part, instance)]
+        for entry in failure_entries(id, request, instance, carried):
+            self.engine.arm(entry)
+
+    def _acknowledged(self, ack: Frame, t_us: int) -> None:
+        """Begin or end the label of a failure that the autopilot itself has accepted."""
+        if ack.number("command") != INJECT_FAILURE or ack.number("result") == IN_PROGRESS:
+            return
+        requester = ack.number("target_system"), ack.number("target_component")
+        for command, request in self._pending:
+            asked = command.system, command.component
+            if command.number("target_system") in (0, ack.system) and requester in (asked, (0, 0)):
+                self._pending = [one for one in self._pending if one[0] is not command]
+                if ack.number("result") == ACCEPTED:
+                    self._label(ack.system, request, t_us)
+                return
+
+    def _label(self, system: int, request: FailureRequest, t_us: int) -> None:
+        base = f"autopilot{system}-{request.unit or 'unit'}"
+        for instance in request.instances or (0,):
+            id = f"{base}-{instance}" if instance else base
+            self.engine.end_noted(id if instance else base, t_us, parts=not instance)
+            if request.kind == "ok":
+                continue
+            chosen = replace(request, instances=(instance,) if instance else ())
+            self.engine.note_label(
+                Label(
+                    id=id,
+                    fault=request.name,
+                    targets=telemetry_targets(chosen),
+                    direction="to-vehicle",
+                    t0_us=t_us if self.engine.t0_us is None else self.engine.t0_us,
+                    start_us=t_us,
+                    seed=self.engine.seed,
+                    by="autopilot",
+                )
+            )
 
     # -- RflySim ---------------------------------------------------------------------------------
 
@@ -182,7 +319,7 @@ class LiveControl:
         return self.view.drain()
 
     def _update_wanted(self) -> None:
-        self.wanted = COMMANDS | {PARAMETER} | self._unseen | self.view.ids
+        self.wanted = COMMANDS | {PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
 
     # -- Zenoh -----------------------------------------------------------------------------------
 
@@ -297,8 +434,8 @@ class LiveControl:
         return act
 
 
-def acknowledge_command(command: Frame, result: int) -> Frame:
-    """Return the COMMAND_ACK to the sender of a command, from the command's target."""
+def acknowledge_command(command: Frame, result: int, system: int) -> Frame:
+    """Return the COMMAND_ACK to the sender of a command, from the autopilot of a system."""
     values = {
         "command": int(command.number("command")),
         "result": result,
@@ -306,11 +443,4 @@ def acknowledge_command(command: Frame, result: int) -> Frame:
         "target_component": command.component,
     }
     layout = message_layout("COMMAND_ACK")
-    raw = build_frame(
-        layout,
-        values,
-        # A broadcast command (0) is acknowledged as system 1, autopilot.
-        system=int(command.number("target_system")) or 1,
-        component=int(command.number("target_component")) or AUTOPILOT,
-    )
-    return Frame(raw, layout)
+    return Frame(build_frame(layout, values, system=system, component=AUTOPILOT), layout)

@@ -108,4 +108,4 @@ def join_live_control(core: Core, control: LiveControl) -> None:
             # The engine's time counts from the vehicle's first timestamp, which may be long past.
             control.engine.start_at(core.clock.t0_us)
         core.engine = control.engine
-    core.control = control
+    core.attach(control)

@@ -15,6 +15,9 @@ TEXT_LENGTH = 50
 
 def label_text(label: "Label") -> str:
     """Describe a label in one line, such as `FAULT gyro-step on: bias HIL_SENSOR.xgyro`."""
+    if label.by:
+        phase = "on" if label.end_us is None else "off"
+        return f"FAULT {label.id} {phase}: {label.fault} by the {label.by}"
     if label.end_us is not None:
         return f"FAULT {label.id} off: {label.frames} frames"
     if label.changed_us is not None:

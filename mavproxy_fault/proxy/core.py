@@ -86,8 +86,10 @@ class Core:
     ) -> None:
         self.links = tuple(links)
         self.engine = engine
-        self.control = control
         self.senders = new_senders()
+        self.control: CommandResponder | None = None
+        if control is not None:
+            self.attach(control)
         self.clock = VehicleClock(self.senders)
         self.states = [LinkState() for _ in links]
         self._signing = signing
@@ -110,6 +112,11 @@ class Core:
         self._listeners = sum(
             1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
         )
+
+    def attach(self, control: CommandResponder) -> None:
+        """Let a responder see commands and messages; it shares the state of the senders."""
+        control.senders = self.senders
+        self.control = control
 
     # -- inputs ----------------------------------------------------------------------------------
 
@@ -259,18 +266,18 @@ class Core:
             state.loops += 1
             return
         t_us = self._time(frame, arrival.now_us, state, batch)
+        sealed = frame.signed
+        if sealed and self._signing is not None:
+            frame, sealed = self._signing.verify_incoming(frame)
+            state.bad_signatures += sealed
         control = self.control
         if control is not None and frame.id in control.wanted:
-            replies = control.consume(frame, t_us)
+            replies = control.consume(frame, arrival.direction, t_us, sealed=sealed)
             if replies is not None:
                 for reply in replies:
                     raw = self._numbering.number_frame(reply)
                     self._send_now(1 << arrival.link, raw, arrival.now_us, batch)
                 return
-        sealed = frame.signed
-        if sealed and self._signing is not None:
-            frame, sealed = self._signing.verify_incoming(frame)
-            state.bad_signatures += sealed
         mask = self._routes.select(frame, arrival.link)
         engine = self.engine
         # Fast path: most frames are not wanted by any fault.

@@ -54,6 +54,7 @@ class Engine:
         self._telemetry = Telemetry()
         self._edge_us = 0
         self._labels: list[Label] = []
+        self._noted: dict[str, Label] = {}  # open labels of what the vehicle itself does
         self._released: list[Outgoing] = []  # released by a fault that ended
         self._update_wanted()
 
@@ -287,8 +288,23 @@ class Engine:
         labels, self._labels = self._labels, []
         return labels
 
+    def note_label(self, label: Label) -> None:
+        """Begin the label of a failure that the vehicle itself carries out."""
+        self._noted[label.id] = label
+        self._labels.append(label)
+
+    def end_noted(self, id: str, t_us: int, *, parts: bool = True) -> None:
+        """End such a label, with `parts` also those whose id continues with a hyphen."""
+        for name in [
+            one for one in self._noted if one == id or (parts and one.startswith(id + "-"))
+        ]:
+            label = self._noted.pop(name)
+            self._labels.append(msgspec.structs.replace(label, end_us=max(t_us, label.start_us)))
+
     def finish(self, t_us: int) -> list[Label]:
         """End all faults and return the last labels; call `due` next for buffered frames."""
+        for id in list(self._noted):
+            self.end_noted(id, t_us)
         if self.t0_us is not None:
             self._advance(t_us)
         for running in [r for r in self._all if r.active]:

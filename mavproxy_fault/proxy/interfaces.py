@@ -1,5 +1,6 @@
 """Interfaces of the core: links by their role, the fault engine, and the command responder."""
 
+from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -68,12 +69,19 @@ class FaultEngine(Protocol):
 
 
 class CommandResponder(Protocol):
-    """Responder for commands to the proxy itself; `wanted` are the messages it must see."""
+    """Responder for commands to the proxy itself; `wanted` are the messages it must see.
+
+    `senders` is the core's state of the senders, set by `Core.attach`.
+    """
+
+    senders: "array[int]"
 
     @property
     def wanted(self) -> frozenset[int]: ...
 
-    def consume(self, frame: Frame, t_us: int) -> list[Frame] | None:
+    def consume(
+        self, frame: Frame, direction: Direction, t_us: int, *, sealed: bool = False
+    ) -> list[Frame] | None:
         """Return replies for the frame's link if it was for the proxy, else None."""
 
     def sent(self, raw: bytes, t_us: int) -> None:

@@ -35,6 +35,7 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     recorded: bool = False  # injected into a recording, so no vehicle could react
     value: float | None = None  # set by a live edit
     changed_us: int | None = None
+    by: str = ""  # "autopilot" if the vehicle itself failed the unit, at MAV_CMD_INJECT_FAILURE
 
 
 def read_labels(path: Path) -> list[Label]:

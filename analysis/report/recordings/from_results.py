@@ -91,6 +91,8 @@ def _injected(label: Label, results: Sequence[Result], t0_us: int) -> Span:
         # A fault without end lasts until the last result.
         end_us = max((result.t_us for result in results), default=label.start_us)
     text = f"{label.preset or label.fault} on {', '.join(label.targets) or 'the link'}"
+    if label.by:
+        text = f"{label.fault} by the {label.by} itself"
     return Span(
         f"injected: {label.id}",
         (label.start_us - t0_us) * 1e-6,

@@ -300,6 +300,8 @@ def test_a_running_proxy_accepts_faults_over_zenoh_and_acknowledges_failures() -
                 assert isinstance(frame, Frame)
                 assert frame.number("xgyro") == 0.5
                 assert b"FAULT step on" in station.recv(999)
+            vehicle.sendto(build_frame(message_layout("HEARTBEAT"), {}), ("127.0.0.1", port))
+            station.recv(999)
             values = {"target_system": 1, "target_component": 1, "command": 420, "param2": 1}
             request = build_frame(message_layout("COMMAND_LONG"), values, system=255, component=190)
             station.sendto(request, address)

@@ -1,91 +1,139 @@
 import json
-import math
 import struct
 import time
+from collections.abc import Sequence
 
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.live.control import LiveControl
-from mavproxy_fault.live.failure_command import FAILURE_UNITS, TYPES, UNITS
+from mavproxy_fault.live.failure_command import (
+    FAILURE_UNITS,
+    PARTS,
+    TYPES,
+    UNITS,
+    instance_field,
+)
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.senders import LINKS
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+NAN = float("nan")
+INSTANCES = (1, 2, 3)  # of the simulated sensors
 
 
 def frame(name: str, **values: object) -> Frame:
     return Frame(build_frame(message_layout(name), values, component=51), message_layout(name))
 
 
-def failure(unit: float, kind: float, instance: float = 0, name: str = "COMMAND_LONG") -> Frame:
+def failure(
+    unit: float, kind: float, instance: float = 0, mask: float = 0.0, name: str = "COMMAND_LONG",
+    **more: float,
+) -> Frame:  # fmt: skip
     values = {
-        "command": 420, "param1": unit, "param2": kind, "param3": instance,
-        "target_system": 1, "target_component": 1,
+        "command": 420, "param1": unit, "param2": kind, "param3": instance, "param4": mask,
+        "target_system": 1, "target_component": 1, **more,
     }  # fmt: skip
     return Frame(
         build_frame(message_layout(name), values, system=255, component=190), message_layout(name)
     )
 
 
-def failure_with(*params: float, unit: int = 0, kind: int = 4) -> Frame:
-    """Send a failure of all instances with params 4 and 5."""
-    extra = {f"param{place}": value for place, value in enumerate(params, 4)}
-    values = {"command": 420, "param1": unit, "param2": kind, "target_system": 1}
-    values |= {"target_component": 1, **extra}
-    return Frame(
-        build_frame(message_layout("COMMAND_LONG"), values, system=255, component=190),
-        message_layout("COMMAND_LONG"),
-    )
+def healthy(name: str, instance: int, i: int) -> Frame:
+    """A frame of a sensor whose values vary."""
+    field = instance_field(name)
+    values: dict[str, object] = {
+        n: [1 + i % 50] * f.count if f.count else 1 + i % 50
+        for n, f in message_layout(name).fields.items()
+        if f.type != "char"
+    }
+    values |= {"fields_updated": 0x1FFF} if "fields_updated" in values else {}
+    return frame(name, **values | ({field: instance - 1} if field else {}))
 
 
-def control(*passed: str, **options: bool) -> LiveControl:
+def control(*passed: str, vehicles: Sequence[int] = (1,), **options: bool) -> LiveControl:
     engine = Engine(Schedule(1))
     engine.start_at(1_000_000)
     it = LiveControl(engine, **options)
+    for system in vehicles:
+        it.senders[LINKS + (system << 8 | 1)] = 1
     for name in passed:
-        assert it.consume(frame(name), 1_000_000) is None
+        for instance in INSTANCES:
+            assert it.consume(healthy(name, instance, 0), "to-vehicle", 1_000_000) is None
     return it
 
 
-def result(it: LiveControl, command: Frame, t_us: int = 2_000_000) -> int:
-    replies = it.consume(command, t_us)
-    assert replies is not None
+def result(it: LiveControl, command: Frame, t_us: int = 2_000_000) -> int | None:
+    """The result of the reply; None if the command was forwarded."""
+    replies = it.consume(command, "to-vehicle", t_us)
+    if replies is None:
+        return None
     (ack,) = replies
     assert (ack.number("command"), ack.system, ack.component) == (420, 1, 1)
     assert (ack.number("target_system"), ack.number("target_component")) == (255, 190)
     return int(ack.number("result"))
 
 
+def acknowledge(it: LiveControl, code: int, t_us: int) -> None:
+    """The autopilot's own reply passes."""
+    values = {"command": 420, "result": code, "target_system": 255, "target_component": 190}
+    layout = message_layout("COMMAND_ACK")
+    ack = Frame(build_frame(layout, values, system=1, component=1), layout)
+    assert it.consume(ack, "from-vehicle", t_us) is None
+
+
 def through(it: LiveControl, one: Frame, t_us: int) -> list[Outgoing]:
     return it.engine.apply(one, "to-vehicle", t_us)
 
 
+def affected(it: LiveControl, name: str) -> set[int]:
+    """The instances whose frames are changed, late or missing within two seconds."""
+    found = set()
+    for i in range(40):
+        for instance in INSTANCES:
+            t_us = 2_000_000 + i * 50_000
+            one = healthy(name, instance, i)
+            outs = through(it, one, t_us)
+            if [(out.frame is one, out.due_us) for out in outs] != [(True, t_us)]:
+                found.add(instance)
+    return found
+
+
 def test_other_commands_are_forwarded() -> None:
     other = frame("COMMAND_LONG", command=400, param1=1)
-    assert control().consume(other, 0) is None
+    assert control().consume(other, "to-vehicle", 0) is None
 
 
-def test_a_unit_is_unsupported_until_its_message_is_seen() -> None:
+def test_a_failure_is_left_to_the_autopilot_until_its_message_is_heard() -> None:
     it = control()
-    assert result(it, failure(0, 1)) == UNSUPPORTED
-    it.consume(frame("HIL_SENSOR"), 0)
+    assert result(it, failure(0, 1)) is None
+    it.consume(healthy("HIL_SENSOR", 1, 0), "to-vehicle", 0)
     assert result(it, failure(0, 1)) == ACCEPTED
 
 
-def test_a_message_is_inspected_only_until_it_is_known() -> None:
+def test_a_message_is_inspected_only_until_its_instances_are_known() -> None:
     it = control("HIL_SENSOR")
+    assert message_layout("HIL_SENSOR").id in it.wanted
+    it.consume(healthy("HIL_SENSOR", 1, 0), "to-vehicle", 3_000_001)
     assert message_layout("HIL_SENSOR").id not in it.wanted
     assert message_layout("COMMAND_LONG").id in it.wanted
 
 
-def test_failures_are_denied_without_live_control() -> None:
+def test_a_clock_that_goes_back_does_not_prolong_the_inspection() -> None:
+    it = control()
+    for t_us in (1_700_000_000_000_000, 1_000_000, 3_000_001):
+        it.consume(healthy("HIL_SENSOR", 1, 0), "to-vehicle", t_us)
+    assert message_layout("HIL_SENSOR").id not in it.wanted
+
+
+def test_without_live_control_the_command_is_forwarded() -> None:
     it = control("HIL_SENSOR", allowed=False)
-    assert result(it, failure(0, 1)) == DENIED
+    assert result(it, failure(0, 1)) is None
     assert it.engine.ids() == []
 
 
@@ -94,64 +142,130 @@ def test_both_command_messages_are_acknowledged(name: str) -> None:
     assert result(control("HIL_SENSOR"), failure(1, 2, name=name)) == ACCEPTED
 
 
+@pytest.mark.parametrize("mask", range(8))
 @pytest.mark.parametrize("kind", sorted(set(TYPES) - {0}))
 @pytest.mark.parametrize("unit", sorted(UNITS))
-def test_every_unit_and_type_acts(unit: int, kind: int) -> None:
-    """Every message of the unit is changed within two seconds."""
-    name = UNITS[unit]
-    for part in FAILURE_UNITS[name].parts or [None]:
-        message = "ATTITUDE" if part is None else part.message
-        passed = "HIL_SENSOR" if part is None else message
-        it = control(passed)
-        assert result(it, failure(unit, kind)) == ACCEPTED
-        acted = False
-        fields = message_layout(message).fields
-        for i in range(40):
-            varying = {
-                n: [1 + i % 50] * f.count if f.count else 1 + i % 50
-                for n, f in fields.items()
-                if f.type != "char" and n not in ("id", message_layout(message).instance)
-            }
-            if "fields_updated" in fields:
-                varying["fields_updated"] = 0x1FFF
-            t_us = 2_000_000 + i * 50_000
-            one = frame(message, **varying)
-            outs = through(it, one, t_us)
-            acted |= [(out.frame is one, out.due_us) for out in outs] != [(True, t_us)]
-        assert acted, message
+def test_every_unit_and_type_acts_on_the_addressed_instances_only(
+    unit: int, kind: int, mask: int
+) -> None:
+    parts = FAILURE_UNITS[UNITS[unit]].parts if UNITS[unit] in FAILURE_UNITS else ()
+    for part in parts:
+        it = control(part.message)
+        command = failure(unit, kind, NAN, mask) if mask else failure(unit, kind, 0)
+        chosen = {n for n in INSTANCES if mask >> n - 1 & 1} or set(INSTANCES)
+        if not instance_field(part.message) and not part.indexed and chosen - {1} and mask:
+            assert result(it, command) is None  # that message has one instance only
+            assert affected(it, part.message) == set()
+            continue
+        assert result(it, command) == ACCEPTED
+        alone = part.indexed or not instance_field(part.message)
+        assert affected(it, part.message) == (set(INSTANCES) if alone else chosen)
+        assert result(it, failure(unit, 0)) == ACCEPTED
+        assert it.engine.ids() == []
 
 
-def test_instance_two_does_not_affect_instance_one() -> None:
-    it = control("HIL_SENSOR")
-    result(it, failure(0, 4, 2))
-    for id, changed in [(0, False), (1, True)]:
-        one = frame("HIL_SENSOR", id=id, xgyro=0.1)
-        (out,) = through(it, one, 2_100_000)
-        assert (out.frame is not one) is changed
+@pytest.mark.parametrize("kind", sorted(set(TYPES) - {0}))
+@pytest.mark.parametrize("unit", [105, 108])
+def test_a_failure_of_the_link_acts_on_every_message(unit: int, kind: int) -> None:
+    it = control()
+    assert result(it, failure(unit, kind)) == ACCEPTED
+    assert affected(it, "ATTITUDE") == set(INSTANCES)
+
+
+@pytest.mark.parametrize("unit", [106, 109, 110, 50, NAN])
+def test_what_no_message_carries_is_left_to_the_autopilot(unit: float) -> None:
+    assert result(control(*PARTS), failure(unit, 1)) is None
 
 
 def test_one_motor_stops_and_the_others_run() -> None:
     it = control("HIL_ACTUATOR_CONTROLS")
-    result(it, failure(101, 1, 2))
+    result(it, failure(101, 1, NAN, 0b1010))
     (out,) = through(it, frame("HIL_ACTUATOR_CONTROLS", controls=[0.5] * 16), 2_100_000)
     assert isinstance(out.frame, Frame)
-    assert [out.frame.number("controls", i) for i in range(4)] == [0.5, 0, 0.5, 0.5]
-    assert result(it, failure(101, 1, 17)) == UNSUPPORTED
+    assert [out.frame.number("controls", i) for i in range(5)] == [0.5, 0, 0.5, 0, 0.5]
+    assert result(it, failure(101, 1, 17)) is None
 
 
-def test_an_esc_that_is_off_stops_its_motor_and_reports_zero_rpm() -> None:
-    it = control("HIL_ACTUATOR_CONTROLS", "ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8")
-    assert result(it, failure(106, 1, 6)) == ACCEPTED
-    cases = {
-        "HIL_ACTUATOR_CONTROLS": ("controls", [0.5] * 16, 5),
-        "ESC_TELEMETRY_1_TO_4": ("rpm", [5000] * 4, None),
-        "ESC_TELEMETRY_5_TO_8": ("rpm", [5000] * 4, 1),
-    }
-    for message, (field, values, stopped) in cases.items():
-        (out,) = through(it, frame(message, **{field: values}), 2_100_000)
-        assert isinstance(out.frame, Frame)
-        left = [out.frame.number(field, i) for i in range(len(values))]
-        assert left == [0 if i == stopped else value for i, value in enumerate(values)]
+def test_all_ones_are_all_instances() -> None:
+    it = control("HIL_SENSOR")
+    assert result(it, failure(0, 4, NAN, 0xFFFF)) == ACCEPTED
+    assert it.engine.ids() == ["mav-gyro.1"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        failure(0, 1, NAN, NAN), failure(0, 1, NAN, 0), failure(0, 1, NAN, -1),
+        failure(0, 1, NAN, 1.5), failure(0, 1, -1), failure(0, 1, 1.5),
+        failure(0, 1, float("inf")), failure(0, 4, 0, 0, param5=3.0), failure(0, 1, param7=1),
+        failure(0, 1, name="COMMAND_INT", x=5),
+    ],
+)  # fmt: skip
+def test_parameters_against_the_standard_are_denied(command: Frame) -> None:
+    it = control("HIL_SENSOR")
+    assert result(it, command) == DENIED
+    assert it.engine.ids() == []
+
+
+def test_the_instance_precedes_the_bitmask() -> None:
+    it = control("HIL_SENSOR")
+    result(it, failure(0, 1, 2, 0b101))
+    assert affected(it, "HIL_SENSOR") == {2}
+
+
+def test_an_instance_that_was_not_heard_is_left_to_the_autopilot_and_looked_for() -> None:
+    it = control("HIL_SENSOR")
+    it.consume(healthy("HIL_SENSOR", 1, 0), "to-vehicle", 4_000_000)
+    assert result(it, failure(0, 1, 4), 5_000_000) is None
+    assert result(it, failure(0, 1, NAN, 0b1001), 5_000_000) is None
+    it.consume(healthy("HIL_SENSOR", 4, 0), "to-vehicle", 5_100_000)
+    assert result(it, failure(0, 1, 4), 5_200_000) == ACCEPTED
+
+
+def test_a_sensor_without_its_update_flags_was_not_heard() -> None:
+    it = control()
+    it.consume(frame("HIL_SENSOR", fields_updated=0x38), "to-vehicle", 1_000_000)
+    assert result(it, failure(0, 1)) == ACCEPTED
+    assert result(it, failure(3, 1)) is None
+
+
+@pytest.mark.parametrize("target", [{"target_component": 5}, {"target_system": 7}])
+def test_nothing_is_answered_for_a_component_that_was_not_heard(target: dict[str, float]) -> None:
+    assert result(control("HIL_SENSOR"), failure(0, 1, **target)) is None
+
+
+def test_a_simulator_alone_is_no_autopilot() -> None:
+    assert result(control("HIL_SENSOR", vehicles=()), failure(0, 1)) is None
+
+
+def test_signed_frames_that_cannot_be_changed_are_not_ours() -> None:
+    it = control()
+    it.consume(healthy("HIL_SENSOR", 1, 0), "to-vehicle", 1_000_000, sealed=True)
+    assert result(it, failure(0, 1)) is None
+
+
+@pytest.mark.parametrize("name", ["ODOMETRY", "DISTANCE_SENSOR", "BATTERY_STATUS"])
+def test_telemetry_of_the_vehicle_is_not_its_sensor(name: str) -> None:
+    unit = next(n for n, unit in UNITS.items() if PARTS[name][0] in FAILURE_UNITS[unit].parts)
+    it = control()
+    it.consume(healthy(name, 1, 0), "from-vehicle", 1_000_000)
+    assert result(it, failure(unit, 1)) is None
+    it.consume(healthy(name, 1, 0), "to-vehicle", 1_000_000)
+    assert result(it, failure(unit, 1)) == ACCEPTED
+    one = healthy(name, 1, 0)
+    assert [out.frame for out in it.engine.apply(one, "from-vehicle", 2_100_000)] == [one]
+
+
+def test_a_failure_of_one_vehicle_leaves_the_other_alone() -> None:
+    it = control("HIL_SENSOR", vehicles=(1, 2))
+    assert result(it, failure(0, 1)) == ACCEPTED
+    other = Frame(
+        build_frame(message_layout("HIL_SENSOR"), {"fields_updated": 63}, system=2, component=51),
+        message_layout("HIL_SENSOR"),
+    )
+    assert [out.frame for out in through(it, other, 2_100_000)] == [other]
+    assert affected(it, "HIL_SENSOR") == set(INSTANCES)
+    assert result(it, failure(0, 1, target_system=2)) is None  # its sensors do not pass here
 
 
 def test_ok_ends_the_failures_of_its_unit_only() -> None:
@@ -163,16 +277,53 @@ def test_ok_ends_the_failures_of_its_unit_only() -> None:
     assert it.engine.ids() == ["mav-accel.1"]
 
 
+def test_ok_for_one_instance_leaves_the_failure_of_the_others() -> None:
+    it = control("HIL_SENSOR")
+    result(it, failure(0, 4))
+    result(it, failure(0, 0, 2))
+    assert affected(it, "HIL_SENSOR") == {1, 3}
+
+
 def test_a_second_failure_of_a_unit_replaces_the_first() -> None:
     it = control("HIL_SENSOR")
+    result(it, failure(0, 2, 3))
     result(it, failure(0, 2))
     result(it, failure(0, 3))
     assert [fault["fault"] for fault in it.engine.state()["faults"]] == ["noise"]
 
 
-@pytest.mark.parametrize(("unit", "kind"), [(50, 1), (0, 99), (float("nan"), 1), (0, float("inf"))])
-def test_what_does_not_exist_is_unsupported(unit: float, kind: float) -> None:
-    assert result(control("HIL_SENSOR"), failure(unit, kind)) == UNSUPPORTED
+def test_a_failure_that_the_autopilot_accepts_is_labelled_as_its_own() -> None:
+    it = control()
+    result(it, failure(0, 1, 2), 2_000_000)
+    acknowledge(it, 5, 2_050_000)  # in progress
+    assert it.engine.drain_labels() == []
+    acknowledge(it, ACCEPTED, 2_100_000)
+    (label,) = it.engine.drain_labels()
+    assert (label.id, label.fault, label.by) == ("autopilot1-gyro-2", "gyro-off", "autopilot")
+    assert (label.start_us, label.end_us) == (2_100_000, None)
+    assert label.targets == ("HIGHRES_IMU.xgyro", "HIGHRES_IMU.ygyro", "HIGHRES_IMU.zgyro")
+    acknowledge(it, ACCEPTED, 2_200_000)  # repeated
+    assert it.engine.drain_labels() == []
+    result(it, failure(0, 0), 5_000_000)
+    acknowledge(it, ACCEPTED, 5_100_000)
+    (label,) = it.engine.drain_labels()
+    assert (label.id, label.end_us) == ("autopilot1-gyro-2", 5_100_000)
+
+
+def test_a_failure_that_the_autopilot_refuses_has_no_label() -> None:
+    it = control()
+    result(it, failure(101, 1, 2))
+    acknowledge(it, UNSUPPORTED, 2_100_000)
+    assert it.engine.drain_labels() == []
+
+
+def test_the_label_of_the_autopilot_s_failure_ends_with_the_session() -> None:
+    it = control()
+    result(it, failure(101, 1, 2))
+    acknowledge(it, ACCEPTED, 2_100_000)
+    first, last = it.engine.drain_labels(), it.engine.finish(9_000_000)
+    assert [label.targets for label in first] == [("HIL_ACTUATOR_CONTROLS.controls[1]",)]
+    assert [label.end_us for label in last] == [9_000_000]
 
 
 def rflysim(ids: list[int], floats: list[float], checksum: int = 1234567897) -> bytes:
@@ -338,46 +489,15 @@ def test_without_live_control_only_read_only_queries_are_answered() -> None:
     assert isinstance(ask(it, "state"), dict)
 
 
-def test_params_4_and_5_are_a_magnitude_and_a_duration() -> None:
-    it = control("HIL_SENSOR")
-    assert result(it, failure_with(0.25, 3.0)) == ACCEPTED
-    (entry,) = parse_schedule(it.engine.save()).faults
-    assert (entry.parameters["value"], entry.for_s) == ([0.25, 0.25, 0.25], 3.0)
-    # Omitted or NaN: the defaults of the standard.
-    for params in ((), (0.0, 0.0), (math.nan, math.nan)):
-        assert result(it, failure_with(*params)) == ACCEPTED
-        (entry,) = parse_schedule(it.engine.save()).faults
-        assert (entry.parameters["value"], entry.for_s) == ([0.5, 0.5, 0.5], None)
-
-
-@pytest.mark.parametrize(("kind", "value"), [(4, -0.25), (8, -0.25), (3, 0.25)])
-def test_an_offset_and_a_drift_may_be_negative_and_a_noise_has_no_sign(kind, value) -> None:
-    it = control("HIL_SENSOR")
-    assert result(it, failure_with(-0.25, -3.0, kind=kind)) == ACCEPTED
-    (entry,) = parse_schedule(it.engine.save()).faults
-    assert (entry.parameters["value"], entry.for_s) == ([value] * 3, None)
-
-
-def test_param_4_is_the_time_of_a_delay_and_a_slow_sensor() -> None:
-    it = control("HIL_SENSOR", "HIL_GPS")
-    for kind, message, value in ((6, 4, 2.5), (5, 4, 2.0), (6, 0, 0.25)):
-        it.engine.clear("all")
-        assert result(it, failure_with(value, unit=message, kind=kind)) == ACCEPTED
-        (entry,) = parse_schedule(it.engine.save()).faults
-        expected = 1.0 / value if entry.name == "rate-limit" else value
-        assert entry.parameters["value"] == expected
-
-
-def test_failures_are_denied_if_the_vehicle_disables_them() -> None:
+def test_failures_are_left_to_a_vehicle_that_disables_them() -> None:
     it = control("HIL_SENSOR")
     parameter = frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=0.0)
-    assert it.consume(parameter, 1_500_000) is None
-    assert result(it, failure(0, 1)) == DENIED
+    assert it.consume(parameter, "from-vehicle", 1_500_000) is None
+    assert result(it, failure(0, 1)) is None
     bytewise = struct.unpack("<f", struct.pack("<i", 1))[0]  # as PX4 sends its integers
-    assert (
-        it.consume(frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=bytewise), 0)
-        is None
-    )
+    enabled = frame("PARAM_VALUE", param_id=b"SYS_FAILURE_EN", param_value=bytewise)
+    assert it.consume(enabled, "from-vehicle", 0) is None
     assert result(it, failure(0, 1)) == ACCEPTED
-    it.consume(frame("PARAM_VALUE", param_id=b"SYS_FAILURE", param_value=0.0), 0)
+    other = frame("PARAM_VALUE", param_id=b"SYS_FAILURE", param_value=0.0)
+    it.consume(other, "from-vehicle", 0)
     assert result(it, failure(0, 1)) == ACCEPTED

@@ -21,14 +21,20 @@ ENABLED = struct.unpack("<f", struct.pack("<i", 1))[0]  # PX4 sends integers byt
 
 
 def fly(vehicle: mavutil.mavudp, stop: threading.Event) -> None:
-    """A minimal PX4: heartbeats, an IMU, and SYS_FAILURE_EN."""
+    """A minimal PX4: heartbeats, its simulator's IMU, SYS_FAILURE_EN, and refusals."""
     step = 0
     while not stop.wait(0.02):
         step += 1
         vehicle.mav.heartbeat_send(2, 12, 0, 4 << 16, 4)
-        vehicle.mav.scaled_imu_send(20 * step, 0, 0, -1000, 100, 0, 0, 200, 0, 400)
-        asked = vehicle.recv_match(type="PARAM_REQUEST_READ", blocking=False)
-        if asked is not None and asked.param_id == "SYS_FAILURE_EN":
+        imu = [0, 0, -9.8, 0.1, 0, 0, 0.2, 0, 0.4, 950, 0, 500, 20]
+        vehicle.mav.hil_sensor_send(20_000 * step, *imu, 0x1FFF, 0)
+        heard = vehicle.recv_match(type=["PARAM_REQUEST_READ", "COMMAND_LONG"], blocking=False)
+        if heard is None:
+            continue
+        if heard.get_type() == "COMMAND_LONG":
+            if heard.command == 420:
+                vehicle.mav.command_ack_send(420, 3, 0, 0, heard.get_srcSystem(), 190)
+        elif heard.param_id == "SYS_FAILURE_EN":
             vehicle.mav.param_value_send(b"SYS_FAILURE_EN", ENABLED, 6, 1, 0)
 
 
@@ -102,10 +108,10 @@ def test_mavsdk_injects_failures_and_they_are_labelled(tmp_path: Path) -> None:
     assert all(label["frames"] > 0 for label in labels)
 
 
-def test_mavsdk_is_denied_when_live_faults_are_refused(tmp_path: Path) -> None:
+def test_the_vehicle_answers_mavsdk_when_live_faults_are_refused(tmp_path: Path) -> None:
     with (
         flown(tmp_path, "--no-inject") as failure,
-        pytest.raises(FailureError, match=r"(?i)denied"),
+        pytest.raises(FailureError, match=r"(?i)unsupported"),
     ):
         failure.inject(FailureUnit.SENSOR_GYRO, FailureType.WRONG, 0)
 

@@ -49,16 +49,17 @@ def test_a_ground_station_injects_a_failure_through_a_running_proxy(tmp_path: Pa
         master, out = (int(words[i].rsplit(":", 1)[1]) for i in (1, 3))
         station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{out}", source_system=255)
         try:
-            layout = message_layout("SCALED_IMU")
-            healthy = build_frame(layout, {"time_boot_ms": 1000, "xgyro": 100})
+            layout = message_layout("HIL_SENSOR")
+            values = {"time_usec": 1_000_000, "xgyro": 0.1, "fields_updated": 63}
+            healthy = build_frame(layout, values)
             meet(vehicle, ("127.0.0.1", master), station)
             vehicle.sendto(healthy, ("127.0.0.1", master))
-            assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 100
+            assert station.recv_match(type="HIL_SENSOR", blocking=True, timeout=30).xgyro < 0.2
             station.mav.command_long_send(1, 1, 420, 0, 0, 4, 0, nan, nan, nan, nan)
             ack = station.recv_match(type="COMMAND_ACK", blocking=True, timeout=30)
             assert (ack.command, ack.result, ack.get_srcSystem()) == (420, 0, 1)
             vehicle.sendto(healthy, ("127.0.0.1", master))
-            assert station.recv_match(type="SCALED_IMU", blocking=True, timeout=30).xgyro == 600
+            assert station.recv_match(type="HIL_SENSOR", blocking=True, timeout=30).xgyro > 0.5
             said = station.recv_match(type="STATUSTEXT", blocking=True, timeout=30)
             assert said.get_srcComponent() == 191
         finally:

@@ -157,13 +157,14 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
         packet = struct.pack("<10i20f", 1234567897, 1, 123450, *[123549] * 7, 0.5, *[1.0] * 19)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as simulator:
             simulator.sendto(packet, ("127.0.0.1", rflysim))
-        assert station.command(8, 4, 0) == 3  # no battery message seen: UNSUPPORTED
         vehicle.send("HIL_ACTUATOR_CONTROLS", controls=[0.8] * 16)
         assert station.next("HIL_ACTUATOR_CONTROLS").controls[0] == pytest.approx(0.4)
 
-        assert station.command(0, 4, 0) == 0  # the gyro is wrong
-        vehicle.send("SCALED_IMU", xgyro=100)
-        assert station.next("SCALED_IMU").xgyro == 600
+        vehicle.send("GPS_INPUT", alt=100.0)
+        assert station.next("GPS_INPUT").alt == 100.0
+        assert station.command(4, 4, 0) == 0  # GPS is wrong
+        vehicle.send("GPS_INPUT", alt=100.0)
+        assert station.next("GPS_INPUT").alt == 300.0
         sent_us = time.time_ns() // 1000 - 1500
         value = {"value": 12.5, "sent_us": sent_us}
         bus.query("@ctl/fault/streamed/value", json.dumps(value).encode())
@@ -192,7 +193,7 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
     assert again.with_suffix(".labels.jsonl").read_bytes() == labels.read_bytes()
     ids = {label.id for label in read_labels(labels)}
     assert {"noisy", "late", "bias", "streamed", "rflysim-1-123450.1"} <= ids
-    assert any(id.startswith("mav-gyro") for id in ids)
+    assert any(id.startswith("mav-gps") for id in ids)
 
 
 def test_signatures_are_stripped_on_request() -> None:

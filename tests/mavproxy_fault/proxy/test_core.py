@@ -391,9 +391,9 @@ def test_an_unknown_message_alone_introduces_no_sender() -> None:
 
 def test_the_statistics_name_unknown_messages() -> None:
     core = Core(ROLES[:2])
-    for number in (60000, 60001, 60002, 60001, 7777777):
+    for number in (52900, 52901, 52902, 52901, 7777777):
         core.received(AUTOPILOT, unknown(1, number=number), WALL_US)
     statistics = link_statistics(core, AUTOPILOT)
-    assert statistics["unknown_ids"] == {"60000": 1, "60001": 2, "60002": 1, "7777777": 1}
+    assert statistics["unknown_ids"] == {"52900": 1, "52901": 2, "52902": 1, "7777777": 1}
     line = format_endpoints([statistics]).splitlines()[-1]
-    assert line == "autopilot: 5 frames of unknown messages 60000 to 60002, 7777777"
+    assert line == "autopilot: 5 frames of unknown messages 52900 to 52902, 7777777"

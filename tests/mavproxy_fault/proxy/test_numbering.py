@@ -81,6 +81,7 @@ def test_answers_in_the_vehicles_name_cost_at_most_256_lost_frames(times: int) -
 
 def test_answers_for_a_silent_vehicle_are_numbered_consecutively() -> None:
     station = Station(Schedule(1), ("from-vehicle", "to-vehicle"))
+    station.vehicle_speaks(1)
     station.commands(3)
     assert station.names.count("COMMAND_ACK") == 3
     assert station.counter.mav_loss == 0
