@@ -5,6 +5,7 @@ import contextlib
 import sys
 from typing import Any
 
+from mavproxy_fault.app.command_parser import positive_count
 from mavproxy_fault.app.commands import add_bus, add_router
 
 
@@ -12,6 +13,11 @@ def add_run(commands: Any) -> None:
     """`run`: simulator, proxy, monitor and report from one scenario."""
     parser = commands.add_parser("run", help="fly a scenario: simulator + proxy + monitor + report")
     _add_scenario(parser)
+    parser.add_argument(
+        "--estimators",
+        metavar="NAMES",
+        help="attitude estimators to score, comma-separated (default: the scenario's)",
+    )
     # No default here, since it depends on --ui: a live page needs real time.
     parser.add_argument(
         "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
@@ -174,7 +180,7 @@ def add_search(commands: Any) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="random seed (default: the file's)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--workers", type=int, metavar="N", help="processes on this machine (default: 1)"
+        "--workers", type=positive_count, metavar="N", help="processes on this machine (default: 1)"
     )
     where.add_argument("--ray", metavar="ADDRESS", help="address of a Ray cluster")
     parser.add_argument("--out", metavar="DIR", help="output folder (default: runs/NUMBER-NAME)")
@@ -206,7 +212,9 @@ def add_campaign(commands: Any) -> None:
         help="campaign file (YAML); or: compare BEFORE AFTER; or: search DIR [CELL]",
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    where.add_argument(
+        "--workers", type=positive_count, metavar="N", help="processes (default: all cores)"
+    )
     where.add_argument("--ray", metavar="ADDRESS", help="address of a Ray cluster")
     parser.add_argument(
         "--out", metavar="DIR", help="new or unfinished campaign's folder (default: in runs/)"

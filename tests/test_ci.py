@@ -1,6 +1,7 @@
 """The steps of the GitHub Action, run as its runner would run them."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 
 import pytest
 import yaml
+
+from mavproxy_fault import cli
 
 ROOT = Path(__file__).parents[1]
 ACTION: dict[str, Any] = yaml.safe_load((ROOT / "action.yml").read_text())
@@ -38,10 +41,52 @@ def fly(tmp_path: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_campaign_leaves_its_table_in_the_step_summary(tmp_path: Path) -> None:
     done = fly(tmp_path, campaign=str(CAMPAIGN))
-    assert done.returncode == 0, done.stderr
-    assert "| ekf | gyro | 0.001 unaffected | 2 " in (tmp_path / "summary").read_text()
+    # Red without any option: the larger magnitude misleads both estimators.
+    assert done.returncode == 1, done.stderr
+    assert "| ekf | gyro | 0.001 rad/s unaffected | 2 rad/s " in (tmp_path / "summary").read_text()
     for name in ("campaign.html", "junit.xml", "cells.csv"):
         assert (tmp_path / "out" / name).is_file()
+
+
+def test_against_a_baseline_only_what_got_worse_fails_the_step(tmp_path: Path) -> None:
+    first, baseline = tmp_path / "first", tmp_path / "baseline"
+    for folder in (first, baseline):
+        folder.mkdir()
+    fly(first, campaign=str(CAMPAIGN))
+    # These two files are what docs/ci.md calls a baseline.
+    for name in ("campaign.json", "cells.jsonl"):
+        shutil.copy(first / "out" / name, baseline)
+    (again := tmp_path / "again").mkdir()
+    shutil.copytree(first / "out", again / "out")
+    assert fly(again, campaign=str(CAMPAIGN), against=str(baseline)).returncode == 0
+    # An aborted cell shows nothing, so it cannot pass.
+    lines = (again / "out" / "cells.jsonl").read_text()
+    assert '"outcome":"unaffected"' in lines
+    (done := tmp_path / "done").mkdir()
+    (done / "cells.jsonl").write_text(lines.replace('"unaffected"', '"aborted"'))
+    shutil.copy(first / "out" / "campaign.json", done)
+    assert cli.main(["campaign", "compare", str(baseline), str(done)]) == 1
+
+
+def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:
+    step = next(step for step in ACTION["runs"]["steps"] if step["name"] == "Install")
+    script = step["run"].replace("${{ inputs.python }}", str(tmp_path / "python"))
+    # Both programs only write their arguments.
+    pip = tmp_path / "mavproxy-fault" / "bin" / "pip"
+    pip.parent.mkdir(parents=True)
+    for program in (tmp_path / "python", pip):
+        program.write_text('#!/bin/sh\necho "$@"\n')
+        program.chmod(0o755)
+    variables = {"RUNNER_TEMP": str(tmp_path), "GITHUB_ACTION_PATH": "/the/checkout"}
+    for version, installed in (("", "/the/checkout"), ("./mine", "./mine")):
+        done = subprocess.run(
+            ["bash", "-eo", "pipefail", "-c", script],
+            env={**os.environ, **variables, "VERSION": version},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.splitlines()[-1] == f"install -q {installed}"
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,7 @@ def main(args: argparse.Namespace) -> int:
     if len(args.file) != 1:
         raise ConfigError("campaign: needs exactly one campaign file; see docs/campaigns.md")
     campaign = read_campaign(args.file[0])
+    check_binaries(campaign)
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
@@ -52,16 +53,44 @@ def main(args: argparse.Namespace) -> int:
     print(describe_size(plan, workers), flush=True)
     if args.dry_run:
         return 0
-    run_campaign(plan, folder, workers, args.ray)
+    failed = run_campaign(plan, folder, workers, args.ray)
     if args.dataset:
         from analysis.campaign.results.data_set import export_data_set
 
         export_data_set(folder, Path(args.dataset))
-    return 0
+    return int(failed > 0)
 
 
-def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> None:
-    """Fly the missing cells, then write and print the results, also after Ctrl-C."""
+def check_binaries(campaign: CampaignFile) -> None:
+    """Look for the autopilots' programs, before every flight fails for want of them.
+
+    Raises
+    ------
+    ConfigError
+        If a program does not exist.
+    """
+    subjects = [s for s in campaign.subjects if not isinstance(s, str)]
+    if not subjects:
+        return
+    # Imported here: without an autopilot its modules are not needed.
+    from analysis.autopilots.autopilot_run import AUTOPILOTS
+
+    for subject in subjects:
+        try:
+            AUTOPILOTS[subject.autopilot.partition(":")[0]].launch_command(subject.binary)
+        except ConfigError as error:
+            text = str(error).removeprefix("--binary: ")
+            raise ConfigError(f"{campaign.name}: subject {subject.name}: binary {text}") from None
+
+
+def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> int:
+    """Fly the missing cells, then write and print the results, also after Ctrl-C.
+
+    Returns
+    -------
+    int
+        The number of cells that failed.
+    """
     campaign = plan.campaign
     store = ResultsStore(folder, campaign)
     pool = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
@@ -81,6 +110,7 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
         if store.results:
             write_report(folder, plan)
             print_outcomes(folder, plan)
+    return sum(campaign.fails(result.outcome) for result in store.results.values())
 
 
 def new_folder(parent: Path, name: str) -> Path:

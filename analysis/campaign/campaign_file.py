@@ -9,7 +9,7 @@ import msgspec
 
 from analysis.autopilots.user_parameters import read_parameters
 from analysis.campaign.cell import MONITOR
-from analysis.campaign.outcomes import OutcomeLimits
+from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
 from analysis.search.space.test_file import TestFile
@@ -119,7 +119,7 @@ class SubjectChoice(_Section, frozen=True):
     the campaign file, `arguments` are further arguments of `run`."""
 
     name: str
-    autopilot: str
+    autopilot: Literal["ardupilot", "ardupilot:copter", "ardupilot:plane", "px4"]
     binary: str
     parameters: str = ""
     arguments: tuple[str, ...] = ()
@@ -211,6 +211,19 @@ class CampaignFile(_Section, frozen=True):
     def subject_names(self) -> list[str]:
         """The subjects' names in results."""
         return [s if isinstance(s, str) else s.name for s in self.subjects]
+
+    @property
+    def fail_from(self) -> str:
+        """The mildest outcome that fails a cell; `aborted` if only aborted cells fail."""
+        # A bisection needs bad outcomes, so they are no failure there unless the file says so.
+        bisected = ABORTED if self.find == "critical" else self.limits.worse_from
+        return self.limits.fail_from or bisected
+
+    def fails(self, outcome: str) -> bool:
+        """Whether a cell with this outcome fails: an aborted one does in any case."""
+        if outcome == ABORTED or self.fail_from == ABORTED:
+            return outcome == ABORTED
+        return outcome_rank(outcome) >= outcome_rank(self.fail_from)
 
     def fault(self, name: str) -> FaultChoice:
         """Return a fault by its name in results."""

@@ -32,7 +32,8 @@ class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Limits of the excursions.
 
     Beyond `attitude_deg` or `position_m` a flight is degraded, beyond `lost_deg` or `lost_m` it is
-    lost. A critical magnitude is the smallest with the outcome `worse_from` or worse.
+    lost. A critical magnitude is the smallest with the outcome `worse_from` or worse. A cell fails
+    from `fail_from` on, by default from `worse_from`.
     """
 
     attitude_deg: float = 5.0
@@ -40,15 +41,18 @@ class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     lost_deg: float = 45.0
     lost_m: float = 200.0
     worse_from: str = "degraded"
+    fail_from: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("attitude_deg", "position_m", "lost_deg", "lost_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be above 0")
-        if self.worse_from not in RANKS[1:]:
-            raise ValueError(
-                f"worse_from = {self.worse_from} is unknown; known: {', '.join(RANKS[1:])}"
-            )
+        for name in ("worse_from", "fail_from"):
+            value = getattr(self, name)
+            # Only a failure can be none of the vehicle's outcomes.
+            known = (*RANKS[1:], ABORTED) if name == "fail_from" else RANKS[1:]
+            if value is not None and value not in known:
+                raise ValueError(f"{name} = {value} is unknown; known: {', '.join(known)}")
 
     def is_worse(self, outcome: str) -> bool:
         """Whether an outcome is at least as bad as `worse_from`."""

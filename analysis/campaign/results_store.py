@@ -54,8 +54,8 @@ class ResultsStore:
         self.folder = folder
         written = msgspec.json.encode(campaign)
         path = folder / CAMPAIGN
-        # Compared as bytes: any difference makes it another campaign.
-        if path.exists() and path.read_bytes() != written:
+        # Any difference makes it another campaign, except a key that an older version did not have.
+        if path.exists() and msgspec.json.encode(read_campaign_json(path)) != written:
             raise ConfigError(f"--out {folder}: contains another campaign; choose another folder")
         path.write_bytes(written)
         # Aborted cells are repeated, since the reason may be gone.
@@ -117,6 +117,11 @@ def read_lines(path: Path, kind: type[T]) -> list[T]:
     return [decoder.decode(line) for line in lines if line.endswith(b"\n")]
 
 
+def read_campaign_json(path: Path) -> CampaignFile:
+    """Read `campaign.json`."""
+    return msgspec.json.decode(path.read_bytes(), type=CampaignFile)
+
+
 def read_campaign_folder(folder: Path) -> tuple[CampaignFile, list[CellResult]]:
     """Read a campaign and its results; the last one of each cell.
 
@@ -128,6 +133,6 @@ def read_campaign_folder(folder: Path) -> tuple[CampaignFile, list[CellResult]]:
     path = folder / CAMPAIGN
     if not path.is_file():
         raise ConfigError(f"{folder}: contains no campaign; give the folder of a completed one")
-    campaign = msgspec.json.decode(path.read_bytes(), type=CampaignFile)
+    campaign = read_campaign_json(path)
     results = {result.cell.key: result for result in read_lines(folder / CELLS, CellResult)}
     return campaign, list(results.values())

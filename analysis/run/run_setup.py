@@ -1,18 +1,20 @@
 """Read a scenario file and decode its sections for simulator, proxy and monitor."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
 from analysis.run.vehicle_effects import vehicle_effects
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
 from mavproxy_fault.faults.plant_fault import SimulatorFault
@@ -39,10 +41,12 @@ def read_setup(
     schedule: str | None = None,
     seed: int | None = None,
     changes: Mapping[str, Any] | None = None,
+    estimators: Sequence[str] | None = None,
 ) -> RunSetup:
     """Read a scenario (None: the demo), and replace its schedule, seed or values if given.
 
-    `changes` are values of the scenario by their paths, as in `changed_scenario`.
+    `changes` are values of the scenario by their paths, as in `changed_scenario`; `estimators`
+    replace the attitude estimators that the scenario names.
 
     Raises
     ------
@@ -65,6 +69,9 @@ def read_setup(
     if schedule is not None:
         criteria = _criteria_for(criteria, faults)
     monitor = monitor_config(scenario.monitor, document.where, document.lines)
+    if estimators is not None:
+        attitude = msgspec.structs.replace(monitor.attitude, estimators=tuple(estimators))
+        monitor = msgspec.structs.replace(monitor, attitude=attitude)
     monitor = msgspec.structs.replace(
         monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
     )
@@ -74,7 +81,11 @@ def read_setup(
 def setup_from_args(args: argparse.Namespace) -> RunSetup:
     """Read the settings from the command line of `run`; errors as in `read_setup`."""
     changes = dict(map(parse_change, args.set))
-    return read_setup(args.scenario, args.schedule, args.seed, changes)
+    estimators = args.estimators and [name.strip() for name in args.estimators.split(",")]
+    for name in estimators or ():
+        if name not in (known := estimator_names()):
+            raise ConfigError(f"--estimators: {name} is unknown; {suggest_known(name, known)}")
+    return read_setup(args.scenario, args.schedule, args.seed, changes, estimators)
 
 
 def _check_plant(scenario: Scenario, schedule: Schedule) -> None:

@@ -20,6 +20,19 @@ class _Help(argparse.RawDescriptionHelpFormatter):
         return f"{text} (default: {'none' if action.default in (None, []) else '%(default)s'})"
 
 
+def positive_count(text: str) -> int:
+    """Parse the argument of an option that counts something.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is no whole number of 1 or more.
+    """
+    if not (text.isascii() and text.isdigit() and int(text)):
+        raise argparse.ArgumentTypeError(f"{text} is no whole number of 1 or more")
+    return int(text)
+
+
 class CommandParser(argparse.ArgumentParser):
     """A parser that suggests corrections; its subparsers, also of plugins, are of this class."""
 

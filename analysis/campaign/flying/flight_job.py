@@ -2,7 +2,8 @@
 
 import shutil
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -127,24 +128,19 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
             run = [*campaign.scenario_arguments(cell.scenario), *autopilot.options(campaign.folder)]
             return run_autopilot_cell(autopilot.name, run, schedule, folder, kept=kept)
     subjects = [cell.subject for cell in job.cells]
-    setup = cell_setup(campaign, cell, subjects)
+    setup = setup_by_name(campaign, cell.scenario, cell.seed, subjects)
     faults = parse_schedule(schedule, campaign.name)
     keep = None if job.keep is None else Path(job.keep)
     return run_simulated_flight(setup.scenario, faults, setup.monitor, subjects, keep)
 
 
-def setup_by_name(campaign: CampaignFile, scenario: str, seed: int | None = None) -> RunSetup:
-    """Read a scenario by its name in results; errors as in `read_setup`."""
+def setup_by_name(
+    campaign: CampaignFile, scenario: str, seed: int | None = None, subjects: Sequence[str] = ()
+) -> RunSetup:
+    """Read a scenario by its name in results, with the estimators among the subjects; errors as in
+    `read_setup`."""
     file, *changes = campaign.scenario_arguments(scenario)
-    # Every other argument is the option's name.
-    return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])))
-
-
-def cell_setup(campaign: CampaignFile, cell: Cell, subjects: list[str]) -> RunSetup:
-    """Read the scenario with the cell's seed and the estimators under test."""
-    setup = setup_by_name(campaign, cell.scenario, cell.seed)
     # The monitor and its detectors run in any case.
-    estimators = tuple(name for name in subjects if name in estimator_names())
-    attitude = msgspec.structs.replace(setup.monitor.attitude, estimators=estimators)
-    monitor = msgspec.structs.replace(setup.monitor, attitude=attitude)
-    return replace(setup, monitor=monitor)
+    estimators = [name for name in subjects if name in estimator_names()]
+    # Every other argument is the option's name.
+    return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])), estimators)

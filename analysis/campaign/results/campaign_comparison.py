@@ -54,7 +54,7 @@ class FaultChange(NamedTuple):
 
 
 def compare_folders(before: Path, after: Path) -> int:
-    """Print what changed; return 1 if something got significantly worse, else 0.
+    """Print what changed; return 1 if something got significantly worse or was aborted, else 0.
 
     Raises
     ------
@@ -81,7 +81,11 @@ def compare_folders(before: Path, after: Path) -> int:
                 )
     regressed = [change for change in changes if change.regressed]
     console.print(f"{len(regressed)} of {len(changes)} got worse")
-    return int(bool(regressed))
+    # Without its cells a campaign cannot show that nothing got worse.
+    aborted = sum(result.outcome == ABORTED for result in new.values())
+    if aborted:
+        console.print(f"{aborted} cells of {after} aborted", soft_wrap=True)
+    return int(bool(regressed or aborted))
 
 
 def compare_results(

@@ -16,6 +16,7 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult, Evidence, EvidenceCurve
+from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import RANKS, OutcomeLimits, outcome_rank
 from analysis.campaign.results.outcome_grid import (
     GridCell,
@@ -25,6 +26,7 @@ from analysis.campaign.results.outcome_grid import (
     severity_key,
 )
 from analysis.campaign.results_store import CellEvidence
+from analysis.estimators import estimator_names
 
 MAX_LISTED = 5000  # results in the page, the worst ones
 MAX_CURVE_POINTS = 200  # of one curve
@@ -46,12 +48,12 @@ def render_campaign_page(
     # Only the worst: compiled campaigns have more results than a browser can hold.
     listed = sorted(results, key=severity_key, reverse=True)[:MAX_LISTED]
     numbers = {result.cell.key: number for number, result in enumerate(listed)}
-    grid = outcome_grid(results, plan.campaign)
+    grid, units = outcome_grid(results, plan.campaign), magnitude_units(plan.campaign)
     model = {
         "reload_s": reload_s,
         "ranks": RANKS,
         "limits": msgspec.to_builtins(plan.campaign.limits),
-        "rows": [_row(row, numbers) for row in grid],
+        "rows": [_row(row, numbers, units[row.fault]) for row in grid],
         "results": [_result_model(result, plan.campaign) for result in listed],
         # Curves of the listed results only.
         "curves": {
@@ -80,7 +82,7 @@ def render_campaign_page(
             '<div id="legend"></div><div id="map"></div><div id="detail"></div>',
             _reactions_html(grid),
             _pareto_html(grid, plan.campaign.limits),
-            _worst_html(listed[:WORST_ROWS]),
+            _worst_html(listed[:WORST_ROWS], units),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
             f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
@@ -89,15 +91,16 @@ def render_campaign_page(
     )
 
 
-def _row(row: GridRow, numbers: dict[str, int]) -> dict[str, object]:
-    cells = [_cell(cell, numbers) for cell in row.cells]
+def _row(row: GridRow, numbers: dict[str, int], unit: MagnitudeUnit) -> dict[str, object]:
+    cells = [_cell(cell, numbers, unit) for cell in row.cells]
     return {"subject": row.subject, "fault": row.fault, "cells": cells}
 
 
-def _cell(cell: GridCell, numbers: dict[str, int]) -> dict[str, object]:
+def _cell(cell: GridCell, numbers: dict[str, int], unit: MagnitudeUnit) -> dict[str, object]:
     keys = (result.cell.key for result in cell.results)
     return {
         "magnitude": cell.magnitude,
+        "size": unit.describe(cell.magnitude),
         "outcome": cell.worst.outcome,
         "counts": cell.outcomes,
         "results": [numbers[key] for key in keys if key in numbers],
@@ -126,6 +129,8 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     arguments += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
     if autopilot is not None:
         arguments += autopilot.options(campaign.folder)
+    elif cell.subject in estimator_names():
+        arguments += ["--estimators", cell.subject]
     arguments.append("--ui")
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(arguments)}"
 
@@ -208,7 +213,7 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
     return "<h2>Most harmful faults (Pareto)</h2>" + _table("Pareto", head, rows[:MAX_PARETO_ROWS])
 
 
-def _worst_html(results: Sequence[CellResult]) -> str:
+def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) -> str:
     rows = []
     for result in results:
         cell = result.cell
@@ -217,7 +222,7 @@ def _worst_html(results: Sequence[CellResult]) -> str:
                 result.outcome,
                 cell.subject,
                 cell.fault,
-                "" if cell.magnitude is None else f"{cell.magnitude:.4g}",
+                units[cell.fault].describe(cell.magnitude),
                 f"{cell.onset}",
                 "" if result.excursion_deg is None else f"{result.excursion_deg:.3g}",
                 "" if result.excursion_m is None else f"{result.excursion_m:.3g}",

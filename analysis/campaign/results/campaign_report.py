@@ -3,6 +3,7 @@
 import csv
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,7 +12,8 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult
-from analysis.campaign.outcomes import ABORTED, OutcomeLimits
+from analysis.campaign.magnitude_unit import magnitude_units
+from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.campaign_page import render_campaign_page
 from analysis.campaign.results.outcome_grid import severity_key
 from analysis.campaign.results.outcome_markdown import render_markdown
@@ -38,7 +40,7 @@ def write_report(folder: Path, plan: CampaignPlan) -> None:
     write_csv(folder / "cells.csv", results)
     # A compiled campaign has too many cells for JUnit readers.
     if not campaign.compiled:
-        write_junit(folder / "junit.xml", campaign.name, results, campaign.limits)
+        write_junit(folder / "junit.xml", campaign, results)
 
 
 def write_page(
@@ -103,24 +105,42 @@ def flatten_result(result: CellResult) -> dict[str, object]:
     return {**msgspec.structs.asdict(cell), **fields}
 
 
-def write_junit(path: Path, name: str, results: list[CellResult], limits: OutcomeLimits) -> None:
-    """Write one test case per cell; it fails if the outcome is `worse_from` or worse."""
-    suite = ElementTree.Element("testsuite", name=name, tests=str(len(results)))
+def name_tests(campaign: CampaignFile, results: Sequence[CellResult]) -> list[str]:
+    """Return the names of the cells as tests, which a person can read."""
+    units = magnitude_units(campaign)
+    names = []
+    for cell in (result.cell for result in results):
+        size = units[cell.fault].describe(cell.magnitude)
+        onset = cell.onset if isinstance(cell.onset, str) else f"{cell.onset:g} s"
+        when = f"from {onset} for {cell.duration_s:g} s"
+        what = f"{cell.fault} {size}".rstrip()
+        names.append(f"{what}, {when}, {cell.scenario}, seed {cell.seed}")
+    # Magnitudes may differ beyond the digits shown; the names of tests must differ.
+    counts = Counter((r.cell.subject, name) for r, name in zip(results, names, strict=True))
+    return [
+        name if counts[r.cell.subject, name] == 1 else f"{name} (value {r.cell.magnitude})"
+        for r, name in zip(results, names, strict=True)
+    ]
+
+
+def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -> None:
+    """Write one test case per cell; it fails as `CampaignFile.fails` says."""
+    suite = ElementTree.Element("testsuite", name=campaign.name, tests=str(len(results)))
     failures = errors = 0
-    for result in results:
+    for result, name in zip(results, name_tests(campaign, results), strict=True):
         cell = result.cell
         case = ElementTree.SubElement(
             suite,
             "testcase",
-            classname=f"{name}.{cell.subject}",
-            name=cell.key,
+            classname=f"{campaign.name}.{cell.subject}",
+            name=name,
             time=f"{result.wall_s:.3f}",
         )
         # JUnit distinguishes an error of the test from a failure of the subject.
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
-        elif limits.is_worse(result.outcome):
+        elif campaign.fails(result.outcome):
             failures += 1
             text = f"{result.outcome}; {describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)

@@ -6,6 +6,7 @@ from typing import Any
 
 from analysis.campaign.campaign_file import MAGNITUDE, CampaignFile, CompiledScenario
 from analysis.campaign.cell import CellResult, file_key
+from analysis.campaign.results.campaign_report import name_tests
 from analysis.campaign.results.outcome_grid import severity_key
 from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.documents.errors import ConfigError
@@ -24,10 +25,15 @@ def write_search(folder: Path, key: str | None) -> Path:
     """
     campaign, results = read_campaign_folder(folder)
     cells = {result.cell.key: result for result in results}
+    # A JUnit name may stand for several subjects: the worst of them counts, which comes last.
+    results.sort(key=severity_key)
+    cells |= dict(zip(name_tests(campaign, results), results, strict=True))
     if key is not None and key not in cells:
         known = next(iter(cells), "none at all")
-        raise ConfigError(f"{key}: not a cell of {folder}; give a JUnit name, such as {known}")
-    result = max(results, key=severity_key) if key is None else cells[key]
+        raise ConfigError(
+            f"{key}: not a cell of {folder}; give a JUnit name or a key, such as {known}"
+        )
+    result = results[-1] if key is None else cells[key]
     path = folder / f"search-{file_key(*result.cell.key.split('|'))}.yaml"
     path.write_text(write_yaml(search_test_file(campaign, result, folder)))
     return path

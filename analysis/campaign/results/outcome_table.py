@@ -1,5 +1,6 @@
 """Print a campaign's outcomes to the terminal."""
 
+import sys
 from itertools import groupby
 from pathlib import Path
 
@@ -8,9 +9,12 @@ from rich.table import Table
 from rich.text import Text
 
 from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
+from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
 from analysis.campaign.results_store import read_campaign_folder
 
+LOG_WIDTH = 500  # chosen: longer than any row, so that no table is cut
 COLOURS = {
     "unaffected": "green", "detected": "cyan", "degraded": "yellow", "failsafe": "magenta",
     "landed": "magenta", "lost": "red", "crashed": "bold red", "aborted": "dim",
@@ -19,28 +23,34 @@ COLOURS = {
 
 def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     """Print one row per subject and fault, then critical magnitudes and aborted cells."""
-    _, results = read_campaign_folder(folder)
-    console = Console(markup=False)
+    campaign, results = read_campaign_folder(folder)
+    units = magnitude_units(campaign)
+    # Off a terminal there is no width to fit: a log keeps complete lines.
+    console = Console(markup=False, width=None if sys.stdout.isatty() else LOG_WIDTH)
     table = Table(box=None, pad_edge=False)
     for name in ("subject", "fault", "worst outcome from each magnitude"):
         table.add_column(name)
     for row in outcome_grid(results, plan.campaign):
         # Only the magnitudes at which the outcome changes.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
-        table.add_row(row.subject, row.fault, Text("  ").join(map(_text, steps)))
+        table.add_row(
+            row.subject, row.fault, Text("  ").join(_text(c, units[row.fault]) for c in steps)
+        )
     console.print(table)
     if plan.campaign.find == "critical":
-        console.print(_criticals(plan, {result.cell.key: result for result in results}))
-    aborted = [result for result in results if result.outcome == "aborted"]
+        console.print(_criticals(plan, {result.cell.key: result for result in results}, units))
+    aborted = [result for result in results if result.outcome == ABORTED]
     # Five are enough to see the reason; the files have all.
     for result in aborted[:5]:
         console.print(f"aborted: {result.cell.key}: {result.note}", soft_wrap=True)
-    console.print(f"{len(results)} cells, {len(aborted)} aborted")
+    failed = sum(campaign.fails(result.outcome) for result in results)
+    rule = campaign.fail_from if campaign.fail_from == ABORTED else f"{campaign.fail_from} or worse"
+    console.print(f"{len(results)} cells, {len(aborted)} aborted, {failed} failed ({rule})")
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)
 
 
-def _text(cell: GridCell) -> Text:
-    name = "" if cell.magnitude is None else f"{cell.magnitude:.4g} "
+def _text(cell: GridCell, unit: MagnitudeUnit) -> Text:
+    name = f"{unit.describe(cell.magnitude)} ".lstrip()
     outcome = cell.worst.outcome
     count = cell.outcomes[outcome]
     # A share only if the cell has several flights.
@@ -48,11 +58,13 @@ def _text(cell: GridCell) -> Text:
     return Text.assemble(name, (f"{outcome}{share}", COLOURS[outcome]))
 
 
-def _criticals(plan: CampaignPlan, known: dict[str, object]) -> Table:
+def _criticals(
+    plan: CampaignPlan, known: dict[str, object], units: dict[str, MagnitudeUnit]
+) -> Table:
     table = Table(box=None, pad_edge=False, title="critical magnitudes")
     for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
         table.add_column(name)
     for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]
-        text = "none" if critical.magnitude is None else f"{critical.magnitude:.4g}"
+        text = units[series[2]].describe(critical.magnitude) or "none"
         table.add_row(*series, text, str(critical.flights))
     return table

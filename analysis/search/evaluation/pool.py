@@ -109,9 +109,7 @@ def join_ray(address: str) -> tuple[Any, bool]:
     try:
         import ray
     except ImportError:
-        raise ConfigError(
-            "--ray: Ray is not installed; install it by pip install mavproxy-fault[cluster]"
-        ) from None
+        raise ConfigError("--ray: Ray is not installed; run pip install ray") from None
     connected = not ray.is_initialized()
     if connected:
         ray.init(address=address, log_to_driver=False)

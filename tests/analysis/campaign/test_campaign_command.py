@@ -1,18 +1,28 @@
 import csv
 import json
+import os
+import shlex
 import shutil
+import textwrap
+from itertools import takewhile
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pyarrow.parquet as pq
 import pytest
 
 from analysis.autopilots.flight_process import RUN_FOLDER
-from analysis.campaign.campaign_file import read_campaign
+from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import CellVerdict, monitor_verdict
+from analysis.campaign.cell import Cell, CellResult, CellVerdict, monitor_verdict
 from analysis.campaign.flying.flight_job import setup_by_name
+from analysis.campaign.results.campaign_page import rerun_command
+from analysis.campaign.results.campaign_report import name_tests
 from analysis.campaign.results.data_set import export_data_set
+from analysis.campaign.results.outcome_grid import severity_key
+from analysis.campaign.results_store import read_campaign_folder
+from analysis.results import read_results
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.space.test_file import read_test
 from mavproxy_fault import cli
@@ -26,7 +36,8 @@ def campaign_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the small campaign, with its data set beside it."""
     folder = tmp_path_factory.mktemp("campaign")
     arguments = ["--out", str(folder / "out"), "--dataset", str(folder / "data"), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
+    # The larger magnitude fails.
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 1
     return folder
 
 
@@ -69,7 +80,10 @@ def test_each_cell_is_a_test_case(campaign_folder: Path) -> None:
     suite = ElementTree.parse(campaign_folder / "out" / "junit.xml").getroot()
     assert suite.get("tests") == "4"
     failed = [case for case in suite if case.find("failure") is not None]
-    assert {case.get("name").rpartition("|")[2] for case in failed} == {"2"}
+    assert {(case.get("classname"), case.get("name")) for case in failed} == {
+        (f"small.{subject}", "gyro 2 rad/s, from 2 s for 2 s, short.yaml, seed 1")
+        for subject in ("ekf", "mahony")
+    }
 
 
 def test_the_page_is_self_contained_and_has_the_curves(campaign_folder: Path) -> None:
@@ -91,9 +105,9 @@ def test_the_page_shows_the_most_harmful_faults(campaign_folder: Path) -> None:
 def test_a_completed_campaign_flies_nothing(campaign_folder: Path, capsys) -> None:
     before = (campaign_folder / "out" / "cells.jsonl").read_bytes()
     arguments = ["--out", str(campaign_folder / "out"), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 1
     assert (campaign_folder / "out" / "cells.jsonl").read_bytes() == before
-    assert "4 cells, 0 aborted" in capsys.readouterr().out
+    assert "4 cells, 0 aborted, 2 failed (degraded or worse)" in capsys.readouterr().out
 
 
 def test_a_killed_campaign_repeats_only_unfinished_flights(
@@ -104,7 +118,7 @@ def test_a_killed_campaign_repeats_only_unfinished_flights(
     lines = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
     (out / "cells.jsonl").write_bytes(b"".join(lines[:2]) + lines[2][:30])
     arguments = ["--out", str(out), "--workers", "1"]
-    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 0
+    assert cli.main(["campaign", str(HERE / "small.yaml"), *arguments]) == 1
     again = (out / "cells.jsonl").read_bytes().splitlines(keepends=True)
     assert again[:2] == lines[:2], "the first flight was not made again"
     assert len(again) == 4
@@ -188,6 +202,9 @@ def test_a_search_around_a_named_cell_is_written(campaign_folder: Path, capsys) 
     assert read_test(capsys.readouterr().out.split()[-1]).faults[0].value == (0.0003333, 0.003)
     assert cli.main(["campaign", "search", str(campaign_folder / "out"), "ekf|nothing"]) == 2
     assert "not a cell of" in capsys.readouterr().err
+    name = "gyro 0.001 rad/s, from 2 s for 2 s, short.yaml, seed 1"
+    assert cli.main(["campaign", "search", str(campaign_folder / "out"), name]) == 0
+    assert read_test(capsys.readouterr().out.split()[-1]).faults[0].value == (0.0003333, 0.003)
 
 
 def test_wind_and_start_can_be_dimensions(tmp_path: Path) -> None:
@@ -213,12 +230,129 @@ def test_the_size_is_printed_before_the_first_flight(tmp_path: Path, capsys) -> 
     assert not (tmp_path / "none").exists()
 
 
-def test_the_estimated_duration_accounts_for_autopilots(capsys) -> None:
+def put_px4(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a build of PX4 has of that for which the command looks."""
+    for file in ("bin/px4", "etc/init.d-posix/rcS"):
+        (folder / file).parent.mkdir(parents=True)
+        (folder / file).touch(0o755)
+    monkeypatch.setenv("PATH", f"{folder / 'bin'}:{os.environ['PATH']}")
+
+
+def test_the_estimated_duration_accounts_for_autopilots(tmp_path, monkeypatch, capsys) -> None:
+    put_px4(tmp_path, monkeypatch)
     file = HERE.parents[2] / "examples" / "campaign_px4.yaml"
     assert cli.main(["campaign", str(file), "--dry-run", "--workers", "2"]) == 0
     assert capsys.readouterr().out.endswith(
         "60 cells in 61 flights of 26 s, about 13 min on 2 workers\n"
     )
+
+
+@pytest.mark.parametrize("binary", ["no-such-px4", "/bin/true", "''"])
+def test_a_missing_binary_is_found_before_the_first_flight(tmp_path, binary: str, capsys) -> None:
+    shutil.copy(HERE / "short.yaml", tmp_path)
+    (tmp_path / "c.yaml").write_text(
+        (HERE / "small.yaml")
+        .read_text()
+        .replace("[ekf, mahony]", f"[ekf, {{name: mine, autopilot: px4, binary: {binary}}}]")
+    )
+    for more in (["--dry-run"], []):
+        arguments = ["campaign", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "out"), *more]
+        assert cli.main(arguments) == 2
+        assert "subject mine: binary" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("count", ["-3", "0", "1.5", "many", ""])
+def test_a_wrong_number_of_workers_is_refused(count: str, capsys) -> None:
+    for command in ("campaign", "search"):
+        with pytest.raises(SystemExit) as exit:
+            cli.main([command, str(HERE / "small.yaml"), "--workers", count])
+        assert exit.value.code == 2
+        assert "is no whole number of 1 or more" in capsys.readouterr().err
+
+
+def campaign_of(folder: Path, **keys: object) -> CampaignFile:
+    shutil.copy(HERE / "short.yaml", folder)
+    (folder / "c.yaml").write_text(json.dumps(
+        {"subjects": ["ekf"], "scenarios": ["short.yaml"], "onsets": [2], "durations_s": [1],
+         "faults": [{"fault": "bias", "target": "HIL_SENSOR.xgyro", "magnitudes": [1e-4, 0.5]}],
+         **keys}
+    ))  # fmt: skip
+    return read_campaign(folder / "c.yaml")
+
+
+def test_cells_fail_from_the_outcome_that_the_file_names(tmp_path: Path) -> None:
+    default = campaign_of(tmp_path)
+    assert [default.fails(name) for name in ("detected", "degraded", "lost")] == [False, True, True]
+    late = campaign_of(tmp_path, limits={"worse_from": "detected", "fail_from": "lost"})
+    assert [late.fails(name) for name in ("degraded", "landed", "crashed")] == [False, False, True]
+    # A bisection looks for bad outcomes.
+    critical = campaign_of(tmp_path, find="critical")
+    assert not critical.fails("crashed")
+    assert campaign_of(tmp_path, find="critical", limits={"fail_from": "lost"}).fails("crashed")
+    # No vehicle has passed where nothing flew.
+    assert all(campaign.fails("aborted") for campaign in (default, late, critical))
+    with pytest.raises(ConfigError, match="fail_from = bad is unknown"):
+        campaign_of(tmp_path, limits={"fail_from": "bad"})
+
+
+def test_a_campaign_without_failing_cells_exits_0(tmp_path: Path, capsys) -> None:
+    campaign_of(tmp_path, limits={"fail_from": "crashed"})
+    out = tmp_path / "out"
+    assert _main("campaign", str(tmp_path / "c.yaml"), "--out", str(out), "--workers", "1") == 0
+    text = capsys.readouterr().out
+    assert "degraded" in text
+    assert "2 cells, 0 aborted, 0 failed (crashed or worse)" in text
+    assert ElementTree.parse(out / "junit.xml").getroot().get("failures") == "0"
+
+
+def test_aborted_cells_fail_the_campaign(tmp_path: Path) -> None:
+    # The flight has no landing.
+    campaign_of(tmp_path, onsets=["landing"], limits={"fail_from": "crashed"})
+    arguments = ["--out", str(tmp_path / "out"), "--workers", "1"]
+    assert _main("campaign", str(tmp_path / "c.yaml"), *arguments) == 1
+
+
+def test_names_of_tests_differ_even_for_close_magnitudes(tmp_path: Path) -> None:
+    campaign = campaign_of(tmp_path)
+    results = [
+        CellResult(
+            cell=Cell(
+                subject="ekf", scenario="short.yaml", fault=campaign.faults[0].name, magnitude=size
+            ),
+            outcome="unaffected",
+        )
+        for size in (0.100001, 0.100002, 0.2)
+    ]
+    assert len(set(name_tests(campaign, results))) == 3
+
+
+def test_the_command_of_a_cell_flies_its_estimator_again(
+    campaign_folder: Path, tmp_path: Path, monkeypatch
+) -> None:
+    campaign, results = read_campaign_folder(campaign_folder / "out")
+    result = max((r for r in results if r.cell.subject == "mahony"), key=severity_key)
+    write, _, run = rerun_command(result, campaign).partition(" && ")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cell.yaml").write_text(shlex.split(write)[1])
+    arguments = [*shlex.split(run)[1:-1], "--out", "again", "--zenoh", "off", "--no-report"]
+    assert shlex.split(run)[-1] == "--ui"
+    cli.main(arguments)
+    errors = [r for r in read_results(tmp_path / "again/results.jsonl") if hasattr(r, "estimator")]
+    angles = [error.angle for error in errors if error.estimator == "mahony"]
+    assert {error.estimator for error in errors} == {"mahony"}
+    # The excursion is the error beyond that of the reference flight, which is a few degrees.
+    assert max(angles) == pytest.approx(result.excursion_deg, abs=5.0)
+
+
+def test_the_documented_snippet_reads_the_data_set(campaign_folder: Path, monkeypatch) -> None:
+    text = (HERE.parents[2] / "docs" / "campaigns.md").read_text()
+    lines = text[text.index("    import pyarrow.parquet as pq") :].splitlines()
+    snippet = textwrap.dedent("\n".join(takewhile(lambda line: line.startswith("    "), lines)))
+    monkeypatch.chdir(campaign_folder)
+    found: dict[str, Any] = {}
+    exec(snippet, found)
+    assert found["label"]["frames"] == found["faulty"].sum() == 200
 
 
 def test_wrong_arguments_are_reported(tmp_path: Path) -> None:

@@ -64,13 +64,13 @@ function heatMap() {
 
 function heatCell(row, cell, line) {
   const shown = element("td", undefined, line, `var(--${cell.outcome})`);
-  const button = element("button", cell.magnitude === null ? "-" : +cell.magnitude.toPrecision(3), shown); // for the keyboard
+  const button = element("button", cell.size || "-", shown); // for the keyboard
   const total = Object.values(cell.counts).reduce((a, b) => a + b, 0);
   const share = total > 1 ? ` ${cell.counts[cell.outcome]}/${total}` : "";
   element("small", cell.outcome + share, button);
   const counts = Object.entries(cell.counts).map(([name, count]) => `${count} ${name}`).join(", ");
   const worst = cell.results.length ? model.results[cell.results[0]] : null;
-  shown.title = `${row.fault} ${cell.magnitude ?? ""}: ${counts}` +
+  shown.title = `${row.fault} ${cell.size}: ${counts}` +
     (worst ? `\nworst: ${numbers(worst)} ${worst.detected_by} ${worst.note}` : "");
   shown.dataset.cell = [row.subject, row.fault, cell.magnitude].join("|");
   shown.addEventListener("click", () => { chosen(shown, ".heat td"); detail(row, cell); location.replace(`#${encodeURIComponent(shown.dataset.cell)}`); });
@@ -79,7 +79,7 @@ function heatCell(row, cell, line) {
 function detail(row, cell) {
   const place = document.getElementById("detail");
   place.replaceChildren();
-  element("h2", `${row.subject}: ${row.fault} ${cell.magnitude ?? ""}`, place);
+  element("h2", `${row.subject}: ${row.fault} ${cell.size}`, place);
   const table = element("table", undefined, wide(place, "Flights of the cell"));
   const head = element("tr", undefined, element("thead", undefined, table));
   for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers", "monitor"]) element("th", name, head);

@@ -76,6 +76,6 @@ def test_an_open_heat_map_refreshes_and_keeps_the_selected_cell(
     store.add([result("mahony", 2.0, "lost")], None)
     write_page(tmp_path, plan)  # the final page, which does not reload
     shown.wait_for_selector("section:has-text('mahony') td:has-text('lost')")
-    shown.wait_for_selector(".heat td.chosen:has-text('2degraded')")
+    shown.wait_for_selector(".heat td.chosen:has-text('2 rad/sdegraded')")
     shown.close()
     store.close()
