@@ -90,7 +90,7 @@ def bound_position(
 
 
 def level_assumptions(names: Iterable[str]) -> str:
-    """What the levels by some satellites take for granted."""
+    """The assumption on which the levels of the satellites `names` rest."""
     systems = {name[0] for name in names} - {"J"}  # QZSS counts as GPS
     return SEVERAL_SYSTEMS if len(systems) > 1 else ONE_SYSTEM
 

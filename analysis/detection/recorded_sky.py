@@ -1,4 +1,4 @@
-"""Where the satellites of a RINEX recording stand, for whoever makes their signals up."""
+"""Directions to the satellites of a RINEX recording, for spoofing their signals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -25,13 +25,13 @@ def recorded_sky(
     """A function of the stamp of an epoch: to each satellite with an orbit, north, east and down
     of the receiver [m], and how that changes [m/s] (6,).
 
-    The receiver is where the first epoch with enough satellites puts it: a kilometre further on a
-    satellite's direction is another one by 0.05 mrad.
+    The receiver's position is that of the first epoch with enough satellites: a move by a kilometre
+    changes a satellite's direction by only 0.05 mrad.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read, or no epoch gives a place.
+        If a file cannot be read, or no epoch gives a position.
     """
     block = read_rinex(observations, navigation)
     samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
@@ -40,7 +40,7 @@ def recorded_sky(
     fixes = (locate_receiver(epoch, orbits) for epoch in epochs.values())
     r_ecef_m = next((place for place in fixes if place is not None), None)
     if r_ecef_m is None:
-        raise ConfigError(f"{observations}: no epoch gives a place; a spoof needs one to move")
+        raise ConfigError(f"{observations}: no epoch gives a position; a spoof needs one to shift")
     lat, lon, _ = geodetic_position(r_ecef_m)
     axes = ned_axes(lat, lon)
 

@@ -30,7 +30,7 @@ Forward = Callable[..., int]
 
 @cache
 def sources() -> tuple[str, ...]:
-    """The files that are compiled in, by what they import; this one too, which compiles them."""
+    """The compiled source files, found by following imports, and this file, which compiles them."""
     found: list[str] = []
     waiting = [ENTRY, f"compiled/{Path(__file__).name}"]
     while waiting:

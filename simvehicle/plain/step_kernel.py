@@ -1,7 +1,7 @@
-"""A plain step: from commands to the frames that tell of it, compiled.
+"""A plain step, compiled: from commands to the frames that report it.
 
-Each function is the twin of what it names; where a rule could be shared it is compiled from the
-same source. `tests/simvehicle/plain` holds the two ways together, byte by byte.
+Each function duplicates the Python code that it names; where possible both share one source.
+`tests/simvehicle/plain` compares the two byte by byte.
 """
 
 import numpy as np

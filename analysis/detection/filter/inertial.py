@@ -151,11 +151,11 @@ def _quarter(square: float) -> tuple[float, float]:
 
 @inlined
 def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
-    """Put one step behind the transition phi, rows of 20 one after the other in (400,), in place.
+    """Append one step to the transition phi (400,), a 20 x 20 matrix by rows, in place.
 
-    What depends on the IMU stands in the rows of position, velocity and attitude, from the columns
-    of velocity to those of the accelerometer's bias. The rows' distance is a number known when this
-    is compiled: so it becomes vector instructions.
+    The terms of the IMU are in the rows of position, velocity and attitude, from the columns of
+    velocity to those of the accelerometer bias. The row stride is a constant at compile time, so
+    that the loop becomes vector instructions.
     """
     earth = GNSS_EARTH_RATE_RPS * dt
     fx, fy, fz = f[0] * dt, f[1] * dt, f[2] * dt
@@ -185,7 +185,7 @@ def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
 
 @compiled
 def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """Add what the IMU's noise does in a while to p (400,), in place."""
+    """Add the effect of the IMU's noise over `dt` seconds to p (400,), in place."""
     for i in range(3):
         p[DIAGONAL * (V + i)] += noise.accel_mps2 * dt
         p[DIAGONAL * (PSI + i)] += noise.gyro_rps * dt
@@ -194,7 +194,7 @@ def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
 
 @compiled
 def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """The same of its biases alone."""
+    """Add the random walk of the IMU's biases alone."""
     for i in range(3):
         p[DIAGONAL * (BG + i)] += noise.gyro_walk * dt
         p[DIAGONAL * (BA + i)] += noise.accel_walk * dt

@@ -1,4 +1,4 @@
-"""Measurements used by the information they hold of the few states that they see.
+"""Measurement updates in information form, over the few states that they observe.
 
 Pseudoranges see position, clock and the systems' offsets, Doppler rates velocity and drift: c
 states each, 4 to 7 of 20. With A (n, c) the geometry over these, R the noise (diagonal) and P_c the

@@ -1,4 +1,4 @@
-"""From one epoch to the next: by the IMU where it is there and sound, freely otherwise."""
+"""Propagation to the next epoch: by the IMU if it is available and healthy, else freely."""
 
 from collections.abc import Iterable
 from typing import NamedTuple

@@ -28,8 +28,8 @@ SEPARABLE_COST = 10.0  # how much more a rival system must cost, or which one mo
 
 
 class SystemGroups(NamedTuple):
-    """The satellites by system: the places of those of each, and what a shift of position (3) and
-    clock of a system does to the innovations (systems, n, 4)."""
+    """The satellites by system: the indices of each system's, and the effect of a system's shift
+    of position (3) and clock on the innovations (systems, n, 4)."""
 
     rows: tuple[tuple[int, ...], ...]
     columns: Vector
@@ -39,7 +39,7 @@ NO_SYSTEM_GROUPS = SystemGroups((), np.empty((0, 0, 4)))
 
 
 class Explanation(Value, frozen=True):
-    """One hypothesis: what it frees, the statistic left, and whether that passes its test."""
+    """One hypothesis: the parameters it frees, the remaining statistic, and its threshold."""
 
     hypothesis: str
     subset: tuple[int, ...]
@@ -49,13 +49,13 @@ class Explanation(Value, frozen=True):
 
     @property
     def passes(self) -> bool:
-        """Whether what is left fits the noise model."""
+        """Whether the remaining statistic fits the noise model."""
         return self.statistic <= self.threshold
 
 
 def group_by_system(sight: Vector, offsets: Vector) -> SystemGroups:
-    """The systems among n satellites: `sight` (n, 3) is what a shift of position does to their
-    innovations, `offsets` (n, k) what the systems' clock offsets do; none where there is only one.
+    """The systems of n satellites, none if there is only one: `sight` (n, 3) is the effect of a
+    position shift on their innovations, `offsets` (n, k) the effect of the systems' clock offsets.
     """
     # Contiguous, since a kernel is compiled anew for each memory layout.
     of, columns = _moved(np.ascontiguousarray(sight), np.ascontiguousarray(offsets))
@@ -69,7 +69,7 @@ def group_by_system(sight: Vector, offsets: Vector) -> SystemGroups:
 
 @compiled
 def _moved(sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
-    """Which of the systems that are there each satellite (n,) is of, and the columns of each."""
+    """Index of each satellite's system (n,), and the columns of each system present (k, n, 4)."""
     count, most = offsets.shape
     system, seen = np.zeros(count, np.int64), np.zeros(most + 1, np.int64)
     for i in range(count):
@@ -128,7 +128,7 @@ def explain_by_systems(
 def explain_by_small_systems(
     m: Vector, u: Vector, q: float, systems: SystemGroups, p_false_alarm: float
 ) -> list[Explanation]:
-    """Each system of too few satellites to be blamed as a whole, left out: a rival all the same."""
+    """Leaving out each system that is too small to be isolated; it still counts as a rival."""
     found, each = [], np.eye(len(u))
     for rows in systems.rows:
         size = len(rows)

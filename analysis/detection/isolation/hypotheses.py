@@ -1,4 +1,4 @@
-"""Who is lying: satellites, the prediction (IMU), the receiver clock, or more than can be told.
+"""Which source is faulty: satellites, the prediction (IMU), the receiver clock, or unknown.
 
 Rule D: every explanation frees some parameters. Leaving out the set K of satellites frees |K| of
 them, a wrong prediction of position frees three (the clock is kept), a clock jump frees one. Of
@@ -46,12 +46,12 @@ class IsolationVerdict(Value, frozen=True):
 def explain_by_satellites(
     m: Vector, u: Vector, q: float, p_false_alarm: float, largest: int, unknowns: int = 0
 ) -> Explanation | None:
-    """The smallest set whose leaving out passes (None if none of up to `largest` does).
+    """The smallest set of satellites whose exclusion passes the test; None above `largest`.
 
-    A set that passes is still enlarged while one satellite more lowers the statistic by what a
-    healthy one would with probability `p_false_alarm` only: the omnibus test of what is left can
-    miss a second fault that a test of its own sees. `unknowns` is how many parameters `m` has
-    been projected off (0 for innovations of a filter, 4 or 5 for a snapshot). `m` (n, n) is the
+    A set that passes is still enlarged while one more satellite lowers the statistic as a healthy
+    one does only with probability `p_false_alarm`: the omnibus test of the others can miss a second
+    fault that a single-satellite test detects. `unknowns` is how many parameters `m` has been
+    projected off (0 for innovations of a filter, 4 or 5 for a snapshot). `m` (n, n) is the
     inverse covariance of the innovations v, `u` (n,) is m v.
     """
     count = len(u)

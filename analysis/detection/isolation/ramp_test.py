@@ -1,4 +1,4 @@
-"""The windows of `ramp_windows` kept over a flight, and what they say."""
+"""The windows of `ramp_windows` over a flight, and their verdict."""
 
 import numpy as np
 
@@ -41,8 +41,8 @@ class RampBank(Value, frozen=True):
         return self._replace(due_us=t_us + STRIDE_US, windows=_renewed(self.windows, t_us))
 
     def without_accelerations(self) -> "RampBank":
-        """The windows without what they have seen of an acceleration: to a filter that moves freely
-        the vehicle's own is one, to one that the IMU moves it is none."""
+        """The windows with their acceleration sums cleared: without an IMU the vehicle's own
+        acceleration counts as an error, with one it does not."""
         d, sums = self.windows.d.copy(), self.windows.sums.copy()
         # The last three responses of each window are those of accelerations.
         d.reshape(ERROR_SIZE, WINDOW_COUNT, -1)[:, :, -3:] = 0.0

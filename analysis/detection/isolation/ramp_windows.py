@@ -82,8 +82,8 @@ class RampWindows(NamedTuple):
 
 
 class StrongestRamp(NamedTuple):
-    """What stands out most: the ratio of a ramp, in which window and of which satellite (-1: no
-    window is old enough), and that of the rival, a wrong acceleration."""
+    """The largest likelihood ratio of a ramp, with its window and satellite (-1: no window is old
+    enough), and that of the rival hypothesis, a wrong acceleration."""
 
     ramp: float
     window: int
@@ -157,7 +157,7 @@ def respond_to_ranges(
 
 @inlined
 def _news(offsets: Vector, ranges: NormalEquations, known: Vector) -> WindowInnovations:
-    """What the ranges tell beside the offsets (n,) of a window; `known` (c, c) is P+_c."""
+    """The range innovations less the offsets (n,) of a window; `known` (c, c) is P+_c."""
     weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
     a, v, variance = ranges.a, ranges.v, ranges.variance
     for i in range(weighted.shape[0]):
@@ -264,7 +264,7 @@ def learn_offsets(
     """Mean and variance (n,) of each satellite's offset after the innovations of one epoch.
 
     `prior` (c, c) is the covariance of the states that are seen before it; an epoch `dt_s` after
-    the last tells min(dt_s, 1 s) of what an independent one would.
+    the last counts as the fraction min(dt_s / 1 s, 1) of an independent one.
     """
     # Independent news at most once a second: epochs closer share their errors.
     stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / NEWS_S, 1.0)
@@ -307,7 +307,7 @@ def strongest_ramp(
 def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
     """Likelihood ratios (w, n) of a ramp on each satellite.
 
-    `spread` (w, n) is the variance of what a window does not know of a healthy satellite's offset,
+    `spread` (w, n) is the variance of a healthy satellite's offset, as far as unknown to a window,
     `slope` that of its natural rate of change.
     """
     windows, count = spread.shape
@@ -330,7 +330,7 @@ def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
 def acceleration_statistics(sums: Vector, prior: float) -> Vector:
     """Likelihood ratios (w,) of a constant acceleration error, three components.
 
-    `prior` is the variance of what a sound IMU may be wrong by beyond its noise model.
+    `prior` is the variance of a healthy IMU's error beyond its noise model.
     """
     count = (sums.shape[1] - 12) // 5
     out = np.zeros(sums.shape[0])

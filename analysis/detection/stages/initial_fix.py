@@ -101,10 +101,10 @@ def solve_initial_fix(
 def check_against_prior(
     begun: InitialFix, before: MotionEstimate, config: DetectorConfig
 ) -> InitialFix:
-    """The start, or none where it contradicts the filter before a gap and few satellites vouch.
+    """The start; none if it contradicts the filter before a gap and has few satellites.
 
-    The filter's position grows unsure as a vehicle without an IMU may move, so a place of long ago
-    contradicts nothing.
+    The variance of the filter's position grows as a vehicle without an IMU may move, so an old
+    position contradicts nothing.
     """
     motion = begun.motion
     if motion is None or begun.dof >= TRUSTED_START_DOF:

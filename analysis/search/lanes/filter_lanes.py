@@ -1,6 +1,6 @@
-"""The filters of `analysis.estimators` over lanes, by their own scalar kernels.
+"""Runs the filters of `analysis.estimators` on lanes, with their own scalar kernels.
 
-A lane at a time, without SIMD: what the search finds is what the estimator does elsewhere.
+One lane at a time, without SIMD, so that the estimator behaves in a search as it does elsewhere.
 """
 
 from typing import NamedTuple
