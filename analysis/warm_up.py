@@ -183,7 +183,7 @@ def _make_plain_steps(scenario: Path) -> None:
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:
-    """Run steps one after the other, and tell how long each took."""
+    """Run steps one after the other, and print how long each took."""
     for step in chain:
         begun_s = time.monotonic()
         step.work()

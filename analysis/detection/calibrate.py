@@ -36,7 +36,7 @@ OUTLIER_SIGMAS = 5.0  # residuals beyond this many sigma are no noise
 
 @dataclass(frozen=True, slots=True)
 class SigmaCalibration:
-    """A sigma model and what it was made from."""
+    """A sigma model and the data that it was fitted to."""
 
     sigma: SigmaModel
     epochs: int

@@ -54,7 +54,7 @@ def _sources(package: Path) -> Iterator[Path]:
 
 
 def installed() -> Path:
-    """Where machine code lies that was made when the package was built or installed."""
+    """The folder of machine code that was compiled when the package was built or installed."""
     return ROOT / PACKAGES[0] / "machine_code"
 
 

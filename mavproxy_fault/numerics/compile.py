@@ -63,7 +63,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return mark()
 
     def get_disambiguator(self) -> str:
-        """Tells functions of one name in one file apart."""
+        """Distinguishes functions of the same name in one file."""
         return str(self._line)
 
 

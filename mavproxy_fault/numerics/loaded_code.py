@@ -35,7 +35,7 @@ class LoadedLibrary(JITCodeLibrary):  # type: ignore[misc]
         return self._shared_module
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Where one of its functions is; numba's list of symbols, which is asked else, lacks it."""
+        """The address of one of its functions, which numba's list of symbols lacks."""
         return cast(int, self._codegen._engine.get_function_address(name))
 
 

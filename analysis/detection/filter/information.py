@@ -95,7 +95,7 @@ def covariance_block(p: Vector, states: Indices) -> Vector:
 
 @compiled
 def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
-    """What innovations v (n,) with variance (n,) and geometry h (n, 20) tell of the states they
+    """What innovations v (n,) with variance (n,) and geometry h (n, 20) say about the states they
     depend on."""
     states = visible_states(h)
     return normal_equations_over(states, select_columns(h, states), variance, v)

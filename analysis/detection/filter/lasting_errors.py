@@ -117,7 +117,7 @@ def normal_matrix(lines: RangeGeometry, weight: Vector) -> Vector:
 
 @compiled
 def lasting_variance(used: Innovations, factor: float) -> Vector:
-    """What lasts of each range (n,) in m^2."""
+    """Variance (n,) in m^2 of the lasting error of each range."""
     out = np.empty(used.variance.shape[0])
     for i in range(out.shape[0]):
         wet_m = troposphere_m(TROPOSPHERE_M, used.elevation_rad[i])

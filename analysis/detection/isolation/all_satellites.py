@@ -32,12 +32,12 @@ VELOCITY_SLACK_MPS = 0.5  # for noise, and for velocity errors from before
 JUMP_M, JUMP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity: no vehicle does more
 JUMP_SIGMAS = 5.0  # of the prediction: 6e-7 by chance
 AGREEING_DOF = 3  # redundancy with which the satellites must agree
-JUMP_REASON = "all satellites leapt together, and nothing tells which place is right"
+JUMP_REASON = "all satellites jumped together; it is unknown which position is right"
 COASTING_REASON = (
-    "all satellites are left out: the IMU alone carries the position, and nothing bounds it"
+    "all satellites are excluded: the position comes from the IMU alone and its error is unbounded"
 )
 FOLLOWED_REASON = (
-    "all satellites or the IMU are wrong: the position is the satellites', without a bound"
+    "satellites or IMU are faulty: the position follows the satellites, its error is unbounded"
 )
 
 

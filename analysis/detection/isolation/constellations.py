@@ -1,9 +1,9 @@
-"""Whole systems as hypotheses beside satellites, IMU and clock.
+"""Hypotheses of an entire faulty system, besides satellites, IMU and clock.
 
 A spoofer of one system moves all its ranges along one shift of the position and one of the clock:
-four parameters, however many satellites. A system's clock that leaves moves them along one. So a
-system competes by rule D as they do, and healthy satellites of another are not left out one by one.
-Where the prediction cannot tell which of two systems moved, neither is believed.
+four parameters, however many satellites. A drifting system clock moves them along one. So a system
+competes by rule D like the others, and healthy satellites of another are not excluded one by one.
+Where the prediction cannot distinguish which of two systems moved, neither is used.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
 LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system; with fewer anything can be explained
 SYSTEM_CLOCK = "system-clock"
-SYSTEMS_CONTRADICT = "two systems contradict each other, and nothing tells which one is wrong"
+SYSTEMS_CONTRADICT = "two systems contradict each other; it is unknown which one is wrong"
 FREED_PARAMETERS = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
 SHIFT_GAIN = chi_square_threshold(3, 0.01)  # of three parameters more
 SEPARABLE_COST = 10.0  # how much more a rival system must cost, or which one moved cannot be told

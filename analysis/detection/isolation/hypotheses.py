@@ -1,4 +1,4 @@
-"""Which source is faulty: satellites, the prediction (IMU), the receiver clock, or unknown.
+"""Which source is faulty: satellites, the prediction (IMU), the clock, or several unknown.
 
 Rule D: every explanation frees some parameters. Leaving out the set K of satellites frees |K| of
 them, a wrong prediction of position frees three (the clock is kept), a clock jump frees one. Of

@@ -40,7 +40,7 @@ class LevelState(NamedTuple):
 
 
 def new_levels() -> LevelState:
-    """No sample has come yet."""
+    """The state before the first sample."""
     stamps = np.full((len(LEVELS), 4), NEVER_US)
     return LevelState(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
 

@@ -13,13 +13,13 @@ from analysis.samples.sample import GpsFix
 
 RECEIVER = "GPS"  # the receiver's name among what is excluded
 UNBOUNDED_REASON = (
-    "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+    "the receiver or the IMU is faulty: the position follows the receiver, its error is unbounded"
 )
 LASTING_SHARE = (
     0.6  # share of a receiver's error that fixes repeat for minutes: no filter averages it
 )
 COASTING_REASON = (
-    "the receiver is left out: the IMU alone carries the position, and nothing bounds it"
+    "the receiver is excluded: the position comes from the IMU alone and its error is unbounded"
 )
 
 

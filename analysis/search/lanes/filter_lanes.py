@@ -28,7 +28,7 @@ FilterStates = NDArray[np.float64]  # (LANES, FILTER_SIZE)
 
 
 class Tunings(NamedTuple):
-    """What Mahony's filter and the EKF are tuned to; the one that does not fly is not looked at."""
+    """The tuning of Mahony's filter and the EKF; only that of the filter in use is read."""
 
     mahony: Gains
     ekf: Tuning

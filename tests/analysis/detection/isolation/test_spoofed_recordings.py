@@ -52,7 +52,7 @@ def test_a_leap_of_all_satellites_is_told_and_nothing_bounds_the_position_until_
     assert acting[0].alarm
     assert {decision.hypothesis for decision in acting} == {"gps"}
     assert all(decision.position_ecef_m is not None for decision in acting)
-    assert all("leapt together" in decision.reason for decision in acting)
+    assert all("jumped together" in decision.reason for decision in acting)
     bounds = {(d.position_sigma_m, d.hpl_m, d.vpl_m) for d in acting}
     assert bounds == {(None, None, None)}
     back = [decision for decision in found if decision.t_s >= FOR_S]
