@@ -248,7 +248,7 @@ def add_report(commands: Any) -> None:
         choices=("csv", "parquet", "mcap", "kml", "geojson"),
         help="export the data as tables or the tracks as map files",
     )
-    parser.add_argument("--pdf", action="store_true", help="also print the report to PDF (browser)")
+    parser.add_argument("--pdf", action="store_true", help="also write a PDF (needs a browser)")
     parser.add_argument(
         "--data",
         default="2",  # text, as it is a number or a word

@@ -54,7 +54,7 @@ def _of_file(code: CodeType, name: str) -> CodeType:
 
 
 def _number_what_has_addresses() -> None:
-    """Let numba name what it names after an address by numbers, or by its name."""
+    """Make numba use numbers or qualified names where it would use addresses."""
     from numba.core.registry import CPUDispatcher
     from numba.np.ufunc import array_exprs  # type: ignore[attr-defined]
 

@@ -1,9 +1,9 @@
-"""`warm-up`: make all machine code now, instead of when a command first needs it.
+"""`warm-up`: compile all kernels now, instead of when a command first needs them.
 
-Short flights, searches and reports run in a folder that is thrown away: what they call is what
-users call, so no list of kernels has to be kept. A wheel's build runs this too (`hatch_build.py`).
-With SOURCE_DATE_EPOCH set, the sign of builds that are to be alike byte by byte, everything is then
-compiled once more in a fixed order, which takes twice the time.
+Short flights, searches and reports run in a temporary folder: they call the same functions as
+users do, so no list of kernels is needed. A wheel's build runs this too (`hatch_build.py`).
+With SOURCE_DATE_EPOCH set, which asks for reproducible builds, everything is then compiled once
+more in a fixed order, which takes twice the time.
 """
 
 import argparse
@@ -70,7 +70,7 @@ ESTIMATORS = ("ekf", "complementary", "mahony", "inverse-model")
 
 
 class Step(NamedTuple):
-    """A part of the work, and what it is called where it is told how long it took."""
+    """A part of the work, and the name under which its duration is printed."""
 
     name: str
     work: Callable[[], None]
@@ -78,9 +78,9 @@ class Step(NamedTuple):
 
 def add_warm_up(subparsers: Any) -> None:
     """`warm-up`: compile now what commands would compile at first use."""
-    parser = subparsers.add_parser("warm-up", help="make all machine code now, once")
+    parser = subparsers.add_parser("warm-up", help="compile all kernels now, once")
     parser.add_argument(
-        "--portable", metavar="DIR", help="into DIR, for all processors that wheels are made for"
+        "--portable", metavar="DIR", help="compile into DIR, for all processors that wheels support"
     )
     parser.set_defaults(main=main)
 
@@ -102,7 +102,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _warm_up() -> None:
-    """Call all that is compiled, by as many processes at once as there are processors."""
+    """Call all compiled functions, with one process per processor."""
     with TemporaryDirectory(prefix="mavproxy-fault-") as folder:
         chains = _chains(Path(folder))
         # Whichever comes second to a function waits for the other, and loads it.
@@ -112,7 +112,7 @@ def _warm_up() -> None:
 
 
 def _again(draft: str, folder: str) -> None:
-    """What the flights have compiled, compiled anew into a folder, so that its bytes are fixed."""
+    """Recompile the flights' functions into a folder in a fixed order, for reproducible bytes."""
     # Sets in what is pickled stand in the order of a hash.
     environment = {**os.environ, "MAVPROXY_FAULT_CACHE": folder, "PYTHONHASHSEED": "0"}
     command = [sys.executable, "-m", "analysis.recompile", draft]
@@ -125,7 +125,7 @@ def _aim_at_baseline(folder: str) -> None:
 
     if not runs_baseline():
         raise ConfigError(
-            "warm-up --portable: this processor cannot run the code that it would make"
+            "warm-up --portable: this processor cannot run the code that it would compile"
         )
     os.environ |= {
         "MAVPROXY_FAULT_CACHE": str(Path(folder).resolve()),
@@ -135,7 +135,7 @@ def _aim_at_baseline(folder: str) -> None:
 
 
 def _chains(folder: Path) -> list[list[Step]]:
-    """What calls compiled code, all of it between them: each chain is to go in its order."""
+    """Chains of steps that together call all compiled code; each chain runs in order."""
     for name, text in SCENARIOS.items():
         (folder / f"{name}.yaml").write_text(text)
     for name in ESTIMATORS:
@@ -183,7 +183,7 @@ def _make_plain_steps(scenario: Path) -> None:
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:
-    """Run steps one after the other, and tell how long each took."""
+    """Run steps one after the other, and print how long each took."""
     for step in chain:
         begun_s = time.monotonic()
         step.work()
@@ -200,7 +200,7 @@ def _carry_out(words: list[str]) -> None:
     args = parser.parse_args(words)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         if args.main(args) == 2:  # a verdict of so short a flight says nothing
-            raise ConfigError(f"{' '.join(words)}: failed; the command alone tells why")
+            raise ConfigError(f"{' '.join(words)}: failed; run it alone to see why")
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ _send = types.ExternalFunction("send", types.intp(types.intc, types.intp, types.
 
 
 class Stretch(NamedTuple):
-    """What a stretch works on beside the `Plain` arrays."""
+    """The arrays of a stretch besides those of `Plain`."""
 
     words: Integers  # (WORDS,)
     poll: Integers  # (1,) `pollfd` of the HIL link
@@ -75,7 +75,7 @@ def _passed(s: Stretch, link: int, length: int, now_us: int) -> int:
 
 @compiled
 def _await(s: Stretch) -> int:
-    """Wait for the autopilot; CAME, or why there is nothing from it."""
+    """Wait for the autopilot; CAME, or why nothing was received."""
     words = s.words
     s.poll[0] = words[FD] | POLLIN << 32
     if _poll(s.poll.ctypes.data, 1, WAIT_MS) <= 0:
@@ -89,7 +89,7 @@ def _await(s: Stretch) -> int:
 
 @inlined
 def _answers(s: Stretch) -> bool:
-    """Whether what came is a whole answer to the last step, and nothing else."""
+    """Whether the received bytes are exactly one complete answer to the last step."""
     came, words = s.came, s.words
     if words[GOT] != _HEAD + _SIZE + _CRC or came[0] != STX_V2 or came[1] != _SIZE:
         return False
@@ -100,14 +100,14 @@ def _answers(s: Stretch) -> bool:
 
 @compiled
 def _obey(p: Plain, payload: Octets) -> None:
-    """Take over what an answer's payload (81,) commands."""
+    """Apply the commands in an answer's payload (81,)."""
     p.words[k.ARMED] = payload[_MODE] & ARMED_FLAG
     command(p, payload[_CHANNELS : _CHANNELS + 4 * CHANNEL_COUNT].view(np.float32))
 
 
 @compiled
 def _leave(p: Plain, s: Stretch) -> int:
-    """Let the frames of a step pass the proxy and leave; OVER, or why they did not all."""
+    """Send the frames of a step through the proxy; OVER, or why some were not sent."""
     words, length = s.words, p.words[k.LENGTH]
     s.data[:length] = p.out[:length]
     mask = _passed(s, words[SIMULATOR], length, p.words[k.T_US] + words[START_US])
@@ -122,7 +122,7 @@ def _leave(p: Plain, s: Stretch) -> int:
 
 @unlocked
 def stretch(p: Plain, s: Stretch) -> int:
-    """Fly plain steps as their answers come; why it ends.
+    """Fly plain steps as their answers arrive; return why it ended.
 
     The step after the last one is looked ahead to; LEFT steps and those before UNTIL_US are plain.
     """

@@ -56,7 +56,7 @@ class Fusion:
     name: str = "fused"
 
     def new_state(self) -> FusionState:
-        """The state before the first sample."""
+        """The fusion's state before the first sample."""
         return FusionState()
 
     def step_piece(

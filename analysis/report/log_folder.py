@@ -82,7 +82,7 @@ def _logs(folder: Path) -> Iterator[Path]:
 
 
 def _mark(path: Path, args: argparse.Namespace) -> list[Any]:
-    """What a report depends on: the state of the file, and the options."""
+    """Key of a report's inputs: the state of the file, and the options."""
     files = [path] if path.is_file() else [p for p in sorted(path.iterdir()) if p.is_file()]
     # Size and modification time, as a digest of gigabytes is slow.
     stats = [(file.stat().st_size, file.stat().st_mtime_ns) for file in files]

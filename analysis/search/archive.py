@@ -49,5 +49,5 @@ class Archive:
 
 
 def rms_distance(a: Array, b: Array) -> float:
-    """Root-mean-square difference of two points (d,); 0 for points without numbers."""
+    """Root-mean-square difference of two points (d,); 0 if d is 0."""
     return float(np.sqrt(np.mean((a - b) ** 2))) if len(a) else 0.0

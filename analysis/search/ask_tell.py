@@ -1,4 +1,4 @@
-"""Ask and report for a minimiser that calls a function, by running it in a thread."""
+"""Ask-and-tell interface to a minimiser that calls a function: it runs in a thread."""
 
 import threading
 from collections.abc import Callable

@@ -30,7 +30,7 @@ def add_proxy(commands: Any) -> None:
         "--lock-peer", action="store_true",
         help="restrict each udpin to the first peer that sends a valid frame",
     )  # fmt: skip
-    parser.add_argument("--busy-poll", action="store_true", help="spin for lowest latency")
+    parser.add_argument("--busy-poll", action="store_true", help="busy-wait for lowest latency")
     add_bus(parser, "control and statistics")
     parser.add_argument("--run", metavar="NAME", help="this proxy's name on Zenoh (default: live)")
     parser.add_argument(

@@ -76,7 +76,7 @@ class BridgedAutopilot:
 
     @property
     def armed(self) -> bool:
-        """Whether it is armed."""
+        """Whether the vehicle is armed."""
         return self._bridge is not None and self._bridge.armed
 
     @property

@@ -1,4 +1,4 @@
-"""The compiled form's owner on sockets: gives it its links, and takes over what it counted."""
+"""Runs the compiled form on sockets: gives it the links and collects its counters."""
 
 import socket
 import time
@@ -18,7 +18,7 @@ POLLIN = 1
 
 
 class Forwarder(Tables):
-    """The compiled form between links; what it cannot carry out is handed over, in order."""
+    """Forwards between links in compiled code; hands over, in order, what that cannot process."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class Forwarder(Tables):
 
     @property
     def wakes_ready(self) -> bool:
-        """Whether something that is no link wants service."""
+        """Whether a descriptor other than a link is ready."""
         return any(word >> 48 for word in self.polls[len(self._links) :])
 
     def ready(self) -> list[int]:

@@ -27,7 +27,7 @@ links_towards = kernel(sender_rules.select_links)
 
 @kernel
 def sender_of(at: int, head: int, shared: Shared) -> int:
-    """`system << 8 | component` of a frame with a header of so many bytes."""
+    """`system << 8 | component` of a frame whose header has `head` bytes."""
     place = at + (5 if head == 10 else 3)
     return i64(shared.data[place]) << 8 | i64(shared.data[place + 1])
 
@@ -47,7 +47,7 @@ def stamp(payload: int, size: int, number: int, shared: Shared) -> int:
 
 @kernel
 def _note(place: int, shared: Shared) -> None:
-    """Remember what an entry of `senders` holds before it is changed."""
+    """Save the value of an entry of `senders` before it is changed."""
     loop = shared.loop
     row = shared.undo[loop[k.UNDO_COUNT]]
     row[k.UNDO_PLACE], row[k.UNDO_VALUE] = place, shared.senders[place]
@@ -109,8 +109,8 @@ def _links_of_frame(at: int, head: int, number: int, link: int, now_us: int, sha
 def links_of(start: int, length: int, link: int, now_us: int, shared: Shared) -> int:
     """The links a datagram goes to, -1 if it is to be handed over.
 
-    The clocks of its senders go on as it is looked at, so that every frame is judged by the time
-    that the frames before it left; of a datagram that is handed over this is taken back.
+    Each frame advances its sender's clock, so that the next frame is judged by the updated time;
+    if the datagram is handed over, these changes are undone.
     """
     loop, undo = shared.loop, shared.undo
     loop[k.FRAME_COUNT] = loop[k.DRAWS] = loop[k.UNDO_COUNT] = 0

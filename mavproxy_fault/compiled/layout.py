@@ -118,12 +118,12 @@ def table(kind: str, *shape: int) -> Any:
 
 
 def address(numbers: Any) -> int:
-    """Where a writable buffer lies."""
+    """The address of a writable buffer."""
     return ctypes.addressof(ctypes.c_char.from_buffer(numbers))
 
 
 def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
-    """The arrays that every proxy needs; with `keep` there is room for what passes."""
+    """The arrays that every proxy needs; with `keep` also those that record the traffic."""
     log = LOG_SIZE if keep else 1
     tables = table("H", SLICES, 256)
     tables.cast("B")[:] = memoryview(slicing_tables()).cast("B")

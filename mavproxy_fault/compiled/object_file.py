@@ -30,7 +30,7 @@ Forward = Callable[..., int]
 
 @cache
 def sources() -> tuple[str, ...]:
-    """The files that are compiled in, by what they import; this one too, which compiles them."""
+    """The compiled source files, found by following imports, and this file, which compiles them."""
     found: list[str] = []
     waiting = [ENTRY, f"compiled/{Path(__file__).name}"]
     while waiting:
@@ -60,7 +60,7 @@ def _target() -> tuple[Any, str, str]:
 
 
 def object_path() -> Path:
-    """Where the object file of these sources for this processor lies, or is to lie."""
+    """The path of the object file for these sources and this processor; it may not exist yet."""
     _, cpu, features = _target()
     mark = hashlib.sha256(f"{cpu} {features}".encode())
     for source in sources():
@@ -121,7 +121,7 @@ def load() -> Forward | None:
 
 @cache
 def _linked(path: Path) -> Forward:
-    """The function of an object file, part of this process for good."""
+    """Load the function of an object file, until the process ends."""
     machine, _, _ = _target()
     empty = llvm.parse_assembly("")
     empty.triple = llvm.get_process_triple()

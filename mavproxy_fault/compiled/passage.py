@@ -1,4 +1,4 @@
-"""The compiled form without sockets: for a process that has both ends of a link in itself."""
+"""The compiled form without sockets: for a process that contains both ends of a link."""
 
 import ctypes
 import sys
@@ -17,17 +17,17 @@ CRC_LENGTH = 2
 
 
 class Passed(NamedTuple):
-    """What became of a datagram: the links it leaves on, as a mask, and its bytes then."""
+    """The result of a datagram: a mask of the links that it leaves on, and the bytes to send."""
 
     links: int
     data: bytes
 
 
 class Passage(Tables):
-    """Datagrams through a core as machine code; what it cannot carry out is the core's.
+    """Passes datagrams in machine code; leaves those that it cannot process to the core.
 
-    What passed is written to the tape by `settle`, which has to come before the core is given
-    anything or asked for its labels.
+    `settle` writes the passed frames to the tape; call it before giving the core data or reading
+    its labels.
     """
 
     def __init__(self, core: Core, tape: CaptureBuffer) -> None:
@@ -38,7 +38,7 @@ class Passage(Tables):
         self._address = ctypes.cast(function, ctypes.c_void_p).value or 0
 
     def passed(self, link: int, data: bytes, now_us: int) -> Passed | None:
-        """What became of a datagram; None where the core has to carry it out."""
+        """Pass a datagram; None if the core has to process it."""
         core, loop, length = self._core, self.loop, len(data)
         due_us = core.next_due_us
         # What is due leaves first.
@@ -61,16 +61,16 @@ class Passage(Tables):
         return Passed(mask, bytes(self._data[:length]))
 
     def open_until_us(self) -> int | None:
-        """The instant before which machine code may call `machine` by itself, until `settle`.
+        """The time until which machine code may call `machine` without the core, before `settle`.
 
-        What is due then leaves first, by the core; None where nothing is.
+        At that time the core has frames to send; None if it has none.
         """
         self._refresh()
         return self._core.next_due_us
 
     @property
     def machine(self) -> tuple[int, int]:
-        """Addresses of the compiled form and of what it is given; a datagram lies in `data`."""
+        """Addresses of the compiled function and of its argument; the datagram is in `data`."""
         return self._address, ctypes.addressof(self._addresses)
 
     @property
@@ -79,7 +79,7 @@ class Passage(Tables):
         return memoryview(self._data)
 
     def settle(self) -> None:
-        """Give the engine what its faults did, and the tape what passed."""
+        """Add the faults' counts to the engine, and the passed frames to the tape."""
         if self.loop[k.RECEIVED_AT]:
             self._settle()
 
@@ -121,7 +121,7 @@ def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:
     if not datagram_batch.HAS_RECVMMSG:
         return None
     if object_file.load() is None:
-        print("first use: machine code is being made, once, which takes up to a minute",
+        print("first use: compiling machine code, once, which takes up to a minute",
               file=sys.stderr, flush=True)  # fmt: skip
         object_file.make()
     return Passage(core, tape)

@@ -20,7 +20,7 @@ from mavproxy_fault.wire.framing import range_crc
 
 @kernel
 def little(data: k.Octets, at: int, size: int) -> Any:
-    """A little-endian number of so many bytes."""
+    """A little-endian number of `size` bytes."""
     value = i64(0)
     for n in range(size):
         value |= i64(data[at + n]) << (8 * n)

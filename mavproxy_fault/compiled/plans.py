@@ -62,7 +62,7 @@ class DrawnAhead:
         return getattr(self._rng, name)
 
     def set_back(self) -> None:
-        """Put the generator back, at what has not been used."""
+        """Set the generator back to the first unused number."""
         hits, first = self._used
         used = hits[first, k.USED]
         if used < k.BLOCK:
@@ -251,13 +251,13 @@ class Plans:
                 running.rng = cast("Generator", ahead)
 
     def set_back(self) -> None:
-        """Set all generators back to where their blocks are used up to."""
+        """Set all generators back to their first unused numbers."""
         for one in self._planned:
             if isinstance(one.running.rng, DrawnAhead):
                 one.running.rng.set_back()
 
     def settle(self) -> None:
-        """Credit the faults with what was done in their name."""
+        """Add the counts of the compiled code to the faults."""
         for first, running, *_ in self._planned:
             if first >= 0 and self.hits[first, k.FRAMES_HIT]:
                 frames, saturated = self.hits[first, k.FRAMES_HIT], self.hits[first, k.SATURATED]
@@ -283,7 +283,7 @@ def _fill(numbers: Numbers, column: int, values: Sequence[float]) -> None:
 
 
 def _drawn(fault: NoiseFault, rng: "Generator", count: int) -> Any:
-    """So many of a noise fault's numbers, before they are scaled; the same one by one."""
+    """Draw `count` unscaled numbers of a noise fault; the same as drawing them one by one."""
     if fault.distribution == "gaussian":
         return rng.standard_normal(count)
     return rng.uniform(-1.0, 1.0, count)

@@ -134,7 +134,7 @@ def _receive(link: int, shared: Shared) -> bool:
 
 @kernel
 def _step_rows(link: int, now_us: int, shared: Shared) -> Any:
-    """Step rows as long as they go to the same links; those, and whether the next can go on."""
+    """Step rows while they go to the same links; return the links and whether to continue."""
     loop, ports = shared.loop, shared.ports
     found = i64(-1)
     while loop[k.AT] < loop[k.COUNT]:

@@ -1,8 +1,8 @@
-"""What the compiled form goes by: its arrays, what it may carry out, and what it did.
+"""The compiled form's arrays, the messages that it may process, and the counts that it returns.
 
-What may go this way is decided here, message by message: nothing that the control path wants, and
-only faults that can be written down as `plans`. Everything else goes the interpreted way, datagram
-by datagram, in order.
+This module decides for each message whether compiled code may process it: the control path must
+not need it, and its faults must be expressible as `plans`. All other datagrams are processed by
+the interpreter, in order.
 """
 
 from ctypes import c_void_p
@@ -55,7 +55,7 @@ class Tables:
     # What may be carried out
 
     def _learn(self, data: bytes) -> None:
-        """Take up the messages of a datagram that are new."""
+        """Learn the first message of a datagram if it is new."""
         if len(data) < 8:
             return
         number = int.from_bytes(data[7:10], "little") if data[0] == 0xFD else data[5]
@@ -90,7 +90,7 @@ class Tables:
             self._seen = seen  # only now: what fails for want of memory is done again
 
     def _classify(self, number: int) -> None:
-        """Say how a message goes."""
+        """Set how a message is processed."""
         kind, first = self._way(number)
         self._arrays["table"][number, k.KIND], self._arrays["table"][number, k.PLAN] = kind, first
 
@@ -111,7 +111,7 @@ class Tables:
         return (k.INTERPRETED, -1) if first is None else (k.PLANNED, first)
 
     def _planned(self) -> "Plans":
-        """The rows of faults, which a proxy without faults does without."""
+        """The rows of faults, created at first use."""
         if self._plans is None:
             from mavproxy_fault.compiled.plans import Plans
 
@@ -123,7 +123,7 @@ class Tables:
     # What was done
 
     def _settle(self) -> None:
-        """Give the engine what its faults did, and the tape what passed."""
+        """Add the faults' counts to the engine, and the passed frames to the tape."""
         loop = self.loop
         engine: Any = self._core.engine
         if engine is not None and loop[k.WANTED_AT]:
@@ -139,7 +139,7 @@ class Tables:
             self.drop_tape()
 
     def drop_tape(self) -> int:
-        """Forget what the machine code has written down of what passed; how many records."""
+        """Discard the machine code's record of the traffic; return the number of records."""
         loop = self.loop
         records = int(loop[k.INDEX_AT]) // INDEX.size
         loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = 0

@@ -198,7 +198,7 @@ class LiveSession:
             raise ConfigError(f"--run {run} is taken; use a name other than {', '.join(names)}")
         if bus.run in names:
             bus.run = next(name for n in itertools.count(2) if (name := f"live-{n}") not in names)
-            LOG.warning("another proxy is named live: this one is --run %s", bus.run)
+            LOG.warning("the name live is taken: reach this proxy with --run %s", bus.run)
         self._config_file = config_file
         self.offer(bus)
 

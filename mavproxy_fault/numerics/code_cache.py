@@ -1,8 +1,8 @@
-"""Where the machine code of compiled functions is kept: a folder for each state of the sources.
+"""The folders of compiled functions' machine code, one for each state of the sources.
 
-numba by itself looks only at a function's own file, but ours are inlined into each other and hold
-constants of other files: after an update it would go on with what it had. So the folder's name
-comes from all files that have to do with compiled code. Nothing here imports numba.
+numba checks only a function's own file for changes, but our functions are inlined into each other
+and contain constants of other files: after an update numba would use outdated code. So the folder
+is named after a digest of all files involved in compiled code. Nothing here imports numba.
 """
 
 import hashlib
@@ -54,7 +54,7 @@ def _sources(package: Path) -> Iterator[Path]:
 
 
 def installed() -> Path:
-    """Where machine code lies that was made when the package was built or installed."""
+    """The folder of machine code that was compiled when the package was built or installed."""
     return ROOT / PACKAGES[0] / "machine_code"
 
 

@@ -63,7 +63,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return mark()
 
     def get_disambiguator(self) -> str:
-        """Tells functions of one name in one file apart."""
+        """Distinguishes functions of the same name in one file."""
         return str(self._line)
 
 
@@ -71,7 +71,7 @@ class _CacheImpl(LoadedCode):
     _locator_classes = (_Locator,)
 
     def reduce(self, result: Any) -> Any:
-        """What is kept, without the annotated listing, which holds paths and addresses."""
+        """The data to cache, without the annotated listing, which contains paths and addresses."""
         return super().reduce(result._replace(type_annotation=""))
 
 
@@ -107,7 +107,7 @@ class _InstalledCache(_FunctionCache):
     _impl_class = _InstalledImpl
 
     def _index_key(self, signature: Any, codegen: Any) -> Any:
-        """The key under which code for the baseline stands, whatever this processor is."""
+        """The key of code for the baseline processor, on any processor."""
         signature, (triple, *_), code = super()._index_key(signature, codegen)
         return signature, (triple, BASELINE, ""), code
 
@@ -144,7 +144,7 @@ class _Cache(_FunctionCache):
 @cache
 def _announce() -> None:
     """Tell once why it takes so long."""
-    LOG.warning("first use: machine code is being made, once, which takes up to a minute")
+    LOG.warning("first use: compiling machine code, once, which takes up to a minute")
 
 
 @contextmanager
@@ -179,7 +179,7 @@ def _jitted(function: Function, **options: bool) -> Function:
 
 
 def constant(value: int) -> int:
-    """A number for compiled calls: for each plain one numba compiles what is called anew."""
+    """A number for compiled calls: numba compiles the callee anew for each literal int."""
     return cast(int, np.int64(value))
 
 

@@ -1,8 +1,8 @@
-"""Machine code from the disk without what it was made of.
+"""Loads machine code from disk without parsing its bitcode.
 
-numba keeps the bitcode of each function beside its machine code, for other functions to inline, and
-parses it whenever the machine code is loaded: four fifths of the time that takes. Here it is parsed
-only where other code is compiled that calls the function.
+numba stores the bitcode of each function with its machine code, for other functions to inline, and
+parses it whenever the machine code is loaded, which takes four fifths of the loading time. Here it
+is parsed only when other code that calls the function is compiled.
 """
 
 from typing import Any, cast
@@ -35,12 +35,12 @@ class LoadedLibrary(JITCodeLibrary):  # type: ignore[misc]
         return self._shared_module
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Where one of its functions is; numba's list of symbols, which is asked else, lacks it."""
+        """The address of one of its functions, which numba's list of symbols lacks."""
         return cast(int, self._codegen._engine.get_function_address(name))
 
 
 class LoadedCode(CompileResultCacheImpl):  # type: ignore[misc]
-    """What is kept of a function, and what becomes of it; under numba's lock."""
+    """Stores and loads the machine code of a function; under numba's lock."""
 
     def rebuild(self, context: Any, payload: Any) -> Any:
         """The function as numba has it, but for its library."""

@@ -46,7 +46,7 @@ class CaptureBuffer:
         return self.drained + len(self.index) // INDEX.size
 
     def resume_count(self, count: int) -> int:
-        """Set the number of records returned so far to that in the files."""
+        """Restart counting for new files, which begin with `count` records; return it."""
         self.drained = count
         return count
 

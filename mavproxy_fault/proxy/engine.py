@@ -505,7 +505,7 @@ def _comparable_entry(entry: Entry, late_s: float = 0.0) -> Entry:
 
 
 def _is_fault_or_part(id: str, chosen: str) -> bool:
-    """Whether an id is the chosen one or one of its parts."""
+    """Whether a fault's id is the chosen id, or that of one of its parts, such as `id.2`."""
     head, _, part = id.rpartition(".")
     return chosen == "all" or id == chosen or (head == chosen and part.isdigit())
 

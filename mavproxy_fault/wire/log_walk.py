@@ -34,7 +34,7 @@ SLIP_US = 60_000_000  # a stamp this far from its neighbours may be damaged
 
 
 class LogMessages(NamedTuple):
-    """What is known of the dialect's messages, which have a slot each.
+    """The layout of the dialect's messages, each of which has a slot.
 
     `slots` has the slot of each message id, -1 where it is unknown, shape (ids,); ids beyond are
     unknown too. `extras` are the CRC extras by slot, `lengths` the full payloads in bytes, shape
@@ -163,7 +163,7 @@ def _next(base: Any, runs: Any, run: Any, place: Any, end: Any) -> Any:
 def _lone(stamp: Any, before: Any, after: Any) -> Any:
     """Whether a stamp is missing or far from both its neighbours, which are near each other.
 
-    A clock that jumps and stays there is no damage.
+    A clock that jumps and stays there is not damage.
     """
     return stamp < 0 or (
         abs(stamp - before) > SLIP_US

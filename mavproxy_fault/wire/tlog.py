@@ -38,9 +38,9 @@ END_BYTES = 1 << 16  # read at either end of a log to find its first and last fr
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Frames of one section of a log: a row per run (`log_walk.walk`), and counts per message.
+    """Frames of one section of a log: runs of consecutive frames, and counts per message.
 
-    `end` is the byte offset after the section.
+    `runs` are as `log_walk.walk` returns them; `end` is the byte offset after the section.
     """
 
     runs: NDArray[np.int64]

@@ -1,7 +1,7 @@
-"""Plain steps: whole steps of a flight under an autopilot as one piece of machine code.
+"""Plain steps: complete steps of a flight under an autopilot in one compiled function.
 
-A step is *plain* where nothing but the common happens: the air of home, level ground, inertial
-unit, compass, barometer and pitot tube. It gives the bytes that `Simulation.step` and
-`HilPacker.frames` give, which take every other step: at a position, a heartbeat, a late reading, a
-drawn block's end.
+A step is *plain* if only common sensors take part: IMU, compass, barometer and pitot tube, above
+level ground, in the air of the home position. It gives the same bytes as `Simulation.step` and
+`HilPacker.frames`, which process all other steps: those with a GPS position, a heartbeat or a late
+reading, and the last of a block of random draws.
 """

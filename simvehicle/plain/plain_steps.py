@@ -1,4 +1,4 @@
-"""Who takes a simulation and its packer over for plain steps, and gives them back."""
+"""Copies a simulation and its packer to arrays for plain steps, and the results back."""
 
 import math
 from itertools import islice
@@ -40,7 +40,7 @@ def can_be_plain(simulation: Simulation) -> bool:
 
 
 class PlainSteps:
-    """One flight's; between `take` and `give_back` simulation and packer stand still.
+    """The plain steps of one flight; from `take` to `give_back` simulation and packer are paused.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class PlainSteps:
         return math.ceil(min(ends)), left
 
     def _refit(self) -> None:
-        """Follow what is made anew: the vehicle by a fault of its plant, draws at a block's end."""
+        """Use the new vehicle after a plant fault, and the new draws at the end of a block."""
         simulation = self._simulation
         draws = simulation.weather.draws
         if simulation.vehicle is not self._vehicle or draws is not self.arrays.draws:
@@ -130,7 +130,7 @@ class PlainSteps:
             self.arrays = self.arrays._replace(packed=packed, draws=draws)
 
     def _take_sensors(self) -> list[int]:
-        """Where the sensors stand; how many errors each has left."""
+        """Copy the sensors' state; return how many noise draws each has left."""
         arrays, left = self.arrays, []
         noises = [noise for fitted in self._plain for noise in _noises(fitted)]
         for at, noise in enumerate(noises):
@@ -159,7 +159,7 @@ class PlainSteps:
         self._simulation.adopt_state(t_us, arrays.x.copy(), load, wind)
 
     def give_back(self) -> Controls:
-        """Let simulation and packer go on from here; the commands now in force."""
+        """Resume simulation and packer from here; return the current commands."""
         simulation, hil, arrays = self._simulation, self._hil, self.arrays
         self.observe()
         t_us, count, next_us, steps, row, *_ = arrays.words.tolist()

@@ -1,7 +1,7 @@
-"""A plain step: from commands to the frames that tell of it, compiled.
+"""A plain step, compiled: from commands to the frames that report it.
 
-Each function is the twin of what it names; where a rule could be shared it is compiled from the
-same source. `tests/simvehicle/plain` holds the two ways together, byte by byte.
+Each function duplicates the Python code that it names; where possible both share one source.
+`tests/simvehicle/plain` compares the two byte by byte.
 """
 
 import numpy as np
@@ -84,7 +84,7 @@ def command(p: Plain, channels: "np.ndarray[tuple[int], np.dtype[np.float32]]") 
 
 @compiled
 def look_ahead(p: Plain) -> None:
-    """What no commands change of the next step; as `Simulation.prepare`."""
+    """Prepare what does not depend on commands in the next step; as `Simulation.prepare`."""
     words, numbers, here, around = p.words, p.numbers, p.here, p.around
     words[k.COUNT] += 1
     words[k.NEXT_US] = np.int64(np.rint(words[k.COUNT] * 1e6 / numbers[k.RATE_HZ]))

@@ -40,7 +40,7 @@ def with_value(document: dict[str, Any], path: str, value: Any) -> dict[str, Any
     """
     steps = re.findall(r"[^.\[\]]+", path)
     if not steps:
-        raise ConfigError(f"{path!r} is no path; write it like environment.wind_ned_mps[0]")
+        raise ConfigError(f"{path!r} is not a path; write it like environment.wind_ned_mps[0]")
     changed: dict[str, Any] = _replace_at(document, steps, value, path)
     return changed
 

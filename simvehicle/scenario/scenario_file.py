@@ -114,7 +114,7 @@ class WeaveChoice(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if self.period_s <= 0.0:
-            raise ValueError(f"period_s = {self.period_s} is not positive; seconds above 0")
+            raise ValueError(f"period_s = {self.period_s} is not positive; use seconds > 0")
 
 
 class OpenLoopControls(_Section, frozen=True):
@@ -138,7 +138,7 @@ class GustChoice(_Section, frozen=True):
         if min(self.sigma_mps) < 0.0:
             raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
         if min(self.length_m) <= 0.0:
-            raise ValueError(f"length_m = {list(self.length_m)} is not positive; metres above 0")
+            raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
 
 
 class ShearChoice(_Section, frozen=True):
@@ -149,7 +149,7 @@ class ShearChoice(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if self.reference_m <= 0.0:
-            raise ValueError(f"reference_m = {self.reference_m} is not positive; metres above 0")
+            raise ValueError(f"reference_m = {self.reference_m} is not positive; use metres > 0")
 
 
 class Environment(_Section, frozen=True):
@@ -199,7 +199,7 @@ class Scenario(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if self.duration_s <= 0.0:
-            raise ValueError(f"duration_s = {self.duration_s} is not positive; seconds above 0")
+            raise ValueError(f"duration_s = {self.duration_s} is not positive; use seconds > 0")
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
         if self.controls is not None:
@@ -229,7 +229,7 @@ def open_scenario(path: str | Path | None) -> Document:
         path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
     document = read_document(path)
     if not isinstance(document.data, dict):
-        raise ConfigError(f"{document.where}:1: is no scenario; write a mapping with keys")
+        raise ConfigError(f"{document.where}:1: is not a scenario; write a mapping with keys")
     refuse_other_kinds(document.data, Scenario.__struct_fields__, document.where, "a scenario")
     sensors = document.data.get("sensors")
     # A file name instead of a section.

@@ -21,7 +21,7 @@ def slant_range(truth: Truth) -> float:
 def check_range_limits(min_m: float, max_m: float) -> None:
     """Refuse an empty measuring range."""
     if not 0.0 <= min_m < max_m:
-        raise ValueError(f"min_m = {min_m}, max_m = {max_m} is no range; use 0 <= min_m < max_m")
+        raise ValueError(f"min_m = {min_m}, max_m = {max_m} is not a range; use 0 <= min_m < max_m")
 
 
 class Rangefinder(SensorParameters, frozen=True, kw_only=True):

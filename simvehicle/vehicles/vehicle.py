@@ -51,7 +51,7 @@ class Vehicle(Protocol):
         """Height of the centre of mass when standing on the ground."""
 
     def start(self, r_ned_m: Array, v_b_mps: Array, q_nb: Array) -> Array:
-        """State (m,) at a position (3,), velocity (3,) and attitude (4,); all else is zero."""
+        """State (m,) at a position (3,), velocity (3,) and attitude (4,); the rest is zero."""
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,

@@ -37,7 +37,7 @@ def free_position(motion: MotionEstimate) -> MotionEstimate:
 
 
 def free_by_rates(motion: MotionEstimate, hypothesis: str) -> MotionEstimate:
-    """The filter before the ranges are used, with what the rates contradict forgotten."""
+    """The filter before the range update, with the states that the rates contradict released."""
     if hypothesis == "imu":
         return free_position(motion)
     if hypothesis == "clock":

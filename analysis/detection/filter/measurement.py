@@ -108,7 +108,7 @@ class Innovations(NamedTuple):
     geometry: Vector
 
     def between(self, begin: int, end: int) -> "Innovations":
-        """The satellites from one place to another, as views."""
+        """The satellites from one index to another, as views."""
         return Innovations(*(column[begin:end] for column in self))
 
     def select(self, keep: Mask) -> "Innovations":

@@ -15,7 +15,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class SigmaNumbers(NamedTuple):
-    """The terms of `SigmaModel` that describe white noise, as kernels read them."""
+    """The white-noise terms of `SigmaModel`, in the form that kernels read."""
 
     scale: float
     floor_m: float

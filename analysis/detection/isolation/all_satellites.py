@@ -35,7 +35,7 @@ AGREEING_DOF = 3  # redundancy with which the satellites must agree
 JUMP_REASON = "all satellites jumped together: it is unknown which position is right"
 COASTING_REASON = "all satellites are excluded: the position is the IMU's alone, without a bound"
 FOLLOWED_REASON = (
-    "all satellites or the IMU are wrong: the position is the satellites', without a bound"
+    "satellites or IMU are faulty: the position follows the satellites, its error is unbounded"
 )
 
 
@@ -47,11 +47,11 @@ def rates_beyond_imu(
     innovations: Innovations,
     runs: tuple[ImuRun | None, ImuRun],
 ) -> RateVerdict:
-    """The rates' verdict; `gps` where it isolates an IMU that cannot be the cause, or that was
-    healthy when the satellites became wrong.
+    """The verdict of the rate test, with `imu` changed to `gps` if the IMU cannot be the cause or
+    was healthy when the satellites became faulty.
 
-    `before` is the filter at the last epoch, `motion` the prediction; `runs` are the IMU's samples
-    of the interval before, where these are known, and of this one.
+    `before` is the filter at the last epoch, `motion` the prediction; `runs` are the IMU samples
+    of the previous interval, if known, and of this one.
     """
     if not motion.inertial:
         return rates
@@ -67,7 +67,7 @@ def rates_beyond_imu(
 
 
 def next_distrust(distrusted: str, rates: RateVerdict, ranges: RangeVerdict) -> str:
-    """What of all satellites is distrusted after an epoch."""
+    """Which measurements of all satellites are distrusted after an epoch."""
     if ranges.hypothesis != "gps":
         return ""
     by_rates = rates.hypothesis == "gps" or distrusted == RATES_DISTRUSTED
@@ -75,7 +75,7 @@ def next_distrust(distrusted: str, rates: RateVerdict, ranges: RangeVerdict) -> 
 
 
 def _is_faster_than_force(innovations: Innovations, before: ImuRun | None, run: ImuRun) -> bool:
-    """Whether the velocity left faster than the force that the IMU measured could drive it."""
+    """Whether the velocity shift grew faster than the IMU's specific force can explain."""
     if before is None or len(run.t_us) < 2 or len(before.t_us) < 2:
         return False
     force, force_before = run.values[:, 3:6].mean(axis=0), before.values[:, 3:6].mean(axis=0)

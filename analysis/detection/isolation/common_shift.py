@@ -31,7 +31,7 @@ FIRST_WEIGHT, MOST_WEIGHT = 10.0, 150.0  # epochs: prior in favour of 1, and mem
 
 
 class CommonShift(NamedTuple):
-    """What is known of the shift: its usual level, and whether it is suspected.
+    """The usual level of the common velocity shift, and whether a shift is suspected.
 
     `level` is the mean square per degree of freedom over `weight` epochs that passed their tests.
     All satellites are suspected until `suspected_until_us`, and not before `settled_from_us`.
@@ -73,7 +73,7 @@ def shift_is_suspected(
 def update_common_shift(
     known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
 ) -> CommonShift:
-    """What is known after an epoch whose tests passed."""
+    """The level and suspicion after an epoch whose tests passed."""
     if shift_stands_out(known, statistic, t_us, config):
         return known._replace(suspected_until_us=t_us + SUSPECTED_US)
     if t_us < known.suspected_until_us:
@@ -84,5 +84,5 @@ def update_common_shift(
 
 
 def reset_common_shift(known: CommonShift, t_us: int) -> CommonShift:
-    """What is known after an epoch that failed a test, or that no IMU has predicted."""
+    """The level and suspicion after an epoch that failed a test or had no IMU prediction."""
     return known._replace(suspected_until_us=0, settled_from_us=t_us + SETTLING_US)

@@ -1,4 +1,4 @@
-"""What the tests remember from epoch to epoch, and the satellites' offsets among it.
+"""The memory of the tests from epoch to epoch, including the satellites' offsets.
 
 Every satellite has a range offset that lasts for minutes; their weighted mean is the position's
 error. When one is excluded, or sets, the mean changes. So the offsets learned by then are frozen:

@@ -45,7 +45,7 @@ class IsolationVerdict(Value, frozen=True):
 def explain_by_satellites(
     m: Vector, u: Vector, q: float, p_false_alarm: float, largest: int, unknowns: int = 0
 ) -> Explanation | None:
-    """The smallest set whose leaving out passes (None if none of up to `largest` does).
+    """The smallest set of satellites whose exclusion passes the test; None above `largest`.
 
     A set that passes is still enlarged while one satellite more lowers the statistic by more than a
     healthy one does with probability `p_false_alarm`: the test of the rest can miss a second fault

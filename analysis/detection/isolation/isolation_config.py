@@ -14,12 +14,12 @@ MOST_LEFT_OUT = 64  # satellites: more than are ever in view
 
 
 class IsolationConfig(FilterConfig, frozen=True, kw_only=True, dict=True):
-    """What may be isolated, and until when it is not used.
+    """The faults that may be isolated, and how long a faulty source is not used.
 
     `rule` is how a verdict is found, `left_out` the most satellites left out for it. An excluded
     satellite must look healthy for `readmit_s` before it is used again; a faulty IMU is not used
-    for `imu_hold_s`. `slow_accel_mps2` is what a healthy IMU's acceleration may be wrong by for
-    seconds.
+    for `imu_hold_s`. `slow_accel_mps2` is the error that a healthy IMU's acceleration may have
+    for seconds.
     """
 
     rule: str = "explicit"

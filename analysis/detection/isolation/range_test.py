@@ -28,8 +28,8 @@ class RangeVerdict(Value, frozen=True):
 
     `motion` is the prediction; where a part of it was found wrong, that part's covariance is
     released (`prediction_freed`). `usable` are the innovations of the satellites that may be used,
-    none where no explanation was found. `faulty` are the places of the isolated satellites; the
-    statistic is that of the first round. `whole_system` says that a system is faulty as a whole.
+    none where no explanation was found. `faulty` are the indices of the isolated satellites; the
+    statistic is that of the first round. `whole_system`: an entire system is faulty.
     """
 
     motion: MotionEstimate

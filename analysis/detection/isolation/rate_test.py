@@ -21,8 +21,8 @@ from analysis.detection.values import Value
 
 
 class RateVerdict(Value, frozen=True):
-    """What the rates' test found: the hypothesis, the rates that may be used, and the places of the
-    satellites whose rates are wrong."""
+    """The result of the rate test: the hypothesis, the rates that may be used, and the indices of
+    the satellites whose rates are wrong."""
 
     statistic: float | None
     threshold: float | None

@@ -37,8 +37,8 @@ def detect_carry_off(
     is_trusted: bool,
     config: FalseAlarmRates,
 ) -> tuple[ReceiverState, CarryOffDetection | None, Vector | None]:
-    """What the windows say after a fix: a receiver that is carried off, or a wrong acceleration
-    (3,). They begin anew after everything else that is found.
+    """The windows' verdict after a fix: a receiver that is carried off, or a wrong acceleration
+    (3,). The windows restart after any other detection.
 
     `prediction` is the filter at the last fix and, moved by the IMU's `segment`, at this one, and
     the transition phi (20, 20) in between; `is_trusted` says that nothing is excluded.

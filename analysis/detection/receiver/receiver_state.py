@@ -1,4 +1,4 @@
-"""What is kept of a receiver's own fixes, for when there are no raw ranges."""
+"""The state of the tests of a receiver's own fixes, used without raw ranges."""
 
 from typing import NamedTuple
 

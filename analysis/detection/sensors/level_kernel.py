@@ -1,8 +1,8 @@
 """Detects a step in a quantity that is roughly constant in a healthy sensor, compiled.
 
 A short mean is compared with a long one, relative to the usual deviation of the two. The long mean
-is frozen while they differ, so that a step remains one; after a while the new level is the usual
-one. A return to the previous level is no new step.
+is frozen while they differ, so that a step stays visible; after a while the new level becomes the
+usual one. A return to the previous level does not count as a new step.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class LevelState(NamedTuple):
 
 
 def new_levels() -> LevelState:
-    """No sample has come yet."""
+    """The state before the first sample."""
     stamps = np.full((len(LEVELS), 4), NEVER_US)
     return LevelState(np.zeros((len(LEVELS), 4)), stamps, np.zeros(1))
 

@@ -13,7 +13,7 @@ from analysis.detection.values import Value
 
 
 class TestedEpoch(Value, frozen=True):
-    """An epoch that was tested: its assessment and verdict, and what they come to.
+    """An epoch that was tested: its assessment, its verdict and the reported result.
 
     `excluded` are the innovations of excluded satellites after the epoch, `rate_faulty` the
     satellites whose Doppler rates alone were wrong several times in a row. `hypothesis` and `alarm`

@@ -14,7 +14,7 @@ from analysis.samples.sample import GpsFix
 RECEIVER = "GPS"  # the receiver's name among the exclusions
 LASTING_SHARE = 0.6  # of a receiver's error that lasts for minutes: no filter averages it out
 UNBOUNDED_REASON = (
-    "the receiver or the IMU is wrong: the position is the receiver's, without a bound"
+    "the receiver or the IMU is faulty: the position follows the receiver, its error is unbounded"
 )
 EXCLUDED_REASON = "the receiver is excluded: the position is the IMU's alone, without a bound"
 

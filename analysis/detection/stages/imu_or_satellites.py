@@ -132,8 +132,8 @@ def _stays_excluded(excluded_for: CarryOff | None, assessment: Assessment) -> bo
 def reject_carried_off(
     detection: CarryOffDetection, motion: MotionEstimate, rates: RateVerdict, ranges: RangeVerdict
 ) -> SourceVerdict:
-    """The verdicts where all satellites have carried the filter off: nothing of the epoch is used,
-    and what the filter has followed is removed."""
+    """The verdicts if all satellites have carried the filter off: no measurement of the epoch is
+    used, and the error that the filter has followed is removed."""
     corrected = reject_all(remove_carry_off(motion, detection), ranges)
     return SourceVerdict(_reject_rates(rates), corrected, "gps", detection.carried)
 
@@ -152,7 +152,7 @@ def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
 
 
 def _carry_off_now(assessment: Assessment) -> CarryOff | None:
-    """How far the satellites are off the filter, and how fast they go on."""
+    """The offset of the satellites from the filter, and its rate."""
     motion = assessment.prediction.motion
     fix = _combine_to_fix(assessment, _local_axes(motion))
     return None if fix is None else CarryOff(motion.t_us, fix.v[3:], fix.v[:3])
@@ -161,7 +161,7 @@ def _carry_off_now(assessment: Assessment) -> CarryOff | None:
 def isolate_imu_or_satellites(
     history: Sequence[EpochRecord], assessment: Assessment, config: DetectorConfig
 ) -> tuple[str, CarryOffDetection | None]:
-    """`imu`, `gps` with what the filter has followed, or `GPS-or-imu`."""
+    """`imu`, `gps` with the error that the filter has followed, or `GPS-or-imu`."""
     tests = _repeat_tests(history, assessment, config)
     if tests is None:
         return "imu", None

@@ -176,8 +176,8 @@ def _isolate(
     tests: Tests,
     config: DetectorConfig,
 ) -> tuple[str, bool]:
-    """Whose fault a failed test is, and whether it is an alarm; `segment` is the IMU since the last
-    fix, which moved the filter to `motion`."""
+    """The faulty source of a failed test, and whether to raise an alarm; `segment` is the IMU since
+    the last fix, which moved the filter to `motion`."""
     position, velocity = tests
     # A fix that is only repeated measures nothing, however well it fits.
     if core.receiver.repeats.frozen:

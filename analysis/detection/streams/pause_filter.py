@@ -29,7 +29,7 @@ class PauseState:
 
 @dataclass(frozen=True)
 class PauseFilter:
-    """A step of the pipeline that withdraws what a pause explains."""
+    """A pipeline step that removes the anomalies that a pause explains."""
 
     def step(
         self, block: Block, results: list[tuple[int, Result]], state: PauseState

@@ -31,7 +31,7 @@ Places = NDArray[np.int64]
 
 @dataclass(slots=True)
 class BlockWalk:
-    """What walking a log counts.
+    """Counters of a walk over a log.
 
     Attributes
     ----------

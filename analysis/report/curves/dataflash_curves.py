@@ -1,6 +1,6 @@
 """Table of curves: which field of which dataflash message gives which curve.
 
-Fields are named as in ArduPilot's log reference; old logs as then.
+Fields are named as in ArduPilot's log reference, those of old logs as in its old versions.
 """
 
 import numpy as np

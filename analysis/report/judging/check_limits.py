@@ -3,9 +3,9 @@
 Sources: vibration, compass interference and board voltage from ArduPilot's log-analysis pages
 ("Diagnosing problems using Logs", "Measuring Vibration", "Compass interference"); EKF variance from
 the default of FS_EKF_THRESH; PX4's vibration metric and the jamming indicator from PX4's pages on
-Flight Review (jamming: about 40 is good, 80 is too much); attitude control is around 30 deg, where
-ArduPilot's crash check starts; innovation ratios from MAVLink's ESTIMATOR_STATUS (a measurement is
-rejected above 1). The others are chosen so that an uneventful flight passes.
+Flight Review (jamming: about 40 is good, 80 is too much); the attitude limits lie around 30 deg,
+where ArduPilot's crash check starts; innovation ratios from MAVLink's ESTIMATOR_STATUS (above 1 a
+measurement is rejected). The others are chosen so that an uneventful flight passes.
 """
 
 import msgspec

@@ -1,7 +1,7 @@
 """Evaluation in the simulator, through the proxy, one flight at a time.
 
-For what the compiled kernels lack: any scenario, every fault of the proxy, the sensor fusion, and
-an external autopilot.
+Supports what the compiled kernels lack: any scenario, every fault of the proxy, the sensor fusion,
+and an external autopilot.
 """
 
 from collections.abc import Mapping, Sequence

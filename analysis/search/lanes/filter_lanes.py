@@ -1,6 +1,6 @@
-"""The filters of `analysis.estimators` over lanes, by their own scalar kernels.
+"""Runs the filters of `analysis.estimators` on lanes, with their own scalar kernels.
 
-A lane at a time, without SIMD: what the search finds is what the estimator does elsewhere.
+One lane at a time, without SIMD, so that the estimator behaves in a search as it does elsewhere.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ FilterStates = NDArray[np.float64]  # (LANES, FILTER_SIZE)
 
 
 class Tunings(NamedTuple):
-    """What Mahony's filter and the EKF are tuned to; the one that does not fly is not looked at."""
+    """The tuning of Mahony's filter and the EKF; only that of the filter in use is read."""
 
     mahony: Gains
     ekf: Tuning

@@ -134,7 +134,7 @@ def chosen(first: bool, one: State13, other: State13) -> State13:
 
 
 class Envelope(NamedTuple):
-    """Limits of a flight that counts, in SI units and as tangents or sines of angles where told."""
+    """Limits of a flight that counts, in SI units; some are tangents or sines of angles."""
 
     sin_pitch: float
     tan_alpha: float

@@ -47,7 +47,7 @@ Generators = NDArray[np.uint64]
 
 
 class Plan(NamedTuple):
-    """What all flights of a test share; every field is a plain number, as numba wants them.
+    """The parameters that all flights of a test share; every field is a number, as numba needs.
 
     `estimator` is 0 for the inverse sensor model, 1 for Mahony, 2 for the EKF; `field_every`,
     `velocity_every` and `pressure_every` count IMU samples. With `inverted` height, airspeed and

@@ -68,7 +68,7 @@ class Mission(Section, frozen=True):
         # The lower end of a range decides.
         shortest = self.period_s[0] if isinstance(self.period_s, tuple) else self.period_s
         if shortest <= 0.0:
-            raise ValueError(f"period_s = {shortest} is not positive; give seconds above 0")
+            raise ValueError(f"period_s = {shortest} is not positive; use seconds > 0")
 
 
 class SteadyWind(Section, frozen=True):

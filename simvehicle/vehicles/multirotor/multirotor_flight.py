@@ -203,7 +203,7 @@ def integrate_flight(
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
     surroundings : array, shape (9,)
-        The last entry is set to the battery's voltage sag, which lowers the full speed.
+        The last entry is overwritten with the battery's voltage sag, which lowers full speed.
     load : array, shape (6,)
     """
     body = Inertia(*to_fixed_tuple(packed[:_BODY], _BODY))

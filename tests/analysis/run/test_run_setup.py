@@ -84,7 +84,7 @@ def test_single_values_of_a_scenario_can_be_set() -> None:
         ("seed.x=4", "has no x"),
         ("duration_s=long", "duration_s=long: duration_s = 'long' does not fit"),
         ("duration_s", "--set duration_s: has no =; write PATH=VALUE"),
-        ("=4", "is no path"),
+        ("=4", "is not a path"),
     ],
 )
 def test_a_value_that_cannot_be_set_is_reported(change: str, error: str) -> None:

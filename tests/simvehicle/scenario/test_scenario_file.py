@@ -88,7 +88,7 @@ WRONG = [
         r"gyro.bias has 2 numbers; one, or a list of 3",
     ),
     ("sensors:\n  imu: {id: 300}\n", r"id = 300 is out of range; 0 to 255"),
-    ("sensors:\n  range: {min_m: 5, max_m: 1}\n", r"min_m = 5.0, max_m = 1.0 is no range"),
+    ("sensors:\n  range: {min_m: 5, max_m: 1}\n", r"min_m = 5.0, max_m = 1.0 is not a range"),
     (
         "sensors:\n  mag:\n    latency_s: .nan\n",
         r"flight.yaml:3: sensors.mag.latency_s = nan is not",
@@ -101,7 +101,7 @@ WRONG = [
     ("environment: {gusts: strong}\n", r"flight.yaml:1: environment.gusts"),
     ("start: {time: 2024-03-07T12:00:00}\n", r"flight.yaml:1: start.time has no time zone"),
     ("sensors: {imu: {}}\nsensors: {}\n", r"flight.yaml:2: sensors is given twice"),
-    ("- a\n", r"flight.yaml:1: is no scenario"),
+    ("- a\n", r"flight.yaml:1: is not a scenario"),
     ("a: [\n", r"flight.yaml:2: not YAML"),
 ]
 
