@@ -84,12 +84,12 @@ def single_epochs(samples: list[Sample]) -> None:
     print("\n| one epoch of 12 satellites, us | median | 99 % | most |\n|---|---|---|---|")
     detector, state = Detector(), Detector().new_state()
     jobs: dict[str, list[tuple[Block, DetectorState]]] = {
-        "quiet": [],
+        "no test trips": [],
         "with its bank and verdict": [],
     }
     for sample in with_rates(samples):
         if isinstance(sample, Epoch):
-            place = len(jobs["quiet"]) % len(sample.satellites)
+            place = len(jobs["no test trips"]) % len(sample.satellites)
             step_m = 50.0 * (np.arange(len(sample.satellites)) == place)
             wrong = replace(sample, pseudorange_m=sample.pseudorange_m + step_m)
             for title, given in zip(jobs, (sample, wrong), strict=True):

@@ -123,7 +123,7 @@ def verdicts(kind: str, bias: float, trials: int, rule: str, largest: int) -> Co
 
 
 def isolation() -> None:
-    """Who is blamed."""
+    """Which hypothesis is selected."""
     trials = 2000
     print(f"\n## Verdicts, m = 10, Pfa 1e-4, {trials} trials each, shares in %\n")
     print("| truth | rule D, at most 3 left out | rule D, at most 2 | the plain rule (2) |")

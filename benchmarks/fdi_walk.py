@@ -183,6 +183,6 @@ def row(name: str, found: list[Decision], usual: list[Decision], first: int) -> 
     during = [d for d in found if FROM_S <= (d.t_us - first) * 1e-6 < UNTIL_S]
     alarm = next((d for d in during if d.alarm), None)
     clean = Counter(s for d in usual for s in d.excluded)
-    blamed = {s for d in during for s in d.excluded} - clean.keys()
+    isolated = {s for d in during for s in d.excluded} - clean.keys()
     said = f"{alarm.hypothesis} | {(alarm.t_us - first) * 1e-6 - FROM_S:.1f}" if alarm else "- | -"
-    print(f"| {name} | {said} | {', '.join(sorted(blamed)) or '-'} |")
+    print(f"| {name} | {said} | {', '.join(sorted(isolated)) or '-'} |")

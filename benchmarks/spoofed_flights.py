@@ -1,11 +1,11 @@
 """A spoofer and a faulty IMU against the monitor, over many seeds, with raw ranges or without.
 
 `python benchmarks/spoofed_flights.py position` flies the demo's fixed wing and the examples' quad
-with a receiver that tells position and velocity alone, `... ranges` with one that tells raw ranges
-alone, spoofs it from 20 s to 40 s of a flight of 50 s, and prints a table, each row of a spoofer
-against what is aimed at: the IMU is blamed alone in no flight and the spoofer found in all; a jump
-within 3 s, a carry-off before the position is 25 m off; and where a sigma is told the error at 95 %
-is at most 1.5 of that without a fault. `SEEDS` flights a row, WORKERS at once (all cores without):
+with a receiver of position and velocity only, `... ranges` with one of raw ranges only, spoofs it
+from 20 s to 40 s of a flight of 50 s, and prints a table that compares each row of a spoofer with
+the aims: the IMU is isolated alone in no flight, and the spoofer detected in all; a jump within 3
+s, a carry-off before the position is 25 m off; and where there is a sigma the error at 95 % is at
+most 1.5 of that without a fault. `SEEDS` flights a row, WORKERS at once (all cores without):
 some minutes.
 
     python benchmarks/spoofed_flights.py position|ranges [WORKERS [SEEDS]]
@@ -66,7 +66,7 @@ JUMPS = ("spoof 20 m at once", "spoof 200 m at once")
 
 
 class Flown(NamedTuple):
-    """The fault's row of the summary, how many decisions of the flight blame the IMU alone, and
+    """The fault's row of the summary, how many decisions of the flight isolate the IMU alone, and
     from the fault's start to its end the position's error (n,) in m at each fix, with whether the
     monitor bounds it (n,) and whether the fix came before the first alarm or with it (n,)."""
 
@@ -78,7 +78,7 @@ class Flown(NamedTuple):
 
 
 def scenario_of(vehicle: str, seed: int) -> Scenario:
-    """The vehicle with a receiver that tells ranges, or none."""
+    """The vehicle with a receiver of raw ranges, or of fixes only."""
     hover, demo = read_setup(str(HOVER)).scenario, read_setup(None).scenario
     scenario = hover if vehicle == "quad" else demo
     imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)
@@ -129,7 +129,7 @@ def line(vehicle: str, fault: str, flights: list[Flown], clean_m: float) -> str:
     """A row of the table; `clean_m` is the error at 95 % without a fault."""
     verdicts = Counter(flight.fault["verdict"] for flight in flights)
     delays = [f.fault["delay_s"] for f in flights if f.fault["delay_s"] is not None]
-    wrong = Counter(blame["who"] for f in flights for blame in f.fault["wrongly"])
+    wrong = Counter(row["who"] for f in flights for row in f.fault["wrongly"])
     bounded = np.concatenate([f.error_m[f.bounded] for f in flights])
     share = np.concatenate([f.bounded for f in flights]).mean()
     unnoticed_m = max(f.error_m[f.unnoticed].max() for f in flights)
@@ -160,7 +160,8 @@ def line(vehicle: str, fault: str, flights: list[Flown], clean_m: float) -> str:
 def main() -> None:
     """Print the table."""
     print(
-        "| vehicle | fault | verdicts | flights with `imu` alone | others blamed wrongly |", end=""
+        "| vehicle | fault | verdicts | flights with `imu` alone | others isolated wrongly |",
+        end="",
     )
     print(" delay, s: median / most | largest error until the alarm, m |", end="")
     print(" error where bounded, m: 50 % / 95 % | over clean at 95 % | unbounded | aims |")

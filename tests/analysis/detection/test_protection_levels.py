@@ -60,7 +60,7 @@ def levels_of(observed, ionosphere, r_m=ANTENNA_M, config=CONFIG):
 
 
 @pytest.mark.parametrize(("systems", "terms"), [("G", ONE_SYSTEM), ("GE", SEVERAL_SYSTEMS)])
-def test_levels_tell_what_they_take_for_granted(shared_data, systems, terms):
+def test_levels_state_their_assumptions(shared_data, systems, terms):
     folder = shared_data / "gnss_static"
     samples = read_rinex_samples(folder / "SEPT078M.21O", folder / "SEPT078M.21P")
     results = run_detector(Detector(DetectorConfig(systems=systems)), samples[:400])
@@ -69,13 +69,13 @@ def test_levels_tell_what_they_take_for_granted(shared_data, systems, terms):
     assert {d.level_assumes for d in decisions if d.hpl_m is None} <= {""}
 
 
-def test_the_true_place_is_well_within_its_levels(seen):
+def test_the_true_position_is_well_within_its_levels(seen):
     horizontal_m, vertical_m = levels(seen)
     assert 5.0 < horizontal_m < 60.0
     assert horizontal_m < vertical_m < 100.0
 
 
-def test_a_position_that_is_off_has_levels_that_reach_back(seen):
+def test_levels_of_a_wrong_position_reach_the_truth(seen):
     for off in np.eye(3) * 80.0:
         horizontal_m, vertical_m = levels(seen, r_m=ANTENNA_M + off)
         assert horizontal_m**2 + vertical_m**2 > 80.0**2
@@ -83,7 +83,7 @@ def test_a_position_that_is_off_has_levels_that_reach_back(seen):
         assert horizontal_m > before[0] or vertical_m > before[1]
 
 
-def test_a_faulty_range_widens_the_levels_by_what_it_moves_the_solution(seen):
+def test_a_faulty_range_widens_the_levels_by_its_shift_of_the_solution(seen):
     observed, ionosphere = seen
     ranges = observed.measurements.pseudorange_m.copy()
     ranges[0] += 30.0

@@ -54,7 +54,7 @@ def first_minutes(samples: list[Sample], seconds: float) -> list[Sample]:
     return [s for s in samples if not isinstance(s, Epoch) or s.t_us < begin_us + seconds * 1e6]
 
 
-def test_orbits_of_two_days_do_not_push_out_those_of_now(static):
+def test_orbits_of_two_days_do_not_displace_current_ones(static):
     part = first_minutes(static, 10.0)
     newest = {s.ephemeris.satellite: s for s in part if isinstance(s, EphemerisSample)}
     later = [
@@ -68,7 +68,7 @@ def test_orbits_of_two_days_do_not_push_out_those_of_now(static):
     assert found.position_ecef_m == pytest.approx(decisions(part)[-1].position_ecef_m, abs=1e-6)
 
 
-def test_a_broadcast_replaces_the_one_of_its_own_time_alone(static):
+def test_a_broadcast_replaces_only_the_ephemeris_of_its_own_time(static):
     orbits = [s for s in static if isinstance(s, EphemerisSample)]
     name = orbits[0].ephemeris.satellite
     own = [s for s in orbits if s.ephemeris.satellite == name]
@@ -106,7 +106,7 @@ def test_exclusions_outlive_a_gap_of_epochs(flight):
     assert after.excluded == (name,)
 
 
-def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight):
+def test_a_start_with_little_redundancy_must_fit_the_position_before(flight):
     free = first_minutes([s for s in flight if not isinstance(s, ImuSample)], 29.0)
     free = without_epochs(free, 12.0, 27.0)
     detector = Detector()
@@ -139,7 +139,7 @@ def test_a_start_that_few_satellites_vouch_for_must_fit_the_place_before(flight)
 
 
 @pytest.mark.parametrize("wrong", ["G01 G03 G04", "G01 G06 G14", "G04 G06 G14", "G06 G14 G19"])
-def test_a_start_is_not_made_from_three_wrong_of_eight_that_look_like_two_others(static, wrong):
+def test_three_wrong_of_eight_satellites_that_look_like_two_others_make_no_start(static, wrong):
     part, names = (
         first_minutes(static, 5.0),
         ["G01", "G03", "G04", "G06", "G09", "G14", "G17", "G19"],
@@ -188,7 +188,7 @@ def test_a_minute_of_too_few_satellites_ends_the_filter(static):
     assert by_s[100].mode == "start"
 
 
-def test_satellites_left_out_come_back_where_the_others_are_too_few(static):
+def test_excluded_satellites_are_used_again_where_the_others_are_too_few(static):
     few = only_gps(first_minutes(static, 120.0), 0.0, 120.0, 7)
     names = next(s.satellites for s in few if isinstance(s, Epoch))
     spoilt = shifted(few, names[1], 60.0, 20.0, 40.0)

@@ -79,7 +79,7 @@ def test_an_imu_at_rest_is_aligned_with_the_magnetometer_s_heading(static: list[
     assert sigma_rad < math.hypot(0.35, GYRO_BIAS_SIGMA_RPS * EPOCHS)
 
 
-def test_without_a_magnetometer_its_heading_stays_unknown_and_it_moves_nothing(
+def test_without_a_magnetometer_the_heading_of_an_imu_at_rest_stays_unknown(
     static: list[Sample],
 ) -> None:
     detector = Detector()
@@ -115,7 +115,7 @@ def tilt(motion: MotionEstimate) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("shaking_rps", [0.02, 0.3])
-def test_an_attitude_found_from_a_slow_shaken_imu_knows_how_unsure_it_is(
+def test_an_attitude_from_a_slow_vibrating_imu_has_a_realistic_sigma(
     shaking_rps: float,
 ) -> None:
     detector, ratios = Detector(), []
@@ -132,7 +132,7 @@ def test_an_attitude_found_from_a_slow_shaken_imu_knows_how_unsure_it_is(
     assert np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
-def test_a_receiver_is_not_blamed_for_what_a_slow_shaken_imu_makes_of_the_attitude() -> None:
+def test_a_receiver_is_not_isolated_for_the_attitude_of_a_slow_vibrating_imu() -> None:
     detector = Detector()
     results, state = detector.step(block_of(shaken(90.0, 25, 1.6, 1)), detector.new_state())
     decisions = [r for r in results if isinstance(r, Decision)]
@@ -141,7 +141,7 @@ def test_a_receiver_is_not_blamed_for_what_a_slow_shaken_imu_makes_of_the_attitu
     assert not state.core.motion.inertial
 
 
-def test_an_attitude_that_shaking_has_lost_holds_nothing_against_the_receiver() -> None:
+def test_an_attitude_lost_by_vibration_is_no_evidence_against_the_receiver() -> None:
     calm, rough = shaken(20.0, 25, 0.02, 2), shaken(60.0, 25, 1.6, 3)
     detector = Detector()
     _, state = detector.step(block_of(calm), detector.new_state())

@@ -46,7 +46,7 @@ def antenna_at(at_s: float) -> np.ndarray:
     return x[:3] + rotation_matrix(x[6:10]) @ ARM_M
 
 
-def test_the_antenna_goes_round_while_the_imu_stands():
+def test_the_antenna_rotates_about_an_imu_at_rest():
     config = DetectorConfig(antenna_b_m=tuple(ARM_M))
     x = turning_body(0.0)
     x[:3] = antenna_at(0.0)
@@ -68,7 +68,7 @@ def changed(x: np.ndarray, error: np.ndarray) -> np.ndarray:
     return out
 
 
-def test_errors_move_along_as_states_do():
+def test_errors_transform_as_states_do():
     gyro = np.array([0.1, -0.2, RATE_RPS])
     x, p = turning_body(0.7), np.eye(ERROR_SIZE)
     here, _, turn = shift_by_lever_arm(x, p, gyro, ARM_M, 1.0)
@@ -79,7 +79,7 @@ def test_errors_move_along_as_states_do():
         assert (there[:6] - here[:6]) / 1e-5 == pytest.approx(turn[:6, i], abs=1e-3), i
 
 
-def test_there_and_back_is_where_one_was():
+def test_a_shift_there_and_back_changes_nothing():
     gyro = np.array([0.1, -0.2, RATE_RPS])
     x, p = turning_body(0.7), np.diag(np.linspace(1.0, 2.0, ERROR_SIZE))
     there, wide, _ = shift_by_lever_arm(x, p, gyro, ARM_M, 1.0)

@@ -46,7 +46,7 @@ def same(one: EphemerisSelection, other: EphemerisSelection) -> bool:
 
 
 @given(known=KNOWN, tow_s=AT_S, later_s=st.floats(0.0, RESELECT_S), on_a_boundary=st.booleans())
-def test_a_choice_that_serves_is_the_one_that_would_be_made(
+def test_a_valid_selection_equals_a_new_one(
     known: list[tuple[str, float, int]], tow_s: float, later_s: float, on_a_boundary: bool
 ) -> None:
     orbits = stored(known)
@@ -56,7 +56,7 @@ def test_a_choice_that_serves_is_the_one_that_would_be_made(
         assert same(chosen, select_ephemerides(later, orbits))
 
 
-def test_an_ephemeris_serves_to_the_end_of_its_time_and_no_longer() -> None:
+def test_an_ephemeris_is_used_to_the_end_of_its_fit_interval() -> None:
     orbits = stored([("G05", 100_000.0, 0)])
     chosen = select_ephemerides(epoch_at(107_000.0), orbits)
     assert chosen.names == ("G05",)

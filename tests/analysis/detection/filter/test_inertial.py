@@ -36,7 +36,7 @@ def test_without_noise_the_covariance_follows_the_transition():
 
 
 @pytest.mark.parametrize("rate_hz", [10, 25])
-def test_what_a_slow_imu_does_not_see_is_in_the_velocitys_sigma(rate_hz: int):
+def test_unmeasured_motion_of_a_slow_imu_is_in_the_sigma_of_the_velocity(rate_hz: int):
     x = moving()[0]
     x[3:6] = 0.0
     step = 400 // rate_hz

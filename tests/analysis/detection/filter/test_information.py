@@ -36,7 +36,7 @@ def test_the_statistic_is_that_of_the_innovation_covariance():
 
 
 @pytest.mark.parametrize("widened", [0.0, 1e6])
-def test_an_update_is_kalman_s(widened: float):
+def test_an_update_is_that_of_the_kalman_filter(widened: float):
     p, h, variance, v = measured(widened)
     x = np.zeros(X_SIZE)
     x[6] = 1.0

@@ -1,4 +1,4 @@
-"""Errors that last, in the covariance that is told: against algebra, and at a real place."""
+"""Lasting errors in the reported covariance: against algebra, and at a real position."""
 
 import math
 
@@ -60,14 +60,14 @@ def test_errors_over_sigma_are_honest_by_default_and_calibrated_on_the_half_befo
         assert most < 3.0
 
 
-def test_coefficients_that_nobody_has_sent_make_the_position_less_sure(static):
+def test_typical_coefficients_make_the_position_less_certain_than_broadcast_ones(static):
     kept = [s for s in static if not isinstance(s, IonosphereSample)]
     assert len(kept) < len(static)
     sent, none = (sigmas(samples) for samples in (first(static), first(kept)))
     assert np.all(none > 1.2 * sent)
 
 
-def test_coefficients_of_the_user_are_taken_for_known(static):
+def test_coefficients_of_the_user_count_as_broadcast(static):
     kept = first([s for s in static if not isinstance(s, IonosphereSample)])
     typical = DetectorConfig().ionosphere
     a_little_other = (typical[0] * 1.0001, *typical[1:])
@@ -85,8 +85,8 @@ def sigmas(samples, config=None):
     """The positions' sigmas (n,) in m."""
     detector = Detector(config or DetectorConfig())
     results, _ = detector.step(block_of(samples), detector.new_state())
-    told = [r.position_sigma_m for r in results if isinstance(r, Decision)]
-    return np.linalg.norm([sigma for sigma in told if sigma is not None], axis=1)
+    sigmas = [r.position_sigma_m for r in results if isinstance(r, Decision)]
+    return np.linalg.norm([sigma for sigma in sigmas if sigma is not None], axis=1)
 
 
 def test_calibration_works_on_epochs_of_every_thirty_seconds(static):
@@ -99,7 +99,7 @@ def test_calibration_works_on_epochs_of_every_thirty_seconds(static):
     assert found.chi_square_per_dof == pytest.approx(1.0, abs=0.3)
 
 
-def test_what_lasts_is_mapped_by_the_snapshot(static):
+def test_lasting_errors_are_mapped_by_the_snapshot(static):
     first = next(i for i, s in enumerate(static) if isinstance(s, Epoch))
     detector = Detector()
     _, state = detector.step(static[: first + 1], detector.new_state())
@@ -124,7 +124,7 @@ def test_what_lasts_is_mapped_by_the_snapshot(static):
     assert found.lasting_m2 == pytest.approx(expected.tolist(), rel=1e-2)
 
 
-def test_the_variance_factor_forgets_in_a_minute_and_counts_no_second_twice():
+def test_the_variance_factor_has_a_memory_of_a_minute_and_counts_no_second_twice():
     misfit = VarianceFactor()
     assert misfit.factor == 1.0
     slow = fast = misfit

@@ -45,7 +45,7 @@ def of_galileo(values):
     return np.concatenate([np.zeros(GPS), values[GPS:]])
 
 
-def test_a_system_whose_position_jumped_is_left_out_as_a_whole():
+def test_a_system_whose_position_jumped_is_excluded_as_a_whole():
     whole = tuple(range(GPS, GPS + GALILEO))
     right = 0
     for seed in range(100):
@@ -55,7 +55,7 @@ def test_a_system_whose_position_jumped_is_left_out_as_a_whole():
     assert right >= 97
 
 
-def test_a_system_whose_clock_left_keeps_its_satellites():
+def test_a_system_with_a_clock_fault_keeps_its_satellites():
     found = [judged(lambda sight: of_galileo(np.full(len(sight), 15.0)), s) for s in range(100)]
     assert sum(verdict.hypothesis == SYSTEM_CLOCK for verdict in found) >= 97
 
@@ -71,7 +71,7 @@ def test_single_satellites_are_not_taken_for_their_system():
 
 
 @pytest.mark.parametrize("few", [3, 4])
-def test_few_satellites_of_a_system_are_not_blamed_where_the_other_may_have_moved(few):
+def test_few_satellites_of_a_system_are_not_isolated_where_the_other_may_have_moved(few):
     """Predicted to 300 m, as at a reference station's interval of 30 s."""
 
     def of_gps(sight):
@@ -87,7 +87,7 @@ def test_few_satellites_of_a_system_are_not_blamed_where_the_other_may_have_move
     assert sum((v.hypothesis, v.whole_system) == ("multiple-unknown", True) for v in found) >= 75
 
 
-def test_one_of_few_satellites_of_a_system_is_still_told():
+def test_one_of_few_satellites_of_a_system_is_still_isolated():
     def faulty(sight):
         change = np.zeros(len(sight))
         change[GPS + 2] = 50.0
@@ -97,7 +97,7 @@ def test_one_of_few_satellites_of_a_system_is_still_told():
     assert sum(verdict.subset == (GPS + 2,) for verdict in found) >= 97
 
 
-def test_one_system_alone_is_no_hypothesis():
+def test_a_single_system_is_no_hypothesis():
     assert group_by_system(np.ones((6, 3)), np.zeros((6, 3))).rows == ()
 
 
@@ -150,7 +150,7 @@ def error_m(decision):
     return float(np.linalg.norm(np.subtract(decision.position_ecef_m, ANTENNA_M)))
 
 
-def test_a_system_s_clock_that_runs_away_costs_no_height_and_no_satellite(static):
+def test_a_fault_of_a_systems_clock_changes_no_height_and_excludes_no_satellite(static):
     found = spoofed(static, "E", lambda _: 0.0, lambda since_s: 0.9 * since_s)
     assert len(found) == FOR_S
     assert min(s for s, decision in found if decision.alarm) < 6.0
@@ -159,7 +159,7 @@ def test_a_system_s_clock_that_runs_away_costs_no_height_and_no_satellite(static
 
 
 @pytest.mark.parametrize("system", ["G", "E"])
-def test_a_system_that_jumps_is_left_out_at_once_and_the_position_stays(static, system):
+def test_a_system_that_jumps_is_excluded_at_once_and_the_position_stays(static, system):
     found = spoofed(static, system, lambda _: 30.0)
     for _, decision in found:
         assert {name[0] for name in decision.excluded} == {system}
@@ -169,7 +169,7 @@ def test_a_system_that_jumps_is_left_out_at_once_and_the_position_stays(static, 
 
 
 @pytest.mark.parametrize("system", ["G", "E"])
-def test_a_slow_carry_off_of_one_system_is_declared_and_followed_by_nobody(static, system):
+def test_a_slow_carry_off_of_one_system_is_declared_and_not_followed(static, system):
     found = spoofed(static, system, lambda since_s: 1.0 * since_s)
     alarmed_s = min(s for s, decision in found if decision.alarm)
     assert alarmed_s < 10.0

@@ -43,7 +43,7 @@ def spoofed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Spoo
 
 
 @pytest.mark.parametrize("preset", ["gnss-meaconing", "gnss-spoof-jump"])
-def test_a_leap_of_all_satellites_is_told_and_nothing_bounds_the_position_until_they_are_back(
+def test_a_jump_of_all_satellites_is_reported_and_the_position_unbounded_until_they_are_back(
     spoofed: Spoofed, preset: str
 ) -> None:
     found = spoofed({"preset": preset})
@@ -60,7 +60,7 @@ def test_a_leap_of_all_satellites_is_told_and_nothing_bounds_the_position_until_
     assert {decision.hypothesis for decision in back[1:]} == {"none"}
 
 
-def test_who_left_with_its_system_is_back_with_it(spoofed: Spoofed) -> None:
+def test_a_satellite_excluded_with_its_system_is_readmitted_with_it(spoofed: Spoofed) -> None:
     jump = {"fault": "plant", "target": "PLANT.spoof_north_m[G]", "value": 30.0}
     found = spoofed(jump)
     acting = [decision for decision in found if 0.0 <= decision.t_s < FOR_S]
@@ -69,7 +69,7 @@ def test_who_left_with_its_system_is_back_with_it(spoofed: Spoofed) -> None:
     assert not any(decision.excluded for decision in found if decision.t_s > FOR_S + 11.0)
 
 
-def test_leaps_add_up_to_where_the_satellites_belong() -> None:
+def test_jumps_add_up_until_the_satellites_are_back() -> None:
     north, east = np.array([0.0, 0.0, 150.0]), np.array([0.0, 200.0, 0.0])
     assert accumulated_jump_m(None, None) is None
     first = accumulated_jump_m(None, north)

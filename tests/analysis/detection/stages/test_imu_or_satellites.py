@@ -21,7 +21,7 @@ FROM_S, FLOWN_S = 25.0, 45.0
 Flights = Callable[..., list[Sample]]
 
 
-def told(samples: list[Sample]) -> tuple[list[Decision], list[float], list[SensorDecision]]:
+def run_on(samples: list[Sample]) -> tuple[list[Decision], list[float], list[SensorDecision]]:
     """Decisions, the errors of their positions in m, and the IMU's own results."""
     results = run_detector(Detector(DetectorConfig()), samples)
     truth = {
@@ -54,14 +54,14 @@ def faulty(samples: list[Sample], gyro_rps: float, accel_mps2: float) -> list[Sa
     ("leap_m", "speed_mps"),
     [(0.0, 0.5), (0.0, 1.0), (0.0, 2.0), (0.0, 5.0), (20.0, 0.0), (200.0, 0.0)],
 )
-def test_all_satellites_led_away_are_not_blamed_on_the_imu(
+def test_for_a_carry_off_of_all_satellites_the_imu_is_not_isolated(
     leap_m: float, speed_mps: float, flights: Flights
 ) -> None:
     def away(t_s: float) -> tuple[float, float]:
         since_s = t_s - FROM_S
         return (leap_m + speed_mps * since_s, speed_mps) if since_s >= 0.0 else (0.0, 0.0)
 
-    decisions, errors, imu = told(flights(FLOWN_S, 2, away=away))
+    decisions, errors, imu = run_on(flights(FLOWN_S, 2, away=away))
     assert "imu" not in {d.hypothesis for d in decisions}
     assert not [r for r in imu if r.alarm]
     first = next(d for d in decisions if d.alarm)
@@ -87,7 +87,7 @@ def test_satellites_that_were_led_away_for_a_while_are_used_again(
         since_s = t_s - FROM_S
         return (speed_mps * since_s, speed_mps) if 0.0 <= since_s < 6.0 else (0.0, 0.0)
 
-    decisions, errors, _ = told(flights(FLOWN_S, 3, away=away))
+    decisions, errors, _ = run_on(flights(FLOWN_S, 3, away=away))
     assert {d.hypothesis for d in decisions} == {"none", "gps"}
     assert decisions[-1].position_sigma_m is not None
     assert max(errors) < 5.0
@@ -95,7 +95,7 @@ def test_satellites_that_were_led_away_for_a_while_are_used_again(
 
 
 @pytest.mark.parametrize("speed_mps", [0.4, 0.5])
-def test_the_end_of_a_drag_that_was_followed_for_want_of_better_is_not_the_imu(
+def test_at_the_end_of_a_followed_drag_the_imu_is_not_isolated(
     speed_mps: float, flights: Flights
 ) -> None:
     def away(t_s: float) -> tuple[float, float]:
@@ -103,14 +103,14 @@ def test_the_end_of_a_drag_that_was_followed_for_want_of_better_is_not_the_imu(
         return (speed_mps * since_s, speed_mps) if 0.0 <= since_s < 18.0 else (0.0, 0.0)
 
     # Long enough to be given up; it ends in less than the leap that no IMU makes.
-    decisions, _, _ = told(flights(FLOWN_S + 5.0, 2, away=away))
+    decisions, _, _ = run_on(flights(FLOWN_S + 5.0, 2, away=away))
     assert "imu" not in {d.hypothesis for d in decisions}
     assert decisions[-1].position_sigma_m is None
 
 
 @pytest.mark.parametrize(("gyro_rps", "accel_mps2"), [(0.1, 0.0), (0.0, 1.0), (0.0, 8.0)])
 def test_a_wrong_imu_is_still_the_imu(gyro_rps: float, accel_mps2: float, flights: Flights) -> None:
-    decisions, errors, imu = told(faulty(flights(FLOWN_S, 4), gyro_rps, accel_mps2))
+    decisions, errors, imu = run_on(faulty(flights(FLOWN_S, 4), gyro_rps, accel_mps2))
     assert {d.hypothesis for d in decisions if d.alarm} == {"imu"}
     assert [r for r in imu if r.alarm]
     assert all(d.position_sigma_m is not None for d in decisions)
@@ -137,7 +137,7 @@ def test_a_drag_in_a_real_walk_and_its_end_are_never_the_imu_alone(
     assert after_s == pytest.approx(0.0 if speed_mps > 1.0 else 30.0, abs=0.1)
 
 
-def test_an_imu_that_is_told_apart_later_gives_the_position_its_bound_back(
+def test_an_imu_that_is_isolated_later_restores_the_bounds_of_the_position(
     shared_data: Path,
 ) -> None:
     folder = shared_data / "gnss_imu_walk"

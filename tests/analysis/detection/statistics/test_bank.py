@@ -113,15 +113,15 @@ def test_a_wrong_position_is_the_imu_s():
 
 
 @pytest.mark.parametrize("kind", ["3", "5"])
-def test_many_bad_satellites_are_not_the_imu_s(kind: str):
+def test_many_faulty_satellites_do_not_isolate_the_imu(kind: str):
     assert verdicts(kind, 10.0, 400).get("imu", 0.0) <= 0.03  # 1 % and four binomial sigma
 
 
-def test_the_plain_rule_blames_the_imu_for_satellites():
+def test_the_plain_rule_isolates_the_imu_for_satellites():
     assert verdicts("5", 10.0, 200, "plain").get("imu", 0.0) > 0.9
 
 
-def test_the_main_test_alarms_as_often_as_asked():
+def test_the_main_test_has_the_configured_false_alarm_rate():
     rng = np.random.default_rng(3)
     alarms = 0
     for _ in range(40):
