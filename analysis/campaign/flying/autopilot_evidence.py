@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.campaign.cell import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
 from analysis.campaign.flying.flight_phases import AIRBORNE_M
-from analysis.report.recordings.mode_names import mode_name
+from analysis.report.curves.vehicle_phase import CLASSES, mode_name
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
 from mavproxy_fault.numerics.earth import curvature_radii
@@ -110,7 +110,9 @@ def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
     rows = rows[rows["autopilot"] != NO_AUTOPILOT]
     marks, previous = [], None
     for t_s, row in zip(since(rows["t_us"]).tolist(), rows, strict=True):
-        name = mode_name(int(row["autopilot"]), int(row["type"]), int(row["custom_mode"]))
+        name = mode_name(
+            int(row["autopilot"]), CLASSES.get(int(row["type"]), ""), int(row["custom_mode"])
+        )
         if previous is not None and name != previous:
             marks.append(FlightMark(round(t_s, 3), "failsafe", name))
         previous = name

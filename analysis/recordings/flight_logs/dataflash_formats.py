@@ -7,6 +7,7 @@ characters, the type from the messages that have no format, name and columns fro
 .. [1] ArduPilot, libraries/AP_Logger/LogStructure.h.
 """
 
+import re
 import struct
 from collections import Counter
 from collections.abc import Mapping
@@ -83,18 +84,34 @@ def parse_format(raw: bytes) -> MessageFormat | None:
     number, length, *texts = struct.unpack("<BB4s16s64s", raw[HEAD:FORMAT_BYTES])
     name, codes, listed = (text.split(b"\0", 1)[0].decode("latin-1") for text in texts)
     columns = [column for column in listed.split(",") if column]
+    # A wrong byte may end the characters early, or follow them.
+    ways = (codes, texts[1].rstrip(b"\0").decode("latin-1"), codes[:-1])
+    fitting = [way for way in ways if HEAD + sum(SIZES.get(code, 0) for code in way) == length]
+    fitting = [way for way in fitting if SIZES.keys() >= set(way)] or [
+        way for way in ways if len(way) == len(columns)
+    ]
+    codes = fitting[0] if fitting else codes
+    if len(columns) == len(codes) - 1:
+        # A wrong byte in place of a comma: names are letters and digits.
+        columns = re.sub(r"[^\w,]|[^\x00-\x7f]", ",", listed).split(",")
     sizes = [SIZES.get(code, 0) for code in codes]
     broken = [i for i, code in enumerate(codes) if code not in TYPES]
-    sound = not broken and HEAD + sum(sizes) == length and len(columns) == len(codes)
+    excess = HEAD + sum(sizes) - length
+    sound = not broken and excess == 0 and len(columns) == len(codes)
+    if not broken and excess and len(columns) == len(codes):
+        # One character became another one; the length may be wrong instead.
+        could = [i for i, size in enumerate(sizes) if size - excess in SIZES.values() and i]
+        broken = could[:1] if len(could) == 1 else []
     if len(broken) == 1:
         # The length gives the size of the one column that cannot be read.
-        sizes[broken[0]] = length - HEAD - sum(sizes)
-        codes = "".join(code if code in TYPES else "?" for code in codes)
+        sizes[broken[0]] -= HEAD + sum(sizes) - length
+        codes = "".join("?" if i in broken else code for i, code in enumerate(codes))
     if not sizes or len(broken) > 1 or min(sizes) < 1 or HEAD + sum(sizes) > 255:
         return None
-    # A damaged comma merges or splits names: those behind it cannot be assigned.
-    columns = columns[: len(codes)]
-    columns += [f"column{i}" for i in range(len(columns), len(codes))]
+    if len(columns) != len(codes):
+        # Which name is split or merged is unknown: only those of a known message can be assigned.
+        known = KNOWN.get(name, columns[:1])
+        columns = [*known, *(f"column{i}" for i in range(len(known), len(codes)))][: len(codes)]
     unique = [f"{c}_{i}" if c in columns[:i] or c == "at" else c for i, c in enumerate(columns)]
     return _named(MessageFormat(number, name, tuple(unique), codes, tuple(sizes), sound))
 

@@ -24,6 +24,7 @@ Topic = dict[str, NDArray[Any]]
 MAGIC = b"ULog\x01\x12\x35"
 PROGRESS_STEP_BYTES = 1 << 20  # between two progress reports
 MAX_READ_FACTOR = 100  # limit on bytes read, in file sizes, against endless reading
+STALE_US = 1_000_000  # chosen: sensors are sampled more often
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 
 
@@ -52,6 +53,8 @@ class ULogFile:
         Whether parts of the file could not be read.
     cut : bool
         Whether the file ends within a message.
+    stale : int
+        First samples of topics from before the log, which count as of its beginning.
     """
 
     topics: Mapping[tuple[str, int], Topic]
@@ -65,6 +68,7 @@ class ULogFile:
     printed: dict[str, str]
     corrupted: bool
     cut: bool
+    stale: int
 
 
 class _BoundedFile(io.FileIO):
@@ -127,6 +131,7 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] = lambda _: No
         for data in log.data_list
         if len(data.data.get("timestamp", ()))  # some topics are declared and never logged
     }
+    stale = _clip_stale(topics, int(log.start_timestamp))
     wrong = remove_misdated(topics)
     return ULogFile(
         topics,
@@ -144,7 +149,22 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] = lambda _: No
         printed_texts(log),
         bool(log.file_corruption or complaints.getvalue() or wrong),
         file.cut,
+        stale,
     )
+
+
+def _clip_stale(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
+    """Move samples published before the log began to its beginning; returns how many they are.
+
+    The logger writes the newest sample of every topic first, which may be minutes old.
+    """
+    count = 0
+    for topic in topics.values():
+        old = topic["timestamp"] < start_us - STALE_US
+        if old.any():
+            count += int(old.sum())
+            topic["timestamp"] = np.where(old, np.uint64(start_us), topic["timestamp"])
+    return count
 
 
 def remove_misdated(topics: dict[tuple[str, int], Topic]) -> bool:

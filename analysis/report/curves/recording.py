@@ -126,6 +126,8 @@ class FlightData:
         Default values of parameters, if the log has them.
     printed : dict
         Console output, processes and performance counters by title.
+    vehicle : str
+        Class of the vehicle (`vehicle_phase.CLASSES`), "" if unknown.
     """
 
     name: str
@@ -146,6 +148,7 @@ class FlightData:
     messages: dict[str, Message] = field(default_factory=dict)
     defaults: dict[str, float] = field(default_factory=dict)
     printed: dict[str, str] = field(default_factory=dict)
+    vehicle: str = ""
 
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
@@ -167,6 +170,7 @@ def join_recordings(first: FlightData, second: FlightData) -> FlightData:
         | {
             "events": sorted(first.events + second.events, key=lambda event: event.t_s),
             "autopilot": first.autopilot or second.autopilot,
+            "vehicle": first.vehicle or second.vehicle,
             "duration_s": max(first.duration_s, second.duration_s),
             "size": first.size + second.size,
             "junk_bytes": first.junk_bytes + second.junk_bytes,

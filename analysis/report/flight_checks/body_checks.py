@@ -3,6 +3,7 @@
 import numpy as np
 
 from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.vehicle_phase import flying_windows
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
 
@@ -26,7 +27,7 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
             "vibration", of("vibration"), CheckLimits(*shaking, "m/s²", hold_s=hold), armed
         ),
         _clipping(recording, th, armed),
-        check_level("attitude control", tilt, control, armed),
+        check_level("attitude control", tilt, control, flying_windows(recording)),
         check_level("compass field strength", _compass(recording), compass, armed),
         check_level("battery remaining", of("battery-remaining"), remaining, armed),
         check_level("board voltage", powered, voltage, armed),

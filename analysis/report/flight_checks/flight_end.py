@@ -12,6 +12,7 @@ STOP_S = 0.7  # chosen: the ground stops a fall within this time
 REST_S = 2.0  # chosen: the vehicle then stays at rest this long
 REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
 IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
+LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
 GRID_STEP_S = 0.1  # time step of the resampled height
 AIRBORNE_M = 2.0  # chosen: above the noise of a barometric height
 FALLING_MPS = 3.0  # chosen: a faster sink at the end of a log is a fall
@@ -89,6 +90,8 @@ def _motion(recording: FlightData) -> tuple[Vector, Vector, Vector] | None:
     heights = [*recording.of("height"), *recording.of("altitude")]
     height = _first(heights)
     if height is None:
+        return None
+    if not 4 * GRID_STEP_S < height.t_s[-1] - height.t_s[0] < LONGEST_S:
         return None
     t_s = np.arange(height.t_s[0], height.t_s[-1], GRID_STEP_S)
     height_m = np.interp(t_s, height.t_s, height.value)

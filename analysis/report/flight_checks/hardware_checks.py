@@ -3,6 +3,7 @@
 import numpy as np
 
 from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.vehicle_phase import flying_windows
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
 
@@ -19,7 +20,7 @@ FULL_OUTPUT = 0.99  # share of the range, below 1 for rounding
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
     """Check each part."""
     of, hold = recording.of, th.hold_s
-    motors = motor_outputs(recording)
+    motors, flying = motor_outputs(recording), flying_windows(recording)
     gyros = [_mean(signal) for signal in of("gyro-disagreement")]
     accelerometers = [_mean(signal) for signal in of("accel-disagreement")]
     # Unconnected cells read about zero.
@@ -28,10 +29,10 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     loops = [] if SIMULATED in recording.parameters else of("scheduler")
     return [
         check_level(
-            "motor balance", _off_mean(motors), CheckLimits(*th.motor_balance, hold_s=hold), armed
+            "motor balance", _off_mean(motors), CheckLimits(*th.motor_balance, hold_s=hold), flying
         ),
         check_level(
-            "motors at their limit", _full(motors), CheckLimits(*th.motor_limit_s, "s"), armed
+            "motors at their limit", _full(motors), CheckLimits(*th.motor_limit_s, "s"), flying
         ),
         check_level(
             "gyroscopes agree", gyros, CheckLimits(*th.gyro_apart_rps, "rad/s", hold_s=hold), armed

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.curves.recording import FlightData, Signal, Vector, true_runs
+from analysis.report.curves.recording import Signal, Vector, true_runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # "not judged" ranks below PASS.
@@ -187,12 +187,3 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
 def is_within(t_s: float, windows: Windows | None) -> bool:
     """Whether an instant is within any of the windows (None: always)."""
     return windows is None or any(start <= t_s <= end for start, end in windows)
-
-
-def armed_windows(recording: FlightData) -> list[tuple[float, float]] | None:
-    """Windows in which the vehicle was armed; None if the log has no arming state."""
-    spans = [span for span in recording.spans if span.lane.startswith("armed")]
-    if not spans:
-        # Unknown, which differs from "never armed" (an empty list).
-        return None
-    return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == "armed"])

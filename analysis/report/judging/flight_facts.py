@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
 from analysis.report.curves.recording import FlightData, Signal
-from analysis.report.judging.checks import armed_windows
+from analysis.report.curves.vehicle_phase import armed_windows
 
 
 def flight_facts(recording: FlightData) -> list[tuple[str, str]]:

@@ -14,7 +14,7 @@ from analysis.report.curves.spectra import (
     frequency_marks,
     spectrum_panels,
 )
-from analysis.report.judging.checks import armed_windows
+from analysis.report.curves.vehicle_phase import armed_windows
 from analysis.report.page.packed_numbers import (
     PackedNumbers,
     break_at_gaps,

@@ -4,6 +4,7 @@ Messages and fields are named as in ArduPilot's log reference (old logs: as then
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,20 +25,23 @@ from analysis.report.curves.recording import (
     Vector,
     active_spans,
     flag_events,
+    value_spans,
 )
-from analysis.report.recordings.mode_names import (
-    ARDUPILOT,
-    ERRORS,
-    EVENTS,
-    FIXED_WING,
-    ROVERS,
-    mode_name,
-)
+from analysis.report.curves.vehicle_phase import ARDUPILOT, BUILDS, class_by_texts, mode_name
+from analysis.report.recordings.event_names import ERRORS, EVENTS
 
 ARMED, DISARMED = 10, 11  # EV.Id
 # EV.Id of events that occur once per flight and only while armed.
 AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED = 15, 28, 57
-COPTER = 2  # MAV_TYPE of a quadrotor
+LANDED = 18
+ARMING_EVENTS = (ARMED, DISARMED, AUTO_ARMED, NOT_LANDED, MOTORS_ALLOWED)
+# Fields that show states where events are missing: message, field, lane, texts of 0 and 1.
+STATES = (
+    ("ARM", "ArmState", "armed", ("disarmed", "armed")),
+    ("STAT", "Armed", "armed", ("disarmed", "armed")),
+    ("STAT", "isFlying", "flying", ("landed", "flying")),
+)
+FIRST_TEXTS = 40  # chosen: the firmware names itself among the first texts of a log
 ERROR_SEVERITY = 3  # severity of an error
 # Bits of the field TS.
 TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
@@ -56,7 +60,8 @@ ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = None) -> FlightData:
     """Convert a dataflash log; the time axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
-    found = FlightData(name, "ardupilot", start_us, (log.end_us - start_us) * 1e-6)
+    end_s = (log.end_us - start_us) * 1e-6
+    found = FlightData(name, "ardupilot", start_us, end_s, vehicle=_vehicle_class(log))
     for (kind, instance), topic in sorted(log.topics.items()):
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
@@ -87,6 +92,16 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     return replace(found, utc0_us=_utc0_us(log, start_us))
 
 
+def _topic(
+    log: DataflashFile, name: str, numbers: Sequence[str] = (), texts: Sequence[str] = ()
+) -> Topic | None:
+    """A topic with these fields; None without them, as where a format is damaged."""
+    topic = log.topics.get((name, 0), {})
+    right = all(key in topic and topic[key].dtype.kind in "iuf" for key in numbers)
+    right &= all(key in topic and topic[key].dtype.kind == "S" for key in texts)
+    return topic if right else None
+
+
 def _seconds(topic: Topic, start_us: int) -> Vector:
     return np.asarray((topic["TimeUS"] - start_us) * 1e-6, float)
 
@@ -107,27 +122,48 @@ def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[GroundTra
     return [GroundTrack(label + suffix, t_s[keep], *columns)]
 
 
+def _vehicle_class(log: DataflashFile) -> str:
+    """Class by the build (VER), or by the name of the firmware, which is among the first texts."""
+    parameters = _topic(log, "PARM", numbers=("Value",), texts=("Name",)) or {}
+    quad = [v for n, v in zip(parameters.get("Name", ()), parameters.get("Value", ()), strict=False)
+            if _text(n) == "Q_ENABLE"]  # fmt: skip
+    said = _topic(log, "MSG", texts=("Message",)) or {}
+    texts = [_text(text) for text in said.get("Message", ())[:FIRST_TEXTS]]
+    build = (_topic(log, "VER", numbers=("BU",)) or {"BU": np.zeros(1)})["BU"][0]
+    known = class_by_texts(texts, {"Q_ENABLE": float(quad[-1]) if quad else 0.0})
+    return known or BUILDS.get(int(build), "")
+
+
 def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    topic = log.topics.get(("MODE", 0))
-    if topic is None:
+    topic = log.topics.get(("MODE", 0), {})
+    key = next((k for k in ("ModeNum", "Mode") if k in topic and topic[k].dtype.kind in "iu"), None)
+    if key is None:
         return
-    texts = " ".join(_text(text) for text in log.topics.get(("MSG", 0), {}).get("Message", [])[:20])
-    # The vehicle type is not logged; the firmware name is among the first messages.
-    vehicle = FIXED_WING if "Plane" in texts else ROVERS[0] if "Rover" in texts else COPTER
     # A mode lasts until the next one or the end.
     t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
-    numbers = topic.get("ModeNum", topic.get("Mode", np.empty(0)))
-    for i, number in enumerate(numbers.tolist()):
-        text = mode_name(ARDUPILOT, vehicle, int(number))
+    for i, number in enumerate(topic[key].tolist()):
+        text = mode_name(ARDUPILOT, found.vehicle, int(number))
         found.spans.append(Span("mode", t_s[i], t_s[i + 1], text, "mode"))
         found.events.append(Event(t_s[i], "mode", f"mode {text}"))
 
 
 def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """Spans between arming and disarming; a log may begin or end in flight."""
-    topic = log.topics.get(("EV", 0))
-    if topic is None:
+    """Spans between arming and disarming, and in the air; a log may begin or end in flight."""
+    for name, field, lane, texts in STATES:
+        topic = log.topics.get((name, 0), {})
+        if field in topic and not any(span.lane == lane for span in found.spans):
+            words = [texts[int(bool(state))] for state in topic[field].tolist()]
+            found.spans.extend(_lasting(lane, _seconds(topic, start_us), words, found.duration_s))
+    topic = _topic(log, "EV", numbers=("Id",))
+    if topic is None or not np.isin(topic["Id"], ARMING_EVENTS).any():
         return
+    found.spans[:] = [span for span in found.spans if span.lane != "armed"]
+    air = np.isin(topic["Id"], (NOT_LANDED, LANDED, DISARMED))
+    if np.any(topic["Id"] == NOT_LANDED):
+        words = ["flying" if number == NOT_LANDED else "landed" for number in topic["Id"][air]]
+        t_all_s = _seconds(topic, start_us)
+        found.spans[:] = [span for span in found.spans if span.lane != "flying"]
+        found.spans.extend(_lasting("flying", t_all_s[air], words, found.duration_s))
     since: float | None = None
     first, began = True, 0.0
     # A first disarming without arming: the log begins in flight, or the arming event is lost; then
@@ -150,6 +186,11 @@ def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
         since = began
     if since is not None:
         found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
+
+
+def _lasting(lane: str, t_s: Vector, words: list[str], end_s: float) -> list[Span]:
+    """Spans of equal words, the last one until the end of the log."""
+    return value_spans(lane, np.append(t_s, end_s), [*words, words[-1]]) if words else []
 
 
 def _add_flags(found: FlightData, log: DataflashFile, start_us: int) -> None:
@@ -206,10 +247,10 @@ def _utc0_us(log: DataflashFile, start_us: int) -> int:
 
 def _add_texts(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """Add messages and errors."""
-    if (topic := log.topics.get(("MSG", 0))) is not None:
+    if (topic := _topic(log, "MSG", texts=("Message",))) is not None:
         for t_s, text in zip(_seconds(topic, start_us).tolist(), topic["Message"], strict=True):
             found.events.append(Event(t_s, "text", _text(text), UNGRADED))
-    if (topic := log.topics.get(("ERR", 0))) is not None:
+    if (topic := _topic(log, "ERR", numbers=("Subsys", "ECode"))) is not None:
         rows = zip(_seconds(topic, start_us).tolist(), topic["Subsys"], topic["ECode"], strict=True)
         for t_s, subsystem, code in rows:
             name = ERRORS.get(int(subsystem), f"subsystem {subsystem}")
@@ -219,7 +260,7 @@ def _add_texts(found: FlightData, log: DataflashFile, start_us: int) -> None:
 
 
 def _add_parameters(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    topic = log.topics.get(("PARM", 0))
+    topic = _topic(log, "PARM", numbers=("Value",), texts=("Name",))
     if topic is None:
         return
     t_s_of = _seconds(topic, start_us).tolist()

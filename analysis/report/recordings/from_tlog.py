@@ -19,6 +19,8 @@ from analysis.report.curves.recording import (
     value_spans,
 )
 from analysis.report.curves.tlog_curves import CURVES
+from analysis.report.curves.vehicle_phase import ARDUPILOT, CLASSES, PX4, mode_name
+from analysis.report.recordings.event_names import EKF_ARDUPILOT_GLITCH, ESTIMATOR_FLAGS, STATES
 from analysis.report.recordings.link_quality import link_quality
 from analysis.report.recordings.log_clock import (
     GROUND_STATION,
@@ -28,17 +30,10 @@ from analysis.report.recordings.log_clock import (
     autopilot_component,
     clock_of,
 )
-from analysis.report.recordings.mode_names import (
-    ARDUPILOT,
-    EKF_ARDUPILOT_GLITCH,
-    ESTIMATOR_FLAGS,
-    PX4,
-    STATES,
-    mode_name,
-)
 from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
 from mavproxy_fault.wire.tlog import Columns
 
+LANDED_STATES = {1: "landed", 2: "flying", 3: "flying", 4: "flying"}  # MAV_LANDED_STATE
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
 TRUTH = "HIL_STATE_QUATERNION"
@@ -65,7 +60,7 @@ class _Vehicle:
     clock: LogClock
     suffix: str
     autopilot: int
-    type: int
+    kind: str
 
 
 def merge_logs(logs: Sequence[Columns]) -> Columns:
@@ -128,7 +123,7 @@ def recording_of_tlog(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
         found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
-        messages=found.messages,
+        messages=found.messages, vehicle=vehicles[0].kind,
     )  # fmt: skip
 
 
@@ -187,14 +182,16 @@ def vehicle_systems(columns: Columns) -> list[int]:
     return sorted(systems)
 
 
-def _kind(columns: Columns) -> tuple[int, int]:
-    """Autopilot and vehicle type from the autopilot's heartbeats; zeros without heartbeats."""
+def _kind(columns: Columns) -> tuple[int, str]:
+    """Autopilot and class of the vehicle from the autopilot's heartbeats."""
     beats = columns.get("HEARTBEAT")
     if beats is None:
-        return 0, 0
+        return 0, ""
     beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
     # The last heartbeat, as the type may be known late.
-    return (int(beats["autopilot"][-1]), int(beats["type"][-1])) if len(beats) else (0, 0)
+    if not len(beats):
+        return 0, ""
+    return int(beats["autopilot"][-1]), CLASSES.get(int(beats["type"][-1]), "")
 
 
 def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
@@ -214,6 +211,7 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
             found.signals.append(Signal(curve.panel, name, message.t_s, y))
     _add_tracks(found, vehicle)
     _add_modes(found, vehicle)
+    _add_landed(found, vehicle)
     _add_flags(found, vehicle)
     _add_texts(found, vehicle)
     _add_parameters(found, vehicle)
@@ -267,7 +265,7 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
         return
     t_s = vehicle.clock.seconds(beats)
     names = [
-        mode_name(vehicle.autopilot, vehicle.type, mode) for mode in beats["custom_mode"].tolist()
+        mode_name(vehicle.autopilot, vehicle.kind, mode) for mode in beats["custom_mode"].tolist()
     ]
     armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
     # Only CRITICAL and EMERGENCY have a name; other states make no span.
@@ -280,6 +278,15 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
             found.events.append(Event(float(t_s[i]), "mode", f"mode {names[i]}{vehicle.suffix}"))
         if armed[i] != armed[i - 1]:
             found.events.append(Event(float(t_s[i]), "mode", armed[i] + vehicle.suffix))
+
+
+def _add_landed(found: FlightData, vehicle: _Vehicle) -> None:
+    rows = vehicle.columns.get("EXTENDED_SYS_STATE")
+    # Zero means undefined.
+    if rows is not None and rows["landed_state"].any():
+        texts = [LANDED_STATES.get(state, "") for state in rows["landed_state"].tolist()]
+        t_s = vehicle.clock.seconds(rows)
+        found.spans.extend(value_spans("flying" + vehicle.suffix, t_s, texts))
 
 
 def _add_flags(found: FlightData, vehicle: _Vehicle) -> None:

@@ -21,6 +21,7 @@ from analysis.report.curves.recording import (
 )
 from analysis.report.curves.ulog_curves import CURVES
 from analysis.report.curves.ulog_innovations import innovation_signals
+from analysis.report.curves.vehicle_phase import CLASSES, PX4_TYPES, VTOL
 from analysis.report.recordings.ulog_flags import flag_spans
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
@@ -78,8 +79,17 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
         _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
-        defaults=log.defaults, printed=log.printed,
+        defaults=log.defaults, printed=log.printed, vehicle=_vehicle_class(log),
     )  # fmt: skip
+
+
+def _vehicle_class(log: ULogFile) -> str:
+    status = log.topics.get(("vehicle_status", 0), {})
+    if "is_vtol" in status and status["is_vtol"].any():
+        return VTOL
+    if "vehicle_type" in status:
+        return PX4_TYPES.get(int(status["vehicle_type"][-1]), "")
+    return CLASSES.get(int(status["system_type"][-1]), "") if "system_type" in status else ""
 
 
 def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
@@ -134,6 +144,9 @@ def _spans(name: str, suffix: str, topic: Topic, t_s: Values) -> list[Span]:
         texts = [NAV_STATES.get(state, f"state {state}") for state in states]
         names = ["armed" if now else "disarmed" for now in armed]
         return value_spans("mode", t_s, texts) + value_spans("armed", t_s, names)
+    if name == "vehicle_land_detected" and "landed" in topic:
+        landed = topic["landed"].astype(bool).tolist()
+        return value_spans("flying", t_s, ["landed" if low else "flying" for low in landed])
     if name == "estimator_selector_status":
         texts = [f"instance {i + 1}" for i in topic["primary_instance"].tolist()]
         return value_spans("estimator in use", t_s, texts)
@@ -186,6 +199,8 @@ def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
+    if log.stale:
+        notes.append(f"{log.stale} samples from before the log are drawn at its beginning")
     if lacking:
         notes.append(f"fields missing in {', '.join(lacking)}: no spans or tracks from it")
     if log.cut:

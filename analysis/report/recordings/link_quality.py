@@ -25,7 +25,9 @@ class LastFrame:
 
 
 def sum_stretches(
-    frames: NDArray[np.void], last: dict[int, LastFrame], restarts_us: Sequence[int] = ()
+    frames: NDArray[np.void],
+    last: dict[int, LastFrame],
+    restarts_us: Sequence[tuple[int, int]] = (),
 ) -> NDArray[np.void]:
     """Count frames, losses and gaps of each sender in short periods of a log or a block of it.
 
@@ -36,8 +38,9 @@ def sum_stretches(
     last : dict
         The last frame of each sender (system * 256 + component) in the blocks before; updated in
         place.
-    restarts_us : sequence of int
-        Timestamps of the first frames after a restart of the vehicle, which numbers them anew.
+    restarts_us : sequence of (last_us, first_us)
+        Timestamps of the last frame before a restart of the vehicle, which numbers frames anew, and
+        of the first one behind it.
 
     Returns
     -------
@@ -54,8 +57,8 @@ def sum_stretches(
         before = last.get(key, LastFrame((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
         # Modulo 256, in a wider type.
         steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
-        anew = np.searchsorted(rows["t_us"], np.array(restarts_us, np.int64))
-        steps[anew[anew < len(rows)]] = 1
+        for last_us, first_us in restarts_us:
+            steps[(rows["t_us"] > last_us) & (rows["t_us"] <= first_us)] = 1
         # A limited number of periods, none too short for a loss rate.
         starts = np.arange(0, len(rows), max(LEAST_FRAMES, len(rows) // MOST_STRETCHES))
         some = np.zeros(len(starts), STRETCHES)
@@ -86,7 +89,7 @@ def link_quality(
         Rows of `sum_stretches` by log name.
     clock : LogClock
     armed : sequence of (start_s, end_s), optional
-        Only what is lost within these windows counts; everything if there is none.
+        Only silences within these windows count; all if there is none.
     """
     links, signals = [], []
     for log, every in logs.items():
@@ -96,15 +99,12 @@ def link_quality(
                 continue
             t_s, gap_s = clock.at(some["t_us"]), some["gap_us"] * 1e-6
             begin_s = clock.at(some["gap_at_us"])
-            counts = np.ones(len(some), bool)
             if armed:
-                ends_s = np.append(t_s[1:], np.inf)
                 starts, stops = np.array(armed).T[:, :, None]
-                counts = ((t_s < stops) & (ends_s > starts)).any(axis=0)
-                # Of a silence, what lies within an armed window.
+                # Of a silence counts what lies within an armed window.
                 covered = np.minimum(begin_s + gap_s, stops) - np.maximum(begin_s, starts)
                 gap_s = np.maximum(covered.max(axis=0), 0.0)
-            lost, longest_s = int(some["lost"][counts].sum()), float(gap_s.max())
+            lost, longest_s = int(some["lost"].sum()), float(gap_s.max())
             links.append(LinkQuality(log, key >> 8, key & 255, total, lost, longest_s))
             if total >= FEWEST and some["lost"].any():
                 name = f"{key >> 8}/{key & 255} {log}".strip()

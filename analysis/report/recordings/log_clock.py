@@ -7,6 +7,7 @@ place one boot after another. Messages without a time are placed between those w
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,21 @@ BACKWARD_US = 1_000_000  # chosen: smaller steps back are frames out of order
 NEAR_US = 5_000_000  # chosen: a message's time within this is of the vehicle's clock
 SET_US = 2_000_000  # chosen: a larger lasting change of the stamps' offset is a clock that was set
 LASTING_US = 30_000_000  # chosen: frames that a stalled link delivers late have caught up by then
+LATEST_US = 60_000_000  # chosen: no link delivers a frame so late
 MOST_PAUSE_US = 86_400_000_000  # one day; chosen: between two boots in one log
 LEAST_PAUSE_US = 1_000_000  # between two boots whose pause is unknown
-STILL_SHARE = 1e-4  # stamps that cover less of the vehicle's time were not written
+MOST_SETTINGS = 20  # chosen: more of them are bytes that are no timestamps
 WALL_US = 1_000_000_000_000_000  # timestamps later than this (2001) are Unix time
+
+
+class _ClockSetting(NamedTuple):
+    """The first frame by another clock, by how much it differs, and the frames with a vehicle's
+    time before and behind the change."""
+
+    frame: int
+    by_us: int
+    first: int
+    last: int
 
 
 @dataclass(slots=True)
@@ -33,8 +45,9 @@ class StampState:
     shift_us: int = 0
     stamp_us: int | None = None
     vehicle_us: float | None = None
-    settings: list[tuple[int, int]] = field(default_factory=list)  # corrected stamp, by how much
-    restarts_us: list[int] = field(default_factory=list)  # corrected stamps of first frames
+    settings: list[int] = field(default_factory=list)  # by how much, us
+    # Corrected stamps of the last frame of a boot and the first frame of the next.
+    restarts_us: list[tuple[int, int]] = field(default_factory=list)
     unstamped: bool = False
 
     def notes(self) -> list[str]:
@@ -43,7 +56,7 @@ class StampState:
         if self.unstamped:
             found.append("the log has no timestamps: times are the vehicle's")
         if self.settings:
-            far_s = max((by for _, by in self.settings), key=abs) * 1e-6
+            far_s = max(self.settings, key=abs) * 1e-6
             found.append(
                 f"the clock of the computer that wrote the log was set {len(self.settings)} "
                 f"time(s), by up to {far_s:+,.0f} s; the vehicle's clock ran on and counts"
@@ -129,17 +142,30 @@ def steady_stamps(frames: NDArray[np.void], columns: Columns, state: StampState)
         Carried from block to block; changed.
     """
     at, vehicle_us = _timed_frames(frames, columns)
-    before = state.vehicle_us
+    before, newest_us = state.vehicle_us, state.stamp_us or 0
     stamps = frames["t_us"].astype(np.int64)
-    if len(at) > 1:
-        run_us = np.maximum.accumulate(vehicle_us) - vehicle_us[0]
-        if np.ptp(stamps) <= STILL_SHARE * run_us[-1]:
-            stamps, state.unstamped = _stamps_by_vehicle(len(stamps), at, vehicle_us, state), True
+    # Bytes that are no timestamps: a frame counts as of the one before.
+    sound = np.maximum.accumulate(np.where(find_misdated(stamps), 0, np.arange(len(stamps))))
+    stamps = stamps[sound]
+    settings = []
+    # Bytes that are no stamps: a log of frames alone, with foreign bytes between them.
+    for runs in (_unstamped_runs(stamps, at, vehicle_us), [(0, len(stamps))]):
+        for begin, end in runs if len(at) > 1 else ():
+            stamps[begin:end] = _stamps_by_vehicle(begin, end, at, vehicle_us)
+            state.unstamped = True
+        settings = _clock_settings(stamps, at, vehicle_us, state)
+        wild = np.abs(np.diff(stamps[at] - vehicle_us)) > SET_US
+        if np.count_nonzero(wild) <= max(MOST_SETTINGS, len(at) // MOST_SETTINGS):
+            break
     shifts = np.zeros(len(stamps), np.int64)
-    for begin, by_us in _clock_settings(stamps, at, vehicle_us, state):
-        shifts[begin] -= by_us
-        state.settings.append((int(stamps[begin]), by_us))
+    for jump in settings:
+        shifts[jump.frame] -= jump.by_us
+        state.settings.append(jump.by_us)
     stamps = stamps + state.shift_us + np.cumsum(shifts)
+    for jump in settings:
+        # Frames beside the jump may have kept the old clock.
+        between = slice(jump.first + 1, jump.last)
+        stamps[between] = np.clip(stamps[between], stamps[jump.first], stamps[jump.last])
     if state.stamp_us is None and stamps.size and frames["t_us"][0] < WALL_US:
         # A log that begins before the computer knew the date gets the later timestamps.
         right = frames["t_us"] - stamps
@@ -148,10 +174,10 @@ def steady_stamps(frames: NDArray[np.void], columns: Columns, state: StampState)
         state.shift_us = int(stamps[-1] - frames["t_us"][-1])
         state.stamp_us = int(stamps[-1])
         state.vehicle_us = float(vehicle_us[-1]) if len(at) else None
-    again = at[find_restarts(vehicle_us)] if len(at) else at
+    for i in find_restarts(vehicle_us).tolist():
+        state.restarts_us.append((int(stamps[at[i - 1]]), int(stamps[at[i]])))
     if len(at) and before is not None and vehicle_us[0] < before - BACKWARD_US:
-        again = np.append(at[:1], again)
-    state.restarts_us += stamps[again].tolist()
+        state.restarts_us.append((newest_us, int(stamps[at[0]])))
     frames["t_us"] = stamps
     for name, rows in columns.items():
         rows["t_us"] = stamps[_places(frames, name)]
@@ -187,15 +213,37 @@ def _timed_frames(
     return at[sound], vehicle_us[sound]
 
 
+def _unstamped_runs(
+    stamps: NDArray[np.int64], at: NDArray[np.int64], vehicle_us: NDArray[np.float64]
+) -> list[tuple[int, int]]:
+    """Runs (first frame, end) of equal timestamps while the vehicle's time goes on."""
+    edges = np.flatnonzero(np.diff(stamps)) + 1
+    begins, ends = np.append(0, edges), np.append(edges, len(stamps))
+    first = np.searchsorted(at, begins)
+    last = np.searchsorted(at, ends) - 1
+    some = last > first
+    begins, ends, first, last = begins[some], ends[some], first[some], last[some]
+    long = np.abs(vehicle_us[last] - vehicle_us[first]) > SET_US
+    # Frames that a stalled link delivered together: the newest one is in time.
+    offsets = stamps[at] - vehicle_us
+    for beside, own in ((first - 1, last), (last + 1, last)):
+        there = (beside >= 0) & (beside < len(at))
+        near = np.clip(beside, 0, len(at) - 1)
+        long &= ~there | (np.abs(offsets[near] - offsets[own]) > SET_US)
+    return list(zip(begins[long].tolist(), ends[long].tolist(), strict=True))
+
+
 def _stamps_by_vehicle(
-    count: int, at: NDArray[np.int64], vehicle_us: NDArray[np.float64], state: StampState
+    begin: int, end: int, at: NDArray[np.int64], vehicle_us: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Timestamps (count,) from the vehicle's times alone; boots follow each other."""
-    steps = np.diff(vehicle_us, prepend=vehicle_us[0])
-    steps[find_restarts(vehicle_us)] = LEAST_PAUSE_US
-    first = vehicle_us[0] if state.stamp_us is None else state.stamp_us + 1
-    timeline = np.maximum.accumulate(first + np.cumsum(steps))
-    return np.interp(np.arange(count), at, timeline).astype(np.int64) - state.shift_us
+    """Timestamps of the frames from `begin` to `end` from the vehicle's times alone; boots follow
+    each other."""
+    inside = (at >= begin) & (at < end)
+    places, own = at[inside], vehicle_us[inside]
+    steps = np.diff(own, prepend=own[0])
+    steps[find_restarts(own)] = LEAST_PAUSE_US
+    timeline = np.maximum.accumulate(own[0] + np.cumsum(steps))
+    return np.interp(np.arange(begin, end), places, timeline).astype(np.int64)
 
 
 def _clock_settings(
@@ -203,19 +251,21 @@ def _clock_settings(
     at: NDArray[np.int64],
     vehicle_us: NDArray[np.float64],
     state: StampState,
-) -> list[tuple[int, int]]:
-    """Frame from which on the log's clock is wrong, and by how much, per setting of the clock."""
-    found: list[tuple[int, int]] = []
+) -> list[_ClockSetting]:
+    """Every setting of the log's clock."""
+    found: list[_ClockSetting] = []
     if len(at) == 0:
-        # Without the vehicle's time only steps back are certain.
-        back = np.flatnonzero(np.diff(stamps) < -BACKWARD_US) + 1
-        return [(int(i), int(stamps[i] - stamps[i - 1])) for i in back.tolist()]
+        # Without the vehicle's time only steps back, or of days, are certain.
+        steps = np.diff(stamps)
+        wrong = np.flatnonzero((steps < -BACKWARD_US) | (steps > MOST_PAUSE_US)) + 1
+        return [_ClockSetting(i, int(stamps[i] - stamps[i - 1]), i - 1, i) for i in wrong.tolist()]
     if state.stamp_us is not None and state.vehicle_us is not None:
         since_us = int(stamps[0]) + state.shift_us - state.stamp_us
         steps_us = since_us - round(vehicle_us[0] - state.vehicle_us)
         restarted = vehicle_us[0] < state.vehicle_us - BACKWARD_US
         wrong = not 0 <= since_us <= MOST_PAUSE_US if restarted else abs(steps_us) > SET_US
-        found += [(0, since_us if restarted else steps_us)] if wrong else []
+        if wrong:
+            found.append(_ClockSetting(0, since_us if restarted else steps_us, 0, 0))
     restarts = set(find_restarts(vehicle_us).tolist())
     # Single late frames keep the time of the newest before them.
     times = np.maximum.accumulate(_continued(vehicle_us, sorted(restarts)))
@@ -228,15 +278,18 @@ def _clock_settings(
         if j in restarts:
             pause = int(stamps[last] - stamps[first])
             if not 0 <= pause <= MOST_PAUSE_US:
-                found.append((jump, pause - LEAST_PAUSE_US))
+                found.append(_ClockSetting(jump, pause - LEAST_PAUSE_US, first, last))
             continue
         before = np.searchsorted(times, times[i] - LASTING_US)
         behind = np.searchsorted(times, times[j] + LASTING_US, "right")
-        lasting = np.median(offsets[j:behind]) - np.median(offsets[before:j])
         change = float(offsets[j] - offsets[i])
         # A stalled link delivers its frames late, and then catches up.
+        if abs(change) <= LATEST_US:
+            lasting = np.median(offsets[j:behind]) - np.median(offsets[before:j])
+        else:
+            lasting = change
         if abs(lasting) > SET_US and abs(lasting) > abs(change) / 2:
-            found.append((jump, round(change)))
+            found.append(_ClockSetting(jump, round(change), first, last))
     return found
 
 

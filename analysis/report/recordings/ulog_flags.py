@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.ulog import Topic
 from analysis.report.curves.recording import REJECTED_S, Span, active_spans
-from analysis.report.recordings.mode_names import ESTIMATOR_FLAGS
+from analysis.report.recordings.event_names import ESTIMATOR_FLAGS
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]

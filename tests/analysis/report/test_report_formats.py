@@ -10,10 +10,10 @@ import pytest
 
 from analysis.recordings.flight_logs.dataflash import read_dataflash
 from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.report.curves.vehicle_phase import armed_windows
 from analysis.report.export import read_tables
 from analysis.report.flight_verdict import assess_flight
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import armed_windows
 from analysis.report.recordings.flight_sources import RecordedFlight as Source
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.recordings.from_dataflash import recording_of_dataflash

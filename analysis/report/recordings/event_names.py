@@ -1,0 +1,24 @@
+"""Names of estimator flags, errors and events, as the autopilots define them.
+
+Flags: MAVLink's ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS.
+"""
+
+# ArduPilot's LogErrorSubsystem and some of its LogEvent.
+ERRORS = {
+    1: "main", 2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsafe",
+    7: "GPS failsafe", 8: "ground station failsafe", 9: "fence failsafe", 10: "flight mode",
+    11: "GPS", 12: "crash check", 13: "flip", 15: "parachute", 16: "EKF check",
+    17: "EKF failsafe", 18: "barometer", 19: "processor", 20: "ADS-B failsafe", 21: "terrain",
+    22: "navigation", 23: "terrain failsafe", 24: "EKF primary", 25: "thrust loss check",
+    26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe", 30: "internal error",
+    31: "dead reckoning failsafe",
+}  # fmt: skip
+EVENTS = {
+    10: "armed", 11: "disarmed", 18: "landed", 19: "lost GPS", 28: "took off",
+    54: "motors emergency stopped",
+}  # fmt: skip
+STATES = {5: "CRITICAL", 6: "EMERGENCY"}
+
+# Bits of ESTIMATOR_STATUS_FLAGS.
+ESTIMATOR_FLAGS = {10: "GPS glitch", 11: "accelerometer error"}
+EKF_ARDUPILOT_GLITCH = 15  # bit of EKF_STATUS_FLAGS: EKF_GPS_GLITCHING

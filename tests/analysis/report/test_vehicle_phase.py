@@ -1,0 +1,93 @@
+"""Class, modes and phases of a vehicle; each check holds for some classes and one phase."""
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from analysis.report.curves.recording import FlightData, Signal, Span
+from analysis.report.curves.vehicle_phase import (
+    ARDUPILOT,
+    ARMED,
+    CLASSES,
+    FLYING,
+    MODES,
+    PX4,
+    armed_windows,
+    class_by_texts,
+    flying_windows,
+    mode_name,
+)
+from analysis.report.flight_checks import flight_checks, scope_of
+from analysis.report.judging.check_limits import Thresholds
+
+
+@pytest.mark.parametrize("mav_type", sorted(mavutil.AP_MAV_TYPE_MODE_MAP_DEFAULT))
+def test_modes_are_those_of_pymavlink(mav_type: int) -> None:
+    theirs = mavutil.AP_MAV_TYPE_MODE_MAP_DEFAULT[mav_type]
+    ours = MODES[CLASSES[mav_type]]
+    assert {number: ours.get(number) for number in theirs} == theirs
+
+
+def test_a_mode_is_named_by_the_class_of_the_vehicle() -> None:
+    assert mode_name(ARDUPILOT, CLASSES[12], 19) == "MANUAL"
+    assert mode_name(ARDUPILOT, CLASSES[2], 19) == "AVOID_ADSB"
+    assert mode_name(ARDUPILOT, CLASSES[10], 16) == "INITIALISING"
+    assert mode_name(PX4, CLASSES[2], 4 << 16 | 6 << 24) == "LAND"
+
+
+@pytest.mark.parametrize(
+    ("text", "quad", "kind"),
+    [
+        ("ArduCopter V4.5.7 (2a3dc4b7)", 0, "copter"),
+        ("ArduPlane V4.4.0", 0, "plane"),
+        ("ArduPlane V4.4.0", 1, "VTOL"),
+        ("ArduRover V4.2.3", 0, "rover"),
+        ("ArduSub V4.1.0", 0, "sub"),
+        ("AntennaTracker V4.5.0", 0, "tracker"),
+        ("Blimp V4.5.0", 0, "blimp"),
+        ("ChibiOS: 6a85082c", 0, ""),
+    ],
+)
+def test_the_firmware_names_the_class(text: str, quad: float, kind: str) -> None:
+    assert class_by_texts(["Barometer 1 ready", text], {"Q_ENABLE": quad}) == kind
+
+
+def flight(vehicle: str) -> FlightData:
+    """Two motors of four at full output on the ground, from 2 to 8 s, and in the air to 20 s."""
+    t_s = np.arange(0.0, 30.0, 0.1)
+    found = FlightData("x", "ardupilot", duration_s=30.0, vehicle=vehicle)
+    found.spans.append(Span("armed", 2.0, 28.0, "armed", "mode"))
+    height = np.clip(t_s - 8.0, 0.0, 10.0) * (t_s < 20.0)
+    found.signals.append(Signal("height", "estimate", t_s, height))
+    ground = t_s < 8.0
+    for i in range(4):
+        output = np.where(ground & (i < 2), 1.0, 0.5)
+        found.signals.append(Signal("actuators", f"motor {i + 1}", t_s, output))
+    return found
+
+
+def test_the_air_begins_with_the_height_and_ends_with_the_landing() -> None:
+    assert armed_windows(flight("copter")) == [(2.0, 28.0)]
+    ((start_s, end_s),) = flying_windows(flight("copter")) or ()
+    assert (start_s, end_s) == (pytest.approx(9.1), pytest.approx(19.9))
+    said = flight("copter")
+    said.spans.append(Span("flying", 7.0, 21.0, "flying", "mode"))
+    assert flying_windows(said) == [(7.0, 21.0)]
+
+
+def test_a_controller_that_is_wound_up_on_the_ground_is_not_judged() -> None:
+    found = {check.name: check for check in flight_checks(flight("copter"), Thresholds())}
+    assert found["motors at their limit"].verdict == "PASS"
+    assert found["motor balance"].verdict == "PASS"
+
+
+def test_a_sub_has_no_lifting_motors_and_no_fix() -> None:
+    found = {check.name: check for check in flight_checks(flight("sub"), Thresholds())}
+    for name in ("motor balance", "motors at their limit", "GPS fix", "ground impact"):
+        assert found[name].verdict == "not judged"
+        assert found[name].evidence == "does not hold for a sub"
+
+
+def test_every_check_has_a_scope() -> None:
+    for check in flight_checks(flight(""), Thresholds()):
+        assert scope_of(check.name).phase in (ARMED, FLYING, "log", "before arming")
