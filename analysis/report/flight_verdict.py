@@ -12,7 +12,7 @@ from analysis.report.curves.panels import BY_KEY
 from analysis.report.curves.recording import FlightData, Span
 from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, verdict_of
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
 from analysis.report.recordings.flight_sources import RecordedFlight
 from analysis.scoring.criteria import Criteria, check_missed_faults
@@ -113,6 +113,11 @@ def _summary(
         "position_rmse_m": run.get("position_rmse_m", position_rmse_m),
         "faults": faults,
         "checks": [msgspec.structs.asdict(check) for check in checks],
+        "chain": [
+            {"t_s": round(t_s, 3), "check": check.name, "verdict": check.verdict}
+            for t_s, check in chain_of(checks)
+        ],
+        "vehicle": recording.vehicle,
         "signals": _numbers(recording),
         "links": [
             {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
-from analysis.report.judging.checks import FAIL, FlightCheck
+from analysis.report.judging.checks import FAIL, FlightCheck, chain_text
 from analysis.report.log_folder import is_run_folder, report_folder
 from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
@@ -86,6 +86,8 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
         if check.verdict in ("WARN", "FAIL"):
             word = Text(check.verdict, colours[check.verdict])
             console.print(" ", word, f" {check.name}: {check.evidence}")
+    if order := chain_text(outcome.checks):
+        console.print(f"  in order: {order}")
     passed = sum(check.verdict == "PASS" for check in outcome.checks)
     unjudged = sum(check.verdict == "not judged" for check in outcome.checks)
     console.print(f"  {passed} checks passed, {unjudged} without data")

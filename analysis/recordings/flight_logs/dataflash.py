@@ -114,8 +114,8 @@ def read_dataflash(
         columns["TimeUS"] = own
         for key, some in _instances(name, columns) if len(own) else ():
             topic = {column: values[some] for column, values in columns.items()}
-            topics[key], wrong = _in_order(topic)
-            corrupted |= wrong
+            topics[key], some_wrong = _in_order(topic)
+            corrupted = corrupted or some_wrong
     _rates_in_degrees(topics)
     stamps = times[1]
     return DataflashFile(

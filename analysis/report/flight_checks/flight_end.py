@@ -41,8 +41,8 @@ def _impact(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fli
     t_s, height_m, sink_mps = motion
     worst, at_s = 0.0, 0.0
     sped_up = np.diff(sink_mps, n=1, prepend=sink_mps[:1])
-    falls = np.convolve(sped_up, np.ones(FALL_STEPS), "full")[: len(sink_mps)]
-    falls = falls <= FALL_MPS2 * FALL_STEPS * GRID_STEP_S
+    gained_mps = np.convolve(sped_up, np.ones(FALL_STEPS), "full")[: len(sink_mps)]
+    falls = gained_mps <= FALL_MPS2 * FALL_STEPS * GRID_STEP_S
     for i in np.flatnonzero((sink_mps > warn) & falls):
         # Also shortly after disarming: the autopilot disarms on an impact.
         inside = armed is None or any(a <= t_s[i] <= b + REST_S for a, b in armed)

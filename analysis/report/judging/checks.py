@@ -19,6 +19,7 @@ PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
 Windows = Sequence[tuple[float, float]]  # seconds
 MIN_SAMPLES = 5  # chosen: a curve of fewer samples is not judged
+CAUSE_S, CHAIN_SHOWN = 10.0, 5  # chosen: a cause acts within this time; events in the sentence
 LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
 PASS_WITHOUT_FLIGHT = {  # checks that pass on a log without a flight too
     
@@ -187,3 +188,24 @@ def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, 
 def is_within(t_s: float, windows: Windows | None) -> bool:
     """Whether an instant is within any of the windows (None: always)."""
     return windows is None or any(start <= t_s <= end for start, end in windows)
+
+
+def chain_of(checks: Sequence[FlightCheck]) -> list[tuple[float, FlightCheck]]:
+    """Times and checks of what went wrong in flight, in order of time, the first cause first.
+
+    It begins `CAUSE_S` before the first failure: an earlier warning is another story.
+    """
+    found = [
+        (check.windows[0][0], check)
+        for check in checks
+        if check.verdict in (WARN, FAIL) and check.windows and check.name != "before arming"
+    ]
+    found.sort(key=lambda row: row[0])
+    first_s = next((t_s for t_s, check in found if check.verdict == FAIL), -np.inf)
+    return [(t_s, check) for t_s, check in found if t_s >= first_s - CAUSE_S]
+
+
+def chain_text(checks: Sequence[FlightCheck]) -> str:
+    """The chain as a sentence; empty with fewer than two events."""
+    chain = [f"{check.name} from {t_s:.1f} s" for t_s, check in chain_of(checks)]
+    return ", then ".join(chain[:CHAIN_SHOWN]) if len(chain) > 1 else ""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from analysis.report.curves.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
 from analysis.report.flight_verdict import FlightAssessment
-from analysis.report.judging.checks import FAIL, PASS, WARN, FlightCheck
+from analysis.report.judging.checks import FAIL, PASS, WARN, FlightCheck, chain_text
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.page.fused_table import fused_table
 from analysis.report.page.log_sky import sky_pictures
@@ -54,6 +54,10 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
     shown = [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
+    if recording.vehicle:
+        shown.append(("vehicle", recording.vehicle))
+    if order := chain_text(outcome.checks):
+        shown.append(("in order", order))
     shown += flight_facts(recording) + _run_facts(outcome)
     return ReportPage(
         recording.name,

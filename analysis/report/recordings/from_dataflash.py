@@ -150,10 +150,10 @@ def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
 def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
     """Spans between arming and disarming, and in the air; a log may begin or end in flight."""
     for name, field, lane, texts in STATES:
-        topic = log.topics.get((name, 0), {})
-        if field in topic and not any(span.lane == lane for span in found.spans):
-            words = [texts[int(bool(state))] for state in topic[field].tolist()]
-            found.spans.extend(_lasting(lane, _seconds(topic, start_us), words, found.duration_s))
+        said = _topic(log, name, numbers=(field,))
+        if said is not None and not any(span.lane == lane for span in found.spans):
+            words = [texts[int(bool(state))] for state in said[field].tolist()]
+            found.spans.extend(_lasting(lane, _seconds(said, start_us), words, found.duration_s))
     topic = _topic(log, "EV", numbers=("Id",))
     if topic is None or not np.isin(topic["Id"], ARMING_EVENTS).any():
         return

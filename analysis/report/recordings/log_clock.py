@@ -196,13 +196,12 @@ def _timed_frames(
     places, times, senders = [np.empty(0, np.int64)], [np.empty(0)], [np.empty(0, np.int64)]
     for name, rows in columns.items():
         if "time_boot_ms" in (rows.dtype.names or ()) and name != "SYSTEM_TIME":
-            own = (rows["time_boot_ms"] > 0) & (
-                (rows["component"] == component) if component >= 0 else True
-            )
+            own = rows["time_boot_ms"] > 0
+            own &= (rows["component"] == component) | (component < 0)
             places.append(_places(frames, name)[own])
             times.append(rows["time_boot_ms"][own] * 1e3)
             senders.append(rows["system"][own].astype(np.int64) << 8 | rows["component"][own])
-    at, vehicle_us, sender = (np.concatenate(parts) for parts in (places, times, senders))
+    at, vehicle_us, sender = np.concatenate(places), np.concatenate(times), np.concatenate(senders)
     if len(at) == 0:
         return at, vehicle_us
     # Each vehicle and component has a clock of its own: use that of the one which sends most.
@@ -257,8 +256,8 @@ def _clock_settings(
     if len(at) == 0:
         # Without the vehicle's time only steps back, or of days, are certain.
         steps = np.diff(stamps)
-        wrong = np.flatnonzero((steps < -BACKWARD_US) | (steps > MOST_PAUSE_US)) + 1
-        return [_ClockSetting(i, int(stamps[i] - stamps[i - 1]), i - 1, i) for i in wrong.tolist()]
+        jumps = np.flatnonzero((steps < -BACKWARD_US) | (steps > MOST_PAUSE_US)) + 1
+        return [_ClockSetting(i, int(stamps[i] - stamps[i - 1]), i - 1, i) for i in jumps.tolist()]
     if state.stamp_us is not None and state.vehicle_us is not None:
         since_us = int(stamps[0]) + state.shift_us - state.stamp_us
         steps_us = since_us - round(vehicle_us[0] - state.vehicle_us)
@@ -285,7 +284,7 @@ def _clock_settings(
         change = float(offsets[j] - offsets[i])
         # A stalled link delivers its frames late, and then catches up.
         if abs(change) <= LATEST_US:
-            lasting = np.median(offsets[j:behind]) - np.median(offsets[before:j])
+            lasting = float(np.median(offsets[j:behind]) - np.median(offsets[before:j]))
         else:
             lasting = change
         if abs(lasting) > SET_US and abs(lasting) > abs(change) / 2:

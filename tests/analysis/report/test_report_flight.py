@@ -14,6 +14,8 @@ from analysis.report.judging.check_limits import Thresholds, read_thresholds
 from analysis.report.judging.checks import (
     CheckLimits,
     FlightCheck,
+    chain_of,
+    chain_text,
     check_level,
     lasting_windows,
     verdict_of,
@@ -389,3 +391,17 @@ def test_texts_count_by_severity_time_and_end(case: tuple[list[Event], str, str]
     check = texts_check(FlightData("x", events=events), ARMED)
     assert check.verdict == verdict
     assert check.evidence.startswith(evidence)
+
+
+def test_findings_are_told_in_order_of_time_with_the_first_cause_first() -> None:
+    def check(name: str, verdict: str, start_s: float) -> FlightCheck:
+        return FlightCheck(
+            name=name, verdict=verdict, evidence="x", windows=((start_s, start_s + 1.0),)
+        )
+
+    checks = [
+        check("clipping", "FAIL", 5.4), check("attitude", "WARN", 5.1),
+        check("GPS fix", "WARN", -9.0), check("vibration", "PASS", 1.0),
+    ]  # fmt: skip
+    assert [(t_s, c.name) for t_s, c in chain_of(checks)] == [(5.1, "attitude"), (5.4, "clipping")]
+    assert chain_text(checks) == "attitude from 5.1 s, then clipping from 5.4 s"
