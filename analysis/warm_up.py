@@ -115,7 +115,7 @@ def _again(draft: str, folder: str) -> None:
     """Recompile the flights' functions into a folder in a fixed order, for reproducible bytes."""
     # Sets in what is pickled stand in the order of a hash.
     environment = {**os.environ, "MAVPROXY_FAULT_CACHE": folder, "PYTHONHASHSEED": "0"}
-    command = [sys.executable, "-m", "analysis.recompile", draft]
+    command = [sys.executable, "-P", "-m", "analysis.recompile", draft]
     subprocess.run(command, env=environment, check=True)
 
 

@@ -12,7 +12,10 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import invalidate_caches
+from importlib.util import find_spec
 from io import TextIOWrapper
+from pathlib import Path
 from signal import SIG_IGN, SIGINT, SIGTERM, default_int_handler, getsignal, signal
 from threading import current_thread, main_thread
 
@@ -102,6 +105,33 @@ def _registered() -> dict[str, AddCommand]:
     return {point.name: point.load() for point in entry_points(group="mavproxy_fault.commands")}
 
 
+def _prefer_own_packages() -> None:
+    """Make `analysis` and `simvehicle` mean ours, also in a folder that has such a file or package.
+
+    Raises
+    ------
+    ConfigError
+        If another package of that name has been imported already.
+    """
+    root = Path(__file__).resolve().parents[1]
+    for name in ("analysis", "simvehicle"):
+        # The search finds a module that is loaded without looking at the path.
+        found = find_spec(name)
+        if (
+            found is None
+            or found.origin is None
+            or root not in Path(found.origin).resolve().parents
+        ):
+            if name in sys.modules:
+                raise ConfigError(
+                    f"{name}: another package of this name has been imported, and ours cannot be "
+                    "beside it; start mavproxy-fault as a process of its own"
+                )
+            # In front of the working directory and of PYTHONPATH.
+            sys.path.insert(0, str(root))
+            invalidate_caches()
+
+
 @contextmanager
 def _handle_signals(last: bool) -> Iterator[None]:
     """Make SIGTERM and SIGINT end a command as Ctrl-C does.
@@ -171,6 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
+        _prefer_own_packages()
         given = _take_dialects(given)
         parsed = build_parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; any exception but a ConfigError is a bug and shown.

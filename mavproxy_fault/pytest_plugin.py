@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MASTER, OUT, COMMAND = "fault_master", "fault_out", "fault_autopilot"
 SIMULATED = (
-    f"{shlex.quote(sys.executable)} -m mavproxy_fault.cli sim --gcs udpout:127.0.0.1:{{port}}"
+    f"{shlex.quote(sys.executable)} -P -m mavproxy_fault.cli sim --gcs udpout:127.0.0.1:{{port}}"
 )
 SHUTDOWN_TIMEOUT_S = 10.0  # chosen: time for a vehicle to close its logs before it is killed
 FOLDERS = pytest.StashKey[dict[Path, Path]]()  # log folder to report
@@ -138,7 +138,7 @@ def _register_folder(item: pytest.Item, folder: Path, report: Path) -> None:
 def _write_report(folder: Path) -> None:
     """Write the report of a failed test; an error here must not hide the test's failure."""
     arguments = [str(folder / "sent.tlog"), "--labels", str(folder / "labels.jsonl")]
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "report", *arguments]
+    command = [sys.executable, "-P", "-m", "mavproxy_fault.cli", "report", *arguments]
     subprocess.run([*command, "--out", str(folder / "report")], capture_output=True, check=False)
 
 

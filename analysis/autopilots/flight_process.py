@@ -41,7 +41,7 @@ def run_flight_process(
     if not kept:
         arguments += ["--no-report"]
     done = subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", *arguments],
+        [sys.executable, "-P", "-m", "mavproxy_fault.cli", *arguments],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

@@ -110,8 +110,9 @@ def run(
         arguments += ["--schedule", input_file(schedule, folder / "schedule.yaml")]
     if seed is not None:
         arguments += ["--seed", str(seed)]
-    # The same interpreter, so the same environment and packages.
-    command = [sys.executable, "-m", "mavproxy_fault.cli", "run", *arguments]
+    # The same interpreter, so the same environment and packages; -P keeps files of the working
+    # directory, such as an `analysis.py`, from being taken for packages.
+    command = [sys.executable, "-P", "-m", "mavproxy_fault.cli", "run", *arguments]
     # Without Zenoh, whose single address parallel tests would compete for.
     command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
     process = subprocess.run(command, capture_output=True, text=True, check=False)

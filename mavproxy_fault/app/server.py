@@ -192,7 +192,7 @@ class Server:
             LOG.warning("compiling kernels (first use only); forwarding is slower until then")
             devnull = subprocess.DEVNULL  # it may outlive us, and a reader would wait for it
             self._compiler = subprocess.Popen(
-                [sys.executable, "-m", kernels.__name__],
+                [sys.executable, "-P", "-m", kernels.__name__],
                 stdin=devnull, stdout=devnull, stderr=devnull,
                 start_new_session=True,  # so that Ctrl-C does not end the compilation
             )  # fmt: skip
