@@ -78,6 +78,8 @@ def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
         rest = KIND - TOE - len(clock) - len(orbit)
         return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0])
     values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
+    # Both times count from the week of toe; around its start toc may be of the week before.
+    values["toc_s"] -= round((values["toc_s"] - values["toe_s"]) / WEEK_S) * WEEK_S
     beidou = ephemeris.satellite[0] == "C"
     still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
     if beidou:  # convert BeiDou's earth rate and time of week to those of GPS

@@ -1,4 +1,4 @@
-"""GLONASS orbits: Runge-Kutta propagation of broadcast state vectors, and UTC leap seconds.
+"""GLONASS orbits: Runge-Kutta propagation of broadcast state vectors.
 
 The frame is PZ-90.11, which agrees with WGS 84 to centimetres [1]_. GLONASS uses UTC; timestamps
 here are GPS time.
@@ -6,11 +6,7 @@ here are GPS time.
 References
 ----------
 .. [1] GLONASS ICD, edition 5.1, 2008, sections 3.3.3, 4.4 and appendix 3.1.2; PZ-90.11, 2014.
-.. [2] IERS Bulletin C.
 """
-
-from bisect import bisect_right
-from datetime import date
 
 import numpy as np
 
@@ -21,21 +17,6 @@ VELOCITY = 3  # offset of the velocity in a state, after the position
 
 CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and channel spacing [1]_
 STEP_S = 60.0
-
-# Days after a leap second [2]_; GPS time began on 6 January 1980.
-_LEAPS = tuple(
-    date(year, month, 1)
-    for year, month in (
-        *((1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7)),
-        *((1993, 7), (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7)),
-        *((2015, 7), (2017, 1)),
-    )
-)
-
-
-def leap_seconds(day: date) -> int:
-    """GPS time minus UTC on a day, in s."""
-    return bisect_right(_LEAPS, day)
 
 
 @compiled

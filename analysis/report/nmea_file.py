@@ -10,8 +10,8 @@ from math import atan2, degrees, hypot
 from pathlib import Path
 from typing import Any
 
-from analysis.orbits.glonass import leap_seconds
 from analysis.report.solution_row import SolutionRow
+from mavproxy_fault.rinex.gps_clock import leap_seconds
 
 # GGA's quality, RMC's status and mode, GSA's mode.
 NO_FIX, FIX, DEAD_RECKONED = (0, "V", "N", 1), (1, "A", "A", 3), (6, "A", "E", 1)

@@ -42,6 +42,12 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     for reason, count in summary["untestable_reasons"].items():
         epochs = "1 epoch" if count == 1 else f"{count} epochs"
         console.print(f"untestable      {epochs}: {reason}", soft_wrap=True)
+    if unexplained := summary.get("unexplained_epochs"):
+        console.print(
+            f"unexplained     {unexplained} of {summary['epochs']} epochs: more satellites"
+            " contradict each other than the monitor may leave out (left_out)",
+            soft_wrap=True,
+        )
     for limit in _limits(summary):
         console.print(f"not observable  {limit}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():

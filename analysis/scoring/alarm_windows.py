@@ -11,6 +11,9 @@ import msgspec
 from analysis.results import OR_SEPARATOR, Decision, Result, SensorDecision
 
 MERGE_GAP_US = 1_000_000  # alarms further apart are two: five epochs at 5 Hz
+# Of the mean time between epochs, where that is longer: an alarm at each epoch is one.
+MERGE_GAP_EPOCHS = 1.5
+EPOCH_CHANNELS = ("satellites", "gps-position")
 
 
 class Alarm(NamedTuple):
@@ -75,8 +78,9 @@ def channel_of(result: Result) -> str | None:
     return "gps-position" if result.mode.startswith("position") else "satellites"
 
 
-def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
-    """Merge alarms into windows, in order of start."""
+def windows_of(alarms: Iterable[Alarm], epoch_us: int = 0) -> list[AlarmWindow]:
+    """Merge alarms into windows, in order of start; `epoch_us` is the time between epochs."""
+    by_epoch_us = max(MERGE_GAP_US, round(MERGE_GAP_EPOCHS * epoch_us))
     merged: list[AlarmWindow] = []
     newest: dict[tuple[str, str], int] = {}
     # By time: alarms may be grouped by channel.
@@ -84,7 +88,8 @@ def windows_of(alarms: Iterable[Alarm]) -> list[AlarmWindow]:
         key = alarm.channel, alarm.name
         at = newest.get(key)
         # A missing epoch does not split a window.
-        if at is not None and alarm.t_us - merged[at].end_us <= MERGE_GAP_US:
+        gap_us = by_epoch_us if alarm.channel in EPOCH_CHANNELS else MERGE_GAP_US
+        if at is not None and alarm.t_us - merged[at].end_us <= gap_us:
             window = merged[at]
             merged[at] = AlarmWindow(
                 *key,

@@ -149,7 +149,7 @@ class Tally:
         wall_s : float
             How long the run took.
         """
-        windows = windows_of(self.alarms)
+        windows = windows_of(self.alarms, self.epoch_us)
         false = None
         if labels is not None:
             false = false_alarms(labels, windows, self.span_s, self.epoch_us)

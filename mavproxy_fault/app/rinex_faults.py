@@ -18,7 +18,7 @@ from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
 from mavproxy_fault.rinex.rinex_text import PACKED, header_of, read_rinex_text
 from mavproxy_fault.rinex.signal_change import Sky, needs_sky, signal_changes
-from mavproxy_fault.rinex.signal_fields import write_change
+from mavproxy_fault.rinex.signal_fields import has_range, write_change
 from mavproxy_fault.schedule.entries import Entry, Schedule, never_acted, read_schedule
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.plant_names import SIGNALS
@@ -75,16 +75,19 @@ def faulted_lines(
         if isinstance(entry.fault, PlantFault) and needs_sky(entry.fault.names) and sky is None:
             sky = _sky(path, navigation, entry)
     lines = read_rinex_text(path)
-    version, end = header_of(path, lines, "O", "an observation file")
+    header_of(path, lines, "O", "an observation file")
     engine, last_us = Engine(Schedule(schedule.seed, faults)), 0
     labels, rng = [], np.random.default_rng(schedule.seed)
-    for epoch in file_epochs(lines, version, end + 1):
+    for epoch in file_epochs(lines):
         last_us = max(last_us, epoch.t_us)
-        before: Any = RangeEpoch(tuple(epoch.observations))  # a frame to the engine
+        observations = {name: epoch.fields(name) for name in epoch.rows}
+        # Without a range, a label would claim a change that no one can measure.
+        ranged = tuple(name for name, own in observations.items() if has_range(lines, own))
+        before: Any = RangeEpoch(ranged)  # a frame to the engine
         for sent in engine.apply(before, FROM_RECEIVER, epoch.t_us):
             if isinstance(sent.frame, RangeEpoch) and sent.frame is not before:
                 for name, change in signal_changes(sent.frame, epoch.t_us, sky):
-                    write_change(lines, epoch.observations[name], name, change, rng)
+                    write_change(lines, observations[name], name, change, rng)
         labels += engine.drain_labels()
     labels += engine.finish(last_us)
     return lines, [msgspec.structs.replace(label, recorded=True) for label in labels]

@@ -1,92 +1,144 @@
-"""Finds the observations in the lines of a RINEX 2, 3 or 4 observation file.
+"""Finds the epochs and observations in the lines of a RINEX 2, 3 or 4 observation file.
 
-A range fault changes all codes of a satellite alike, but not its phase and Doppler. A spoofed
-signal has another phase and Doppler too.
+The reader is a state machine: a header record holds from where it stands, be it in the header, in
+an event (flags 2 to 5) or between epochs, as in files that were joined. A damaged epoch line costs
+its epoch only, and so do too few lines; a truncated file ends with its last complete epoch.
 
 References
 ----------
 IGS/RTCM, RINEX 3.05, tables A2, A3; W. Gurtner, RINEX 2.11, tables A1, A2.
 """
 
+import re
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from mavproxy_fault.rinex.rinex_text import types_2, types_3
-from mavproxy_fault.rinex.signal_fields import FIELD, ObservationField
+from mavproxy_fault.rinex.gps_clock import WEEK_S, time_of_words
+from mavproxy_fault.rinex.observation_header import PER_LINE_2, ObservationHeader
+from mavproxy_fault.rinex.signal_fields import ObservationField
 
-GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
-NAME = 3  # a line of RINEX 3 begins with the satellite's name
-PER_LINE_2 = 5  # observations in a line of RINEX 2
-HEAD_NAMES_2, NAMES_AT_2 = 12, 32
-CENTURY_2 = 80  # years from here on are in the twentieth century
+HEAD_NAMES_2, NAMES_2 = 12, slice(32, 68)  # satellites in an epoch line of RINEX 2
+OBSERVED, CYCLE_SLIPS = "01", "6"  # flags of epochs, and of records like those of an epoch
+# The numbers of observations have three decimals, the seconds of an epoch seven.
+HEAD_2 = re.compile(
+    r"[ \d]{3}(?: [ \d]\d){4}[ \d]{3}\.[\d ]{7}  [0-6][ \d]{3}| {26}  [2-5][ \d]{3}"
+)
+HEAD_3 = ">"
 
 
 class FileEpoch(NamedTuple):
-    """Timestamp [us] since the start of GPS time, and the observations of each satellite."""
+    """GPS week and seconds of week; the first line of each satellite's observations; the header
+    records that hold."""
 
-    t_us: int
-    observations: dict[str, list[ObservationField]]
+    week: int
+    tow_s: float
+    rows: dict[str, int]
+    header: ObservationHeader
+
+    @property
+    def t_us(self) -> int:
+        """Timestamp [us] since the start of GPS time."""
+        return round((self.week * WEEK_S + self.tow_s) * 1e6)
+
+    def fields(self, satellite: str) -> list[ObservationField]:
+        """The fields of a satellite's observations."""
+        found = []
+        for i, kind in enumerate(self.header.types_of(satellite)):
+            line, column = self.header.place(i)
+            scale = self.header.scale_of(satellite, kind)
+            found.append(ObservationField(kind, self.rows[satellite] + line, column, scale))
+        return found
 
 
-def file_epochs(lines: Sequence[str], version: float, start: int) -> Iterator[FileEpoch]:
-    """Yield the epochs after a header that ends before line `start`."""
-    header = lines[:start]
-    return _epochs_3(lines, start, header) if version >= 3.0 else _epochs_2(lines, start, header)
+class _EpochHead(NamedTuple):
+    """Flag of an epoch line, how many satellites or records follow, and the line after it; names
+    of satellites (RINEX 2) and time, where readable."""
+
+    flag: str
+    follow: int
+    at: int
+    names: list[str]
+    time: tuple[int, float] | None
 
 
-def _stamp_us(year: int, words: Sequence[str]) -> int:
-    """Convert month, day, hour, minute and second in GPS time to a timestamp [us]."""
-    month, day, hour, minute = (int(word) for word in words[:4])
-    since = datetime(year, month, day, hour, minute, tzinfo=UTC) - GPS_ZERO
-    return since // timedelta(microseconds=1) + round(float(words[4]) * 1e6)
-
-
-def _epochs_3(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[FileEpoch]:
-    types = types_3(header)
+def file_epochs(lines: Sequence[str]) -> Iterator[FileEpoch]:
+    """Yield the epochs of a file in their order."""
+    header, at = ObservationHeader(), 0
     while at < len(lines):
-        head, at = lines[at], at + 1
-        if not head.startswith(">") or head[31:32] > "1":
+        if not _is_head(lines[at], header):
+            end = at + 1
+            while end < len(lines) and not _is_head(lines[end], header):
+                end += 1
+                if lines[end - 1][60:].startswith("END OF HEADER"):
+                    break
+            header, at = header.with_records(lines[at:end]), end
             continue
-        try:
-            t_us = _stamp_us(int(head[2:6]), head[6:29].split())
-        except (ValueError, IndexError):
+        head = _epoch_head(lines, at, header)
+        at = head.at
+        if head.flag not in OBSERVED + CYCLE_SLIPS:
+            end = _end_of_block(lines, at, head.follow, header)
+            header, at = header.with_records(lines[at:end]), end
             continue
-        found: dict[str, list[ObservationField]] = {}
-        while at < len(lines) and not lines[at].startswith(">"):
-            line = lines[at]
-            name = line[:NAME].replace(" ", "0")
-            found[name] = [
-                ObservationField(kind, at, NAME + FIELD * i)
-                for i, kind in enumerate(types.get(line[:1], ()))
-            ]
-            at += 1
-        yield FileEpoch(t_us, found)
+        per_satellite = _lines_per_satellite(header)
+        end = _end_of_block(lines, at, head.follow * per_satellite, header)
+        complete = end - at == head.follow * per_satellite
+        if header.version >= 3.0:
+            names = [line[:3].replace(" ", "0") for line in lines[at:end]]
+            # A line too few costs no epoch, unless the file ends with it.
+            complete = complete or end < len(lines)
+        else:
+            names = head.names
+            complete = complete and all(names)
+        if head.time is not None and head.flag in OBSERVED and complete:
+            rows: dict[str, int] = {}
+            for k, name in enumerate(names):
+                if name[1:].isdigit():
+                    rows.setdefault(name, at + k * per_satellite)
+            yield FileEpoch(*head.time, rows, header)
+        at = end
 
 
-def _epochs_2(lines: Sequence[str], at: int, header: Sequence[str]) -> Iterator[FileEpoch]:
-    types = types_2(header)
-    per_satellite = -(-len(types) // PER_LINE_2)
-    while at < len(lines):
-        head, at = lines[at], at + 1
-        try:
-            year = int(head[1:3])
-            t_us = _stamp_us(year + (1900 if year >= CENTURY_2 else 2000), head[3:26].split())
-            flag, count = int(head[26:29]), int(head[29:32])
-        except (ValueError, IndexError):
-            continue
-        names = head[NAMES_AT_2:].rstrip()
+def _is_head(line: str, header: ObservationHeader) -> bool:
+    if header.version >= 3.0:
+        return line.startswith(HEAD_3)
+    return HEAD_2.match(line) is not None
+
+
+def _lines_per_satellite(header: ObservationHeader) -> int:
+    return -(-len(header.types.get("", ())) // PER_LINE_2) if header.version < 3.0 else 1
+
+
+def _end_of_block(lines: Sequence[str], at: int, count: int, header: ObservationHeader) -> int:
+    """The line after `count` lines, or the next epoch line before it."""
+    end = min(at + count, len(lines))
+    return next((i for i in range(at, end) if _is_head(lines[i], header)), end)
+
+
+def _epoch_head(lines: Sequence[str], at: int, header: ObservationHeader) -> _EpochHead:
+    line = lines[at]
+    names: list[str] = []
+    three = header.version >= 3.0
+    flag, count_text, when = (
+        (line[31:32], line[32:35], line[2:29]) if three else (line[28:29], line[29:32], line[:26])
+    )
+    at += 1
+    try:
+        time = time_of_words(when.split(), header.clock)
+    except ValueError:
+        time = None
+    count = int(count_text) if count_text.strip().isdigit() else 0
+    if not three and flag in OBSERVED + CYCLE_SLIPS:
+        text = line[NAMES_2].ljust(3 * HEAD_NAMES_2)
         for _ in range((count - 1) // HEAD_NAMES_2):
-            names = names.ljust(3 * HEAD_NAMES_2) + lines[at][NAMES_AT_2:].rstrip()
-            at += 1
-        found: dict[str, list[ObservationField]] = {}
-        for k in range(count if flag <= 1 else 0):
-            name = names[3 * k : 3 * k + 3].replace(" ", "0")
-            name = "G" + name[1:] if name[:1] == "0" else name  # the letter of GPS is optional
-            found[name] = [
-                ObservationField(kind, at + i // PER_LINE_2, FIELD * (i % PER_LINE_2))
-                for i, kind in enumerate(types)
-                if at + i // PER_LINE_2 < len(lines)
-            ]
-            at += per_satellite
-        yield FileEpoch(t_us, found)
+            if at < len(lines) and not _is_head(lines[at], header):
+                text += lines[at][NAMES_2].ljust(3 * HEAD_NAMES_2)
+                at += 1
+        names = [_name_2(text[3 * k : 3 * k + 3], header.system) for k in range(count)]
+    return _EpochHead(flag, count, at, names, time)
+
+
+def _name_2(text: str, system: str) -> str:
+    """A satellite's name, "" if damaged; RINEX 2 may omit the letter of the file's system."""
+    letter = text[:1].strip() or (system if system != "M" else "G")
+    name = letter + text[1:].replace(" ", "0")
+    return name if text[1:].strip().isdigit() else ""

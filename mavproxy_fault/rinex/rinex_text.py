@@ -2,7 +2,6 @@
 
 import re
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
@@ -62,24 +61,3 @@ def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[fl
     if end is None:
         raise ConfigError(f"{path}: has no END OF HEADER; give a file with a complete header")
     return float(version), end
-
-
-def types_3(header: Sequence[str]) -> dict[str, list[str]]:
-    """Return the observation types of each system in a RINEX 3 or 4 file, in field order."""
-    types: dict[str, list[str]] = {}
-    system = ""
-    for line in header:
-        if line[60:].startswith("SYS / # / OBS TYPES"):
-            system = line[0] if line[0] != " " else system  # blank in continuation lines
-            types.setdefault(system, []).extend(line[6:60].split())
-    return types
-
-
-def types_2(header: Sequence[str]) -> list[str]:
-    """Return the observation types of a RINEX 2 file, the same for all systems."""
-    return [
-        name
-        for line in header
-        if line[60:].startswith("# / TYPES OF OBSERV")
-        for name in line[6:60].split()
-    ]

@@ -9,26 +9,30 @@ from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.signal_noise import code_sigma_m, rate_sigma_mps
+from mavproxy_fault.rinex.observation_header import FIELD
 from mavproxy_fault.rinex.signal_change import SignalChange
 
-FIELD, VALUE = 16, 14  # F14.3, loss of lock, signal strength
+VALUE = 14  # F14.3, before loss of lock and signal strength
 LOCK_DBHZ = 25.0  # weaker signals are lost; same as the simulated receiver
 USUAL_DBHZ = 45.0  # chosen: typical in the open sky, for files without S fields
 CODES = "CP"  # P is the code of the encrypted signal in RINEX 2
-# Carriers by system and band: RINEX 3.05, tables 4 (GPS), 6 (Galileo) and 8 (QZSS).
+# Carriers by system and band: RINEX 3.05, tables 4 (GPS), 6 (Galileo), 8 (QZSS) and 9 (BeiDou).
 CARRIERS_MHZ = {
     "G": {"1": 1575.42, "2": 1227.6, "5": 1176.45},
     "E": {"1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1278.75},
     "J": {"1": 1575.42, "2": 1227.6, "5": 1176.45, "6": 1278.75},
+    "C": {"1": 1575.42, "2": 1561.098, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1268.52},
 }
 
 
 class ObservationField(NamedTuple):
-    """One field of a satellite: its type (`C1C`, or `C1` in RINEX 2), line and column."""
+    """One field of a satellite: its type (`C1C`, or `C1` in RINEX 2), line and column, and the
+    factor of the stored number."""
 
     name: str
     at: int
     column: int
+    scale: float = 1.0
 
     @property
     def signal(self) -> str:
@@ -48,7 +52,7 @@ def write_change(
     A weaker signal gets noise, the difference in thermal noise between the new and the old C/N0,
     and is lost below `LOCK_DBHZ`; the fields of a lost signal are blank, "not observed".
     """
-    strengths = {o.signal: _number(lines, o) for o in observations if o.name[0] == "S"}
+    strengths = {o.signal: number_in(lines, o) for o in observations if o.name[0] == "S"}
     for signal in sorted({o.signal for o in observations}):
         own = [o for o in observations if o.signal == signal]
         before = strengths.get(signal) or USUAL_DBHZ
@@ -67,6 +71,11 @@ def write_change(
             _write(lines, observation, math.nan if lost else added.get(observation.name[0], 0.0))
 
 
+def has_range(lines: Sequence[str], observations: Sequence[ObservationField]) -> bool:
+    """Whether a satellite has a code range."""
+    return any(o.name[0] in CODES and number_in(lines, o) is not None for o in observations)
+
+
 def _extra_sigma(before_dbhz: float, after_dbhz: float) -> NDArray[np.float64]:
     """Return the standard deviations (2,) of the added noise of range [m] and rate [m/s]."""
     strengths = np.array([after_dbhz, before_dbhz])
@@ -74,23 +83,24 @@ def _extra_sigma(before_dbhz: float, after_dbhz: float) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(variances[:, 0] - variances[:, 1]))
 
 
-def _number(lines: Sequence[str], observation: ObservationField) -> float | None:
-    """Read a field; None if it is blank or zero, "not observed" in RINEX."""
+def number_in(lines: Sequence[str], observation: ObservationField) -> float | None:
+    """Read a field; None if it is blank, damaged or zero, "not observed" in RINEX."""
     column = observation.column
     try:
         value = float(lines[observation.at][column : column + VALUE])
     except ValueError:
         return None
-    return value if value != 0.0 and math.isfinite(value) else None
+    return value / observation.scale if value != 0.0 and math.isfinite(value) else None
 
 
 def _write(lines: list[str], observation: ObservationField, added: float) -> None:
     """Add to the number of a field; NaN makes it blank."""
-    before, column = _number(lines, observation), observation.column
+    before, column = number_in(lines, observation), observation.column
     if before is None or added == 0.0:
         return
     line = lines[observation.at].ljust(column + FIELD)
-    value, marks = f"{before + added:{VALUE}.3f}", line[column + VALUE : column + FIELD]
+    stored = (before + added) * observation.scale
+    value, marks = f"{stored:{VALUE}.3f}", line[column + VALUE : column + FIELD]
     if math.isnan(added):
         value, marks = " " * VALUE, " " * (FIELD - VALUE)
     lines[observation.at] = (line[:column] + value + marks + line[column + FIELD :]).rstrip()

@@ -2,8 +2,7 @@
 
 Only the signals that the detector uses are read: L1 of GPS and QZSS, Galileo E1, GLONASS G1, and
 B1I or B3I of BeiDou. Of each satellite the first signal of `PREFERRED` with a value is used, always
-on the carrier of its first observation [1]_ [2]_. Lines that are not observations are skipped; a
-truncated file ends with its last complete epoch.
+on the carrier of its first observation [1]_ [2]_. `mavproxy_fault.rinex` finds the epochs.
 
 References
 ----------
@@ -12,10 +11,9 @@ References
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from datetime import date
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +21,10 @@ from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text, types_2, types_3
+from mavproxy_fault.rinex.observation_header import ObservationHeader
+from mavproxy_fault.rinex.observation_text import file_epochs
+from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
+from mavproxy_fault.rinex.signal_fields import VALUE
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -33,39 +34,20 @@ PREFERRED = {
     "J": ("1C", "1E", "1X", "1L", "1S"),  # 1E: C/B, which later satellites send in place of C/A
 }
 BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
-GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
-WEEK_DAYS = 7
-FIELD_WIDTH = 16  # F14.3, loss of lock, signal strength
+CODES_2 = {"1C": "C1", "1P": "P1"}  # of RINEX 2, which does not know BeiDou
 ABSENT_COLUMN = 1 << 20  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
 CodeObservation = tuple[str, tuple[float, float, float], float, str]
 
 
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """Start columns of code, Doppler and C/N0 of one signal, its code and carrier (GLONASS: of
-    channel 0)."""
+class _Signal(NamedTuple):
+    """Lines after a satellite's first and start columns of code, Doppler and C/N0 of one signal,
+    the factor of the stored code; code and carrier (GLONASS: of channel 0)."""
 
-    code: int
-    doppler: int
-    cn0: int
+    places: tuple[tuple[int, int], ...]
+    scale: float
     signal: str
-    carrier_hz: float = L1_HZ
-
-
-def _column_starts(
-    first: int, places: list[int], signal: str, carrier_hz: float = L1_HZ
-) -> _Columns:
-    """Start columns from indices of observation types (-1: absent); the first field starts at
-    `first`."""
-    starts = [first + FIELD_WIDTH * place if place >= 0 else ABSENT_COLUMN for place in places]
-    return _Columns(starts[0], starts[1], starts[2], signal, carrier_hz)
-
-
-def gps_time(year: int, month: int, day: int, seconds_of_day: float) -> tuple[int, float]:
-    """GPS week and seconds of week of a calendar date in GPS time."""
-    days = date(year, month, day).toordinal() - GPS_DAY_ZERO
-    return days // WEEK_DAYS, days % WEEK_DAYS * 86_400.0 + seconds_of_day
+    carrier_hz: float
 
 
 def read_observations(path: Path) -> list[Epoch]:
@@ -81,25 +63,26 @@ def read_observations(path: Path) -> list[Epoch]:
 
 def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
     """All epochs in the lines of an observation file; `path` is used in errors."""
-    version, start = header_of(path, lines, "O", "an observation file")
-    channels = _channels(lines[:start])
-    if version < 3.0:
-        return list(_epochs_2(lines, start + 1, _types_2(lines[:start]), channels))
-    return list(_epochs_3(lines, start + 1, _types_3(lines[:start]), channels))
+    header_of(path, lines, "O", "an observation file")
+    return list(_epochs(lines))
 
 
-def _signals(system: str, types: list[str]) -> list[_Columns]:
-    """Columns of a system's signals in the file, in order of preference."""
-    return [
-        _column_starts(
-            3,
-            [types.index(k + signal) if k + signal in types else -1 for k in "CDS"],
-            signal,
-            _carrier_hz(system, signal),
-        )
-        for signal in PREFERRED[system]
-        if "C" + signal in types
-    ]
+def _signals(header: ObservationHeader, system: str) -> list[_Signal]:
+    """A system's signals in the file, in order of preference."""
+    types = header.types_of(system)
+    found = []
+    for signal in PREFERRED[system]:
+        code, rest = "C" + signal, ("D" + signal, "S" + signal)
+        if header.version < 3.0:
+            code, rest = CODES_2.get(signal, ""), ("D1", "S1")
+        if code in types:
+            places = [
+                header.place(types.index(kind)) if kind in types else (0, ABSENT_COLUMN)
+                for kind in (code, *rest)
+            ]
+            scale, carrier_hz = header.scale_of(system, code), _carrier_hz(system, signal)
+            found.append(_Signal(tuple(places), scale, signal, carrier_hz))
+    return found
 
 
 def _carrier_hz(system: str, signal: str) -> float:
@@ -108,49 +91,22 @@ def _carrier_hz(system: str, signal: str) -> float:
     return BEIDOU_HZ[signal[0]] if system == "C" else L1_HZ
 
 
-def _channels(header: list[str]) -> dict[str, int]:
-    """Frequency channels of GLONASS satellites from the header."""
-    found: dict[str, int] = {}
-    for line in header:
-        if line[60:].startswith("GLONASS SLOT / FRQ #"):
-            words = line[4:60].split()
-            pairs = zip(words[::2], words[1::2], strict=False)
-            found |= {name: int(k) for name, k in pairs if k.lstrip("-").isdigit()}
-    return found
-
-
-def _types_3(header: list[str]) -> dict[str, list[_Columns]]:
-    types = types_3(header)
-    return {system: _signals(system, types[system]) for system in PREFERRED if system in types}
-
-
-def _types_2(header: list[str]) -> tuple[int, _Columns]:
-    names = types_2(header)
-    code = names.index("C1") if "C1" in names else names.index("P1") if "P1" in names else -1
-    places = [names.index(k) if k in names else -1 for k in ("D1", "S1")]
-    return len(names), _column_starts(0, [code, *places], "1C" if "C1" in names else "1P")
-
-
-def _number(text: str) -> float:
-    """The number in a field; NaN if blank."""
-    return math.nan if not text or text.isspace() else float(text)
-
-
-def _values(line: str, columns: _Columns) -> tuple[float, float, float] | None:
-    """Code, Doppler and C/N0 of one line; None without a valid code range."""
-    code, doppler, cn0 = columns.code, columns.doppler, columns.cn0
+def _values(lines: list[str], row: int, signal: _Signal) -> tuple[float, float, float] | None:
+    """Code, Doppler and C/N0 of a satellite; None without a valid code range."""
     try:
-        range_m = float(line[code : code + 14])
+        texts = [lines[row + line][column : column + VALUE] for line, column in signal.places]
+        range_m = float(texts[0]) / signal.scale
         # RINEX files use blank, zero or NaN for a missing value.
         if not range_m > 0.0:
             return None
-        return range_m, _number(line[doppler : doppler + 14]), _number(line[cn0 : cn0 + 14])
+        doppler_hz, cn0_dbhz = (math.nan if not t or t.isspace() else float(t) for t in texts[1:])
+        return range_m, doppler_hz, cn0_dbhz
     except ValueError:
         return None
 
 
 def epoch_of(
-    week: int, tow_s: float, rows: list[CodeObservation], channels: dict[str, int]
+    week: int, tow_s: float, rows: list[CodeObservation], channels: Mapping[str, int]
 ) -> Epoch | None:
     """Build an epoch; `channels` are those of GLONASS. None without any range."""
     if not rows:
@@ -176,82 +132,22 @@ def epoch_of(
     )
 
 
-def _epochs_3(
-    lines: list[str], at: int, types: dict[str, list[_Columns]], channels: dict[str, int]
-) -> Iterator[Epoch]:
+def _epochs(lines: list[str]) -> Iterator[Epoch]:
     carriers: dict[str, float] = {}  # of each satellite, at its first range
-    while at < len(lines):
-        head = lines[at]
-        at += 1
-        if not head.startswith(">") or head[31:32] > "1":
-            continue
-        try:
-            week, tow_s = _time(head[2:6], head[6:29])
-            count = int(head[32:35])
-        except ValueError:
-            continue
-        rows, last = [], at + count
-        for line in lines[at:last]:
-            if line.startswith(">"):  # fewer satellites than the epoch header announces
-                break
-            at += 1
-            row = _row(line, types.get(line[:1], []), carriers)
-            if row is not None:
-                rows.append(row)
-        epoch = epoch_of(week, tow_s, rows, channels)
-        if epoch is not None and (at == last or at < len(lines)):
-            yield epoch
-
-
-def _row(line: str, signals: list[_Columns], carriers: dict[str, float]) -> CodeObservation | None:
-    """A satellite's first signal with a value, on the carrier of its first range."""
-    name = line[:3].replace(" ", "0")
-    for columns in signals:
-        values = _values(line, columns)
-        if values is not None and carriers.setdefault(name, columns.carrier_hz) == (
-            columns.carrier_hz
-        ):
-            return name, values, columns.carrier_hz, columns.signal
-    return None
-
-
-def _time(year: str, rest: str) -> tuple[int, float]:
-    month, day, hour, minute, second = rest.split()
-    return gps_time(
-        int(year), int(month), int(day), int(hour) * 3600 + int(minute) * 60 + float(second)
-    )
-
-
-def _epochs_2(
-    lines: list[str], at: int, types: tuple[int, _Columns], channels: dict[str, int]
-) -> Iterator[Epoch]:
-    total, columns = types
-    # RINEX 2 has five observations per line.
-    per_satellite = -(-total // 5)
-    while at < len(lines):
-        head = lines[at]
-        at += 1
-        try:
-            year = int(head[1:3])
-            week, tow_s = _time(str(year + (1900 if year >= 80 else 2000)), head[3:26])
-            flag, count = int(head[26:29]), int(head[29:32])
-        except ValueError:
-            continue
-        names = head[32:68]
-        for _ in range((count - 1) // 12):
-            names = names.ljust(36) + lines[at][32:68] if at < len(lines) else names
-            at += 1
+    header: ObservationHeader | None = None
+    signals: dict[str, list[_Signal]] = {}
+    for epoch in file_epochs(lines):
+        if epoch.header is not header:  # header records within the file
+            header = epoch.header
+            signals = {system: _signals(header, system) for system in PREFERRED}
         rows = []
-        for i in range(count if flag <= 1 else 0):
-            block = lines[at : at + per_satellite]
-            at += per_satellite
-            name = names[3 * i : 3 * i + 3].replace(" ", "0")
-            # RINEX 2 may omit the letter of GPS.
-            name = "G" + name[1:] if name[:1] == "0" else name
-            values = _values("".join(line.ljust(80)[:80] for line in block), columns)
-            if values is not None and name[:1] in "GER":
-                carrier_hz = CENTRE_HZ if name[0] == "R" else L1_HZ
-                rows.append((name, values, carrier_hz, columns.signal))
-        epoch = epoch_of(week, tow_s, rows, channels)
-        if epoch is not None and at <= len(lines):
-            yield epoch
+        for name, row in epoch.rows.items():
+            for signal in signals.get(name[0], ()):
+                values = _values(lines, row, signal)
+                carrier_hz = signal.carrier_hz
+                if values is not None and carriers.setdefault(name, carrier_hz) == carrier_hz:
+                    rows.append((name, values, carrier_hz, signal.signal))
+                    break
+        found = epoch_of(epoch.week, epoch.tow_s, rows, epoch.header.channels)
+        if found is not None:
+            yield found

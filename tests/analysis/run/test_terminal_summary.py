@@ -23,6 +23,7 @@ def test_brackets_in_texts_of_autopilots_and_users_are_printed(
     }  # fmt: skip
     print_summary(summary, None)
     printed = capsys.readouterr().out
+    assert "unexplained" not in printed
     for expected in (
         f"{text} (limit landed) FAILED",
         "bias[0]  ",
@@ -31,3 +32,17 @@ def test_brackets_in_texts_of_autopilots_and_users_are_printed(
     ):
         assert expected in printed
     assert printed.endswith(" FAIL\n")
+
+
+def test_a_pass_with_unexplained_epochs_has_a_line_about_them(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    summary = {
+        "faults": [], "attitude_rmse_deg": None, "position_rmse_m": None, "epochs": 120,
+        "untestable_epochs": 0, "unexplained_epochs": 1, "alarms": 1, "false_alarms": None,
+        "watched": ("satellites",), "untestable_reasons": {}, "epochs_without_imu": 0,
+        "unbounded_epochs": 0, "false_by_channel": None, "sim_s": 120.0, "wall_s": 1.0,
+        "criteria": [], "verdict": "PASS",
+    }  # fmt: skip
+    print_summary(summary, None)
+    assert "unexplained     1 of 120 epochs: more satellites contradict" in capsys.readouterr().out

@@ -337,3 +337,17 @@ def test_bits_cleared_by_group_belong_to_that_sensor() -> None:
         parameters={"groups": ["baro"]},
     )  # fmt: skip
     assert fault_visibility(off).channels == {"baro"}
+
+
+@pytest.mark.parametrize("epoch_s", [0.2, 1.0, 15.0, 30.0])
+def test_an_exclusion_is_one_alarm_at_any_rate(epoch_s: float) -> None:
+    results = [decision(10 + epoch_s * k, ["G12"]) for k in range(60)]
+    results += [decision(10 + epoch_s * (100 + 10 * k), ["E05"]) for k in range(3)]
+    alarms = [alarm for result in results for alarm in alarms_of(result)]
+    found = windows_of(alarms, round(epoch_s * 1e6))
+    assert [(w.name, w.count) for w in found] == [("G12", 60), ("E05", 1), ("E05", 1), ("E05", 1)]
+
+
+def test_another_sensors_alarms_are_not_merged_over_the_epochs_of_a_receiver() -> None:
+    alarms = [alarm for t in (10.0, 40.0) for alarm in alarms_of(sensor(t, "mag"))]
+    assert len(windows_of(alarms, 30_000_000)) == 2

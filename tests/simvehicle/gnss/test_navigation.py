@@ -1,19 +1,14 @@
 """Reading navigation files."""
 
+import gzip
 from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from simvehicle.gnss.navigation_file import (
-    SHIPPED,
-    gps_time,
-    parse_navigation,
-    read_navigation,
-    sisa_index,
-    ura_index,
-)
+from mavproxy_fault.rinex.navigation_record import sisa_index, ura_index
+from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, gps_time, read_navigation
 
 
 def shipped_lines() -> list[str]:
@@ -48,13 +43,19 @@ def test_the_real_file_it_is_cut_from_reads_too(shared_data: Path) -> None:
         assert set(sets) <= set(complete.ephemerides[name])
 
 
-def test_other_systems_and_blank_lines_are_skipped() -> None:
+def parsed(lines: list[str], folder: Path) -> NavigationData:
+    path = folder / "x.nav"
+    path.write_text("\n".join(lines) + "\n")
+    return read_navigation(path)
+
+
+def test_other_systems_and_blank_lines_are_skipped(tmp_path: Path) -> None:
     lines = shipped_lines()
     start = lines.index(next(line for line in lines if line.startswith("E01")))
     qzss = ["J" + lines[start][1:], *lines[start + 1 : start + 8]]
     glonass = ["R" + lines[start][1:], *lines[start + 1 : start + 4], ""]
     mixed = lines[:start] + qzss + glonass + lines[start:]
-    assert parse_navigation(mixed, "x") == parse_navigation(lines, "x")
+    assert parsed(mixed, tmp_path) == parsed(lines, tmp_path)
 
 
 def changed(line_start: str, after: int, old: str, new: str) -> list[str]:
@@ -65,48 +66,100 @@ def changed(line_start: str, after: int, old: str, new: str) -> list[str]:
     return lines
 
 
-def test_fnav_and_unhealthy_satellites_are_left_out() -> None:
+def test_fnav_and_unhealthy_satellites_are_left_out(tmp_path: Path) -> None:
     fnav = changed("E01", 5, ".516000000000D+03", ".258000000000D+03")
-    assert "E01" not in parse_navigation(fnav, "x").ephemerides
+    assert "E01" not in parsed(fnav, tmp_path).ephemerides
     sick = changed("G02", 6, "  .000000000000D+00", "  .630000000000D+02")
-    assert "G02" not in parse_navigation(sick, "x").ephemerides
+    assert "G02" not in parsed(sick, tmp_path).ephemerides
+
+
+@pytest.mark.parametrize("source", [1, 4, 5, 513, 516, 517, 3, 0])
+def test_sources_with_inav_are_kept(source: int, tmp_path: Path) -> None:
+    inav = changed("E01", 5, ".516000000000D+03", f"{source:17.1f}")
+    found = parsed(inav, tmp_path).ephemerides["E01"][0]
+    assert found == read_navigation(SHIPPED).ephemerides["E01"][0]
+
+
+def test_a_damaged_record_costs_itself_only(tmp_path: Path) -> None:
+    whole = read_navigation(SHIPPED).ephemerides
+    damages = [
+        changed("G03", 2, "D-06", "Q-06"),
+        changed("G03", 0, "2021 03 19", "2021 13 19"),
+        changed("G03", 0, "-.112356152385D-03", "-.912356152385D-00"),
+        changed("G03", 0, "G03", " 03"),
+    ]
+    for lines in damages:
+        left = parsed(lines, tmp_path).ephemerides
+        assert {name: whole[name] for name in whole if name != "G03"} == {
+            name: sets for name, sets in left.items() if name != "G03"
+        }
+        assert len(left.get("G03", ())) == len(whole["G03"]) - 1
 
 
 @pytest.mark.parametrize(
     ("lines", "text"),
     [
-        ([], "x.nav:1: is not a RINEX navigation file"),
-        (changed("     3.04", 0, "N: GNSS", "O: GNSS"), "x.nav:1: is not a RINEX navigation"),
-        (changed("     3.04", 0, "3.04", "2.11"), "x.nav:1: RINEX 2.11 is not supported"),
-        (shipped_lines()[:5], "x.nav:5: the header has no end"),
-        (changed("GPSA", 0, ".7451D-08", ".7451D-xx"), "x.nav:8: '.7451D-xx' is not a number"),
-        (changed("G03", 2, "D-06", "Q-06"), "Q-06' is not a number"),
-        (changed("G03", 0, "2021 03 19", "2021 13 19"), "is not a time"),
-        (changed("G03", 0, "G03", " 03"), "does not start a record"),
-        (changed("G03", 0, "-.112356152385D-03", "-.912356152385D-00"), "cannot be broadcast"),
+        (["hello"], "x.nav: is not a RINEX file"),
+        (changed("     3.04", 0, "N: GNSS", "O: GNSS"), "x.nav: has type 'O'; give a navigation"),
+        (shipped_lines()[:5], "x.nav: has no END OF HEADER"),
+        (changed("GPSA", 0, ".7451D-08", ".7451D-xx"), "ionosphere field is not a number"),
         (shipped_lines()[:11], "has no ephemeris"),
     ],
 )
-def test_a_wrong_file_is_refused_with_its_line(lines: list[str], text: str) -> None:
+def test_a_wrong_file_is_refused(lines: list[str], text: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
-        parse_navigation(lines, "x.nav")
+        parsed(lines, tmp_path)
     assert text in str(error.value)
 
 
-def test_a_record_cut_short_is_named_with_its_line() -> None:
+def test_compressed_files_and_rinex_4_are_read_alike(tmp_path: Path) -> None:
+    packed, four = tmp_path / "a.nav.gz", tmp_path / "b.rnx"
+    packed.write_bytes(gzip.compress(SHIPPED.read_bytes()))
+    lines = [
+        line
+        for old in [SHIPPED.read_text().replace(" 3.04 ", " 4.01 ", 1)]
+        for line in old.splitlines()
+    ]
+    with_heads = []
+    for line in lines:
+        if line[:1] in "GE":
+            with_heads.append(f"> EPH {line[:3]} {'LNAV' if line[0] == 'G' else 'INAV'}")
+        with_heads.append(line)
+    four.write_text("\n".join(with_heads) + "\n")
+    whole = read_navigation(SHIPPED)
+    assert read_navigation(packed) == whole
+    assert read_navigation(four).ephemerides == whole.ephemerides
+
+
+def test_rinex_2_is_read_like_rinex_3(tmp_path: Path) -> None:
     lines = shipped_lines()
-    at = lines.index(next(line for line in lines if line.startswith("G01")))
-    with pytest.raises(ConfigError, match=rf"x.nav:{at + 6}: the record of G01 ends after 5 lines"):
-        parse_navigation(lines[: at + 5] + lines[at + 8 :], "x.nav")
-    with pytest.raises(ConfigError, match="ends after 3 lines; 8 lines"):
-        parse_navigation(lines[: at + 3], "x.nav")
+    start = next(i for i, line in enumerate(lines) if "END OF HEADER" in line) + 1
+    two = [
+        f"{'     2.11           N: GPS NAV DATA':<60}RINEX VERSION / TYPE",
+        " " * 60 + "END OF HEADER",
+    ]
+    keep = False
+    for line in lines[start:]:
+        if line[:1] != " ":
+            keep = line[0] == "G"
+            stamp = [int(word) for word in line[4:23].split()]
+            line = (
+                f" {line[1:3]} {stamp[0] % 100:02d}"
+                + "".join(f" {k:2d}" for k in stamp[1:5])
+                + f"{stamp[5]:5.1f}"
+                + line[23:]
+            )
+        if keep:
+            two.append(line[1:])
+    whole = read_navigation(SHIPPED).ephemerides
+    assert parsed(two, tmp_path).ephemerides == {n: e for n, e in whole.items() if n[0] == "G"}
 
 
 def test_a_missing_and_a_binary_file_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.nav: cannot be read"):
+    with pytest.raises(ConfigError, match=r"none\.nav: No such file"):
         read_navigation(tmp_path / "none.nav")
     (tmp_path / "zip.nav").write_bytes(b"\x1f\x8b\xff\xfe")
-    with pytest.raises(ConfigError, match=r"zip\.nav: cannot be read"):
+    with pytest.raises(ConfigError, match=r"zip\.nav: is not a RINEX file"):
         read_navigation(tmp_path / "zip.nav")
 
 

@@ -1,0 +1,91 @@
+"""What the header records of an observation file state, at the file's start or in an event.
+
+A record holds from where it stands until another replaces it [1]_.
+
+References
+----------
+.. [1] IGS/RTCM, RINEX 3.05 and 4.01, tables A2, A3; W. Gurtner, RINEX 2.11, tables A1, A2.
+"""
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+import msgspec
+
+FIELD = 16  # width of an observation: F14.3, loss of lock, signal strength
+NAME = 3  # a line of RINEX 3 begins with the satellite's name
+PER_LINE_2 = 5  # observations in a line of RINEX 2
+# The time system of a file of one satellite system that does not name another.
+OWN_CLOCK = {"R": "GLO", "E": "GAL", "C": "BDT", "J": "QZS"}
+
+
+class ObservationHeader(msgspec.Struct, frozen=True, eq=False):
+    """The header records that hold at a place in the file.
+
+    `types` are the observation types by system (RINEX 2: of all systems, ""), `scales` the factors
+    of those that are stored multiplied, `channels` the frequency channels of GLONASS satellites.
+    """
+
+    version: float = 3.0
+    system: str = "M"
+    time_system: str = ""
+    types: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    scales: Mapping[tuple[str, str], float] = MappingProxyType({})
+    channels: Mapping[str, int] = MappingProxyType({})
+
+    @property
+    def clock(self) -> str:
+        """The time system of the epochs."""
+        return self.time_system or OWN_CLOCK.get(self.system, "GPS")
+
+    def types_of(self, satellite: str) -> tuple[str, ...]:
+        """The observation types of a satellite, in field order."""
+        return self.types.get("" if self.version < 3.0 else satellite[:1], ())
+
+    def scale_of(self, satellite: str, kind: str) -> float:
+        """By how much the stored number of a type exceeds the observation."""
+        return self.scales.get((satellite[:1], kind), 1.0)
+
+    def place(self, field: int) -> tuple[int, int]:
+        """Line after a satellite's first, and column, of its field of that index."""
+        if self.version < 3.0:
+            return field // PER_LINE_2, FIELD * (field % PER_LINE_2)
+        return 0, NAME + FIELD * field
+
+    def with_records(self, lines: Iterable[str]) -> "ObservationHeader":
+        """The header after further records; what is no known record is skipped."""
+        new, system = self, ""
+        types, scales = dict(self.types), dict(self.scales)
+        channels = dict(self.channels)
+        for line in lines:
+            label, words = line[60:80].strip(), line[6:60].split()
+            if label == "RINEX VERSION / TYPE":  # another file, appended
+                version = _number_or(line[:9], self.version)
+                new = ObservationHeader(version, line[40:41].strip() or "G")
+                types, scales, channels = {}, {}, {}
+            elif label == "SYS / # / OBS TYPES":
+                if line[0] != " ":  # blank in continuation lines
+                    system = line[0]
+                    types[system] = ()
+                types[system] = (*types.get(system, ()), *words)
+            elif label == "# / TYPES OF OBSERV":
+                types[""] = (*(() if line[:6].strip() else types.get("", ())), *words)
+            elif label == "TIME OF FIRST OBS":
+                new = msgspec.structs.replace(new, time_system=line[48:51].strip())
+            elif label == "SYS / SCALE FACTOR":
+                system = line[0] if line[0] != " " else system
+                factor = _number_or(line[2:6], 1.0)
+                names = line[10:60].split() or types.get(system, ())
+                scales |= {(system, name): factor for name in names}
+            elif label == "GLONASS SLOT / FRQ #":
+                words = line[4:60].split()
+                pairs = zip(words[::2], words[1::2], strict=False)
+                channels |= {name: int(k) for name, k in pairs if k.lstrip("-").isdigit()}
+        return msgspec.structs.replace(new, types=types, scales=scales, channels=channels)
+
+
+def _number_or(text: str, default: float) -> float:
+    try:
+        return float(text) or default
+    except ValueError:
+        return default
