@@ -1,7 +1,9 @@
-"""Machine code into the wheel: what `mavproxy-fault warm-up` makes, for any common processor.
+"""Wheels of a release, with the kernels inside: `python hatch_build.py [PYTHON ...]`.
 
-The wheel is then one for this system and this version of Python. Where the code cannot be made, and
-with HATCH_BUILD_NO_HOOKS=1, it is one for all, and machine code is made when it is first needed.
+A plain build compiles nothing; kernels are compiled at first use. This command builds one wheel for
+each interpreter (default: the one that runs it) into `dist/`, with what `mavproxy-fault warm-up`
+makes for any common processor, and prints the commands of the release notes. Such a wheel is for
+one system and one version of Python.
 """
 
 import os
@@ -12,14 +14,18 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ImportError:  # run as a command, which needs only pip
+    BuildHookInterface = object  # type: ignore[assignment,misc]
 
+ROOT = Path(__file__).parent
 INSIDE = "mavproxy_fault/machine_code"
-KINDS = (".o", ".nbi", ".nbc")  # not the locks
+KINDS = (".o", ".nbi", ".nbc", ".digest")  # not the locks
 
 
-class MachineCode(BuildHookInterface[Any]):
-    """Compiles before a wheel is put together; editable installs compile at first use."""
+class MachineCode(BuildHookInterface):  # type: ignore[type-arg,misc]
+    """Compiles before a wheel is assembled, where HATCH_BUILD_HOOKS_ENABLE requests it."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Add the machine code to the wheel's files."""
@@ -36,9 +42,7 @@ class MachineCode(BuildHookInterface[Any]):
         path = os.pathsep.join([str(sources), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "0"}
         warm_up = [sys.executable, "-m", "analysis.warm_up", "--portable", str(made)]
-        if subprocess.run(warm_up, env=environment, cwd=self._folder).returncode != 0:
-            self.app.display_warning("no machine code: it will be made when it is first needed")
-            return
+        subprocess.run(warm_up, env=environment, cwd=self._folder, check=True)
         for file in sorted(made.rglob("*")):
             if file.suffix in KINDS:
                 place = file.relative_to(made).as_posix()
@@ -50,3 +54,18 @@ class MachineCode(BuildHookInterface[Any]):
         """Remove what is in the wheel now."""
         if version != "editable":
             shutil.rmtree(self._folder)
+
+
+def main(pythons: list[str]) -> None:
+    """Build a wheel by each interpreter, and print how users install it."""
+    environment = {**os.environ, "HATCH_BUILD_HOOKS_ENABLE": "true"}
+    out = ROOT / "dist"
+    for python in pythons or [sys.executable]:
+        wheel = ["-m", "pip", "wheel", "--verbose", "--no-deps", "--wheel-dir", str(out), str(ROOT)]
+        subprocess.run([python, *wheel], env=environment, check=True)
+    for path in sorted(out.glob("*.whl")):
+        print(f"pip install {path.name}\nuvx --from ./{path.name} mavproxy-fault run")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -33,3 +33,15 @@ def test_a_build_beside_an_editable_installation_brings_machine_code_too(
     assert not build_data["pure_python"]
     hook.finalize("standard", build_data, "")
     assert (root / "analysis" / "warm_up.py").exists()
+
+
+@pytest.mark.parametrize(("release", "needs"), [(False, False), (True, True)])
+def test_only_a_release_needs_more_than_hatchling(
+    monkeypatch: pytest.MonkeyPatch, release: bool, needs: bool
+) -> None:
+    build = pytest.importorskip("hatchling.build", reason="the build's own tool is not installed")
+    monkeypatch.chdir(HOOK.parent)
+    monkeypatch.delenv("HATCH_BUILD_HOOKS_ENABLE", raising=False)
+    if release:
+        monkeypatch.setenv("HATCH_BUILD_HOOKS_ENABLE", "true")
+    assert bool(build.get_requires_for_build_wheel()) is needs

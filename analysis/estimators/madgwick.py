@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.samples.sample import ImuSample, MagSample, Sample
+from mavproxy_fault.documents.extras import import_extra, require_extra
 
 Vector = NDArray[np.float64]
 
@@ -34,11 +35,12 @@ class Madgwick:
 
     gain: float = 0.041
 
+    def __post_init__(self) -> None:
+        require_extra("ahrs")
+
     @cached_property
     def _filter(self) -> Any:
-        from ahrs.filters import Madgwick as Filter
-
-        return Filter(gain=self.gain)
+        return import_extra("ahrs.filters").Madgwick(gain=self.gain)
 
     def start(self, prior: Prior) -> MadgwickState:
         """The prior's attitude, relative to magnetic north."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.results import encode, read_results
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire import tlog
 
 Table = dict[str, NDArray[Any]]
@@ -117,8 +118,7 @@ def _python_values(column: NDArray[Any]) -> list[Any]:
 
 
 def _write_parquet(path: Path, table: Table) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    pa, pq = import_extra("pyarrow"), import_extra("pyarrow.parquet")
 
     arrays = {
         name: pa.array(
@@ -132,10 +132,10 @@ def _write_parquet(path: Path, table: Table) -> None:
 
 def _write_mcap(path: Path, log: Path) -> None:
     """Write an MCAP file with one channel of JSON messages per table."""
-    from mcap.writer import CompressionType, Writer
+    mcap = import_extra("mcap.writer")
 
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer = mcap.Writer(file, compression=mcap.CompressionType.ZSTD)
         writer.start(profile="", library="mavproxy-fault")
         for name, table in read_tables(log, with_results=False):
             _write_channel(writer, name, table)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
@@ -59,19 +60,15 @@ def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None
     ConfigError
         If matplotlib is not installed, or the schedule is empty.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ConfigError(
-            "faults plot: matplotlib is not installed; run pip install matplotlib"
-        ) from None
     entries = schedule.faults
     if not entries:
         raise ConfigError(f"{path}: the schedule has no faults to draw; add some")
     # No empty columns for a short schedule.
     columns = min(columns, len(entries))
     rows = math.ceil(len(entries) / columns)
-    figure = Figure(figsize=(3.4 * columns, 2.2 * rows), layout="constrained")
+    figure = import_extra("matplotlib.figure").Figure(
+        figsize=(3.4 * columns, 2.2 * rows), layout="constrained"
+    )
     for i, entry in enumerate(entries):
         _axes(figure.add_subplot(rows, columns, i + 1), entry, schedule.seed)
     figure.savefig(path, dpi=80)

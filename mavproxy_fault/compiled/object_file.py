@@ -17,7 +17,7 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 
 from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
-from mavproxy_fault.numerics.code_cache import alone, installed, place
+from mavproxy_fault.numerics.code_cache import alone, code_digest, installed, place
 
 PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
@@ -62,10 +62,8 @@ def _target() -> tuple[Any, str, str]:
 def object_path() -> Path:
     """The path of the object file for these sources and this processor; it may not exist yet."""
     _, cpu, features = _target()
-    mark = hashlib.sha256(f"{cpu} {features}".encode())
-    for source in sources():
-        mark.update((PACKAGE / source).read_bytes())
-    name = f"forward-{mark.hexdigest()[:16]}.o"
+    code = code_digest([(PACKAGE / source).read_bytes() for source in sources()])
+    name = f"forward-{hashlib.sha256(f'{code} {cpu} {features}'.encode()).hexdigest()[:16]}.o"
     ready = installed() / name
     return ready if ready.is_file() else place() / name
 

@@ -16,6 +16,7 @@ from typing import Literal
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 
 BLOCK_ROWS = 8192
 LOG = logging.getLogger(__name__)
@@ -139,7 +140,7 @@ def _column(names: list[str], name: str, file: str) -> int:
 
 
 def _parquet(table: SeriesTable) -> Iterator[Block]:
-    import pyarrow.parquet as parquet  # heavy: imported only for Parquet files
+    parquet = import_extra("pyarrow.parquet")
 
     try:
         with parquet.ParquetFile(table.file) as file:

@@ -5,16 +5,19 @@ and contain constants of other files: after an update numba would use outdated c
 is named after a digest of all files involved in compiled code. Nothing here imports numba.
 """
 
+import ast
 import hashlib
 import os
 import re
 import shutil
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import runs_baseline
 
 try:
@@ -32,18 +35,45 @@ STALE_S = 86_400.0  # a process that still runs with yesterday's sources may yet
 
 @cache
 def mark() -> str:
-    """A digest of all files that are compiled, and of the files that those import."""
+    """Return the digest of the code in all compiled files, and in the files that those import."""
     files = {path: path.read_bytes() for name in PACKAGES for path in _sources(ROOT / name)}
-    # Most hold neither word, which is seen sooner.
-    told = {path: text for path, text in files.items() if b"numba" in text or b".compile" in text}
-    wanted = {path for path, text in told.items() if COMPILED.search(text)}
+    # Most contain neither word, which is a faster test.
+    candidates = {
+        path: text for path, text in files.items() if b"numba" in text or b".compile" in text
+    }
+    wanted = {path for path, text in candidates.items() if COMPILED.search(text)}
     for path in list(wanted):
         for name in IMPORTED.findall(files[path]):
             wanted.add(ROOT / f"{name.decode().replace('.', '/')}.py")
+    return code_digest([files[path] for path in sorted(wanted & files.keys())])
+
+
+def code_digest(sources: Sequence[bytes]) -> str:
+    """Return a digest of sources that comments, docstrings and line numbers do not change.
+
+    Parsing takes a third of a second for all kernels, so a file beside the kernels remembers it.
+    """
+    exact = hashlib.sha256(b"\0".join([sys.version.encode(), *sources])).hexdigest()[:16]
+    name = f"{exact}.digest"
+    for known in (installed() / name, place() / name):
+        with suppress(OSError):
+            return known.read_text()
     digest = hashlib.sha256()
-    for path in sorted(wanted & files.keys()):
-        digest.update(files[path])
-    return digest.hexdigest()[:16]
+    for source in sources:
+        digest.update(ast.dump(_without_docstrings(ast.parse(source))).encode())
+    found = digest.hexdigest()[:16]
+    with suppress(OSError):  # nowhere to write to: it is parsed again next time
+        write_atomic(place() / name, found)
+    return found
+
+
+def _without_docstrings(tree: ast.Module) -> ast.Module:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            match node.body:
+                case [ast.Expr(ast.Constant(str())), *rest]:
+                    node.body = rest
+    return tree
 
 
 def _sources(package: Path) -> Iterator[Path]:
@@ -61,8 +91,8 @@ def installed() -> Path:
 def place() -> Path:
     """Where machine code is kept: the first of these folders that can be written to.
 
-    The one that the user names; beside the sources; in the user's cache; among temporary files, in
-    a folder that only this user can write to, since code is loaded from it.
+    The one that the user names; the user's cache; among temporary files, a folder that only this
+    user can write to, since code is loaded from it. All installations of the same sources share it.
     """
     places = list(_places())
     return next((path for path in places if is_usable(path)), places[-1])
@@ -71,7 +101,6 @@ def place() -> Path:
 def _places() -> Iterator[Path]:
     if chosen := os.environ.get("MAVPROXY_FAULT_CACHE"):
         yield Path(chosen)
-    yield ROOT / PACKAGES[0] / "__pycache__"
     home = os.environ.get("XDG_CACHE_HOME")
     if home is None:
         with suppress(RuntimeError):  # a user without a name has no home either
@@ -94,7 +123,7 @@ def is_usable(path: Path) -> bool:
         owner = path.stat().st_uid
     except OSError:
         return False
-    return os.access(path, os.W_OK | os.X_OK) and owner in (user_number(), ROOT.stat().st_uid)
+    return os.access(path, os.W_OK | os.X_OK) and owner == user_number()
 
 
 @cache

@@ -6,6 +6,9 @@ own cache, and the level is set only while one of ours is being compiled, under 
 """
 
 import logging
+import math
+import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
@@ -18,6 +21,7 @@ from numba.core import caching
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.types import Dispatcher
 
+from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import BASELINE
 from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
 from mavproxy_fault.numerics.loaded_code import LoadedCode
@@ -32,6 +36,9 @@ LEVEL = type(config.OPT)(1)
 # Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
+REPORT_PERIOD_S = 2.0  # most functions take less: no silence of more than 5 s
+IDLE_S = 60.0  # longer than any function takes
+
 MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -43,7 +50,6 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         self._py_file = source  # numba names it in a warning
         self._path = self.folder() / function.__module__
-        self._line = function.__code__.co_firstlineno
 
     def folder(self) -> Path:
         """The folder of all functions."""
@@ -63,8 +69,8 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return mark()
 
     def get_disambiguator(self) -> str:
-        """Distinguishes functions of the same name in one file."""
-        return str(self._line)
+        """Nothing: numba's index tells functions of one name apart by their code."""
+        return ""
 
 
 class _CacheImpl(LoadedCode):
@@ -141,10 +147,28 @@ class _Cache(_FunctionCache):
             super()._save_overload(signature, code)
 
 
+def _announce(name: str) -> None:
+    """Report progress, one line for all processes that compile at the same time."""
+    shared = folder() / "progress"
+    now_s = time.time()
+    with suppress(OSError):  # nowhere to write to: each process reports for itself
+        folder().mkdir(parents=True, exist_ok=True)
+        silent_s = now_s - shared.stat().st_mtime if shared.exists() else math.inf
+        if silent_s < REPORT_PERIOD_S:
+            return
+        if silent_s > IDLE_S:  # the last compilation was that of another command
+            write_atomic(shared, repr(now_s))
+        os.utime(shared)
+        spent_s = now_s - float(shared.read_text())
+        done = sum(1 for _ in folder().glob("*/*.nbc"))
+        LOG.warning("compiling kernels (first use only): %d done, %.0f s, %s", done, spent_s, name)
+        return
+    _announce_once()
+
+
 @cache
-def _announce() -> None:
-    """Tell once why it takes so long."""
-    LOG.warning("first use: compiling machine code, once, which takes up to a minute")
+def _announce_once() -> None:
+    LOG.warning("compiling kernels; they serve this process only, as no folder can be written to")
 
 
 @contextmanager
@@ -169,7 +193,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             known = signature in dispatcher.overloads
             if not known and not code.holds(signature, dispatcher.targetctx.codegen()):
                 # Whoever waited for another process here finds what that one has made.
-                _announce()
+                _announce(f"{function.__module__}.{function.__name__}")
                 stack.enter_context(alone(code.lock))
             return compile_one(signature)
 

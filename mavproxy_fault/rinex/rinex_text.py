@@ -5,6 +5,7 @@ import zlib
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 PACKED = (".gz", ".z", ".bz2", ".zip", ".crx", ".crx.gz")
@@ -31,7 +32,7 @@ def read_rinex_text(path: Path) -> list[str]:
 
 
 def _decompressed(data: bytes, path: Path) -> bytes:
-    import hatanaka
+    hatanaka = import_extra("hatanaka")
 
     try:
         unpacked: bytes = hatanaka.decompress(data)

@@ -9,15 +9,19 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba import njit, types
+from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def inline_in_kernels(function: Function) -> Function:
-    """Decorate a function that compiled code calls; it is inlined into its caller."""
-    return cast(Function, register_jitable(inline="always")(function))
+    """Decorate a function that compiled code calls; LLVM inlines it into its caller.
+
+    numba's own inlining (`inline="always"`) types the body anew for each call: `log_walk.walk` then
+    took 18.6 s of processor time to compile (benchmarks/compile_costs.md).
+    """
+    return cast(Function, njit(forceinline=True, no_cfunc_wrapper=True)(function))
 
 
 def _access(bits: int) -> tuple[Any, Any]:

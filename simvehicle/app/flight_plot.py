@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import Scenario
@@ -89,9 +90,7 @@ def plot_scenario(scenario: Scenario, seed: int | None, path: str | Path) -> int
 def draw_flight(flight: PlottedFlight, title: str) -> Any:
     """Draw the path on the left and the states over time on the right."""
     # `Figure` without pyplot keeps no global state and needs no display.
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14.0, 8.5), layout="constrained")
+    figure = import_extra("matplotlib.figure").Figure(figsize=(14.0, 8.5), layout="constrained")
     figure.suptitle(title)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.1))
     left, right = halves

@@ -49,9 +49,10 @@ def processor_s(*command: str | Path, environment: dict[str, str] | None = None)
 
 def build(folder: Path, *, alike: bool) -> Path:
     """A wheel of this source tree; with `alike` one whose bytes are always the same."""
+    epoch = {"SOURCE_DATE_EPOCH": "1700000000"} if alike else {}
     spent_s = processor_s(
         sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", ROOT, "--wheel-dir", folder,
-        environment={**os.environ, "SOURCE_DATE_EPOCH": "1700000000"} if alike else None,
+        environment={**os.environ, "HATCH_BUILD_HOOKS_ENABLE": "true", **epoch},
     )  # fmt: skip
     (wheel,) = folder.glob("*.whl")
     print(f"built {wheel.name}, {wheel.stat().st_size / 1e6:.1f} MB, {spent_s:.0f} s", flush=True)

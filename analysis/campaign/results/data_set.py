@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from analysis.autopilots.flight_process import RUN_FOLDER
 from analysis.campaign.cell import file_key
@@ -23,6 +21,7 @@ from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault import __version__
 from mavproxy_fault.app.recorder import LABELS, RECEIVED, SENT
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_columns
 
@@ -48,7 +47,7 @@ def export_data_set(folder: Path, out: Path) -> None:
         {**flatten_result(r), "onset": str(r.cell.onset), "flight": _flight(r, kept)}
         for r in results
     ]
-    pq.write_table(pa.Table.from_pylist(rows), out / "cells.parquet")
+    _write_table(_arrow().Table.from_pylist(rows), out / "cells.parquet")
     card = files("analysis.campaign.results") / "assets" / "data_card.md"
     (out / "README.md").write_text(
         card.read_text(encoding="utf-8").format(
@@ -83,21 +82,30 @@ def write_flight(folder: Path, out: Path) -> None:
     out.mkdir(exist_ok=True)
     for side in (RECEIVED, SENT):
         for message, rows in read_columns(folder / side).items():
-            table = pa.table({name: _column(rows[name]) for name in rows.dtype.names or ()})
-            pq.write_table(table, out / f"{message}.{Path(side).stem}.parquet")
+            table = _arrow().table({name: _column(rows[name]) for name in rows.dtype.names or ()})
+            _write_table(table, out / f"{message}.{Path(side).stem}.parquet")
     labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
     # Fixed keys, so that the columns are the same for every fault.
     keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
     applied = [{key: label.get(key) for key in keys} for label in labels]
     # An explicit schema, since a flight without faults has no rows to infer it from.
+    pa = _arrow()
     schema = pa.schema(
         [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
          ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),
          ("magnitude", pa.float64())]
     )  # fmt: skip
-    pq.write_table(pa.Table.from_pylist(applied, schema), out / "labels.parquet")
+    _write_table(pa.Table.from_pylist(applied, schema), out / "labels.parquet")
 
 
 def _column(values: Any) -> Any:
     """Convert one column; array fields become lists."""
-    return pa.array(values.tolist() if values.ndim > 1 else values)
+    return _arrow().array(values.tolist() if values.ndim > 1 else values)
+
+
+def _arrow() -> Any:
+    return import_extra("pyarrow")
+
+
+def _write_table(table: Any, path: Path) -> None:
+    import_extra("pyarrow.parquet").write_table(table, path)

@@ -11,6 +11,7 @@ from analysis.report.curves.spectra import SpectrumPanel, frequency_marks, spect
 from analysis.report.page.packed_numbers import thin_curve
 from analysis.report.page.page_model import longest_armed, tracks_in_flight
 from analysis.report.page.series_colours import GATES, PALETTE, series_colours
+from mavproxy_fault.documents.extras import import_extra
 
 MOST_POINTS = 20_000  # per curve; an SVG with more opens slowly
 # Font type 42 embeds TrueType fonts, which journals require; matplotlib's default is type 3.
@@ -25,8 +26,7 @@ SHADES = {"injected": ("#d65c1c", 0.16), "flag": ("#c2231c", 0.10)}
 
 def write_figures(folder: Path, recording: FlightData) -> list[Path]:
     """Write each plot in each format to `folder`; returns the files written."""
-    import matplotlib as mpl
-
+    mpl = import_extra("matplotlib")
     # No display needed: figures are written on servers too.
     mpl.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
@@ -45,9 +45,9 @@ def write_figures(folder: Path, recording: FlightData) -> list[Path]:
 
 def _axes(width_in: float, height_in: float) -> tuple[Any, Any]:
     # `Figure` without pyplot, which would keep every figure until it is closed.
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = import_extra("matplotlib.figure").Figure(
+        figsize=(width_in, height_in), layout="constrained"
+    )
     return figure, figure.add_subplot()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.report.page.series_colours import PALETTE, series_colours
 from analysis.results import Decision, Result
 from analysis.samples.sample import Vector
+from mavproxy_fault.documents.extras import has_extra, import_extra
 
 Picture = tuple[str, bytes]  # title, SVG
 MOST_POINTS = 30_000
@@ -19,7 +20,9 @@ def gnss_pictures(
     results: Sequence[Result], errors: dict[str, Vector], levels: dict[str, Vector]
 ) -> list[Picture]:
     """Draw all GNSS figures of the results; `errors` (n, 2) are horizontal and vertical errors by
-    solution, `levels` (n, 2) errors and protection levels by direction."""
+    solution, `levels` (n, 2) errors and protection levels by direction. None without matplotlib."""
+    if not has_extra("matplotlib"):
+        return []
     seen = [r for r in results if isinstance(r, Decision) and r.elevation_deg]
     found = []
     if seen:
@@ -58,15 +61,14 @@ def _table(seen: Sequence[Decision]) -> tuple[Vector, list[str]]:
 
 
 def _figure(width_in: float, height_in: float, **axes: Any) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = import_extra("matplotlib.figure").Figure(
+        figsize=(width_in, height_in), layout="constrained"
+    )
     return figure, figure.add_subplot(**axes)
 
 
 def _svg(figure: Any) -> bytes:
-    import matplotlib as mpl
-
+    mpl = import_extra("matplotlib")
     found = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "gnss", "font.size": 9}):
         figure.savefig(found, format="svg", metadata={"Date": None}, dpi=130)

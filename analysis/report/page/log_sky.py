@@ -9,6 +9,7 @@ import numpy as np
 
 from analysis.report.curves.recording import FlightData, Message, Vector
 from analysis.report.page.gnss_figures import Picture, draw_sky
+from mavproxy_fault.documents.extras import has_extra
 
 AZIMUTH_STEPS = 255.0
 # First and last number of each system in u-blox's common numbering, and its letter.
@@ -20,11 +21,11 @@ SKY_MESSAGES = (("satellite_info", "svid", ""), ("GPS_STATUS", "satellite_prn", 
 
 
 def sky_pictures(recording: FlightData) -> list[Picture]:
-    """The sky plot of a log; empty without satellite messages."""
+    """The sky plot of a log; empty without satellite messages, or matplotlib."""
     for message, numbers, prefix in SKY_MESSAGES:
         if (found := recording.messages.get(message)) is not None:
             rows = _rows(found, numbers, prefix)
-            if len(rows):
+            if len(rows) and has_extra("matplotlib"):
                 return [_picture(rows)]
     return []
 

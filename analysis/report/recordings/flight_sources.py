@@ -20,6 +20,7 @@ from analysis.report.recordings.reading_bar import reading_bar
 from analysis.report.recordings.thinning import WHOLE_BYTES, dataflash_thinning, read_contents
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.dialect import describe_unknown
 from mavproxy_fault.wire.label import Label, read_labels
@@ -188,8 +189,8 @@ def _results_alone(path: Path, labels: Sequence[Label]) -> RecordedFlight:
 
 
 def _mcap_results(path: Path) -> list[Result]:
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    error_type = import_extra("mcap.exceptions").McapError
+    make_reader = import_extra("mcap.reader").make_reader
 
     try:
         with path.open("rb") as file:
@@ -198,7 +199,7 @@ def _mcap_results(path: Path) -> list[Result]:
                 for _, channel, message in make_reader(file).iter_messages()
                 if channel.topic.startswith("/results/")
             ]
-    except (McapError, msgspec.DecodeError, OSError, ValueError, EOFError, struct.error) as error:
+    except (error_type, msgspec.DecodeError, OSError, ValueError, EOFError, struct.error) as error:
         raise ConfigError(f"{path}: {error}; give a complete MCAP file of results") from error
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 
 PACKED = (".gz", ".xz", ".zst")
 POINTER = b"version https://git-lfs.github.com/spec/"  # beginning of a Git LFS pointer
@@ -86,6 +87,4 @@ def _reader(path: Path) -> Any:
     if path.suffix == ".xz":
         return lzma.open(path)
     # For zstd, which the standard library lacks.
-    import pyarrow as pa
-
-    return pa.CompressedInputStream(str(path), "zstd")
+    return import_extra("pyarrow").CompressedInputStream(str(path), "zstd")

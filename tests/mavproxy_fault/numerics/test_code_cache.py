@@ -31,6 +31,23 @@ def test_what_was_compiled_or_imported_by_it_renews_the_code(
     assert (kernels.mark.__wrapped__() != before) is renewed
 
 
+@pytest.mark.parametrize(
+    ("edited", "renewed"),
+    [
+        ('"""Words."""\n\n# a comment\ndef half(x):\n    """Half."""\n    return x / 2\n', False),
+        ("def half(x):\n    return x / 3\n", True),
+    ],
+)
+def test_only_an_edit_of_the_code_renews_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edited: str, renewed: bool
+) -> None:
+    monkeypatch.setenv("MAVPROXY_FAULT_CACHE", str(tmp_path))
+    before = kernels.code_digest([b"def half(x):\n    return x / 2\n"])
+    for _ in range(2):  # parsed, and remembered
+        assert (kernels.code_digest([edited.encode()]) != before) is renewed
+    assert len(list(tmp_path.glob("*.digest"))) == 2
+
+
 def test_the_folder_bears_the_mark() -> None:
     assert kernels.folder().name == f"kernels-{kernels.mark()}"
 
@@ -63,5 +80,17 @@ def test_without_file_owners_a_place_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(kernels.os, "getuid")
-    monkeypatch.setattr(kernels, "ROOT", tmp_path)
-    assert kernels.place() == tmp_path / kernels.PACKAGES[0] / "__pycache__"
+    monkeypatch.delenv("MAVPROXY_FAULT_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert kernels.place() == tmp_path / "mavproxy-fault"
+
+
+def test_two_installations_share_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MAVPROXY_FAULT_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kernels, "ROOT", tmp_path / "one")
+    one = kernels.place()
+    monkeypatch.setattr(kernels, "ROOT", tmp_path / "other")
+    assert kernels.place() == one
