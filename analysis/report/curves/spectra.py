@@ -180,7 +180,8 @@ def _power(
     density = np.abs(lines) ** 2 / (rate_hz * np.sum(window**2))
     density[:, 1:-1] *= 2.0  # the negative frequencies
     t_s = (size / 2 + hop * np.arange(len(parts))) / rate_hz
-    return density.T, np.fft.rfftfreq(size, 1.0 / rate_hz), t_s
+    frequency_hz = np.fft.rfftfreq(size, 1.0 / rate_hz).astype(np.float64)
+    return density.T.astype(np.float64), frequency_hz, t_s.astype(np.float64)
 
 
 def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
