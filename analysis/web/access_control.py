@@ -1,7 +1,7 @@
 """Access control of a page's routes, and their responses.
 
-Reading is open to any client that uses the page's own host name; changes need the token in the
-address printed at the start.
+Reading is open to programs of the user who started the page, and to clients with the token in the
+address printed at the start; changes need the token.
 """
 
 import secrets
@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from analysis.web.peer_user import HAS_TABLES, peer_user
 from mavproxy_fault.documents.errors import ConfigError
 
 MAX_BODY_BYTES = 1_000_000  # larger than any schedule
@@ -33,13 +34,19 @@ HEADERS = {
 
 
 class AccessControl(NamedTuple):
-    """The token for changes, and the allowed host names."""
+    """The token, the allowed host names, and the users who may read without the token."""
 
     token: str
     hosts: frozenset[str]
+    users: frozenset[int]
 
-    def refusal(self, call: HTTPConnection, *, changes: bool = False) -> str | None:
-        """Why a call is refused; None if it is allowed."""
+    def refusal(
+        self, call: HTTPConnection, *, changes: bool = False, public: bool = False
+    ) -> str | None:
+        """Why a call is refused; None if it is allowed.
+
+        What is `public` needs no token where the system cannot tell the user of a connection.
+        """
         # DNS rebinding: another site could reach the port under its own name.
         if call.headers.get("host") not in self.hosts:
             return "unknown host name; open the page at the address printed at the start"
@@ -47,15 +54,25 @@ class AccessControl(NamedTuple):
         # Browsers send the origin of a call; programs do not.
         if origin is not None and origin.removeprefix("http://") not in self.hosts:
             return "requests from other sites are not allowed; open this page itself"
-        token_sent = call.headers.get("x-token", "")
+        # A browser's WebSocket has no headers of its own.
+        token_sent = call.headers.get("x-token", "") or call.query_params.get("token", "")
         # Constant-time comparison: the delay must not reveal how much matched.
-        if changes and not secrets.compare_digest(token_sent.encode(), self.token.encode()):
-            return "the token is wrong; open the address printed at the start"
-        return None
+        if secrets.compare_digest(token_sent.encode(), self.token.encode()):
+            return None
+        if not changes and (self._is_own(call) or (public and not HAS_TABLES)):
+            return None
+        return "the token is wrong; open the address printed at the start"
+
+    def _is_own(self, call: HTTPConnection) -> bool:
+        """Whether a program of the same user calls."""
+        if call.client is None or call.scope.get("server") is None:
+            return False
+        host, port = call.scope["server"]
+        return peer_user((call.client.host, call.client.port), (host, port)) in self.users
 
     def file(self, request: Request, path: Path | None) -> Response:
         """Return a file, 404 without one."""
-        refusal = self.refusal(request)
+        refusal = self.refusal(request, public=True)
         if refusal:
             return refusal_answer(403, refusal)
         if path is None:
@@ -63,7 +80,7 @@ class AccessControl(NamedTuple):
         return FileResponse(path, headers=HEADERS)
 
     async def get_data(self, request: Request, data: Callable[[], bytes]) -> Response:
-        """Return JSON data, computed in a thread; needs no token."""
+        """Return JSON data, computed in a thread, also without the token."""
         refusal = self.refusal(request)
         if refusal:
             return refusal_answer(403, refusal)

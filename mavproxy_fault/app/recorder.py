@@ -21,7 +21,7 @@ from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavproxy_fault.documents.atomic_file import write_atomic
+from mavproxy_fault.documents.atomic_file import PRIVATE, create_file, write_all, write_atomic
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 
@@ -53,18 +53,18 @@ class Recorder:
         self._labels: list[Label] = []
         self._edits: list[Edit] = []
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            # An earlier session in this folder is moved aside.
-            _move_earlier_session(folder)
             self._open()
         except OSError as error:
             raise ConfigError(f"{folder}: {error}; give a folder that can be written") from None
 
     def _open(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        # An earlier session in this folder is moved aside.
+        _move_earlier_session(self.folder)
         with contextlib.ExitStack() as opened:
             files = {
                 # Unbuffered, so that a kill of the process loses no written record.
-                name: opened.enter_context((self.folder / name).open("wb", buffering=0))
+                name: opened.enter_context(create_file(self.folder / name))
                 for name in APPENDED
             }
             self._write_session()
@@ -98,7 +98,6 @@ class Recorder:
                 EDITS: encode_lines(self._edits) if self._edits else b"",
             }
             if self._files_missing():
-                self.folder.mkdir(parents=True, exist_ok=True)
                 self._open()
                 # The new files begin with this buffer, and so does the index.
                 before = tape.resume_count(tape.count - before)
@@ -148,7 +147,7 @@ class Recorder:
                 self._truncate(name)
         try:
             for name, added in data.items():
-                _write_all(self._files[name], added)
+                write_all(self._files[name], added)
         except (OSError, MemoryError):
             for name in self._sizes:
                 with contextlib.suppress(OSError):
@@ -178,15 +177,7 @@ class Recorder:
             LOG.warning("the session's end was not recorded: %s", error)
 
     def _write_session(self) -> None:
-        write_atomic(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n")
-
-
-def _write_all(file: FileIO, data: bytes) -> None:
-    """Write all data; a nearly full disk accepts a part and raises at the next attempt."""
-    # A memory view avoids copies of the rest.
-    rest = memoryview(data)
-    while rest:
-        rest = rest[file.write(rest) :]
+        write_atomic(self.folder / SESSION, json.dumps(self._session, indent=1) + "\n", PRIVATE)
 
 
 def encode_lines(lines: "Sequence[Label | Edit]") -> bytes:
@@ -197,8 +188,8 @@ def encode_lines(lines: "Sequence[Label | Edit]") -> bytes:
 
 
 def _move_earlier_session(folder: Path) -> None:
-    """Move the files of an earlier session to a numbered folder."""
-    present = [folder / name for name in (*APPENDED, SESSION) if (folder / name).exists()]
+    """Move the files of an earlier session, and links under their names, to a numbered folder."""
+    present = [folder / name for name in (*APPENDED, SESSION) if os.path.lexists(folder / name)]
     if not present:
         return
     number = 1

@@ -5,6 +5,7 @@ byte with the session's schedule, which is the default. With another schedule th
 """
 
 import argparse
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from mavproxy_fault.app.playback import LogRecord, LogSource, open_log
 from mavproxy_fault.app.proxy_command import read_signing
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
+from mavproxy_fault.documents.atomic_file import PRIVATE
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
@@ -23,7 +25,7 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.edit_log import RFLYSIM, apply_edit
 from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
-from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
+from mavproxy_fault.proxy.capture_buffer import KEY_MESSAGE, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import Send
@@ -119,7 +121,7 @@ def recorded_schedule(source: LogSource) -> Schedule:
 def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
     """Write the sent frames to a tlog, and the labels to `NAME.labels.jsonl` beside it."""
     labels_path = out.with_suffix(".labels.jsonl")
-    with out.open("wb") as log, labels_path.open("wb") as labels:
+    with open(out, "wb", opener=_open_private) as log, labels_path.open("wb") as labels:
         for record in playing.source.records:
             playing.push(record)
             labels.write(encode_lines(_labels(playing)))
@@ -131,6 +133,10 @@ def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
         labels.write(encode_lines(_labels(playing)))
         log.write(tape.drain().sent)
     return labels_path
+
+
+def _open_private(path: str, flags: int) -> int:
+    return os.open(path, flags, PRIVATE)
 
 
 def _labels(playing: LogReplay) -> list[Label]:
@@ -166,7 +172,9 @@ def replay_to_link(
     def write(sends: list[Send]) -> int:
         for send in sends:
             wait_for(send.due_us)
-            link.write(send.data)
+            # Its key is zeros in a log, which would turn signing off.
+            if send.data[7:10] != KEY_MESSAGE:
+                link.write(send.data)
         return len(sends)
 
     for record in playing.source.records:

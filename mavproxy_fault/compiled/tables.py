@@ -15,6 +15,7 @@ from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.routing import target_offsets
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
+from mavproxy_fault.wire.signing import SETUP_SIGNING
 
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
@@ -98,7 +99,8 @@ class Tables:
         """The kind of a message, and the first row of its faults."""
         engine: Any = self._core.engine
         control = self._core.control
-        if control is not None and number in control.wanted:
+        # A signing key is routed and recorded with care.
+        if number == SETUP_SIGNING or (control is not None and number in control.wanted):
             return k.INTERPRETED, -1
         if engine is None or (engine.wanted is not None and number not in engine.wanted):
             return k.PASS, -1

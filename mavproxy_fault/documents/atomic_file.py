@@ -1,12 +1,43 @@
-"""Atomic writes: a file is complete or absent, even if its writer is killed."""
+"""Files that are complete or absent even if their writer is killed, and files of one user."""
 
+import os
+from io import FileIO
 from pathlib import Path
 
+PRIVATE = 0o600  # for the user only
+SHARED = 0o666  # minus the umask, as usual
 
-def write_atomic(path: Path, text: str) -> None:
+
+def create_file(path: Path, mode: int = PRIVATE) -> FileIO:
+    """Create a file for writing, unbuffered; a file or a link of that name is an error.
+
+    Raises
+    ------
+    OSError
+        If it exists or cannot be created.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        # A link planted under that name would lead elsewhere.
+        return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), mode)
+
+    return FileIO(path, "x", opener=opener)
+
+
+def write_atomic(path: Path, text: str, mode: int = SHARED) -> None:
     """Write a file so that a reader sees either the old or the new content."""
     # Renaming within a folder is atomic.
     fresh = path.with_name(path.name + ".new")
+    fresh.unlink(missing_ok=True)
     # The text may quote file names, which may contain bytes that are not UTF-8.
-    fresh.write_text(text, encoding="utf-8", errors="backslashreplace")
+    with create_file(fresh, mode) as file:
+        write_all(file, text.encode(errors="backslashreplace"))
     fresh.replace(path)
+
+
+def write_all(file: FileIO, data: bytes) -> None:
+    """Write all data; a nearly full disk accepts a part and raises at the next attempt."""
+    # A memory view avoids copies of the rest.
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]

@@ -106,6 +106,8 @@ class SubscribedMessages:
             If a message does not exist or there are too many.
         """
         requested = set(names)
+        if "SETUP_SIGNING" in requested:
+            raise ConfigError("watch: SETUP_SIGNING holds a key; request other messages")
         for name in requested - {RANGES}:
             if find_layout(name) is None:
                 from mavproxy_fault.documents.suggestion import (

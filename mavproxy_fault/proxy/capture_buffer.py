@@ -4,7 +4,7 @@ Frames, including unknown messages and wrong CRCs, are stored as tlog records: a
 timestamp in microseconds, then the frame. Log readers skip such a frame by its length. Any other
 bytes would cost them the following frames (pymavlink loses one or two each time), so these have a
 file of their own, with timestamp, length and bytes. `index` has the link, file and length of every
-received record.
+received record. Signing keys (SETUP_SIGNING) are stored as zeros.
 """
 
 import struct
@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 
 from mavproxy_fault.wire.frame import STX_V1, STX_V2
 from mavproxy_fault.wire.parser import frame_span
+from mavproxy_fault.wire.signing import SETUP_SIGNING, mask_signing_keys
 
 STAMP = struct.Struct(">Q")
 LENGTH = struct.Struct(">I")
+KEY_MESSAGE = SETUP_SIGNING.to_bytes(3, "little")  # its id in a header of MAVLink 2
 INDEX = struct.Struct("<BBI")  # link, 1 if in the file of other bytes, length in bytes
 
 
@@ -52,6 +54,8 @@ class CaptureBuffer:
 
     def receive(self, now_us: int, link: int, raw: bytes, *, is_frame: bool = False) -> None:
         """Store received bytes; `is_frame` saves checking a verified frame's shape again."""
+        if not is_frame or raw[7:10] == KEY_MESSAGE:
+            raw = mask_signing_keys(raw)
         if is_frame or has_frame_shape(raw):
             self.received += STAMP.pack(now_us) + raw
             self.index += INDEX.pack(link, 0, len(raw))
@@ -61,7 +65,10 @@ class CaptureBuffer:
 
     def send(self, due_us: int, raw: bytes) -> None:
         """Store sent bytes."""
-        if has_frame_shape(raw):
+        is_frame = has_frame_shape(raw)
+        if not is_frame or raw[7:10] == KEY_MESSAGE:
+            raw = mask_signing_keys(raw)
+        if is_frame:
             self.sent += STAMP.pack(due_us) + raw
         else:
             self.sent_other += STAMP.pack(due_us) + LENGTH.pack(len(raw)) + raw

@@ -94,7 +94,10 @@ class Core:
         self.states = [LinkState() for _ in links]
         self._signing = signing
         self._capture = tape
-        self._routes = Routes(len(self.links), self.senders)
+        vehicle_links = sum(
+            1 << number for number, role in enumerate(links) if role.direction == "from-vehicle"
+        )
+        self._routes = Routes(len(self.links), self.senders, vehicle_links)
         self._guard = LoopGuard()
         self._numbering = Numbering(self.senders)
         self._labels: list[Label] = []
@@ -108,10 +111,7 @@ class Core:
         self._on_wall_clock = False
         self._doubted = 0  # timestamps, on all links
         self._numbers: dict[int, list[int]] = {}  # cache: link numbers by bit mask
-        # Links that announcements go to, as a bit mask.
-        self._listeners = sum(
-            1 << number for number, role in enumerate(links) if role.direction == "to-vehicle"
-        )
+        self._listeners = self._routes.all_links & ~vehicle_links  # that announcements go to
 
     def attach(self, control: CommandResponder) -> None:
         """Let a responder see commands and messages; it shares the state of the senders."""

@@ -15,7 +15,9 @@ from mavproxy_fault.proxy.sender_rules import read_target, select_links
 from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
 from mavproxy_fault.wire.dialect import find_layout
 from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.signing import SETUP_SIGNING
 
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 LOOP_WINDOW_US = 1_000_000  # chosen: far above the round trip of a loop
 MAX_REMEMBERED = 4096  # chosen: about a second of traffic; bounds the memory
 
@@ -34,8 +36,11 @@ def target_offsets(name: str) -> tuple[int, int]:
 class Routes:
     """The links each sender was heard on, in the senders array shared with the compiled path."""
 
-    def __init__(self, link_count: int, senders: "array[int] | None" = None) -> None:
+    def __init__(
+        self, link_count: int, senders: "array[int] | None" = None, vehicle_links: int = 0
+    ) -> None:
         self.all_links = (1 << link_count) - 1
+        self.vehicle_links = vehicle_links
         self.home_links: dict[
             tuple[int, int], int
         ] = {}  # the link each component was first heard on
@@ -60,7 +65,15 @@ class Routes:
         if places[0] < 0:
             return elsewhere
         target = read_target(frame.raw, frame.payload_at, frame.length, places)
+        if frame.id == SETUP_SIGNING:
+            return self._key_links(target) & elsewhere
         return select_links(self._senders, target, elsewhere)
+
+    def _key_links(self, target: int) -> int:
+        """Select the links for a signing key: where its target was heard, else the vehicle's."""
+        # Other components of the system have no need of it.
+        component = target | (0 if target & 0xFF else AUTOPILOT)
+        return self._senders[LINKS + component] or self.vehicle_links
 
 
 class LoopGuard:

@@ -14,10 +14,15 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, Frame
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame
 
 KEY_LENGTH = 32
 DIGEST_LENGTH = 6
+CRC_LENGTH = 2
+SETUP_SIGNING = message_layout("SETUP_SIGNING").id
+KEY_AT = message_layout("SETUP_SIGNING").fields["secret_key"].offset
+_SETUP_SIGNING = SETUP_SIGNING.to_bytes(3, "little")
 STAMP_AT = slice(-12, -6)  # little-endian, after the link id
 
 
@@ -70,6 +75,35 @@ def strip_signature(frame: Frame) -> Frame:
     raw = frame.raw[:2] + bytes((frame.raw[2] & ~SIGNED,)) + frame.raw[3 : -SIGNATURE_LENGTH - 2]
     crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
     return Frame(raw + crc.to_bytes(2, "little"), frame.layout)
+
+
+def mask_signing_keys(raw: bytes) -> bytes:
+    """Return bytes with zeros in place of every key in a SETUP_SIGNING, for a log.
+
+    A single frame keeps its length, and whether its checksum was correct; so a replay of the masked
+    log gives what masking gave in the session.
+    """
+    masked = bytearray(raw)
+    at = raw.find(_SETUP_SIGNING, 7)
+    while at >= 0:
+        if raw[at - 7] == STX_V2:
+            start = at + len(_SETUP_SIGNING)
+            end = min(start + raw[at - 6], len(raw))
+            # The length of a damaged frame may be wrong.
+            last = end if at == 7 else len(raw)
+            masked[start + KEY_AT : last] = bytes(max(last - start - KEY_AT, 0))
+            if at == 7 and end + CRC_LENGTH <= len(raw):
+                sent = int.from_bytes(raw[end : end + CRC_LENGTH], "little")
+                wrong = 0 if sent == _setup_crc(raw[1:end]) else 0xFFFF
+                crc = _setup_crc(masked[1:end]) ^ wrong
+                masked[end : end + CRC_LENGTH] = crc.to_bytes(CRC_LENGTH, "little")
+        at = raw.find(_SETUP_SIGNING, at + 1)
+    return bytes(masked)
+
+
+def _setup_crc(checked: bytes | bytearray) -> int:
+    extra = message_layout("SETUP_SIGNING").crc_extra
+    return mcrf4xx(bytes(checked) + bytes((extra,)))
 
 
 class Signing:

@@ -118,7 +118,7 @@ function showState(state) {
 
 // JSON from the server; undefined if it does not respond.
 async function getJson(path) {
-  try { return (await fetch(`/api/${path}`)).json(); } catch { return undefined; }
+  try { return (await fetch(`/api/${path}`, { headers: { "X-Token": token } })).json(); } catch { return undefined; }
 }
 
 function showEnd() {

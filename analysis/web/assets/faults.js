@@ -180,7 +180,7 @@ let catalogue = null, entryOf = () => ({}), previewTimer = 0, previewNumber = 0;
 let touched = false; // until then the form's errors are not shown
 
 async function offer() {
-  catalogue = await (await fetch("/api/catalogue")).json();
+  catalogue = await (await fetch("/api/catalogue", { headers: { "X-Token": token } })).json();
   const group = (label, names, kind) => {
     const box = make("optgroup", { label });
     box.append(...names.map((name) => make("option", { value: `${kind}:${name}`, textContent: name.replaceAll("-", " ") })));

@@ -79,7 +79,7 @@ function take(key, value) {
 }
 
 function connect() {
-  socket = new WebSocket(`ws://${location.host}/api/live`);
+  socket = new WebSocket(`ws://${location.host}/api/live?token=${encodeURIComponent(token)}`);
   socket.onopen = () => requestMessages(requestedMessages);
   socket.onmessage = (message) => {
     for (const [key, value] of JSON.parse(message.data)) take(key, value);

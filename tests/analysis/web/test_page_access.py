@@ -1,5 +1,7 @@
 """Who may look at the page, and who may change something by it."""
 
+import os
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import Callable
@@ -10,7 +12,9 @@ from websockets import Origin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from analysis.web import access_control
 from analysis.web.page_server import open_socket
+from analysis.web.peer_user import HAS_TABLES, peer_user
 
 
 @pytest.mark.browser
@@ -91,3 +95,44 @@ def test_the_page_is_reached_on_loopback_only() -> None:
 
 def test_another_run_is_chosen_with_the_token_only(address: str) -> None:
     assert status_of(address, {}, "run") == 403
+
+
+ROUTES = ["", "assets/page.js", "api/catalogue", "api/live", "api/preview", "api/run",
+          "api/allowed", "api/sequence/check", "api/sequence/read/a", "api/sequence/write/a",
+          "api/ctl/schedule/stop"]  # fmt: skip
+
+
+@pytest.mark.skipif(not HAS_TABLES, reason="the system does not tell the user of a connection")
+def test_another_user_without_the_token_is_refused_on_every_route(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    origin, token = address.split("/#token=")
+    posts = [route for route in ROUTES if route.startswith("api/") and "catalogue" not in route]
+    # To the server every caller is now another user.
+    monkeypatch.setattr(access_control, "peer_user", lambda *_: 12345)
+    for route in ROUTES:
+        if route == "api/live":
+            with (
+                pytest.raises(InvalidStatus, match="403"),
+                connect(f"{origin.replace('http', 'ws')}/api/live"),
+            ):
+                pass
+            continue
+        data = b"" if route in posts else None
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(urllib.request.Request(f"{origin}/{route}", data), timeout=10)
+    with connect(f"{origin.replace('http', 'ws')}/api/live?token={token}") as live:
+        assert live.recv(timeout=10)
+
+
+@pytest.mark.skipif(not HAS_TABLES, reason="the system does not tell the user of a connection")
+@pytest.mark.parametrize("host", ["127.0.0.1", "::ffff:127.0.0.1"])
+def test_the_user_of_a_connection_is_told_until_it_is_closed(host: str) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.socket(family) as client:
+        client.connect((host, server.getsockname()[1]))
+        connection, caller = server.accept()
+        with connection:
+            assert peer_user(caller, server.getsockname()) == os.getuid()
+            client.close()  # a closed socket looks like root's
+            assert peer_user(caller, server.getsockname()) is None

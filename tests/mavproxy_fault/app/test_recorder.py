@@ -47,6 +47,19 @@ def test_a_session_can_be_read_before_it_is_closed(tmp_path: Path) -> None:
     assert session == {"seed": 3, "t0_us": 7, "end_us": WALL_US + 9}
 
 
+def test_the_files_are_for_their_user_only_and_links_are_not_followed(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    folder = tmp_path / "log"
+    folder.mkdir()
+    for name in ("received.tlog", "session.json", "session.json.new"):
+        (folder / name).symlink_to(elsewhere)  # dangling
+    Recorder(folder, {"seed": 1}).close(None, 0)
+    assert not elsewhere.exists()
+    files = [path for path in folder.iterdir() if path.is_file()]
+    assert len(files) == 8
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+
+
 def test_an_earlier_session_is_moved_and_never_overwritten(tmp_path: Path) -> None:
     for number in range(3):
         Recorder(tmp_path, {"seed": number}).close(None, 0)

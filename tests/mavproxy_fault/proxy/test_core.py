@@ -13,7 +13,13 @@ from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.signing import Signing, Verifier, derive_key, sign_frame
+from mavproxy_fault.wire.signing import (
+    Signing,
+    Verifier,
+    derive_key,
+    mask_signing_keys,
+    sign_frame,
+)
 
 SIM, AUTOPILOT, GCS = 0, 1, 2
 ROLES = (
@@ -397,3 +403,46 @@ def test_the_statistics_name_unknown_messages() -> None:
     assert statistics["unknown_ids"] == {"52900": 1, "52901": 2, "52902": 1, "7777777": 1}
     line = format_endpoints([statistics]).splitlines()[-1]
     assert line == "autopilot: 5 frames of unknown messages 52900 to 52902, 7777777"
+
+
+SECRET = bytes(range(65, 97))
+
+
+def setup_signing(**target: int) -> bytes:
+    values = {"secret_key": SECRET, "initial_timestamp": 12345, **target}
+    return message("SETUP_SIGNING", system=255, component=190, **values)
+
+
+def test_a_signing_key_goes_to_its_target_only() -> None:
+    roles = (*ROLES[1:], LinkRole("companion", "to-vehicle"))
+    core = Core(roles)
+    for link, (system, component) in enumerate([(1, 1), (255, 190), (1, 191)]):
+        core.received(link, heartbeat(system=system, component=component), WALL_US)
+    for target in ({"target_system": 1}, {"target_system": 1, "target_component": 1}):
+        (send,) = core.received(1, setup_signing(**target), WALL_US)
+        assert (send.link, send.data) == (0, setup_signing(**target))
+    unheard = core.received(1, setup_signing(target_system=7, target_component=1), WALL_US)
+    assert [send.link for send in unheard] == [0]
+    to_companion = core.received(1, setup_signing(target_system=1, target_component=191), WALL_US)
+    assert [send.link for send in to_companion] == [2]
+
+
+def test_a_signing_key_is_on_no_tape_and_the_masked_tape_gives_the_same_again() -> None:
+    corrupt = "{fault: corrupt, value: 0.5, count: 3, where: {system: 255}}"
+    faults = f"{corrupt}, {{fault: duplicate, by_s: 0.01}}"
+    damaged = bytearray(setup_signing(target_system=1))
+    damaged[12] ^= 1
+    chunks = [heartbeat(seq=1)]
+    chunks += [setup_signing(target_system=1), b"ab" + bytes(damaged), bytes(damaged)[:30]] * 10
+
+    def run(data: list[bytes]) -> tuple[bytes, bytes]:
+        tape = CaptureBuffer()
+        core = core_with(f"seed: 3\nfaults: [{faults}]", tape)
+        for i, chunk in enumerate(data):
+            core.received(SIM, chunk, WALL_US + 1000 * i)
+        core.finish(WALL_US + 10**6)
+        assert SECRET[8:16] not in bytes(tape.received + tape.sent)
+        assert SECRET[8:16] not in bytes(tape.received_other + tape.sent_other)
+        return bytes(tape.sent), bytes(tape.sent_other)
+
+    assert run([mask_signing_keys(chunk) for chunk in chunks]) == run(chunks)
