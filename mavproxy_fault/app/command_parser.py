@@ -43,8 +43,10 @@ class CommandParser(argparse.ArgumentParser):
         """Parse; an unknown option is reported before missing arguments."""
         # The options of a parser with subcommands end at the first positional argument.
         is_own = "--".__ne__ if self._subparsers is None else re.compile("--.").match
+        given: set[str] = set()
         for argument in itertools.takewhile(is_own, args or ()):
             self._check_option(argument.partition("=")[0])
+            self._check_repetition(argument.partition("=")[0], given)
         return super().parse_known_args(args, namespace)
 
     def _check_option(self, argument: str) -> None:
@@ -54,6 +56,18 @@ class CommandParser(argparse.ArgumentParser):
             # Without the hyphens, which would make all names similar.
             names = [name[2:] for name in known if name.startswith("--")]
             self.error(f"option {argument} does not exist; {suggest_known(argument[2:], names)}")
+
+    def _check_repetition(self, argument: str, given: set[str]) -> None:
+        """Refuse an option that would replace its earlier value; note it in `given`."""
+        known = self._option_string_actions
+        names = [name for name in known if argument.startswith("--") and name.startswith(argument)]
+        action = known.get(argument) or (known[names[0]] if len(names) == 1 else None)
+        # An option with a value that does not collect values.
+        if not isinstance(action, argparse._StoreAction):
+            return
+        if action.dest in given:
+            self.error(f"option {action.option_strings[0]} is given twice; give it once")
+        given.add(action.dest)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         # Python 3.14 and later suggest choices themselves.

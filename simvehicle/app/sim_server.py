@@ -15,6 +15,7 @@ from typing import Any
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.inbox import Inbox
+from mavproxy_fault.links.joined import JoinedLinks
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
 from simvehicle.app.battery_warnings import BatteryWarnings
@@ -55,8 +56,8 @@ def main(args: argparse.Namespace) -> int:
     served = real_time or kind in ("tcpin", "tcp")
     if served and args.gcs:
         raise ConfigError(
-            f"--gcs: {args.gcs} cannot be combined with --hil {args.hil}, whose autopilot answers "
-            "ground stations itself; remove one of them"
+            f"--gcs: {args.gcs[0]} cannot be combined with --hil {args.hil}, whose autopilot "
+            "answers ground stations itself; remove one of them"
         )
     if args.hil:
         check_sensors(scenario)
@@ -64,10 +65,11 @@ def main(args: argparse.Namespace) -> int:
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
     with ExitStack() as links:
-        hil, gcs = (
+        hil, *stations = (
             links.enter_context(closing(open_link(text, bare_udp="udpout"))) if text else None
-            for text in (args.hil, args.gcs)
+            for text in (args.hil, *args.gcs)
         )
+        gcs = JoinedLinks([link for link in stations if link]) if stations else None
         try:
             if real_time and hil is not None:
                 return _run_real_time(simulation, hil, progress)

@@ -43,6 +43,8 @@ def test_the_help_of_every_option_with_a_value_shows_its_default() -> None:
         (("schedule", "laod"), "laod does not exist; did you mean load?"),
         (("faults", "chek", "x.yaml"), "chek does not exist; did you mean check"),
         (("inject", "bias", "--through", "mavsdkk"), "did you mean mavsdk?"),
+        (("replay", "a", "--schedule", "b", "--sched=c"), "option --schedule is given twice"),
+        (("schedule", "state", "--run", "a", "--run", "b"), "option --run is given twice"),
     ],
 )
 def test_a_misspelt_argument_gets_a_suggestion(

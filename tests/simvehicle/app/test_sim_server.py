@@ -168,7 +168,7 @@ def test_an_interrupt_ends_the_flight_with_a_summary(
 
     monkeypatch.setattr(server.FreeLoop, "step", step)
     args = argparse.Namespace(
-        scenario=str(scenario), hil=None, gcs=None, real_time=False, speed="1", seed=None, plot=None
+        scenario=str(scenario), hil=None, gcs=[], real_time=False, speed="1", seed=None, plot=None
     )
     assert server.main(args) == 0
     assert "stopped" in capsys.readouterr().err
