@@ -22,6 +22,7 @@ from mavproxy_fault.app.commands import BUILT_IN_COMMANDS, AddCommand
 from mavproxy_fault.app.lossy_log import LossyHandler
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
+from mavproxy_fault.wire.dialect import DIALECT_VARIABLE
 
 EPILOG = """\
 examples
@@ -70,6 +71,10 @@ def build_parser(command: str = "") -> argparse.ArgumentParser:
         description="Apply sensor and link faults to MAVLink traffic and assess the response.",
         epilog=EPILOG,
     )
+    top.add_argument(
+        "--dialect", action="append", default=[], metavar="FILE",
+        help="MAVLink XML file with further messages, for every command; repeatable",
+    )  # fmt: skip
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     top.add_argument(
         "--completion", action=CompletionAction, metavar="SHELL", choices=SHELLS,
@@ -121,6 +126,22 @@ def _handle_signals(last: bool) -> Iterator[None]:
             signal(number, action)
 
 
+def _take_dialects(given: Sequence[str]) -> list[str]:
+    """Remove `--dialect FILE`, which every command accepts, and set its variable."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--dialect", action="append", default=[])
+    try:
+        known, rest = parser.parse_known_args(given)
+    except SystemExit:
+        raise ConfigError("--dialect: has no value; give a MAVLink XML file") from None
+    if known.dialect:
+        # Absolute, since a command may change its folder.
+        files = [os.path.abspath(name) for name in known.dialect]
+        before = os.environ.get(DIALECT_VARIABLE)
+        os.environ[DIALECT_VARIABLE] = os.pathsep.join([before, *files] if before else files)
+    return rest
+
+
 def _reopen_closed_streams() -> None:
     """Reopen streams that the shell closed (`>&-`), or a socket would get their descriptors."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
@@ -150,6 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.lastResort = LossyHandler()
     given = sys.argv[1:] if arguments is None else arguments
     try:
+        given = _take_dialects(given)
         parsed = build_parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; any exception but a ConfigError is a bug and shown.
         with _handle_signals(last=arguments is None):

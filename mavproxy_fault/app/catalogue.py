@@ -20,6 +20,7 @@ from mavproxy_fault.faults.registry import (
 from mavproxy_fault.schedule.binding import TARGET_FIELDS
 from mavproxy_fault.schedule.entries import Entry, EntryKeys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
+from mavproxy_fault.wire.dialect import message_layout, message_names
 
 TARGETS = {
     "fields": "MESSAGE.field, MESSAGE.field[3] or a list of them",
@@ -32,7 +33,7 @@ TARGETS = {
 def main(args: argparse.Namespace) -> int:
     """Run one of the actions."""
     if args.action == "list":
-        print(list_catalogue())
+        print(list_messages() if args.messages else list_catalogue())
     elif args.action == "show":
         print(describe_fault(args.name))
     elif args.action == "check":
@@ -46,6 +47,12 @@ def main(args: argparse.Namespace) -> int:
     else:
         print(json.dumps(schedule_schema(), indent=2))
     return 0
+
+
+def list_messages() -> str:
+    """List the messages that may be targets, with their ids, one per line."""
+    layouts = sorted((message_layout(name) for name in message_names()), key=lambda one: one.id)
+    return "\n".join(f"{layout.id:8}  {layout.name}" for layout in layouts)
 
 
 def list_catalogue() -> str:

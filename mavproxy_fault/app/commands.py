@@ -191,7 +191,9 @@ def add_faults(commands: Any) -> None:
     """`faults`: list faults and presets, check and plot schedules."""
     parser = commands.add_parser("faults", help="list faults and presets; check and plot schedules")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    actions.add_parser("list", help="list all faults and presets").set_defaults(action="list")
+    listing = actions.add_parser("list", help="list all faults and presets, or all messages")
+    listing.add_argument("--messages", action="store_true", help="list the known messages")
+    listing.set_defaults(action="list")
     show = actions.add_parser("show", help="show parameters and an example of a fault or preset")
     show.add_argument("name", metavar="NAME")
     show.set_defaults(action="show")

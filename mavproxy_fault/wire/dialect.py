@@ -1,6 +1,7 @@
 """Message layouts: the position, type and unit of every field in a MAVLink payload.
 
-The table is pymavlink's `all` dialect (see `generate_messages`). On the wire, fields are sorted by
+The table is pymavlink's `all` dialect (see `generate_messages`) with those of the user's XML files
+(see `dialect_files`). On the wire, fields are sorted by
 size; extension fields follow in definition order and exist only in MAVLink 2 [1]_.
 
 References
@@ -9,6 +10,7 @@ References
 """
 
 import json
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,6 +32,9 @@ CODES = {
     "float": "f",
     "double": "d",
 }
+# XML files of further dialects, separated as in PATH; a variable, so that every process of a
+# command knows them.
+DIALECT_VARIABLE = "MAVPROXY_FAULT_DIALECT"
 # MAVLink fields are little-endian and unpadded.
 PACKERS = {code: struct.Struct("<" + code) for code in CODES.values()}
 
@@ -84,6 +89,12 @@ def _message_table() -> dict[str, dict[str, Any]]:
     table: dict[str, dict[str, Any]] = json.loads(
         Path(__file__).with_name("messages.json").read_bytes()
     )
+    files = [Path(name) for name in os.environ.get(DIALECT_VARIABLE, "").split(os.pathsep) if name]
+    if files:
+        # The generator is loaded only for them.
+        from mavproxy_fault.wire.dialect_files import add_dialects
+
+        table = add_dialects(table, files)
     return table
 
 
