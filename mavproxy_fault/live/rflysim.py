@@ -2,7 +2,8 @@
 
 A `PX4SILIntFloat` is 120 bytes: checksum, CopterID, eight fault ids and twenty parameters; slot i
 of the ids owns parameters 2i and 2i + 1, and a fault with more parameters repeats its id. Without
-its head it is 112 bytes, ids or parameters first, of vehicle 1. Faults latch; 123549 means "no fault". The ids differ between RflySim's models, so the map is a YAML file:
+its head it is 112 bytes, ids or parameters first, of vehicle 1. Faults
+latch; 123549 means "no fault". The ids differ between RflySim's models, so the map is a YAML file:
 
     123452: {kind: sensor, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc, HIL_SENSOR.zacc], sigma: 0.5}
     123450: {kind: motor, target: HIL_ACTUATOR_CONTROLS.controls}
