@@ -6,6 +6,7 @@ applies the failure and acknowledges it in the vehicle's name; otherwise the com
 and the autopilot's own acknowledgement is labelled.
 """
 
+import logging
 import re
 import sys
 import time
@@ -58,6 +59,7 @@ LEARN_US = 2_000_000  # instances of a sensor all come within this time; GPS sen
 MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
 LARGEST = sys.float_info.max
+LOG = logging.getLogger(__name__)
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1, the component in whose name a command is acknowledged
 
 
@@ -82,6 +84,7 @@ class LiveControl:
         self.view = SubscribedMessages()
         self.senders = new_senders()  # the core's, once attached
         self._latched: set[str] = set()
+        self._other_sizes: set[int] = set()  # of datagrams on RflySim's port that were reported
         # Instances heard in each part of a unit, from each system and direction.
         self._sources: dict[tuple[UnitPart, int, str], set[int]] = {}
         # Messages whose instances are still noted, until this time of the vehicle.
@@ -273,7 +276,10 @@ class LiveControl:
     def packet(self, data: bytes, t_us: int) -> list[str]:
         """Apply one RflySim packet and return the ids of its faults; ignore other datagrams."""
         packet = Packet.read(data)
-        # Other datagrams reach that port too; without an id map none can be applied.
+        if packet is None and len(data) not in self._other_sizes:
+            self._other_sizes.add(len(data))
+            LOG.warning("RflySim: a datagram of %d bytes is no fault packet; ignored", len(data))
+        # Without an id map none can be applied.
         if packet is None or self.rflysim is None or not self.allowed:
             return []
         self.engine.advance_time(t_us)

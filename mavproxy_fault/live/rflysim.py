@@ -1,7 +1,8 @@
 """RflySim's fault packets and the map from its fault ids to our faults.
 
 A `PX4SILIntFloat` is 120 bytes: checksum, CopterID, eight fault ids and twenty parameters; slot i
-of the ids owns parameters 2i and 2i + 1, and a fault with more parameters repeats its id. Faults
+of the ids owns parameters 2i and 2i + 1, and a fault with more parameters repeats its id. Without
+its head it is 112 bytes, ids or parameters first, of vehicle 1. Faults
 latch; 123549 means "no fault". The ids differ between RflySim's models, so the map is a YAML file:
 
     123452: {kind: sensor, target: [HIL_SENSOR.xacc, HIL_SENSOR.yacc, HIL_SENSOR.zacc], sigma: 0.5}
@@ -10,6 +11,7 @@ latch; 123549 means "no fault". The ids differ between RflySim's models, so the 
 """
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +22,7 @@ from mavproxy_fault.documents.document_check import DocumentCheck
 from mavproxy_fault.documents.yaml_document import read_document
 
 PACKED = struct.Struct("<10i20f")
+BARE, BARE_IDS_FIRST = struct.Struct("<20f8i"), struct.Struct("<8i20f")
 CHECKSUM = 1234567897
 NO_FAULT = 123549
 FIRST_PORT = 30100  # of vehicle 1; each further vehicle adds two
@@ -28,6 +31,11 @@ SLOTS = 8
 # First parameter of a sensor fault.
 NOISE_AND_BIAS, SCALE_FACTOR = 3, 4
 DEFAULT_MAP = Path(__file__).parents[1] / "schedule" / "presets" / "rflysim" / "faultmodel.yaml"
+
+
+def _is_id(number: int) -> bool:
+    """Whether a number may be a fault id: RflySim's have six digits; 0 is an empty slot."""
+    return number == 0 or 100_000 <= number <= 999_999
 
 
 class Packet(msgspec.Struct, frozen=True):
@@ -40,18 +48,31 @@ class Packet(msgspec.Struct, frozen=True):
     @staticmethod
     def read(data: bytes) -> "Packet | None":
         """Parse a datagram; None if it is one of RflySim's other structs."""
+        if len(data) == BARE.size:
+            return Packet._read_bare(data)
         if len(data) != PACKED.size:
             return None
         numbers = PACKED.unpack(data)
         if numbers[0] != CHECKSUM:
             return None
-        ids, parameters = numbers[2:10], numbers[10:30]
+        return Packet._of(numbers[1], numbers[2:10], numbers[10:30])
+
+    @staticmethod
+    def _read_bare(data: bytes) -> "Packet | None":
+        """Parse a packet without its head; None unless it is plain which way round it is."""
+        floats_first, ids_first = BARE.unpack(data), BARE_IDS_FIRST.unpack(data)
+        shapes = [(floats_first[20:], floats_first[:20]), (ids_first[:8], ids_first[8:])]
+        plain = [one for one in shapes if any(one[0]) and all(map(_is_id, one[0]))]
+        return Packet._of(1, *plain[0]) if len(plain) == 1 else None
+
+    @staticmethod
+    def _of(vehicle: int, ids: Sequence[int], parameters: Sequence[float]) -> "Packet":
         faults: dict[int, tuple[float, ...]] = {}
         for slot, id in enumerate(ids):
             if id not in (0, NO_FAULT):
                 # A fault with more than two parameters repeats its id; its pairs are joined.
-                faults[id] = faults.get(id, ()) + parameters[2 * slot : 2 * slot + 2]
-        return Packet(numbers[1], faults, NO_FAULT in ids)
+                faults[id] = faults.get(id, ()) + tuple(parameters[2 * slot : 2 * slot + 2])
+        return Packet(vehicle, faults, NO_FAULT in ids)
 
 
 class FaultMeaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

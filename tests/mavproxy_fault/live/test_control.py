@@ -371,6 +371,28 @@ def test_other_datagrams_on_rflysim_s_port_do_nothing(data: bytes) -> None:
     assert it.packet(data, 2_000_000) == []
 
 
+@pytest.mark.parametrize("ids_first", [True, False])
+def test_an_rflysim_packet_without_its_head_is_read_in_both_orders(ids_first: bool) -> None:
+    it = control()
+    it.rflysim = read_map()
+    ids, floats = [123450] + [0] * 7, [0.5, 1.0] + [0.0] * 18
+    bare = struct.pack("<8i20f", *ids, *floats) if ids_first else struct.pack(
+        "<20f8i", *floats, *ids
+    )  # fmt: skip
+    assert it.packet(bare, 2_000_000) == ["rflysim-1-123450.1", "rflysim-1-123450.2"]
+
+
+def test_an_unknown_datagram_is_named_once_by_its_size(caplog: pytest.LogCaptureFixture) -> None:
+    it = control()
+    it.rflysim = read_map()
+    for data in (bytes(112), bytes(112), b"other"):
+        assert it.packet(data, 2_000_000) == []
+    assert [record.getMessage() for record in caplog.records] == [
+        "RflySim: a datagram of 112 bytes is no fault packet; ignored",
+        "RflySim: a datagram of 5 bytes is no fault packet; ignored",
+    ]
+
+
 def ask(it: LiveControl, what: str, payload: object = None) -> object:
     data = payload.encode() if isinstance(payload, str) else json.dumps(payload).encode()
     return it.answer(f"mavfault/v1/live/@ctl/{what}", data, 5_000_000)
