@@ -117,6 +117,7 @@ def main(args: argparse.Namespace) -> int:
         )
     arguments = autopilot.launch_command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
+    args.out = str(folder)  # for the page beside the run
     started_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))

@@ -43,6 +43,7 @@ def main(args: argparse.Namespace) -> int:
     # A live page needs real time; without one, fly as fast as possible.
     pace = Pace(parse_speed(args.speed or ("1" if args.ui else "max")))
     folder = make_folder(args.out, setup.scenario.name)
+    args.out = str(folder)  # for the page beside the run
     # Started first, so that both processes compile in parallel.
     reference = start_reference_flight(setup, folder) if args.against_clean else None
     with contextlib.ExitStack() as stack:

@@ -9,6 +9,7 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Iterable
+from pathlib import Path
 
 import msgspec
 
@@ -27,6 +28,8 @@ STATE_KEYS = ("schedule/state", "proxy/stats", "proxy/recording", "page/status")
 MAX_KEYS = 500  # bounds the memory of a run
 MAX_VIEWERS = 100  # measured in benchmarks/page.md
 STATUS_KEY = "page/status"
+END_KEY = "page/end"  # of the flight, with its verdict
+OWN_KEYS = "page/"  # of the page itself, not of the run
 
 
 class Viewer:
@@ -59,6 +62,7 @@ class Feed:
         self._events: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._unsent: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._viewers: set[Viewer] = set()
+        self.report: Path | None = None
 
     def add_sample(self, key: str, payload: bytes) -> None:
         """Add one sample; `key` is relative to the run's prefix."""
@@ -81,11 +85,19 @@ class Feed:
         """Publish the status of the page itself."""
         self.add_sample(STATUS_KEY, msgspec.json.encode(state))
 
+    def announce_end(self, verdict: str, report: Path | None) -> None:
+        """Tell the viewers that the flight beside the page has ended, and where its report is."""
+        self.report = report
+        path = None if report is None else str(report)
+        self.add_sample(END_KEY, msgspec.json.encode({"verdict": verdict, "report": path}))
+
     def clear_run(self) -> None:
         """Drop the samples of a run that has ended; the status is kept."""
         with self._lock:
-            self._past = {key: data for key, data in self._past.items() if key == STATUS_KEY}
-            self._fresh.clear()
+            self._past, self._fresh = (
+                {key: data for key, data in samples.items() if key.startswith(OWN_KEYS)}
+                for samples in (self._past, self._fresh)
+            )
             self._events.clear()
             self._unsent.clear()
 

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import errno
+import json
 import os
 import secrets
 import signal
@@ -27,6 +28,7 @@ from mavproxy_fault.links.bus import DEFAULT_URL, choose_free_port
 from mavproxy_fault.links.open_hint import describe_port_owner
 
 DEFAULT_PORT = 8350
+FETCH_S = 1.0  # chosen: time for the viewers to get a report of some MB over loopback
 MAX_VIEWER_MESSAGE = 16_384  # bytes of one message from a viewer, a list of names
 
 
@@ -77,7 +79,11 @@ NO_OPTIONS = PageOptions()
 
 
 def prepare_server(
-    zenoh: str | None, port: int | None, config_file: str = "", offer: PageOptions = NO_OPTIONS
+    zenoh: str | None,
+    port: int | None,
+    config_file: str = "",
+    offer: PageOptions = NO_OPTIONS,
+    feed: Feed | None = None,
 ) -> tuple[PageServer, RunSource, socket.socket, str]:
     """The server, not started, its source, its socket, and the address with the token.
 
@@ -89,7 +95,7 @@ def prepare_server(
     folder = SequenceFolder(offer.sequences)
     bound = open_socket(port)
     access, address = access_for(bound)
-    feed = Feed()
+    feed = feed or Feed()
     source = RunSource(feed, zenoh, config_file)
     page = LivePage(feed, source, access, folder, offer.commands)
     return make_server(page.app), source, bound, address
@@ -143,6 +149,7 @@ def serve_page(
     port: int | None = None,
     config_file: str = "",
     offer: PageOptions = NO_OPTIONS,
+    feed: Feed | None = None,
 ) -> Iterator[str]:
     """Serve the page from a thread inside a `with` block; yields the address to open.
 
@@ -151,14 +158,14 @@ def serve_page(
     ConfigError
         If the port is in use or invalid.
     """
-    server, source, bound, address = prepare_server(zenoh, port, config_file, offer)
+    server, source, bound, address = prepare_server(zenoh, port, config_file, offer, feed)
     with contextlib.closing(source), serve_in_thread(server, bound):
         yield address
 
 
 @contextlib.contextmanager
 def serve_beside(args: argparse.Namespace) -> Iterator[None]:
-    """Serve the page during a run, from its preparation on.
+    """Serve the page during a run, from its preparation on; the run sets `args.out` to its folder.
 
     Raises
     ------
@@ -171,11 +178,24 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
     # Without a port the address would differ from the proxy's.
     args.zenoh = DEFAULT_URL if args.zenoh == "auto" else choose_free_port(args.zenoh)
     # The vehicle is simulated: commands are allowed.
+    feed = Feed()
     with serve_page(
-        args.zenoh, config_file=args.zenoh_config, offer=PageOptions(commands=True)
+        args.zenoh, config_file=args.zenoh_config, offer=PageOptions(commands=True), feed=feed
     ) as address:
         print(f"page: {address}", flush=True)
         yield
+        if args.out:
+            announce_end(feed, Path(args.out))
+
+
+def announce_end(feed: Feed, folder: Path) -> None:
+    """Leave the verdict and the report of a flight with the viewers, before the server ends."""
+    summary, report = folder / "summary.json", folder / "report.html"
+    if summary.is_file():
+        verdict = json.loads(summary.read_text())["verdict"]
+        feed.announce_end(verdict, report.resolve() if report.is_file() else None)
+        # A page that nobody looks at keeps nobody waiting.
+        time.sleep(FETCH_S if feed.viewers else 0.0)
 
 
 def main(args: argparse.Namespace) -> int:

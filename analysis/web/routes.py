@@ -50,6 +50,7 @@ class LivePage:
                 Route("/", self._index),
                 Route("/assets/{name}", self._asset),
                 Route("/api/catalogue", self._catalogue),
+                Route("/api/report", self._report),
                 Route("/api/preview", self._preview, methods=["POST"]),
                 Route("/api/run", self._choose, methods=["POST"]),
                 Route("/api/sequence/check", self._check, methods=["POST"]),
@@ -82,6 +83,9 @@ class LivePage:
 
     async def _asset(self, request: Request) -> Response:
         return self._access.file(request, ASSET_FILES.get(request.path_params["name"]))
+
+    async def _report(self, request: Request) -> Response:
+        return self._access.file(request, self._feed.report)
 
     async def _catalogue(self, request: Request) -> Response:
         # In a thread: the first call loads the faults, which takes longer than a tick.

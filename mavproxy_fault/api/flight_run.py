@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -82,6 +83,10 @@ def run(
     schedule: str | Path | dict[str, Any] | None = None,
     seed: int | None = None,
     out: str | Path | None = None,
+    set: Mapping[str, Any] | None = None,
+    estimators: Sequence[str] | None = None,
+    autopilot: str | None = None,
+    binary: str | Path | None = None,
 ) -> Run:
     """Run a scenario through proxy and monitor at full speed, in a separate process.
 
@@ -95,6 +100,15 @@ def run(
         Replaces the scenario's seed.
     out : str or Path, optional
         The run folder; default: a new temporary folder.
+    set : mapping of str, optional
+        Values of the scenario by path, such as `{"environment.wind_ned_mps[0]": 5}`.
+    estimators : sequence of str, optional
+        The attitude estimators to score; default: the scenario's.
+    autopilot : str, optional
+        `px4`, `ardupilot`, `ardupilot:copter` or `ardupilot:plane` flies; default: the simulator's
+        controller.
+    binary : str or Path, optional
+        The autopilot's SITL program; default: that in the PATH.
 
     Raises
     ------
@@ -103,26 +117,63 @@ def run(
     RuntimeError
         If the flight ended without a result.
     """
-    folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = output_folder(out)
     arguments = [] if scenario is None else [input_file(scenario, folder / "scenario.yaml")]
     if schedule is not None:
         arguments += ["--schedule", input_file(schedule, folder / "schedule.yaml")]
-    if seed is not None:
-        arguments += ["--seed", str(seed)]
+    for path, value in (set or {}).items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        arguments += ["--set", f"{path}={text}"]
+    given = {
+        "seed": seed,
+        "estimators": None if estimators is None else ",".join(estimators),
+        "autopilot": autopilot,
+        "binary": binary,
+    }
+    arguments += [f"--{name}={value}" for name, value in given.items() if value is not None]
+    # Without Zenoh, whose single address parallel tests would compete for.
+    arguments += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
+    process = run_command("run", *arguments)
+    # A FAIL writes a summary too; a missing one means that the flight itself crashed.
+    check_written(folder / "summary.json", process.stderr)
+    return Run(folder)
+
+
+def run_command(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    """Run one subcommand in a process of its own.
+
+    Raises
+    ------
+    ConfigError
+        If the command refuses its input.
+    """
     # The same interpreter, so the same environment and packages; -P keeps files of the working
     # directory, such as an `analysis.py`, from being taken for packages.
-    command = [sys.executable, "-P", "-m", "mavproxy_fault.cli", "run", *arguments]
-    # Without Zenoh, whose single address parallel tests would compete for.
-    command += ["--out", str(folder), "--zenoh", "off", "--speed", "max"]
+    command = [sys.executable, "-P", "-m", "mavproxy_fault.cli", *arguments]
     process = subprocess.run(command, capture_output=True, text=True, check=False)
-    # Without the prefix of the command, since the exception has its own.
     if process.returncode == WRONG_INPUT:
+        # Without the prefix of the command, since the exception has its own.
         raise ConfigError(process.stderr.strip().removeprefix("mavproxy-fault: "))
-    # A FAIL writes a summary too; a missing one means that the flight itself crashed.
-    if not (folder / "summary.json").exists():
-        raise RuntimeError(f"the flight in {folder} ended without a result:\n{process.stderr}")
-    return Run(folder)
+    return process
+
+
+def output_folder(out: str | Path | None) -> Path:
+    """Create the output folder; a temporary one for None."""
+    folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def check_written(path: Path, said: str) -> None:
+    """Check that a command wrote its results.
+
+    Raises
+    ------
+    RuntimeError
+        With what the command said.
+    """
+    if not path.exists():
+        raise RuntimeError(f"{path.parent}: the command ended without a result:\n{said}")
 
 
 def input_file(source: str | Path | dict[str, Any], path: Path) -> str:

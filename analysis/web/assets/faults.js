@@ -194,6 +194,21 @@ async function offer() {
   showFaults(state);
 }
 
+// Faults whose name or description has all words of the search; the first of them is chosen.
+function findFaults() {
+  const words = $("find").value.toLowerCase().split(/\s+/), options = [...$("kind").options];
+  for (const option of options) {
+    const [kind, name] = option.value.split(":");
+    const about = kind === "preset" ? catalogue.presets[name] : catalogue.faults[name].schema.description;
+    const text = `${option.value} ${option.textContent} ${about}`.toLowerCase();
+    option.hidden = !words.every((word) => text.includes(word));
+  }
+  const first = options.find((option) => !option.hidden);
+  if (!first || !$("kind").selectedOptions[0]?.hidden) return;
+  $("kind").value = first.value;
+  choose();
+}
+
 function chosen() {
   const [kind, name] = $("kind").value.split(":");
   return { kind, name, fault: catalogue.faults[name] };
@@ -269,6 +284,7 @@ function uniqueName(name) {
 }
 
 $("kind").onchange = choose;
+$("find").oninput = findFaults;
 $("fields").addEventListener("input", () => { touched = true; showMessage("form-message", ""); schedulePreview(); });
 $("form").onsubmit = (event) => {
   event.preventDefault();

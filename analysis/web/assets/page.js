@@ -2,6 +2,7 @@
 // The page: messages of the socket go to their part of the page, which is drawn once per frame.
 
 const RETRY_MS = 1000;
+let ended = null; // verdict and folder of a run that has ended together with this page's server
 let run = null, lostRun = null, there = false, socket = null, requestedMessages = new Set();
 
 // -- the socket -------------------------------------------------------------------------------
@@ -13,6 +14,7 @@ function requestMessages(messages) {
 }
 
 function showStatus(news) {
+  if (ended) return;
   const coming = news.coming?.join(", ");
   $("connection").className = news.run ? "there" : run && !coming ? "gone" : "";
   $("connection").textContent = news.run ? `connected to ${news.run}` : coming ? `${coming} is starting…`
@@ -59,7 +61,25 @@ function begin() {
   lostRun = null;
 }
 
+// The last message of a page beside a run: its verdict stays, and its report with it.
+async function showEnd(news) {
+  ended = news;
+  const place = $("connection");
+  place.className = "there";
+  document.body.classList.remove("lost");
+  place.textContent = `The flight has ended: ${news.verdict}. `;
+  if (!news.report) return;
+  const path = make("code", { textContent: news.report });
+  place.append("Report: ", path);
+  try {
+    const page = await (await fetch("/api/report")).blob();
+    const name = news.report.split("/").slice(-2).join("-");
+    place.append(" ", make("a", { textContent: "save it", download: name, href: URL.createObjectURL(page) }));
+  } catch { /* the server has left: the path remains */ }
+}
+
 const HANDLERS = {
+  "page/end": showEnd,
   "page/picture": () => { $("events").replaceChildren(); clearDetection(); },
   "page/status": showStatus,
   "schedule/state": showFaults,
@@ -86,6 +106,7 @@ function connect() {
     verdicts.update();
   };
   socket.onclose = () => {
+    if (ended) return; // the server has left with its run, as it should
     $("connection").className = "gone";
     $("connection").textContent = "The page's server does not respond; reconnecting";
     document.body.classList.add("lost");

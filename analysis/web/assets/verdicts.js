@@ -16,6 +16,9 @@ function describeDecision(decision) {
   return `fault in ${HYPOTHESES[decision.hypothesis] || decision.hypothesis}${out}`;
 }
 
+// The sensors or satellites that a verdict names.
+function partsOf(text) { return text.replace(/^fault in (satellites )?/, "").split(", "); }
+
 class Verdicts {
   constructor() { this.clear(); }
   clear() {
@@ -75,18 +78,25 @@ class Verdicts {
     if (!this.advance()) return;
     const { bad, text } = this.now(), t_us = this.newest_us;
     if (bad) {
-      this.isolation ||= { text, from_us: t_us };
-      if (text !== NO_FAULT) this.isolation.text = text; // the sensor is excluded, and its last test has passed
+      const parts = text === NO_FAULT ? [] : partsOf(text); // none: the sensor is excluded, and its last test has passed
+      const before = this.isolation?.starts ?? new Map();
+      // Other sensors or satellites only: an isolation of its own.
+      if (parts.length && before.size && !parts.some((part) => before.has(part))) this.end(t_us, `then ${text}`);
+      this.isolation ||= { text, from_us: t_us, starts: new Map() };
+      if (parts.length) { // it begins with the first of those that are still isolated
+        const starts = new Map(parts.map((part) => [part, before.get(part) ?? t_us]));
+        Object.assign(this.isolation, { text, starts, from_us: Math.min(...starts.values()) });
+      }
       const sensors = this.isolation.sensors = [...this.sensors.keys()].filter((sensor) => this.isBad(sensor));
       this.isolation.found_us = Math.max(...sensors.map((name) => this.sensors.get(name).bad_us), this.current?.t_us ?? -Infinity);
     } else if (this.isolation) this.end(t_us);
   }
   // A passing test ends it at once; without reports it ends some time after the last detection.
-  end(t_us) {
+  end(t_us, next) {
     const { text, from_us, found_us, sensors } = this.isolation;
     const agrees = sensors.length ? sensors.every((name) => this.sensors.get(name).agreed_us > this.sensors.get(name).bad_us) : this.current;
     const [from, to] = [from_us, agrees ? t_us : found_us].map((one_us) => store.seconds(one_us).toFixed(1));
-    this.ended = `${text} from ${from} to ${to} s; ${this.endReason(t_us, agrees)}`;
+    this.ended = `${text} from ${from} to ${to} s; ${next || this.endReason(t_us, agrees)}`;
     this.isolation = null;
     addEvent(t_us, `isolation ended: ${this.ended}`, "done");
   }
@@ -106,9 +116,12 @@ function retext(element, text) { if (element.textContent !== text) element.textC
 // One line with the current verdict of all detectors.
 function showVerdict() {
   const { bad, text } = verdicts.now();
+  const acting = bad ? [] : state.faults.filter((one) => one.state === "active").map((one) => one.id);
+  const calm = text !== NOT_TESTED && !acting.length; // a fault that acts undetected is no good news
   $("verdict").hidden = false;
-  $("verdict").className = `badge ${bad ? "alarm" : text === NOT_TESTED ? "" : "calm"}`;
+  $("verdict").className = `badge ${bad ? "alarm" : calm ? "calm" : ""}`;
   const last = verdicts.ended && (text === NO_FAULT || text === NOT_TESTED) ? ` (last: ${verdicts.ended})` : "";
-  retext($("verdict"), `${bad ? "⚠" : text === NOT_TESTED ? "–" : "✓"} ${text}${last}`);
+  const undetected = acting.length ? `, while ${shorten(acting)} act${acting.length === 1 ? "s" : ""}` : "";
+  retext($("verdict"), `${bad ? "⚠" : calm ? "✓" : "–"} ${text}${undetected}${last}`);
   $("clock").textContent = `${store.seconds(verdicts.newest_us).toFixed(1)} s`;
 }

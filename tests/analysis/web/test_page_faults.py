@@ -163,3 +163,14 @@ def test_a_fault_with_blanks_in_its_name_is_disarmed(page: Any, loop: Any, tmp_p
     page.click("[aria-label='Disarm gyro x bias']")
     page.wait_for_selector("#faults li", state="detached")
     assert loop.engine.ids() == []
+
+
+def test_faults_can_be_searched(page: Any) -> None:
+    shown = "[...document.querySelectorAll('#kind option:not([hidden])')].map((one) => one.value)"
+    everything = page.evaluate(shown)
+    page.fill("#find", "gyro stuck")
+    found = page.evaluate(shown)
+    assert 0 < len(found) < len(everything) / 10
+    assert page.input_value("#kind") in found
+    page.fill("#find", "")
+    assert page.evaluate(shown) == everything

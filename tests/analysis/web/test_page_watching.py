@@ -3,6 +3,7 @@
 import csv
 import math
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from analysis.web.page_server import serve_page
+from analysis.web.feed import Feed
+from analysis.web.page_server import announce_end, serve_page
 from mavproxy_fault.links.bus import open_bus
 
 pytestmark = pytest.mark.browser
@@ -203,6 +205,52 @@ def test_the_header_shows_when_an_isolation_ended_and_why(page: Any, loop: Any) 
     assert stretch is not None
     assert float(stretch[2]) - float(stretch[1]) == pytest.approx(3.0, abs=0.11)
     assert "isolation ended: fault in satellites G12" in page.text_content("#events")
+
+
+def test_an_isolation_begins_with_its_own_fault(page: Any, loop: Any) -> None:
+    loop.steps_left = 0
+    loop.sensor(10.0, "baro", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in barometer')")
+    loop.sensor(12.0, "mag", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in barometer, magnetometer')")
+    loop.sensor(12.5, "baro", 2.0)
+    page.wait_for_selector("#verdict.alarm:text-is('⚠ fault in magnetometer')")
+    # Another one alone ends the isolation before it.
+    loop.sensor(13.0, "mag", 2.0)
+    loop.sensor(13.0, "airspeed", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('fault in airspeed')")
+    page.wait_for_selector("#events li:has-text('isolation ended: fault in magnetometer')")
+    ended = page.text_content("#events li:has-text('isolation ended: fault in magnetometer')")
+    stretch = re.search(r"from ([\d.]+) to ([\d.]+) s;", ended)
+    assert stretch is not None
+    assert float(stretch[2]) - float(stretch[1]) == pytest.approx(1.0, abs=0.11)
+
+
+def test_a_fault_that_acts_undetected_is_not_under_a_green_verdict(page: Any, loop: Any) -> None:
+    loop.sensor(10.0, "mag", 2.0)
+    page.wait_for_selector("#verdict.calm:has-text('no fault found')")
+    off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
+    loop.live.ask("@ctl/fault/off/arm", msgspec.json.encode(off))
+    loop.sensor(11.0, "mag", 2.0)
+    page.wait_for_selector("#verdict:not(.calm):has-text('no fault found, while off acts')")
+
+
+def test_the_page_stays_with_the_verdict_when_its_flight_ends(
+    loop: Any, open_page: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "report.html").write_text("<p>the report</p>")
+    (tmp_path / "summary.json").write_text('{"verdict": "FAIL"}')
+    feed = Feed()
+    with serve_page(loop.bus.url, port=0, feed=feed) as address:
+        page = open_page(address)
+        announce_end(feed, tmp_path)
+    with page.expect_download() as saved:
+        page.click("#connection a")
+    assert Path(saved.value.path()).read_text() == "<p>the report</p>"
+    time.sleep(1.5)  # longer than until the page would try to reconnect
+    assert page.text_content("#connection").startswith("The flight has ended: FAIL. Report: /")
+    assert page.get_attribute("#connection", "class") == "there"
+    assert page.complaints == []
 
 
 def test_isolation_is_shown_without_any_satellite_epoch(page: Any, loop: Any) -> None:

@@ -2,6 +2,7 @@
 // Heat map of a campaign: one table per subject; a click lists a cell's flights and their curves.
 
 const model = JSON.parse(document.getElementById("model").textContent);
+const plots = []; // of the curves shown, with their places
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 function element(name, text, parent, style) {
@@ -84,21 +85,22 @@ function detail(row, cell) {
   const head = element("tr", undefined, element("thead", undefined, table));
   for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers", "monitor"]) element("th", name, head);
   const body = element("tbody", undefined, table);
-  const plots = element("div", undefined, place);
+  const below = element("div", undefined, place);
   cell.results.forEach((number, i) => {
     const result = model.results[number];
     const line = element("tr", undefined, body);
     const facts = [numbers(result), result.detected_by, result.note].filter(Boolean).join("; ");
     element("button", result.outcome, element("td", undefined, line));
     for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts, monitored(result)]) element("td", text, line);
-    line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, plots); });
-    if (i === 0) { line.classList.add("chosen"); curves(number, plots); }
+    line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, below); });
+    if (i === 0) { line.classList.add("chosen"); curves(number, below); }
   });
   if (!cell.results.length) element("p", "The page does not list these flights; see cells.csv.", place);
 }
 
 function curves(number, place) {
   place.replaceChildren();
+  plots.length = 0;
   const result = model.results[number], faulty = model.curves[number];
   if (result.again) {
     const line = element("p", "Repeat this flight: ", place);
@@ -110,16 +112,21 @@ function curves(number, place) {
     const healthy = reference[name] ? joined(t, ...reference[name]) : t.map(() => null);
     element("h3", name, place);
     const window = { hooks: { drawClear: [(u) => shade(u, result)] } };
-    new uPlot({
-      width: Math.min(1100, place.clientWidth || 1100), height: 240, scales: { x: { time: false } },
+    const plot = new uPlot({
+      ...plotSize(place), scales: { x: { time: false } },
       series: [{ label: "s" }, { label: "with the fault", stroke: colour("--s1"), width: 1.6 },
         { label: "reference", stroke: colour("--s0"), width: 1.4 }],
       axes: [{ stroke: colour("--faint"), grid: { stroke: colour("--grid") } },
         { stroke: colour("--faint"), grid: { stroke: colour("--grid") } }],
       plugins: [window],
     }, [t, value, healthy], element("div", undefined, place));
+    plots.push([plot, place]);
   }
 }
+
+function plotSize(place) { return { width: Math.min(1100, place.clientWidth || 1100), height: 240 }; }
+// Plots must not stay wider than a window that has become narrow.
+addEventListener("resize", () => { for (const [plot, place] of plots) plot.setSize(plotSize(place)); });
 
 function joined(t, times, values) {
   // The reference flight's values at the flight's times.

@@ -7,7 +7,14 @@ import pytest
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import Cell, CellResult
+from analysis.campaign.cell import (
+    ATTITUDE,
+    CampaignFlight,
+    Cell,
+    CellResult,
+    Evidence,
+    EvidenceCurve,
+)
 from analysis.campaign.results.campaign_report import write_page, write_report
 from analysis.campaign.results.live_heat_map import RELOAD_S, LiveHeatMap
 from analysis.campaign.results_store import ResultsStore
@@ -77,5 +84,25 @@ def test_an_open_heat_map_refreshes_and_keeps_the_selected_cell(
     write_page(tmp_path, plan)  # the final page, which does not reload
     shown.wait_for_selector("section:has-text('mahony') td:has-text('lost')")
     shown.wait_for_selector(".heat td.chosen:has-text('2 rad/sdegraded')")
+    shown.close()
+    store.close()
+
+
+@pytest.mark.browser
+def test_a_campaigns_page_fits_a_window_that_becomes_narrow(tmp_path: Path, browser: Any) -> None:
+    plan = plan_of()
+    store = ResultsStore(tmp_path, plan.campaign)
+    evidence = {"ekf": Evidence({ATTITUDE: EvidenceCurve([0.0, 1.0], [0.0, 2.0])})}
+    store.add([result("ekf", 2.0, "degraded")], CampaignFlight(evidence))
+    write_page(tmp_path, plan)
+    shown = browser.new_page(viewport={"width": 1300, "height": 900})
+    shown.goto((tmp_path / "campaign.html").as_uri())
+    shown.wait_for_selector(".uplot")
+    for width in (1024, 390):
+        shown.set_viewport_size({"width": width, "height": 900})
+        shown.wait_for_function(
+            "document.documentElement.scrollWidth <= innerWidth"
+            " && document.querySelector('.uplot').offsetWidth <= innerWidth"
+        )
     shown.close()
     store.close()
