@@ -115,7 +115,7 @@ def test_of_several_runs_each_has_a_row_and_the_viewer_chooses_one(page: Any, lo
         page.wait_for_selector("#connection:has-text('connected to other')")
         page.wait_for_selector("#runs button[aria-pressed=true]:has-text('other')")
         # What the other run does is seen while this one is looked at.
-        loop.live.ask("@ctl/fault/still/arm", b'{"fault": "freeze", "target": "HIL_SENSOR.zacc"}')
+        loop.live.query("@ctl/fault/still/arm", b'{"fault": "freeze", "target": "HIL_SENSOR.zacc"}')
         page.wait_for_selector("#runs button:has-text('flight-1: still active')")
         loop.epoch(12.0, excluded=("G12",))
         page.wait_for_selector("#runs button.bad:has-text('flight-1: still active, ⚠ G12')")
@@ -230,7 +230,7 @@ def test_a_fault_that_acts_undetected_is_not_under_a_green_verdict(page: Any, lo
     loop.sensor(10.0, "mag", 2.0)
     page.wait_for_selector("#verdict.calm:has-text('no fault found')")
     off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
-    loop.live.ask("@ctl/fault/off/arm", msgspec.json.encode(off))
+    loop.live.query("@ctl/fault/off/arm", msgspec.json.encode(off))
     loop.sensor(11.0, "mag", 2.0)
     page.wait_for_selector("#verdict:not(.calm):has-text('no fault found, while off acts')")
 
@@ -297,12 +297,12 @@ def test_the_end_of_a_fault_explains_that_of_an_isolation_without_satellites(
     page: Any, loop: Any
 ) -> None:
     off = {"fault": "bias", "target": "HIL_SENSOR.xmag", "value": 0.5}
-    loop.live.ask("@ctl/fault/off/arm", msgspec.json.encode(off))
+    loop.live.query("@ctl/fault/off/arm", msgspec.json.encode(off))
     page.wait_for_selector("#events li:has-text('off: fault starts')")
     loop.steps_left = 0
     loop.sensor(500.0, "mag", 40.0, bad=True)
     page.wait_for_selector("#verdict.alarm")
-    loop.live.ask("@ctl/fault/off/disarm", b"")
+    loop.live.query("@ctl/fault/off/disarm", b"")
     loop.steps_left = 5
     page.wait_for_selector("#events li:has-text('off: fault ended')")
     (label,) = [one for one in loop.labels if one.end_us is not None]
