@@ -33,7 +33,7 @@ LOG = logging.getLogger(__name__)
 # and a first run, which compiles, would give other last bits than the runs after it.
 LEVEL = type(config.OPT)(1)
 
-# Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
+# Without the entry points for C, which are unused: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 REPORT_PERIOD_S = 2.0  # most functions take less: no silence of more than 5 s
@@ -69,7 +69,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return mark()
 
     def get_disambiguator(self) -> str:
-        """Nothing: numba's index tells functions of one name apart by their code."""
+        """Nothing: numba's index distinguishes functions of one name by their code."""
         return ""
 
 
@@ -140,7 +140,7 @@ class _Cache(_FunctionCache):
         return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
-        # A function among the arguments is another one in each process: nobody would find it.
+        # A function among the arguments is another one in each process, which could not find it.
         if any(isinstance(argument, Dispatcher) for argument in code.signature.args):
             return
         with suppress(OSError):  # it serves this process, and the next one makes it again
