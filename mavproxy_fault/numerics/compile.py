@@ -29,7 +29,7 @@ LOG = logging.getLogger(__name__)
 # and a first run, which compiles, would give other last bits than the runs after it.
 LEVEL = type(config.OPT)(1)
 
-# Without the entry points for C, which nobody calls: they take a seventh of the time to compile.
+# Without the entry points for C, which nothing calls: they take a seventh of the time to compile.
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
@@ -134,7 +134,7 @@ class _Cache(_FunctionCache):
         return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
-        # A function among the arguments is another one in each process: nobody would find it.
+        # A function argument differs in each process, so this code would never be loaded.
         if any(isinstance(argument, Dispatcher) for argument in code.signature.args):
             return
         with suppress(OSError):  # it serves this process, and the next one makes it again
@@ -143,7 +143,7 @@ class _Cache(_FunctionCache):
 
 @cache
 def _announce() -> None:
-    """Tell once why it takes so long."""
+    """Log once why the first use is slow."""
     LOG.warning("first use: compiling machine code, once, which takes up to a minute")
 
 
@@ -168,7 +168,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             stack.enter_context(_at_our_level())
             known = signature in dispatcher.overloads
             if not known and not code.holds(signature, dispatcher.targetctx.codegen()):
-                # Whoever waited for another process here finds what that one has made.
+                # A process that waits here loads the result of the other one.
                 _announce()
                 stack.enter_context(alone(code.lock))
             return compile_one(signature)

@@ -266,7 +266,7 @@ def test_without_ephemerides_nothing_is_tested(flight):
     assert {d.reason for d in found} == {"no ephemeris for any satellite in view"}
 
 
-def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_use(flight):
+def test_a_wrong_doppler_rate_of_one_satellite_is_reported_and_its_range_stays_in_use(flight):
     name = satellites(flight)[2]
 
     def faulty(sample: Sample) -> Sample:
@@ -277,12 +277,12 @@ def test_a_wrong_doppler_rate_of_one_satellite_is_told_and_its_range_stays_in_us
         return replace(sample, doppler_mps=rates)
 
     results = run_detector(Detector(), [faulty(sample) for sample in flight])
-    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "satellites"]
-    assert {result.suspect for result in told} == {name}
+    reported = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "satellites"]
+    assert {result.suspect for result in reported} == {name}
     spacing_s = 1e-6 * np.diff([s.t_us for s in flight if isinstance(s, Epoch)]).max()
-    # At the third epoch running, so that one noisy epoch blames nobody.
-    assert FROM_S + 1.5 * spacing_s < told[0].t_s < FROM_S + 2.5 * spacing_s
-    assert UNTIL_S - 1.5 * spacing_s < told[-1].t_s < UNTIL_S
+    # At the third epoch running, so that one noisy epoch isolates no satellite.
+    assert FROM_S + 1.5 * spacing_s < reported[0].t_s < FROM_S + 2.5 * spacing_s
+    assert UNTIL_S - 1.5 * spacing_s < reported[-1].t_s < UNTIL_S
     assert not any(r.excluded for r in results if isinstance(r, Decision))
     clean = run_detector(Detector(), flight)
     assert not any(isinstance(r, SensorDecision) and r.sensor == "satellites" for r in clean)

@@ -1,4 +1,4 @@
-"""Errors that last, in the covariance that is told: against algebra, and at a real place."""
+"""Errors that last, in the reported covariance: against algebra, and at a real place."""
 
 import math
 
@@ -85,8 +85,8 @@ def sigmas(samples, config=None):
     """The positions' sigmas (n,) in m."""
     detector = Detector(config or DetectorConfig())
     results, _ = detector.step(block_of(samples), detector.new_state())
-    told = [r.position_sigma_m for r in results if isinstance(r, Decision)]
-    return np.linalg.norm([sigma for sigma in told if sigma is not None], axis=1)
+    sigmas = [r.position_sigma_m for r in results if isinstance(r, Decision)]
+    return np.linalg.norm([sigma for sigma in sigmas if sigma is not None], axis=1)
 
 
 def test_calibration_works_on_epochs_of_every_thirty_seconds(static):

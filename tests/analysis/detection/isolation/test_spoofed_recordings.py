@@ -43,7 +43,7 @@ def spoofed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Spoo
 
 
 @pytest.mark.parametrize("preset", ["gnss-meaconing", "gnss-spoof-jump"])
-def test_a_leap_of_all_satellites_is_told_and_nothing_bounds_the_position_until_they_are_back(
+def test_a_jump_of_all_satellites_raises_an_alarm_and_the_position_is_unbounded_until_its_end(
     spoofed: Spoofed, preset: str
 ) -> None:
     found = spoofed({"preset": preset})
@@ -65,7 +65,7 @@ def test_who_left_with_its_system_is_back_with_it(spoofed: Spoofed) -> None:
     found = spoofed(jump)
     acting = [decision for decision in found if 0.0 <= decision.t_s < FOR_S]
     assert {name[0] for decision in acting for name in decision.excluded} == {"G"}
-    # G28 is always 3 m off: its readmission is asked for ten seconds and not longer.
+    # G28 is always 3 m off: its readmission may take ten seconds and not longer.
     assert not any(decision.excluded for decision in found if decision.t_s > FOR_S + 11.0)
 
 

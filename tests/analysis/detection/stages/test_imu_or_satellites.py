@@ -1,4 +1,4 @@
-"""All satellites led away together, with raw ranges and an IMU: who is wrong, and what is used."""
+"""All satellites carried off together, with raw ranges and an IMU: what is isolated and used."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +21,7 @@ FROM_S, FLOWN_S = 25.0, 45.0
 Flights = Callable[..., list[Sample]]
 
 
-def told(samples: list[Sample]) -> tuple[list[Decision], list[float], list[SensorDecision]]:
+def detect(samples: list[Sample]) -> tuple[list[Decision], list[float], list[SensorDecision]]:
     """Decisions, the errors of their positions in m, and the IMU's own results."""
     results = run_detector(Detector(DetectorConfig()), samples)
     truth = {
@@ -61,7 +61,7 @@ def test_all_satellites_led_away_are_not_blamed_on_the_imu(
         since_s = t_s - FROM_S
         return (leap_m + speed_mps * since_s, speed_mps) if since_s >= 0.0 else (0.0, 0.0)
 
-    decisions, errors, imu = told(flights(FLOWN_S, 2, away=away))
+    decisions, errors, imu = detect(flights(FLOWN_S, 2, away=away))
     assert "imu" not in {d.hypothesis for d in decisions}
     assert not [r for r in imu if r.alarm]
     first = next(d for d in decisions if d.alarm)
@@ -87,7 +87,7 @@ def test_satellites_that_were_led_away_for_a_while_are_used_again(
         since_s = t_s - FROM_S
         return (speed_mps * since_s, speed_mps) if 0.0 <= since_s < 6.0 else (0.0, 0.0)
 
-    decisions, errors, _ = told(flights(FLOWN_S, 3, away=away))
+    decisions, errors, _ = detect(flights(FLOWN_S, 3, away=away))
     assert {d.hypothesis for d in decisions} == {"none", "gps"}
     assert decisions[-1].position_sigma_m is not None
     assert max(errors) < 5.0
@@ -102,15 +102,15 @@ def test_the_end_of_a_drag_that_was_followed_for_want_of_better_is_not_the_imu(
         since_s = t_s - FROM_S
         return (speed_mps * since_s, speed_mps) if 0.0 <= since_s < 18.0 else (0.0, 0.0)
 
-    # Long enough to be given up; it ends in less than the leap that no IMU makes.
-    decisions, _, _ = told(flights(FLOWN_S + 5.0, 2, away=away))
+    # Long enough to be given up; it ends with a jump smaller than any that rules out the IMU.
+    decisions, _, _ = detect(flights(FLOWN_S + 5.0, 2, away=away))
     assert "imu" not in {d.hypothesis for d in decisions}
     assert decisions[-1].position_sigma_m is None
 
 
 @pytest.mark.parametrize(("gyro_rps", "accel_mps2"), [(0.1, 0.0), (0.0, 1.0), (0.0, 8.0)])
 def test_a_wrong_imu_is_still_the_imu(gyro_rps: float, accel_mps2: float, flights: Flights) -> None:
-    decisions, errors, imu = told(faulty(flights(FLOWN_S, 4), gyro_rps, accel_mps2))
+    decisions, errors, imu = detect(faulty(flights(FLOWN_S, 4), gyro_rps, accel_mps2))
     assert {d.hypothesis for d in decisions if d.alarm} == {"imu"}
     assert [r for r in imu if r.alarm]
     assert all(d.position_sigma_m is not None for d in decisions)
@@ -133,11 +133,11 @@ def test_a_drag_in_a_real_walk_and_its_end_are_never_the_imu_alone(
     assert "imu" not in {d.hypothesis for d in decisions}
     alarm_us = next(d.t_us for d in decisions if d.alarm and "gps" in d.hypothesis.lower())
     after_s = (alarm_us - decisions[0].t_us) * 1e-6 - 60.0
-    # Of 1 m/s it cannot tell multipath: that is found when it ends.
+    # 1 m/s is not separable from multipath: it is detected when it ends.
     assert after_s == pytest.approx(0.0 if speed_mps > 1.0 else 30.0, abs=0.1)
 
 
-def test_an_imu_that_is_told_apart_later_gives_the_position_its_bound_back(
+def test_an_imu_that_is_isolated_later_gives_the_position_its_bound_back(
     shared_data: Path,
 ) -> None:
     folder = shared_data / "gnss_imu_walk"
