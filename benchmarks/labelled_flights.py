@@ -45,7 +45,7 @@ def main() -> None:
         rows = [row for row in csv.DictReader(file) if row["split"] == args.split]
     flights = Counter(row["class"] for row in rows)
     if rows and "target" in rows[0]:
-        print_monitor([(row["class"], told(args.folder, row)) for row in rows])
+        print_monitor([(row["class"], summarise_log(args.folder, row)) for row in rows])
     named: dict[str, Counter[str]] = defaultdict(Counter)
     spoke: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
@@ -63,8 +63,8 @@ def main() -> None:
         print(f"{kind}: motors named: " + ", ".join(f"{n} {w}" for w, n in words.items()))
 
 
-def told(folder: Path, row: dict[str, str]) -> dict[str, Any]:
-    """The monitor's summary of a log against its label."""
+def summarise_log(folder: Path, row: dict[str, str]) -> dict[str, Any]:
+    """The monitor's summary of a log with its label."""
     labels = []
     if row["target"]:
         start_us, end_us = (round(float(row[name]) * 1e6) for name in ("from_s", "to_s"))
@@ -87,7 +87,7 @@ def told(folder: Path, row: dict[str, str]) -> dict[str, Any]:
 
 
 def print_monitor(flown: list[tuple[str, dict[str, Any]]]) -> None:
-    """The outcomes by class, and in how many flights who was blamed rightly and wrongly."""
+    """The outcomes by class, and each sensor's flights with a correct or a wrong isolation."""
     flights = Counter(kind for kind, _ in flown)
     found: dict[str, Counter[str]] = defaultdict(Counter)
     rightly, wrongly, suspected = Counter[str](), Counter[str](), Counter[str]()
@@ -106,7 +106,7 @@ def print_monitor(flown: list[tuple[str, dict[str, Any]]]) -> None:
         cells = [found[kind][verdict] or "" for verdict in (*VERDICTS, "false")]
         print(f"| {kind} | {count} | {' | '.join(map(str, cells))} |")
     print(f"\n{hours:.2f} h; false alarms by channel: {dict(suspected)}\n")
-    print("| blamed | rightly, flights | wrongly, flights |\n|---|---|---|")
+    print("| isolated | correctly, flights | wrongly, flights |\n|---|---|---|")
     for name in sorted(rightly | wrongly):
         print(f"| {name} | {rightly[name] or ''} | {wrongly[name] or ''} |")
     print()
@@ -123,15 +123,15 @@ def verdicts(path: Path) -> dict[str, str]:
 
 
 def word(path: Path, motors: list[str]) -> str:
-    """Who of the actuators was blamed, held against the motors that are off."""
+    """Whether the isolated actuators are the motors that are off."""
     off = {f"motor {number}" for number in motors}
     monitor = Monitor(MonitorConfig())
     results = [result for block in read_log(path) for result in monitor.push(block)]
-    told = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
-    blamed = {result.suspect for result in told if result.isolated}
-    if blamed - off:
+    found = [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
+    isolated = {result.suspect for result in found if result.isolated}
+    if isolated - off:
         return "wrong"
-    return "none" if not blamed else "all" if blamed == off else "one of two"
+    return "none" if not isolated else "all" if isolated == off else "one of two"
 
 
 def _cell(counts: Counter[str], kind: str) -> str:

@@ -43,7 +43,7 @@ DEMO = Path(__file__).parents[1] / "simvehicle" / "scenario" / "demo.yaml"
 
 
 def inverses() -> None:
-    """Something to tell the machine's speed by."""
+    """Inversions of a matrix, to measure the machine's speed."""
     for _ in range(1000):
         np.linalg.inv(SCALE)
 

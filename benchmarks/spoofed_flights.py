@@ -1,12 +1,12 @@
 """A spoofer and a faulty IMU against the monitor, over many seeds, with raw ranges or without.
 
 `python benchmarks/spoofed_flights.py position` flies the demo's fixed wing and the examples' quad
-with a receiver of position and velocity only, `... ranges` with one of raw ranges only, spoofs it
-from 20 s to 40 s of a flight of 50 s, and prints a table that compares each row of a spoofer with
-the aims: the IMU is isolated alone in no flight, and the spoofer detected in all; a jump within 3
-s, a carry-off before the position is 25 m off; and where there is a sigma the error at 95 % is at
-most 1.5 of that without a fault. `SEEDS` flights a row, WORKERS at once (all cores without):
-some minutes.
+with a receiver that reports position and velocity only, `... ranges` with one that reports raw
+ranges only, spoofs it from 20 s to 40 s of a flight of 50 s, and prints a table that compares each
+row of a spoofer with the aims: no flight isolates the IMU alone, and all find the spoofer; a jump
+within 3 s, a carry-off before the position is 25 m off; and where the position has a sigma, the
+error at 95 % is at most 1.5 of that without a fault. `SEEDS` flights a row, WORKERS at once
+(all cores without): some minutes.
 
     python benchmarks/spoofed_flights.py position|ranges [WORKERS [SEEDS]]
 """
@@ -78,7 +78,7 @@ class Flown(NamedTuple):
 
 
 def scenario_of(vehicle: str, seed: int) -> Scenario:
-    """The vehicle with a receiver of raw ranges, or of fixes only."""
+    """The vehicle with a receiver that reports ranges, or none."""
     hover, demo = read_setup(str(HOVER)).scenario, read_setup(None).scenario
     scenario = hover if vehicle == "quad" else demo
     imu = msgspec.structs.replace(scenario.sensors.imu, rate_hz=IMU_HZ)

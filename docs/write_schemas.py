@@ -57,7 +57,7 @@ def schema() -> dict[str, Any]:
     )
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "What mavproxy-fault tells the bus, by key below mavfault/v1/{run}/",
+        "title": "What mavproxy-fault publishes on the bus, by key below mavfault/v1/{run}/",
         "keys": dict(zip(KEYS, or_null(list(found)), strict=True)),
         "$defs": or_null(components),
     }

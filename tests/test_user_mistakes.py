@@ -1,4 +1,4 @@
-"""What a user gets wrong on the command line is told in a line, with exit code 2."""
+"""Mistakes on the command line give one line on standard error, with exit code 2."""
 
 import os
 import socket
@@ -25,7 +25,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         ((*PROXY, "udpin:127.0.0.1:0", "--logdir", "file/logs"), "file/logs: "),
         ((*PROXY, "udpin:127.0.0.1:99999"), "port 99999 is too large"),
@@ -47,13 +47,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (("run", "--out", "file/out"), "--out file/out: Not a directory"),
     ],
 )
-def test_a_mistake_is_told_in_a_line(
-    folder: Path, words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+def test_a_mistake_is_reported_in_one_line(
+    folder: Path, words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
     message = capsys.readouterr().err
     assert message.startswith("mavproxy-fault: ")
-    assert told in message
+    assert expected in message
     assert message.count("\n") == 1
 
 
@@ -90,7 +90,7 @@ SCHEMA = [sys.executable, "-m", "mavproxy_fault.cli", "faults", "schema"]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no such device here")
-def test_an_output_that_is_full_is_told_in_a_line() -> None:
+def test_a_full_output_is_reported_in_one_line() -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(SCHEMA, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2
@@ -134,7 +134,7 @@ def test_a_misspelt_command_is_answered_with_the_nearest(
 @pytest.mark.parametrize(
     "words", [("run", "--zenoh", "off", "--gcs", "off"), ("report", "."), ("search", "test.yaml")]
 )
-def test_a_system_without_semaphores_is_told_in_a_line(
+def test_a_system_without_semaphores_is_reported_in_one_line(
     words: tuple[str, ...],
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -16,7 +16,7 @@ from analysis.campaign.results_store import ResultsStore
 from analysis.campaign.worker_pool import open_worker_pool
 from mavproxy_fault.documents.errors import ConfigError
 
-# Rough values, to tell minutes from days.
+# Rough values: an estimate in minutes, hours or days.
 SIMULATOR_SPEED = 15.0  # simulated seconds per second of one worker
 LANE_SPEED = 20_000.0
 # With start, take-off and landing: 26 s under PX4 took 13 s, under ArduCopter 27 s.

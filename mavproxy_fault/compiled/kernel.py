@@ -6,7 +6,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numba import njit
 
-# To whoever checks types, a number of the compiled code is a number of Python.
+# For type checkers a number of the compiled code is a number of Python.
 i64 = cast(Callable[[Any], int], np.int64)
 
 Function = TypeVar("Function", bound=Callable[..., Any])

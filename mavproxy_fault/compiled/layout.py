@@ -46,7 +46,7 @@ STEP, CUT = range(2)  # entries of `outcome`: how far an element moved, whether 
 # Columns of `ports`, a row per link
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
-LONE = 14  # whether one datagram at a time is asked for
+LONE = 14  # whether to receive one datagram at a time
 PORT_SIZE = 15
 # Columns of `heads` and `headers`, the words of a `mmsghdr`; of `parts`, those of an `iovec`
 NAME_AT, NAME_LENGTH, PARTS_AT, PART_COUNT, _CONTROL, _CONTROL_LENGTH, _FLAGS, LENGTH = range(8)

@@ -192,7 +192,7 @@ def _wait(remaining_ns: int, loop: k.Integers) -> bool:
 
 @kernel
 def _send_due(shared: Shared) -> None:
-    """Send the rows after the links' at the time that was asked for."""
+    """Send the rows after the links' at the requested time."""
     loop, rows = shared.loop, shared.loop[k.LINK_COUNT]
     while _now_ns(loop) < loop[k.DUE_AT]:
         pass

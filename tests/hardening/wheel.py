@@ -22,7 +22,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-NOBODY = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+UNPRIVILEGED = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
 ALONE = ["unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
 SCHEDULE = ROOT / "examples" / "gyro_bias.yaml"
 MISSED: list[str] = []
@@ -102,7 +102,7 @@ def demo(commands: Path, folder: Path) -> None:
         out.chmod(0o777)
         environment = {"PATH": "/usr/bin:/bin"} | ({"HOME": home} if home else {})
         run = [commands / "mavproxy-fault", "run", "--zenoh", "off", "--out", out / "run"]
-        spent_s.append(processor_s(*ALONE, *NOBODY, *run, environment=environment))
+        spent_s.append(processor_s(*ALONE, *UNPRIVILEGED, *run, environment=environment))
     print(f"demo runs: {', '.join(f'{one:.1f}' for one in spent_s)} s of processor", flush=True)
     note("first run over the second", spent_s[0] / spent_s[1], 1.3, "times")
 
@@ -116,7 +116,7 @@ def proxies(commands: Path, folder: Path) -> None:
         master, out = 41_000 + 2 * number, 41_001 + 2 * number
         begun_s = time.monotonic()
         with subprocess.Popen(
-            [*NOBODY, commands / "mavproxy-fault", "proxy", "--zenoh", "off",
+            [*UNPRIVILEGED, commands / "mavproxy-fault", "proxy", "--zenoh", "off",
              "--master", f"udpin:127.0.0.1:{master}", "--to", f"udpout:127.0.0.1:{out}",
              "--schedule", SCHEDULE],
             stdout=subprocess.PIPE, env={"PATH": "/usr/bin:/bin"}, cwd="/",
@@ -147,7 +147,9 @@ def main() -> int:
         "--python", default=sys.executable, help="one that every user may run (default: this one)"
     )
     args = parser.parse_args()
-    if subprocess.run([*NOBODY, args.python, "-c", ""], capture_output=True, cwd="/").returncode:
+    if subprocess.run(
+        [*UNPRIVILEGED, args.python, "-c", ""], capture_output=True, cwd="/"
+    ).returncode:
         parser.error(f"--python {args.python}: another user cannot run it; give /usr/bin/python3")
     folder = args.folder or Path(tempfile.mkdtemp(prefix="mavproxy-fault-wheel-"))
     folder.mkdir(parents=True, exist_ok=True)

@@ -47,7 +47,7 @@ REASONS = {
     NO_POSITION: "the position is not finite",
     NO_FIX: "fix type {fix_type:.0f}",
     NO_VELOCITY: "no velocity",
-    NO_REFERENCE: "no sound reference",
+    NO_REFERENCE: "no healthy reference",
 }
 # The view: position in ECEF, height, velocity NED, age of the sample in s, axes NED in ECEF,
 # rotation body to NED (known or not), covariances of position, velocity, attitude; turn in rad/s.

@@ -2,8 +2,9 @@
 
 The log's timestamps say when a frame was written: they run at another rate if a run is faster than
 real time, jump when the computer's clock is set, and may be missing. `steady_stamps` removes such
-jumps by the vehicle's own times, which tell them from a restart of the vehicle; the timestamps only
-place one boot after another. Messages without a time are placed between those with one.
+jumps by the vehicle's own times, which distinguish them from a restart of the vehicle; the
+timestamps only place one boot after another. Messages without a time are placed between those with
+one.
 """
 
 from dataclasses import dataclass, field

@@ -93,8 +93,8 @@ def test_without_satellites_the_graph_stops_and_starts_with_the_filter(static):
     decisions, states, _ = judged(epochs(static, 200.0, few), "G")
     begin_s = decisions[0].t_s
     assert not [s.reason for s in states if "failed" in s.reason]
-    told_s = {round(s.t_s - begin_s) for s in states}
-    assert told_s == {*range(50), *range(150, 200)}
+    reported_s = {round(s.t_s - begin_s) for s in states}
+    assert reported_s == {*range(50), *range(150, 200)}
     assert error_m(states) < 1.05 * error_m([d for d in decisions if d.position_ecef_m])
 
 

@@ -124,7 +124,7 @@ def run(
         loop = threading.Thread(target=server.run)
         loop.start()
         got = []
-        vehicle.sendto(b"here", ("127.0.0.1", master.port))  # or the first mark finds nobody
+        vehicle.sendto(b"here", ("127.0.0.1", master.port))  # or the first mark has no receiver
         assert station.recv(99) == b"here"
         for number, datagram in enumerate([*datagrams, b"the end"]):
             vehicle.sendto(datagram, ("127.0.0.1", master.port))

@@ -38,8 +38,8 @@ def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
         "for module in list(sys.modules.values()):\n"
         "    print(getattr(module, '__file__', None))\n"
     )
-    told = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
-    files = {Path(line) for line in told.stdout.decode().splitlines()}
+    printed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    files = {Path(line) for line in printed.stdout.decode().splitlines()}
     ours = {str(file.relative_to(PACKAGE)) for file in files if file.is_relative_to(PACKAGE)}
     compiled_in = {name for name in ours if not name.endswith("__init__.py")}
     assert "proxy/sender_rules.py" in compiled_in

@@ -1,4 +1,4 @@
-"""All satellites led away together, with raw ranges and an IMU: who is wrong, and what is used."""
+"""All satellites carried off together, with raw ranges and an IMU: what is isolated and used."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -133,7 +133,7 @@ def test_a_drag_in_a_real_walk_and_its_end_are_never_the_imu_alone(
     assert "imu" not in {d.hypothesis for d in decisions}
     alarm_us = next(d.t_us for d in decisions if d.alarm and "gps" in d.hypothesis.lower())
     after_s = (alarm_us - decisions[0].t_us) * 1e-6 - 60.0
-    # Of 1 m/s it cannot tell multipath: that is found when it ends.
+    # 1 m/s is not separable from multipath: it is detected when it ends.
     assert after_s == pytest.approx(0.0 if speed_mps > 1.0 else 30.0, abs=0.1)
 
 
