@@ -83,6 +83,7 @@ class LiveControl:
         self.folders = folders
         self.view = SubscribedMessages()
         self.senders = new_senders()  # the core's, once attached
+        self.replayed_us: int | None = None  # wall time of an edit that a replay repeats
         self._latched: set[str] = set()
         self._other_sizes: set[int] = set()  # of datagrams on RflySim's port that were reported
         # Instances heard in each part of a unit, from each system and direction.
@@ -420,7 +421,8 @@ class LiveControl:
 
     def _update(self, id: str, value: float, sent_us: int | None) -> Any:
         # By the wall clocks of sender and proxy: the vehicle's clock may run at another speed.
-        latency_us = None if sent_us is None else time.time_ns() // 1000 - sent_us
+        now_us = time.time_ns() // 1000 if self.replayed_us is None else self.replayed_us
+        latency_us = None if sent_us is None else now_us - sent_us
         self.engine.update(id, value, latency_us)
         return {"id": id, "value": value}
 

@@ -93,6 +93,7 @@ def apply_edit(edit: Edit, core: Core, control: LiveControl) -> None:
     if edit.what == JOIN:
         join_live_control(core, control)
         return
+    control.replayed_us = edit.now_us
     # The replay refuses what the running proxy refused.
     with contextlib.suppress(ConfigError):
         if edit.what == RFLYSIM:

@@ -157,6 +157,8 @@ def test_a_session_with_live_faults_replays_byte_for_byte(tmp_path: Path, schedu
         packet = struct.pack("<10i20f", 1234567897, 1, 123450, *[123549] * 7, 0.5, *[1.0] * 19)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as simulator:
             simulator.sendto(packet, ("127.0.0.1", rflysim))
+        while "rflysim-1-123450.1" not in str(bus.query("@ctl/state")[0]):
+            pass  # the packet is on its way
         vehicle.send("HIL_ACTUATOR_CONTROLS", controls=[0.8] * 16)
         assert station.next("HIL_ACTUATOR_CONTROLS").controls[0] == pytest.approx(0.4)
 
