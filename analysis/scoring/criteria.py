@@ -157,10 +157,11 @@ def check_vehicle(
     Under an autopilot, a flight without criteria on the vehicle fails if it crashed, lost control
     or flew away.
     """
-    limit = criteria.outcome or (AT_MOST + FAILSAFE if under_autopilot else None)
+    rank = outcome_rank(found.outcome)
+    # Only what is asked for needs a verdict: a flight may have ended before its take-off.
+    limit = criteria.outcome or (AT_MOST + FAILSAFE if under_autopilot and rank >= 0 else None)
     checks = []
     if limit is not None:
-        rank = outcome_rank(found.outcome)
         passed = None if rank < 0 else rank <= outcome_rank(worst_allowed(limit))
         # An autopilot that reports a crash never passes.
         passed = passed and found.outcome != CRASHED
