@@ -107,7 +107,7 @@ def _summary(
     position_rmse_m = _rms(position[0].value) if position else None
     return {
         "verdict": verdict,
-        "vehicle": msgspec.to_builtins(vehicle_outcome(recording)),
+        "outcome": msgspec.to_builtins(vehicle_outcome(recording)),
         "files": [str(path) for path in flight.paths],
         "autopilot": recording.autopilot,
         "sim_s": run.get("sim_s", round(recording.duration_s, 3)),

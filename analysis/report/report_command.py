@@ -85,7 +85,7 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
     colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
     recording = outcome.flight.recording
     console.print(Text(recording.name, "bold"), f" {recording.duration_s:.0f} s")
-    found = msgspec.convert(outcome.summary["vehicle"], VehicleOutcome)
+    found = msgspec.convert(outcome.summary["outcome"], VehicleOutcome)
     console.print(f"  vehicle {describe_vehicle(found)}")
     for check in sorted(outcome.checks, key=_worst_first):
         if check.verdict in ("WARN", "FAIL"):

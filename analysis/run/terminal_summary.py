@@ -21,8 +21,8 @@ COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
     console = Console(markup=False)  # texts of users and autopilots may contain brackets
-    if "vehicle" in summary:
-        found = msgspec.convert(summary["vehicle"], VehicleOutcome)
+    if "outcome" in summary:
+        found = msgspec.convert(summary["outcome"], VehicleOutcome)
         console.print(f"vehicle         {describe_vehicle(found)}", soft_wrap=True)
     if summary["faults"]:
         console.print(_faults(summary["faults"]))

@@ -21,13 +21,13 @@ def judge_vehicle_of_run(
     *,
     under_autopilot: bool = False,
 ) -> None:
-    """Add `vehicle` to a summary, and its checks to the criteria and the verdict.
+    """Add `outcome` to a summary, and its checks to the criteria and the verdict.
 
     `columns` are those of `sent.tlog`, from which a report of the run takes its outcome too.
     """
     t0_us = labels[0].t0_us if labels else None
     found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns, t0_us=t0_us)))
-    summary["vehicle"] = msgspec.to_builtins(found)
+    summary["outcome"] = msgspec.to_builtins(found)
     onset_s = min(((one.start_us - one.t0_us) * 1e-6 for one in labels), default=None)
     checks = check_vehicle(criteria, found, onset_s, under_autopilot=under_autopilot)
     if checks:

@@ -4,8 +4,8 @@ import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
 from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.vehicle_phase import armed_windows
 from analysis.report.judging.autopilot_texts import is_alarming
-from analysis.report.judging.checks import armed_windows
 from analysis.scoring.vehicle_outcome import (
     TimedText,
     VehicleMotion,

@@ -51,7 +51,7 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
         every.append((LINK, links_table(recording)))
     if recording.parameters:
         every += [("Parameters", table) for table in parameters_table(recording)]
-    shown = [("vehicle", str(summary["vehicle"]["outcome"]))]
+    shown = [("outcome", str(summary["outcome"]["outcome"]))]
     shown += [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
@@ -80,7 +80,7 @@ def _counts(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
 def _run_facts(outcome: FlightAssessment) -> list[tuple[str, str]]:
     """Facts of a run's summary; epoch counts only with monitor results."""
     hidden = {"flight"} if outcome.flight.results else NEEDS_RESULTS
-    return [fact for fact in run_facts(outcome.summary) if fact[0] not in hidden | {"vehicle"}]
+    return [fact for fact in run_facts(outcome.summary) if fact[0] not in hidden | {"outcome"}]
 
 
 def panel_limits(checks: Sequence[FlightCheck]) -> dict[str, list[LimitLine]]:

@@ -58,8 +58,8 @@ def test_the_ground_impact_is_that_of_the_truth_and_not_of_the_estimate() -> Non
     assessed = assess_flight(flight, Thresholds())
     impact = next(check for check in assessed.checks if check.name == "ground impact")
     assert impact.verdict == "FAIL"
-    assert assessed.summary["vehicle"]["outcome"] == "crashed"
-    assert assessed.summary["vehicle"]["impact_mps"] == pytest.approx(8.0, abs=0.3)
+    assert assessed.summary["outcome"]["outcome"] == "crashed"
+    assert assessed.summary["outcome"]["impact_mps"] == pytest.approx(8.0, abs=0.3)
     assert assessed.verdict == "FAIL"
 
 
