@@ -160,7 +160,7 @@ def failsafe(folder: Path, marks: list[FlightMark]) -> str:
     begin_us, landing_us = fault_us(folder)
     until_s = AT_S + (landing_us - begin_us) * 1e-6 - 0.1
     modes = [
-        (mark.text, mark.t_s - AT_S)
+        (mark.text.partition(": ")[0], mark.t_s - AT_S)
         for mark in marks
         if mark.kind == "failsafe" and mark.t_s < until_s
     ]
@@ -188,8 +188,8 @@ def end(folder: Path, evidence: Evidence) -> str:
     early = json.loads((folder / "summary.json").read_text())["autopilot"]["ended_early"]
     begin_us, landing_us = fault_us(folder)
     if crashes:
-        return f"ground {crashes[0].text} after {crashes[0].t_s - AT_S:.1f} s"
-    landed = [mark for mark in evidence.marks if mark.kind == "landed"]
+        return f"{crashes[0].text} after {crashes[0].t_s - AT_S:.1f} s"
+    landed = [mark for mark in evidence.marks if mark.kind == "landed uncommanded"]
     if landed and landed[0].t_s < AT_S + (landing_us - begin_us) * 1e-6:
         return f"landed by itself after {landed[0].t_s - AT_S:.0f} s"
     return early.split(" at ")[0].split(";")[0] if early else "landed"

@@ -38,6 +38,7 @@ from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
 from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
+from analysis.run.vehicle_judging import judge_vehicle_of_run
 from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
@@ -139,6 +140,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = run.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
+    judge_vehicle_of_run(summary, columns, labels, setup.criteria, under_autopilot=True)
     report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
         report_early_end(summary, reason)

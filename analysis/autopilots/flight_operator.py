@@ -30,6 +30,10 @@ IGNORED_STREAMS = frozenset(
 POSITION_SETTLED_US = 10_000_000
 CLIMB_DONE_SHARE = 0.9  # of the take-off height, at which the take-off is complete
 TAKEN_OFF_M = 1.0
+IN_AIR = 2  # MAV_LANDED_STATE_IN_AIR
+# A vehicle in the air that has not changed its height by more than STEADY_M for so long has ended
+# its climb, whatever height its estimate says: a barometer may drift between home and take-off.
+STEADY_US, STEADY_M = 10_000_000, 0.5
 VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
@@ -110,7 +114,9 @@ class Operator:
         self._t_us = self._phase_since_us = self._retry_us = self._heartbeat_us = 0
         self._position_since_us: int | None = None  # start of the position estimate
         self._armed = self._uploaded = self._started = False
-        self._height_m = 0.0
+        self._height_m = self._steady_height_m = 0.0
+        self._steady_since_us: int | None = None  # since when it is in the air at this height
+        self._asked_item = -1  # the highest mission item that the vehicle has requested
         self._airborne_us = 0  # last time in the air or before the take-off
         self._seq = 0
 
@@ -144,8 +150,20 @@ class Operator:
             self._height_m = frame.number("relative_alt") * 1e-3
             if self._armed and self._height_m > TAKEN_OFF_M:
                 self._note_event("take-off")
+            if abs(self._height_m - self._steady_height_m) > STEADY_M:
+                self._steady_height_m, self._steady_since_us = self._height_m, None
+        elif name == "EXTENDED_SYS_STATE":
+            if not self._armed or frame.number("landed_state") != IN_AIR:
+                self._steady_since_us = None
+            elif self._steady_since_us is None:
+                self._steady_since_us = self._t_us
+        elif name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            # Each further item is progress; the time-out counts from the last one.
+            if frame.number("seq") > self._asked_item and self.phase is Phase.UPLOADING:
+                self._asked_item, self._phase_since_us = int(frame.number("seq")), self._t_us
         elif name == "MISSION_ACK":
-            self._uploaded = frame.number("type") == 0
+            # An item sent twice is answered by an error after the mission was accepted.
+            self._uploaded |= frame.number("type") == 0
         elif name == "MISSION_ITEM_REACHED":
             self._note_event(f"mission-item:{int(frame.number('seq'))}")
         elif name == "STATUSTEXT" and frame.component == 1:
@@ -201,7 +219,7 @@ class Operator:
             case Phase.ARMING:
                 return self._armed
             case Phase.CLIMBING:
-                return self._height_m > CLIMB_DONE_SHARE * self._plan.height_m
+                return self._height_m > CLIMB_DONE_SHARE * self._plan.height_m or self._hovers()
             case Phase.FLYING:
                 return self._airborne_s() >= self._plan.duration_s
             case Phase.LANDING:
@@ -215,6 +233,14 @@ class Operator:
         self._retry_us = 0
         if phase in (Phase.LANDING, Phase.LANDED):
             self._note_event(str(phase))
+
+    def _hovers(self) -> bool:
+        """Whether the autopilot says that it is in the air, and its height no longer changes."""
+        since_us = self._steady_since_us
+        hovers = since_us is not None and self._t_us - since_us >= STEADY_US
+        if hovers:
+            self._note_event("take-off")
+        return hovers
 
     def _airborne_s(self) -> float:
         return (self._t_us - self.events_us.get("take-off", self._t_us)) * 1e-6

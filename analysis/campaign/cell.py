@@ -66,7 +66,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FlightMark(msgspec.Struct, frozen=True):
-    """An event of the flight; `kind` is detected, failsafe, landed, lost or crashed."""
+    """An event of the flight; `kind` is one of `outcomes.RANKS`."""
 
     t_s: float
     kind: str

@@ -21,8 +21,12 @@ from analysis.campaign.cell import (
     EvidenceCurve,
     FlightMark,
 )
+from analysis.scoring.vehicle_outcome import FLEW_AWAY, UNAFFECTED, VEHICLE_OUTCOMES
 
-RANKS = ("unaffected", "detected", "degraded", "failsafe", "landed", "lost", "crashed")
+LOST = "lost"  # of an estimate, while the vehicle may be well, and of a flight that ended early
+BEST = VEHICLE_OUTCOMES.index(UNAFFECTED)
+WORSE = VEHICLE_OUTCOMES.index(FLEW_AWAY)
+RANKS = (*VEHICLE_OUTCOMES[BEST:WORSE], LOST, *VEHICLE_OUTCOMES[WORSE:])
 ABORTED = "aborted"  # the flight failed to run, which says nothing about the subject
 SAME_EVENT_S = 1.0  # marks this close are one event: a period of HEARTBEAT, which has the mode
 Vector = NDArray[np.float64]
@@ -31,9 +35,10 @@ Vector = NDArray[np.float64]
 class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of the excursions.
 
-    Beyond `attitude_deg` or `position_m` a flight is degraded, beyond `lost_deg` or `lost_m` it is
-    lost. A critical magnitude is the smallest with the outcome `worse_from` or worse. A cell fails
-    from `fail_from` on, by default from `worse_from`.
+    Beyond `attitude_deg` or `position_m` a flight is degraded. Beyond `lost_deg` or `lost_m` an
+    estimate is lost; a vehicle that far off its path flew away. A critical magnitude is the
+    smallest with the outcome `worse_from` or worse. A cell fails from `fail_from` on, by
+    default from `worse_from`.
     """
 
     attitude_deg: float = 5.0
@@ -92,7 +97,9 @@ def classify_flight(
     ]
     return CellResult(
         cell=cell,
-        outcome=outcome_of(excursion_deg or 0.0, excursion_m or 0.0, set(first), limits),
+        outcome=outcome_of(
+            excursion_deg or 0.0, excursion_m or 0.0, set(first), limits, of_vehicle=has_path
+        ),
         onset_s=onset_s,
         excursion_deg=excursion_deg,
         excursion_m=excursion_m,
@@ -106,15 +113,22 @@ def classify_flight(
 
 
 def outcome_of(
-    excursion_deg: float, excursion_m: float, kinds: set[str], limits: OutcomeLimits
+    excursion_deg: float,
+    excursion_m: float,
+    kinds: set[str],
+    limits: OutcomeLimits,
+    *,
+    of_vehicle: bool = False,
 ) -> str:
     """Return the worst outcome that applies."""
     # Marks whose kind is itself an outcome.
     happened = kinds & set(RANKS)
     if excursion_deg > limits.attitude_deg or excursion_m > limits.position_m:
         happened.add("degraded")
-    if excursion_deg > limits.lost_deg or excursion_m > limits.lost_m:
-        happened.add("lost")
+    if excursion_m > limits.lost_m:
+        happened.add(FLEW_AWAY if of_vehicle else LOST)
+    if excursion_deg > limits.lost_deg:
+        happened.add(LOST)
     # Unaffected if nothing with a rank happened.
     return max(happened, key=outcome_rank, default="unaffected")
 

@@ -14,8 +14,10 @@ from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
+from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.flight_sources import RecordedFlight
 from analysis.scoring.criteria import Criteria, check_missed_faults
+from analysis.scoring.vehicle_outcome import is_crash_text
 
 # Checks of the autopilot's own alarms, which are expected while a fault is injected.
 AUTOPILOT_ALARMS = {
@@ -54,6 +56,9 @@ def _expected(check: FlightCheck, recording: FlightData) -> FlightCheck:
     """Pass a check whose alarms were all raised while a fault was injected."""
     injected = [span for span in recording.spans if span.kind == "injected"]
     if check.name not in AUTOPILOT_ALARMS or check.verdict not in (WARN, FAIL) or not injected:
+        return check
+    # No fault makes a crash pass.
+    if is_crash_text(check.evidence):
         return check
     inside = all(
         # One second earlier: a check's window may begin one sample before the fault.
@@ -102,6 +107,7 @@ def _summary(
     position_rmse_m = _rms(position[0].value) if position else None
     return {
         "verdict": verdict,
+        "outcome": msgspec.to_builtins(vehicle_outcome(recording)),
         "files": [str(path) for path in flight.paths],
         "autopilot": recording.autopilot,
         "sim_s": run.get("sim_s", round(recording.duration_s, 3)),

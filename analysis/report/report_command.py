@@ -6,6 +6,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
+
 from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, FlightCheck, chain_text
@@ -13,6 +15,7 @@ from analysis.report.log_folder import is_run_folder, report_folder
 from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
 from analysis.report.recordings.log_paths import log_file, log_files
+from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.label import read_labels
 
@@ -82,6 +85,8 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
     colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
     recording = outcome.flight.recording
     console.print(Text(recording.name, "bold"), f" {recording.duration_s:.0f} s")
+    found = msgspec.convert(outcome.summary["outcome"], VehicleOutcome)
+    console.print(f"  vehicle {describe_vehicle(found)}")
     for check in sorted(outcome.checks, key=_worst_first):
         if check.verdict in ("WARN", "FAIL"):
             word = Text(check.verdict, colours[check.verdict])

@@ -21,6 +21,7 @@ from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import stop_requests
 from analysis.run.terminal_summary import EXIT_CODES, print_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
+from analysis.run.vehicle_judging import judge_vehicle_of_run
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
@@ -84,6 +85,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
+    judge_vehicle_of_run(summary, columns, labels, setup.criteria)
     report_unmatched_faults(summary, setup.schedule, labels)
     summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []

@@ -4,9 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 
 # NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
@@ -18,6 +21,9 @@ COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
     console = Console(markup=False)  # texts of users and autopilots may contain brackets
+    if "outcome" in summary:
+        found = msgspec.convert(summary["outcome"], VehicleOutcome)
+        console.print(f"vehicle         {describe_vehicle(found)}", soft_wrap=True)
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
         for line in verdict_remarks(summary["faults"]):

@@ -10,6 +10,22 @@ from typing import Any
 import msgspec
 
 from analysis.scoring.outcome import ISOLATED, LATE, MISSED, NOT_JUDGED
+from analysis.scoring.vehicle_outcome import (
+    CRASHED,
+    FAILSAFE,
+    VEHICLE_OUTCOMES,
+    VehicleOutcome,
+    outcome_rank,
+)
+
+AT_MOST = "at most "
+
+
+class FailsafeCriterion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The failsafe that has to act: the mode it enters, and how long after the first fault."""
+
+    mode: str
+    within_s: float | None = None
 
 
 class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -17,7 +33,8 @@ class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     `may_miss` allows missed faults by id, fault or preset; `may_blame` allows wrong isolations by
     channel or sensor. Shares are of all GNSS epochs, between 0 and 1; errors are those of the
-    detector's own position.
+    detector's own position. `outcome` ("at most degraded"), `failsafe`, `impact_mps` and
+    `excursion_m` limit what happens to the vehicle.
     """
 
     must_detect: tuple[str, ...] = ()
@@ -33,6 +50,20 @@ class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     max_unexplained_share: float | None = None
     max_horizontal_95_m: float | None = None
     max_vertical_95_m: float | None = None
+    outcome: str | None = None
+    failsafe: FailsafeCriterion | None = None
+    impact_mps: float | None = None
+    excursion_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.outcome is not None and worst_allowed(self.outcome) not in VEHICLE_OUTCOMES:
+            known = ", ".join(AT_MOST + word for word in VEHICLE_OUTCOMES)
+            raise ValueError(f"outcome = {self.outcome} is unknown; known: {known}")
+
+
+def worst_allowed(outcome: str) -> str:
+    """Return the worst outcome that a criterion allows, as `at most degraded`."""
+    return outcome.removeprefix(AT_MOST)
 
 
 def receiver_criteria(with_truth: bool) -> Criteria:
@@ -116,6 +147,60 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
         if limit is not None
     ]
     return [*checks, *_check_tested(criteria, summary)]
+
+
+def check_vehicle(
+    criteria: Criteria, found: VehicleOutcome, onset_s: float | None, *, under_autopilot: bool
+) -> list[CriterionCheck]:
+    """Check what happened to the vehicle; `onset_s` is the start of the first fault.
+
+    Under an autopilot, a flight without criteria on the vehicle fails if it crashed, lost control
+    or flew away.
+    """
+    rank = outcome_rank(found.outcome)
+    # Only what is asked for needs a verdict: a flight may have ended before its take-off.
+    limit = criteria.outcome or (AT_MOST + FAILSAFE if under_autopilot and rank >= 0 else None)
+    checks = []
+    if limit is not None:
+        passed = None if rank < 0 else rank <= outcome_rank(worst_allowed(limit))
+        # An autopilot that reports a crash never passes.
+        passed = passed and found.outcome != CRASHED
+        checks.append(_vehicle_check("vehicle outcome", limit, found.outcome, passed))
+    if criteria.failsafe is not None:
+        checks.append(_check_failsafe(criteria.failsafe, found, onset_s))
+    for name, most, value in (
+        ("impact, m/s", criteria.impact_mps, found.impact_mps),
+        ("excursion, m", criteria.excursion_m, found.excursion_m),
+    ):
+        if most is not None:
+            passed = None if value is None else value <= most
+            checks.append(_vehicle_check(name, most, value, passed))
+    return checks
+
+
+def _check_failsafe(
+    wanted: FailsafeCriterion, found: VehicleOutcome, onset_s: float | None
+) -> CriterionCheck:
+    """Check that the wanted mode was entered by a failsafe in time."""
+    within = "" if wanted.within_s is None else f" within {wanted.within_s:g} s"
+    acted = [event for event in found.events if event.kind == FAILSAFE]
+    since_s = onset_s or 0.0
+    right = [
+        event
+        for event in acted
+        if event.text.partition(":")[0] == wanted.mode and event.t_s >= since_s
+    ]
+    after_s = right[0].t_s - since_s if right else None
+    passed = after_s is not None and (wanted.within_s is None or after_s <= wanted.within_s)
+    others = ", ".join(event.text.partition(":")[0] for event in acted) or "none"
+    value = others if after_s is None else f"{wanted.mode} after {after_s:.1f} s"
+    return _vehicle_check("failsafe", wanted.mode + within, value, passed)
+
+
+def _vehicle_check(
+    name: str, limit: float | str, value: float | str | None, passed: bool | None
+) -> CriterionCheck:
+    return CriterionCheck(name=name, limit=limit, value=value, passed=passed)
 
 
 def _check_tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:

@@ -19,6 +19,8 @@ MISSION_ITEM_INT = message_layout("MISSION_ITEM_INT")
 TAKE_OFF, SET_MODE, ARM, START = 22, 176, 400, 300  # MAV_CMD_
 CUSTOM_MODE = 1  # MAV_MODE_FLAG_
 ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT_
+# An upload in progress is driven by the vehicle's requests; ArduPilot gives one up after 8 s.
+SILENT_CALLS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class ArduPilotCommands:
         self._requested_mode = -1
         self._cannot_land = self._landing_uploaded = False
         self._items: list[ItemFields] = []
+        self._calls_until_count = 0  # while an upload is in progress, calls to let pass in silence
         self._seq = 0
         self._pending: list[bytes] = []
 
@@ -70,14 +73,16 @@ class ArduPilotCommands:
             self._cannot_land |= refused and self._requested_mode == self._modes.land
         elif frame.layout.name == "MISSION_ACK" and self._cannot_land:
             self._landing_uploaded = frame.number("type") == 0
+        if frame.layout.name == "MISSION_ACK" and frame.number("type") != 0:
+            self._calls_until_count = 0  # refused: begin again
         if frame.layout.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
+            self._calls_until_count = SILENT_CALLS
             number = min(int(frame.number("seq")), len(self._items) - 1)
             self._send(MISSION_ITEM_INT, {"seq": number, "autocontinue": 1, **self._items[number]})
 
     def upload(self, waypoints: Sequence[Waypoint]) -> None:
         """Announce the mission; its first item is ArduPilot's home position."""
-        self._items = [waypoint_item(waypoints[0]), *waypoint_items(waypoints)]
-        self._send(MISSION_COUNT, {"count": len(self._items)})
+        self._announce([waypoint_item(waypoints[0]), *waypoint_items(waypoints)])
 
     def arm(self) -> None:
         """Arm in the take-off mode."""
@@ -99,10 +104,18 @@ class ArduPilotCommands:
         if not (self._cannot_land and self._landing):
             self._mode(self._modes.land)
         elif not self._landing_uploaded:
-            self._items = [waypoint_item(self._landing[0]), *landing_items(self._landing)]
-            self._send(MISSION_COUNT, {"count": len(self._items)})
+            self._announce([waypoint_item(self._landing[0]), *landing_items(self._landing)])
         elif self._requested_mode != self._modes.auto:
             self.fly_mission()
+
+    def _announce(self, items: list[ItemFields]) -> None:
+        """Send MISSION_COUNT, unless these items are being uploaded: that would begin anew."""
+        if items != self._items:
+            self._items, self._calls_until_count = items, 0
+        if self._calls_until_count > 0:
+            self._calls_until_count -= 1
+            return
+        self._send(MISSION_COUNT, {"count": len(items)})
 
     def _mode(self, number: int) -> None:
         self._requested_mode = number

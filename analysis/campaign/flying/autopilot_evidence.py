@@ -12,20 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.campaign.cell import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
-from analysis.campaign.flying.flight_phases import AIRBORNE_M
-from analysis.report.curves.vehicle_phase import CLASSES, mode_name
+from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.judging.vehicle_record import vehicle_outcome
+from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
+from analysis.scoring.vehicle_outcome import (
+    CRASHED,
+    DEGRADED,
+    FLEW_AWAY,
+    LOST_CONTROL,
+    outcome_rank,
+)
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 from mavproxy_fault.wire.tlog import Columns, read_columns
 
 WARNING = 4  # MAV_SEVERITY
-NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 TRACK_HZ = 10.0
-GROUND_M = 0.3  # chosen: lower than this after take-off, the vehicle is on the ground
-CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
-LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost
+BAD_ENDS = frozenset(("lost", FLEW_AWAY, LOST_CONTROL, CRASHED))
 LogRows = NDArray[Any]
 
 
@@ -42,8 +47,7 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
         return (stamps_us - shift_us) * 1e-6 - float(off_ground_s)
 
     curves = {**attitude_curve(folder, float(off_ground_s)), **path_curves(truth, since)}
-    marks = [*mode_marks(columns, since), *text_marks(columns, since)]
-    marks += ground_marks(truth, since, bool(summary["landed"]))
+    marks = vehicle_marks(columns, round(off_ground_s * 1e6)) + text_marks(columns, since)
     if summary["ended_early"]:
         end_s = float(since(truth["t_us"][-1:])[0])
         marks.append(FlightMark(end_s, "lost", summary["ended_early"]))
@@ -55,11 +59,11 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
 
 
 def belongs_to_flight(mark: FlightMark, landing_s: float) -> bool:
-    """Whether a mark counts: between take-off and the landing command, or lost or crashed.
+    """Whether a mark counts: between take-off and the landing command, or a bad end.
 
     Modes and flags during the landing depend on the touchdown, whose time varies between flights.
     """
-    return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", "crashed"))
+    return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in BAD_ENDS)
 
 
 def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve]:
@@ -104,19 +108,14 @@ def _rate_hz(rows: LogRows) -> float:
     return 1e6 * (len(stamps) - 1) / max(1.0, float(stamps[-1] - stamps[0]))
 
 
-def mode_marks(columns: Columns, since: Any) -> list[FlightMark]:
-    """Return a mark for each change of the flight mode."""
-    rows = columns["HEARTBEAT"]
-    rows = rows[rows["autopilot"] != NO_AUTOPILOT]
-    marks, previous = [], None
-    for t_s, row in zip(since(rows["t_us"]).tolist(), rows, strict=True):
-        name = mode_name(
-            int(row["autopilot"]), CLASSES.get(int(row["type"]), ""), int(row["custom_mode"])
-        )
-        if previous is not None and name != previous:
-            marks.append(FlightMark(round(t_s, 3), "failsafe", name))
-        previous = name
-    return marks
+def vehicle_marks(columns: Columns, t0_us: int) -> list[FlightMark]:
+    """What happened to the vehicle, by seconds from `t0_us`, as in the summary of the run."""
+    found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns, t0_us=t0_us)))
+    return [
+        FlightMark(event.t_s, event.kind, event.text)
+        for event in found.events
+        if outcome_rank(event.kind) > outcome_rank(DEGRADED)
+    ]
 
 
 def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
@@ -137,34 +136,4 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
                 since(rows["t_us"])[changed].tolist(), rows["flags"][changed], strict=True
             ):
                 marks.append(FlightMark(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}"))
-    return marks
-
-
-def ground_marks(truth: LogRows, since: Any, landed: bool) -> list[FlightMark]:
-    """Return marks for landed, crashed or lost; `truth` are rows (n,) of HIL_STATE_QUATERNION."""
-    t_s = since(truth["t_us"])
-    # Above the first position, on level ground.
-    height_m = (truth["alt"] - truth["alt"][0]) * 1e-3
-    w, x, y, z = truth["attitude_quaternion"].T
-    # The angle between the body's and the true vertical.
-    tilt_deg = np.degrees(np.arccos(np.clip(w * w - x * x - y * y + z * z, -1.0, 1.0)))
-    marks = []
-    airborne = np.flatnonzero((t_s > 0.0) & (height_m > AIRBORNE_M))
-    lost = airborne[tilt_deg[airborne] > LOST_TILT_DEG]
-    if len(lost):
-        marks.append(
-            FlightMark(float(t_s[lost[0]]), "lost", f"tilted by {tilt_deg[lost[0]]:.0f} degrees")
-        )
-    # On the ground again, after having been airborne.
-    grounded = np.flatnonzero(
-        (np.arange(len(t_s)) > (airborne[0] if len(airborne) else 0)) & (height_m < GROUND_M)
-    )
-    if len(airborne) and len(grounded):
-        at = grounded[0]
-        # In the second before touchdown, since the contact itself stops the descent.
-        window = slice(max(0, at - round(_rate_hz(truth))), at + 1)
-        speed_mps = float(truth["vz"][window].max()) * 1e-2
-        kind = "crashed" if speed_mps > CRASH_MPS else "landed"
-        text = f"at {speed_mps:.1f} m/s" if kind == "crashed" or not landed else "on the ground"
-        marks.append(FlightMark(float(t_s[at]), kind, text))
     return marks

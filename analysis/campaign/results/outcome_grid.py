@@ -12,6 +12,9 @@ from typing import NamedTuple
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import outcome_rank
+from analysis.scoring.vehicle_outcome import CRASHED, FLEW_AWAY, LOST_CONTROL, UNCOMMANDED
+
+OF_VEHICLES = frozenset((UNCOMMANDED, FLEW_AWAY, LOST_CONTROL, CRASHED))
 
 
 class GridCell(NamedTuple):
@@ -70,5 +73,5 @@ def failsafe_share(results: Sequence[CellResult]) -> float | None:
     # Bad flights are failsafe or worse: a milder outcome needs no failsafe.
     bad = [r for r in results if outcome_rank(r.outcome) >= outcome_rank("failsafe")]
     # An estimator neither lands nor crashes, and has no failsafe.
-    has_autopilot = any(r.failsafe or r.outcome in ("landed", "crashed") for r in bad)
+    has_autopilot = any(r.failsafe or r.outcome in OF_VEHICLES for r in bad)
     return sum(bool(r.failsafe) for r in bad) / len(bad) if has_autopilot else None

@@ -17,7 +17,8 @@ from analysis.campaign.results_store import read_campaign_folder
 LOG_WIDTH = 500  # chosen: longer than any row, so that no table is cut
 COLOURS = {
     "unaffected": "green", "detected": "cyan", "degraded": "yellow", "failsafe": "magenta",
-    "landed": "magenta", "lost": "red", "crashed": "bold red", "aborted": "dim",
+    "landed uncommanded": "magenta", "lost": "red", "flew away": "red", "lost control": "red",
+    "crashed": "bold red", "aborted": "dim",
 }  # fmt: skip
 
 

@@ -96,6 +96,11 @@ def _controller(message: str, axis: str, letter: str, up: float) -> tuple[LogCur
 # Curve names match those of other log formats: the page colours and pairs curves by name.
 CURVES: tuple[LogCurve, ...] = (
     LogCurve("ATT", "roll", "ATTITUDE", field("Roll"), False),
+    # ArduPilot's simulator logs its truth.
+    *(LogCurve("SIM", part, "truth", field(part.title()), False) for part in ("roll", "pitch")),
+    LogCurve("SIM", "yaw", "truth", heading_field("Yaw"), False),
+    LogCurve("SIM", "altitude", "truth", field("Alt"), False),
+    LogCurve("SIM2", "climb", "truth", field("VD", -1.0), False),
     LogCurve("ATT", "roll", "desired", field("DesRoll"), False),
     LogCurve("ATT", "pitch", "ATTITUDE", field("Pitch"), False),
     LogCurve("ATT", "pitch", "desired", field("DesPitch"), False),

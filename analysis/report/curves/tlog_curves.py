@@ -108,6 +108,7 @@ _TABLE: tuple[tuple[str, str, str, Reader], ...] = (
     ("HIL_STATE_QUATERNION", "speed", "truth", norm("vx", "vy", scale=1e-2)),
     ("VFR_HUD", "climb", "VFR_HUD", field("climb")),
     ("GLOBAL_POSITION_INT", "climb", "estimate", field("vz", -1e-2)),
+    ("HIL_STATE_QUATERNION", "climb", "truth", field("vz", -1e-2)),
     ("VFR_HUD", "throttle", "throttle", field("throttle")),
     ("ESTIMATOR_STATUS", "ratio", "velocity", field("vel_ratio")),
     ("ESTIMATOR_STATUS", "ratio", "horizontal position", field("pos_horiz_ratio")),

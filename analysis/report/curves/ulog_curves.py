@@ -85,6 +85,8 @@ _POSITION = (
     LogCurve("vehicle_gps_position", "speed", "GPS", field("vel_m_s")),
     LogCurve("airspeed_validated", "speed", "air", field("calibrated_airspeed_m_s")),
     LogCurve("vehicle_local_position", "climb", "estimate", field("vz", -1.0)),
+    LogCurve("vehicle_local_position_groundtruth", "climb", "truth", field("vz", -1.0)),
+    LogCurve("vehicle_local_position_groundtruth", "height", "truth", field("z", -1.0)),
     LogCurve("distance_sensor", "range", "distance sensor", field("current_distance")),
     LogCurve("wind", "wind", "speed", norm("windspeed_north", "windspeed_east")),
     LogCurve("estimator_local_position", "instance-down", "instance", field("z")),

@@ -51,7 +51,8 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
         every.append((LINK, links_table(recording)))
     if recording.parameters:
         every += [("Parameters", table) for table in parameters_table(recording)]
-    shown = [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
+    shown = [("outcome", str(summary["outcome"]["outcome"]))]
+    shown += [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
     if recording.autopilot:
         shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
     if recording.vehicle:
@@ -79,7 +80,7 @@ def _counts(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
 def _run_facts(outcome: FlightAssessment) -> list[tuple[str, str]]:
     """Facts of a run's summary; epoch counts only with monitor results."""
     hidden = {"flight"} if outcome.flight.results else NEEDS_RESULTS
-    return [fact for fact in run_facts(outcome.summary) if fact[0] not in hidden]
+    return [fact for fact in run_facts(outcome.summary) if fact[0] not in hidden | {"outcome"}]
 
 
 def panel_limits(checks: Sequence[FlightCheck]) -> dict[str, list[LimitLine]]:

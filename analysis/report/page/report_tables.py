@@ -18,6 +18,8 @@ REASONS = 6  # shown under the verdict
 
 def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     facts = []
+    if "outcome" in summary:
+        facts.append(("outcome", summary["outcome"]["outcome"]))
     attitude = summary.get("attitude_rmse_deg")
     rows = summary.get("faults") or []
     hours = (summary.get("sim_s") or 0) / 3600

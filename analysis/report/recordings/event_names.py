@@ -13,6 +13,13 @@ ERRORS = {
     26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe", 30: "internal error",
     31: "dead reckoning failsafe",
 }  # fmt: skip
+# ArduPilot's ModeReason: why it changed the mode by itself, to protect the vehicle.
+FAILSAFE_REASONS = {
+    3: "radio failsafe", 4: "battery failsafe", 5: "ground station failsafe", 6: "EKF failsafe",
+    7: "GPS glitch", 10: "fence breached", 11: "terrain failsafe", 14: "avoidance",
+    17: "terminated", 19: "crash failsafe", 25: "failsafe", 29: "leak failsafe",
+    50: "dead reckoning failsafe", 51: "failsafe in take-off",
+}  # fmt: skip
 EVENTS = {
     10: "armed", 11: "disarmed", 18: "landed", 19: "lost GPS", 28: "took off",
     54: "motors emergency stopped",

@@ -28,7 +28,7 @@ from analysis.report.curves.recording import (
     value_spans,
 )
 from analysis.report.curves.vehicle_phase import ARDUPILOT, BUILDS, class_by_texts, mode_name
-from analysis.report.recordings.event_names import ERRORS, EVENTS
+from analysis.report.recordings.event_names import ERRORS, EVENTS, FAILSAFE_REASONS
 
 ARMED, DISARMED = 10, 11  # EV.Id
 # EV.Id of events that occur once per flight and only while armed.
@@ -111,7 +111,7 @@ def _text(value: object) -> str:
 
 
 def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[GroundTrack]:
-    label = {"GPS": "GPS", "POS": "estimate"}.get(kind)
+    label = {"GPS": "GPS", "POS": "estimate", "SIM": "truth"}.get(kind)
     if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
         return []
     # A latitude of zero means no fix yet.
@@ -141,10 +141,17 @@ def _add_modes(found: FlightData, log: DataflashFile, start_us: int) -> None:
         return
     # A mode lasts until the next one or the end.
     t_s = [*_seconds(topic, start_us).tolist(), found.duration_s]
+    reasons = topic.get("Rsn")
     for i, number in enumerate(topic[key].tolist()):
         text = mode_name(ARDUPILOT, found.vehicle, int(number))
         found.spans.append(Span("mode", t_s[i], t_s[i + 1], text, "mode"))
         found.events.append(Event(t_s[i], "mode", f"mode {text}"))
+        reason = int(reasons[i]) if reasons is not None and reasons.dtype.kind in "iu" else 0
+        why = FAILSAFE_REASONS.get(reason)
+        if reason:
+            found.events.append(
+                Event(t_s[i], "failsafe", why, 4) if why else Event(t_s[i], "command", text)
+            )
 
 
 def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:

@@ -38,6 +38,11 @@ ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
 TRUTH = "HIL_STATE_QUATERNION"
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
+SET_MODE = 176  # MAV_CMD_DO_SET_MODE
+MODE_COMMANDS = {
+    20: "RTL", 21: "LAND", 22: "TAKEOFF", 84: "TAKEOFF", 85: "LAND", 192: "reposition",
+    193: "pause", 300: "mission",
+}  # MAV_CMD_  # fmt: skip
 TRACKS = (
     ("HIL_STATE_QUATERNION", "truth", 1e-3),
     ("HIL_GPS", "HIL_GPS", 1e-3),
@@ -111,6 +116,7 @@ def recording_of_tlog(
         vehicles.append(_Vehicle(system, *_by_component(own), clock, suffix, *_kind(own)))
     for vehicle in vehicles:
         _add_vehicle(found, vehicle)
+        found.events.extend(_commanded_modes(columns, vehicle))
     armed = [(s.start_s, s.end_s) for s in found.spans if s.text == "armed"]
     quality, losses = link_quality(links or {}, vehicles[0].clock, armed)
     found.links.extend(quality)
@@ -226,6 +232,37 @@ def _message(vehicle: _Vehicle, rows: NDArray[np.void]) -> Message:
         t_s, rows = t_s[order], rows[order]
     names = rows.dtype.names or ()
     return Message(t_s, {name: rows[name] for name in names if name not in HEADER})
+
+
+def _commanded_modes(columns: Columns, vehicle: _Vehicle) -> list[Event]:
+    """The commands to a vehicle that change its mode; none where a remote control may change it."""
+    remote = vehicle.columns.get("RC_CHANNELS")
+    if remote is not None and remote["chancount"].any():
+        return []
+    found = []
+    for message in ("COMMAND_LONG", "COMMAND_INT", "SET_MODE"):
+        rows = columns.get(message)
+        if rows is None:
+            continue
+        rows = rows[np.isin(rows["target_system"], (0, vehicle.system))]
+        for t_s, row in zip(vehicle.clock.at(rows["t_us"]).tolist(), rows, strict=True):
+            text = _commanded_mode(row, vehicle)
+            if text:
+                found.append(Event(t_s, "command", text + vehicle.suffix))
+    return found
+
+
+def _commanded_mode(row: np.void, vehicle: _Vehicle) -> str:
+    """The mode that a command asks for, empty for commands about something else."""
+    if "custom_mode" in (row.dtype.names or ()):
+        return mode_name(vehicle.autopilot, vehicle.kind, int(row["custom_mode"]))
+    command = int(row["command"])
+    if command != SET_MODE:
+        return MODE_COMMANDS.get(command, "")
+    # PX4 takes main mode and sub-mode apart.
+    main, sub = (int(np.nan_to_num(row[name])) for name in ("param2", "param3"))
+    custom = main << 16 | sub << 24 if vehicle.autopilot == PX4 else main
+    return mode_name(vehicle.autopilot, vehicle.kind, custom)
 
 
 def _in_order(

@@ -52,6 +52,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
                 found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
         try:
             found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
+            found.events.extend(_commanded_modes(topic_name, topic, t_s))
             spans = _spans(topic_name, suffix, topic, t_s)
             spans += flag_spans(topic_name, suffix, topic, t_s)
             found.spans.extend(spans)
@@ -180,6 +181,20 @@ def _saturated(topic: Topic, t_s: Values) -> list[Span]:
                 "motor at its limit", t_s, raw >= SATURATED, f"motor {number}", "warn"
             )
     return found
+
+
+def _commanded_modes(name: str, topic: Topic, t_s: Values) -> list[Event]:
+    """The modes that a user chose, and where PX4 leaves them by a failsafe (PX4 1.14 and later)."""
+    if name != "vehicle_status" or "nav_state_user_intention" not in topic:
+        return []
+    chosen, failsafe = topic["nav_state_user_intention"], topic["failsafe"].astype(bool)
+    began = np.flatnonzero(np.diff(chosen.astype(int), prepend=-1)).tolist()
+    found = [
+        Event(float(t_s[i]), "command", NAV_STATES.get(int(chosen[i]), f"state {chosen[i]}"))
+        for i in began
+    ]
+    rises = np.flatnonzero(failsafe[1:] & ~failsafe[:-1]) + 1
+    return found + [Event(float(t_s[i]), "failsafe", "failsafe of PX4", 4) for i in rises.tolist()]
 
 
 def _mode_events(spans: Sequence[Span]) -> list[Event]:

@@ -1,11 +1,13 @@
+import numpy as np
 import pytest
 
 from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, ArduPilotCommands
-from analysis.autopilots.flight_operator import Operator, Phase
+from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, Operator, Phase
 from analysis.autopilots.flight_plan import FlightPlan
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.autopilot.mission_service import Missions
 from simvehicle.guidance.waypoints import Waypoint
 
 SECOND_US = 1_000_000
@@ -222,3 +224,66 @@ def test_a_vehicle_on_the_ground_before_its_take_off_does_not_end_the_flight():
     for _ in range(40):
         autopilot.second(on_ground=True)
     assert not autopilot.operator.failure
+
+
+def fly_upload(waypoints, loss, seed=1, limit_s=600):
+    """Upload to the simulator's mission service over a link that loses frames both ways; returns
+    the operator, the service and the number of MISSION_COUNT."""
+    rng, missions, counts = np.random.default_rng(seed), Missions(), 0
+    ground = operator(FlightPlan(20.0, 60.0, waypoints))
+    for t_us in range(0, limit_s * SECOND_US, OPERATOR_PERIOD_US):
+        if t_us % SECOND_US == 0:
+            ground.receive(READY)
+        answers = missions.tick(t_us)
+        for item in decoded(ground.step(t_us)):
+            counts += item.layout.name == "MISSION_COUNT"
+            if item.layout.name.startswith("MISSION") and rng.random() >= loss:
+                answers += missions.received(item, t_us)
+        for answer in answers:
+            if rng.random() >= loss:
+                ground.receive(Frame(build_frame(*answer), answer[0]))
+        if ground.phase is Phase.ARMING or ground.failure:
+            break
+    return ground, missions, counts
+
+
+@pytest.mark.parametrize(("loss", "seed"), [(0.0, 1), (0.1, 1), (0.1, 2), (0.2, 3)])
+def test_a_mission_of_five_hundred_items_is_uploaded_also_under_loss(loss, seed):
+    waypoints = tuple(Waypoint(47.4 + n * 1e-5, 8.5, 20.0, 6.0) for n in range(498))
+    ground, missions, counts = fly_upload(waypoints, loss, seed)
+    assert not ground.failure
+    assert len(missions.items) == 500  # home and a speed too
+    assert ground.phase is Phase.ARMING
+    # The vehicle's requests drive the upload: it is announced again only where nothing came.
+    assert counts == 1 or (loss and counts <= 4)
+
+
+def test_an_upload_in_progress_is_not_announced_again():
+    autopilot = Autopilot(operator(FlightPlan(20.0, 60.0, WAYPOINTS)))
+    autopilot.settle()
+    sent = autopilot.second(frame("MISSION_REQUEST_INT", seq=0))
+    sent += [one for _ in range(5) for one in autopilot.second()]
+    assert "MISSION_COUNT" not in names(sent)
+    silent = [one for _ in range(8) for one in autopilot.second()]
+    assert names(silent).count("MISSION_COUNT") > 0
+
+
+def test_a_vehicle_that_hovers_below_the_height_has_ended_its_take_off():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.CLIMBING)
+    armed = frame("HEARTBEAT", base_mode=217)
+    aloft = frame("EXTENDED_SYS_STATE", landed_state=2)
+    for _ in range(14):
+        autopilot.second(armed, aloft, frame("GLOBAL_POSITION_INT", relative_alt=7_000))
+    assert autopilot.operator.phase is Phase.FLYING
+    assert "take-off" in autopilot.operator.events_us
+
+
+@pytest.mark.parametrize("landed_state", [0, 1, 3])
+def test_a_vehicle_that_stays_on_the_ground_has_not_taken_off(landed_state):
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.CLIMBING)
+    state = frame("EXTENDED_SYS_STATE", landed_state=landed_state)
+    for _ in range(65):
+        autopilot.second(frame("HEARTBEAT", base_mode=217), state)
+    assert autopilot.operator.failure.startswith("still taking off after 6")

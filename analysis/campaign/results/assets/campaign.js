@@ -44,7 +44,7 @@ function monitored(result) {
 function legend() {
   const shown = new Set(model.rows.flatMap((row) => row.cells.map((cell) => cell.outcome)));
   for (const name of [...model.ranks, "aborted"]) {
-    if (shown.has(name)) element("span", name, document.getElementById("legend"), `var(--${name})`);
+    if (shown.has(name)) element("span", name, document.getElementById("legend"), `var(--${name.replace(" ", "-")})`);
   }
 }
 
@@ -64,7 +64,7 @@ function heatMap() {
 }
 
 function heatCell(row, cell, line) {
-  const shown = element("td", undefined, line, `var(--${cell.outcome})`);
+  const shown = element("td", undefined, line, `var(--${cell.outcome.replace(" ", "-")})`);
   const button = element("button", cell.size || "-", shown); // for the keyboard
   const total = Object.values(cell.counts).reduce((a, b) => a + b, 0);
   const share = total > 1 ? ` ${cell.counts[cell.outcome]}/${total}` : "";

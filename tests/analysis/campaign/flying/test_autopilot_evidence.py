@@ -1,11 +1,11 @@
 import numpy as np
+import pytest
 
 from analysis.campaign.cell import ATTITUDE, PATH, Cell, Evidence, EvidenceCurve, FlightMark
 from analysis.campaign.flying.autopilot_evidence import (
     belongs_to_flight,
-    ground_marks,
-    mode_marks,
     text_marks,
+    vehicle_marks,
 )
 from analysis.campaign.outcomes import OutcomeLimits, classify_flight
 from mavproxy_fault.wire.tlog import row_dtype
@@ -30,33 +30,33 @@ def truth(height_m, tilt_deg=0.0, sink_mps=0.0):
     return rows
 
 
-def height(down_at_s: float) -> np.ndarray:
+def flown_columns(down_at_s: float, sink_mps: float) -> dict[str, np.ndarray]:
+    """A log of an ArduCopter that hovers at 10 m and comes down in LAND, which nobody commanded."""
     t_s = T_US * 1e-6
-    return np.where((t_s > 2.0) & (t_s < down_at_s), 10.0, 0.0)
+    height_m = np.clip((t_s - 2.0) * 5.0, 0.0, 10.0)
+    height_m = np.minimum(height_m, np.clip(10.0 - (t_s - down_at_s) * sink_mps, 0.0, None))
+    rows = truth(height_m, sink_mps=-np.gradient(height_m, t_s))
+    rows["time_usec"], rows["system"], rows["lat"], rows["lon"] = T_US, 1, 474_000_000, 85_000_000
+    beats = np.zeros(20, row_dtype("HEARTBEAT"))
+    beats["t_us"], beats["system"], beats["component"] = np.arange(20) * 1_000_000, 1, 1
+    beats["autopilot"], beats["type"] = 3, 2
+    beats["custom_mode"] = np.where(np.arange(20) < down_at_s, 4, 9)
+    beats["base_mode"] = np.where((np.arange(20) > 0) & (np.arange(20) < 18), 209, 81)
+    command = np.zeros(1, row_dtype("COMMAND_LONG"))
+    command["t_us"], command["system"], command["target_system"] = 500_000, 255, 1
+    command["command"], command["param1"], command["param2"] = 176, 1, 4
+    return {"HIL_STATE_QUATERNION": rows, "HEARTBEAT": beats, "COMMAND_LONG": command}
 
 
-def test_a_soft_touchdown_is_a_landing_and_a_hard_one_a_crash() -> None:
-    (soft,) = ground_marks(truth(height(15.0), sink_mps=0.5), since, True)
-    assert (soft.kind, soft.t_s) == ("landed", 13.0)
-    (hard,) = ground_marks(truth(height(9.0), sink_mps=8.0), since, False)
-    assert (hard.kind, hard.t_s) == ("crashed", 7.0)
+def test_the_end_of_the_vehicle_is_that_of_run_and_report() -> None:
+    kinds = [mark.kind for mark in vehicle_marks(flown_columns(6.0, 1.0), 2_000_000)]
+    assert kinds == ["failsafe"]
+    hard = vehicle_marks(flown_columns(6.0, 8.0), 2_000_000)
+    assert [mark.kind for mark in hard] == ["failsafe", "crashed"]
+    assert [mark.t_s for mark in hard] == pytest.approx([4.0, 5.2], abs=0.1)
 
 
-def test_a_vehicle_upside_down_in_the_air_is_lost() -> None:
-    tilt = np.where(T_US > 6_000_000, 120.0, 5.0)
-    marks = ground_marks(truth(height(30.0), tilt_deg=tilt), since, False)
-    assert [(mark.kind, round(mark.t_s, 1)) for mark in marks] == [("lost", 4.1)]
-
-
-def test_changes_of_mode_and_warnings_are_marks() -> None:
-    heartbeat = np.zeros(4, row_dtype("HEARTBEAT"))
-    heartbeat["t_us"] = [0, 3_000_000, 4_000_000, 5_000_000]
-    heartbeat["autopilot"], heartbeat["type"] = 3, 2
-    heartbeat["custom_mode"] = [4, 4, 9, 9]
-    heartbeat["autopilot"][1] = 8  # a ground station's
-    assert [(m.kind, m.t_s, m.text) for m in mode_marks({"HEARTBEAT": heartbeat}, since)] == [
-        ("failsafe", 2.0, "LAND")
-    ]
+def test_warnings_and_changes_of_flags_are_marks() -> None:
     text = np.zeros(2, row_dtype("STATUSTEXT"))
     text["t_us"], text["severity"], text["component"] = [3_000_000, 4_000_000], [2, 6], 1
     text["text"] = [b"EKF variance", b"hello"]
@@ -85,7 +85,7 @@ def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
     failsafe = FlightMark(20.0, "failsafe", "LAND")
     on_the_ground = [
         FlightMark(55.0, "failsafe", "LOITER"),
-        FlightMark(54.0, "landed", "on the ground"),
+        FlightMark(54.0, "landed uncommanded", "nobody asked for"),
     ]
     crash = FlightMark(54.0, "crashed", "at 5.0 m/s")
     before_take_off = FlightMark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")

@@ -1,0 +1,158 @@
+"""Take what a log of any format says of the vehicle, for its outcome."""
+
+import numpy as np
+
+from analysis.report.curves.derived_curves import OWN_ATTITUDE
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.vehicle_phase import armed_windows
+from analysis.report.judging.autopilot_texts import is_alarming
+from analysis.scoring.vehicle_outcome import (
+    TimedText,
+    VehicleMotion,
+    VehicleOutcome,
+    VehicleRecord,
+    judge_vehicle,
+)
+from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+
+TRUTH = "truth"
+GRID_S = {True: 0.02, False: 0.1}  # time step of truth and of estimates: fine enough for an impact
+ESTIMATES = ("estimate", "CTUN", "VFR_HUD", "GPS")
+TRACKS = ("estimate", "local estimate", "GPS")
+LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
+START_M = 1.0  # chosen: a vehicle that gets lower than this below its start began in the air
+FIXED_WING_TYPE, PX4_FIXED_WING = 1, 2  # MAV_TYPE_FIXED_WING, vehicle_status.vehicle_type
+
+
+def vehicle_outcome(recording: FlightData) -> VehicleOutcome:
+    """Return the outcome of a flight with derived curves."""
+    return judge_vehicle(vehicle_record(recording))
+
+
+def vehicle_record(recording: FlightData) -> VehicleRecord:
+    """Collect motion, modes, commands and words from a recording with derived curves."""
+    texts = [event for event in recording.events if event.kind in ("text", "error")]
+    modes = [span for span in recording.spans if span.lane == "mode"]
+    commands = [event for event in recording.events if event.kind == "command"]
+    error = next((s for s in recording.of("position-error") if s.name == "estimate"), None)
+    motion = vehicle_motion(recording)
+    return VehicleRecord(
+        motion,
+        armed_windows(recording),
+        [TimedText(span.start_s, span.text) for span in modes],
+        [TimedText(event.t_s, event.text) for event in commands] or None,
+        [TimedText(event.t_s, event.text) for event in texts],
+        [TimedText(event.t_s, event.text) for event in texts if is_alarming(event)],
+        [TimedText(e.t_s, e.text) for e in recording.events if e.kind == "failsafe"],
+        None if error is None else (error.t_s, error.value),
+        _tilt_error(recording),
+        _felt_force(recording),
+        _hovers(recording),
+    )
+
+
+def vehicle_motion(recording: FlightData) -> VehicleMotion | None:
+    """The motion by the truth, else by the autopilot's estimate; None without a logged height."""
+    true = _signal(recording, ("altitude", "height"), (TRUTH,))
+    height = true or _signal(recording, ("height", "altitude"), ESTIMATES)
+    if height is None:
+        return None
+    names = (TRUTH,) if true else OWN_ATTITUDE
+    step_s = GRID_S[true is not None]
+    if not 4 * step_s < height.t_s[-1] - height.t_s[0] < LONGEST_S:
+        return None
+    t_s = np.arange(height.t_s[0], height.t_s[-1], step_s)
+    height_m = np.interp(t_s, height.t_s, height.value)
+    if height.panel == "altitude":
+        height_m = height_m - height_m[0]
+    from_ground = bool(height_m.min() > -START_M)
+    if not from_ground:
+        height_m = height_m - height_m.min()
+    north_m, east_m = _path(recording, (TRUTH,) if true else TRACKS, t_s)
+    return VehicleMotion(
+        t_s, height_m, north_m, east_m, _sink(recording, true is not None, t_s, height_m),
+        _tilt(recording, names, t_s), true is not None, from_ground,
+    )  # fmt: skip
+
+
+def _signal(
+    recording: FlightData, panels: tuple[str, ...], names: tuple[str, ...]
+) -> Signal | None:
+    """The finite values of the first curve with one of the names, in order of the names."""
+    for name in names:
+        for signal in (signal for panel in panels for signal in recording.of(panel)):
+            # More than ten values are needed.
+            good = np.isfinite(signal.value)
+            if signal.name == name and good.sum() > 10:
+                return Signal(signal.panel, name, signal.t_s[good], signal.value[good])
+    return None
+
+
+def _sink(recording: FlightData, true: bool, t_s: Vector, height_m: Vector) -> Vector:
+    climbs = [s.name for s in recording.of("climb") if s.name not in (TRUTH, "desired")]
+    climb = _signal(recording, ("climb",), (TRUTH,) if true else tuple(climbs))
+    if climb is not None:
+        return -np.interp(t_s, climb.t_s, climb.value)
+    # Smooth over three samples, as differences of heights are noisy.
+    smooth = np.convolve(height_m, np.full(3, 1 / 3), "same")
+    return -np.gradient(smooth, t_s)
+
+
+def _path(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> tuple[Vector, Vector]:
+    """North and east [m] (n,) of the first position; NaN without a track."""
+    tracks = {track.name: track for track in recording.tracks if len(track.t_s) > 1}
+    track: GroundTrack | None = next((tracks[name] for name in names if name in tracks), None)
+    if track is None:
+        return np.full(len(t_s), np.nan), np.full(len(t_s), np.nan)
+    lat, lon = np.radians(track.lat_deg), np.radians(track.lon_deg)
+    north_m = (lat - lat[0]) * MEAN_EARTH_RADIUS_M
+    east_m = (lon - lon[0]) * MEAN_EARTH_RADIUS_M * np.cos(lat[0])
+    north_m, east_m = (
+        np.interp(t_s, track.t_s, axis, left=np.nan, right=np.nan) for axis in (north_m, east_m)
+    )
+    return north_m, east_m
+
+
+def _tilt(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> Vector:
+    roll, pitch = (_signal(recording, (part,), names) for part in ("roll", "pitch"))
+    if roll is None or pitch is None:
+        return np.full(len(t_s), np.nan)
+    # The cosines, which have no step at 180 degrees.
+    level = np.interp(roll.t_s, pitch.t_s, np.cos(np.radians(pitch.value)))
+    level = level * np.cos(np.radians(roll.value))
+    tilt_deg: Vector = np.degrees(
+        np.arccos(np.clip(np.interp(t_s, roll.t_s, level, np.nan, np.nan), -1.0, 1.0))
+    )
+    return tilt_deg
+
+
+def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:
+    """The error [deg] of the autopilot's roll and pitch together."""
+    roll, pitch = (
+        next((s for s in recording.of(f"error-{part}") if s.name == "autopilot"), None)
+        for part in ("roll", "pitch")
+    )
+    if roll is None or pitch is None:
+        return None
+    return roll.t_s, np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
+
+
+def _felt_force(recording: FlightData) -> tuple[Vector, Vector] | None:
+    """The norm of the specific force [m/s^2]; None if not logged in full."""
+    axes = {s.name: s for s in recording.of("accel") if s.name in ("x", "y", "z")}
+    if len(axes) < 3 or len({len(s.t_s) for s in axes.values()}) > 1:
+        return None
+    # The norm: the affected axis depends on the attitude.
+    return axes["x"].t_s, np.linalg.norm([axes[name].value for name in "xyz"], axis=0)
+
+
+def _hovers(recording: FlightData) -> bool:
+    """Whether the vehicle holds a place in the air; a fixed wing circles around it."""
+    beats, status = (recording.messages.get(name) for name in ("HEARTBEAT", "vehicle_status"))
+    if beats is not None:
+        return not (beats.columns["type"] == FIXED_WING_TYPE).any()
+    if status is not None and "vehicle_type" in status.columns:
+        return not (status.columns["vehicle_type"] == PX4_FIXED_WING).any()
+    spoken = " ".join(event.text for event in recording.events[:100] if event.kind == "text")
+    # A copter that is guided from outside flies from place to place.
+    return "ArduCopter" in spoken and "GUIP" not in recording.messages

@@ -1,0 +1,441 @@
+"""What happened to the vehicle in one flight: a word, the evidence, and the chain of events.
+
+The input is a `VehicleRecord`, which `analysis.report.judging.vehicle_record` takes from a log of
+any format, so that run, campaign and report come to one verdict. Motion comes from the truth where
+the log has one, else from the autopilot's own estimate.
+"""
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+
+Vector = NDArray[np.float64]
+
+AS_COMMANDED, UNAFFECTED, DETECTED, DEGRADED = (
+    "landed as commanded", "unaffected", "detected", "degraded",
+)  # fmt: skip
+UNCOMMANDED, FAILSAFE, FLEW_AWAY = "landed uncommanded", "failsafe", "flew away"
+LOST_CONTROL, CRASHED, NOT_JUDGED = "lost control", "crashed", "not judged"
+VEHICLE_OUTCOMES = (
+    AS_COMMANDED, UNAFFECTED, DETECTED, DEGRADED, UNCOMMANDED, FAILSAFE, FLEW_AWAY, LOST_CONTROL,
+    CRASHED,
+)  # fmt: skip
+CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
+UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
+LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost
+AWAY_M = 200.0  # chosen: farther than any autopilot brakes or any receiver errs without a fault
+DEGRADED_M, DEGRADED_DEG = 10.0, 5.0  # chosen: as the limits of campaigns
+AIRBORNE_M = 1.0  # chosen: from this height on the vehicle has taken off
+GROUND_M = 0.3  # chosen: lower than this after take-off, the vehicle is on the ground
+BEFORE_S = 0.3  # the speed is taken this long before contact, since contact itself stops the fall
+STOP_S = 0.7  # chosen: the ground stops a fall within this time
+REST_S = 2.0  # chosen: the vehicle then stays at rest this long
+REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
+LOW_M = 4.0  # chosen: above the lowest height of a flight, twice the noise of a barometer
+IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
+ENDED_TILTED = "ended tilted by"
+FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
+FALL_STEPS = 3  # over these many steps
+COMMAND_S = 3.0  # chosen: a mode follows its command within this time
+REASON_S = 2.0  # chosen: an autopilot explains a change of mode within this time
+CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b)|hit ground", re.IGNORECASE)
+FAILSAFE_TEXT = re.compile(r"fail-?safe(?!.*(clear|off|recover|resolved|disabled))", re.IGNORECASE)
+SAFETY_MODES = frozenset(
+    ("LAND", "RTL", "SMART_RTL", "AUTO_RTL", "BRAKE", "TERMINATION", "CIRCLE", "ALT_HOLD", "QLAND",
+     "QRTL", "DESCEND", "ALTCTL", "STABILIZED")
+)  # fmt: skip
+HOLD_MODES = frozenset(("LAND", "LOITER", "BRAKE", "GUIDED", "DESCEND"))  # it stays in its place
+ACROBATIC_MODES = frozenset(("ACRO", "FLIP", "RATTITUDE", "MANUAL", "THROW"))
+LANDING_MODES = frozenset(("LAND", "RTL", "SMART_RTL", "AUTO_RTL", "QLAND", "QRTL", "PRECLAND"))
+
+
+class VehicleMotion(NamedTuple):
+    """Motion of a vehicle: times (n,) [s], height, north and east (n,) [m] from the first position,
+    sink rate (n,) [m/s] and tilt (n,) [deg]; NaN where unknown. Unless the flight began
+    `from_ground`, the height of the ground is unknown: heights are from the lowest."""
+
+    t_s: Vector
+    height_m: Vector
+    north_m: Vector
+    east_m: Vector
+    sink_mps: Vector
+    tilt_deg: Vector
+    from_truth: bool
+    from_ground: bool = True
+
+
+class TimedText(NamedTuple):
+    """A message of the autopilot, a mode it entered, or a command that it received."""
+
+    t_s: float
+    text: str
+
+
+class VehicleRecord(NamedTuple):
+    """What a log says of a vehicle.
+
+    `commands` are those of an operator that change the mode; None if the log cannot hold any.
+    `errors_m`, `errors_deg` are the errors of the autopilot's estimates as (times, values).
+    `alarms` are the autopilot's warnings, `force` is the accelerometers' norm.
+    `expelled` are changes of mode that the log itself calls a failsafe; a vehicle that `hovers`
+    stays in its place in some modes.
+    """
+
+    motion: VehicleMotion | None
+    armed: Sequence[tuple[float, float]] | None = None
+    modes: Sequence[TimedText] = ()
+    commands: Sequence[TimedText] | None = None
+    texts: Sequence[TimedText] = ()
+    alarms: Sequence[TimedText] = ()
+    expelled: Sequence[TimedText] = ()
+    errors_m: tuple[Vector, Vector] | None = None
+    errors_deg: tuple[Vector, Vector] | None = None
+    force: tuple[Vector, Vector] | None = None
+    hovers: bool = False
+
+
+class VehicleEvent(msgspec.Struct, frozen=True):
+    """One event of a flight; `kind` is one of `VEHICLE_OUTCOMES`, take-off or touchdown."""
+
+    t_s: float
+    kind: str
+    text: str = ""
+
+
+class VehicleOutcome(msgspec.Struct, frozen=True, kw_only=True):
+    """The outcome of a flight: its word, the measures behind it, and the events in order.
+
+    `source` says what the motion was taken from. `failsafe` is the mode of the first failsafe,
+    `reason` the autopilot's own words for it.
+    """
+
+    outcome: str
+    source: str
+    impact_mps: float | None = None
+    impact_s: float | None = None
+    end_tilt_deg: float | None = None
+    excursion_m: float | None = None
+    excursion_deg: float | None = None
+    failsafe: str = ""
+    failsafe_s: float | None = None
+    reason: str = ""
+    events: list[VehicleEvent] = []
+
+
+def outcome_rank(outcome: str) -> int:
+    """Return 0 for the best outcome, more for worse ones, and -1 for one that is not judged."""
+    return VEHICLE_OUTCOMES.index(outcome) if outcome in VEHICLE_OUTCOMES else -1
+
+
+def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
+    """Return the outcome of a flight: the worst of its events."""
+    motion = record.motion
+    flown = flown_window(record)
+    said = [VehicleEvent(t_s, CRASHED, text) for t_s, text in record.texts if is_crash_text(text)]
+    if motion is None or flown is None:
+        word = CRASHED if said else NOT_JUDGED
+        return VehicleOutcome(outcome=word, source="autopilot's messages", events=said)
+    contact, ground = _find_impacts(record, motion, flown)
+    end_tilt_deg, upset = _find_upset(record, motion)
+    failsafes = find_failsafes(record, flown)
+    away_m, away_s, departed = _find_departure(record, motion, flown)
+    error_deg = _largest(record.errors_deg, flown)
+    excursion_m = max(away_m, _largest(record.errors_m, flown))
+    events = [*said, *ground, *upset, *failsafes, *departed, *_find_tumble(record, motion, flown)]
+    events += _find_touchdown(record, motion, flown, failsafes)
+    alarms = [alarm for alarm in record.alarms if flown[0] <= alarm.t_s <= flown[1]]
+    events += [VehicleEvent(alarm.t_s, DETECTED, alarm.text) for alarm in alarms[:1]]
+    if excursion_m > DEGRADED_M or error_deg > DEGRADED_DEG:
+        events.append(_largest_excursion(record, flown, away_s, (excursion_m, error_deg)))
+    events.append(VehicleEvent(round(flown[0], 3), "take-off"))
+    events.sort(key=lambda event: event.t_s)
+    landed = any(event.kind == "touchdown" for event in events)
+    best = AS_COMMANDED if landed else UNAFFECTED
+    first = next((event for event in events if event.kind == FAILSAFE), None)
+    return VehicleOutcome(
+        outcome=max((event.kind for event in events), key=outcome_rank) if _is_eventful(events)
+        else best,
+        source="truth" if motion.from_truth else "autopilot's estimate",
+        impact_mps=None if contact is None else round(contact[1], 2),
+        impact_s=None if contact is None else round(contact[0], 3),
+        end_tilt_deg=end_tilt_deg,
+        excursion_m=round(excursion_m, 2),
+        excursion_deg=round(error_deg, 2),
+        failsafe="" if first is None else first.text.partition(": ")[0],
+        failsafe_s=None if first is None else first.t_s,
+        reason="" if first is None else first.text.partition(": ")[2],
+        events=events,
+    )  # fmt: skip
+
+
+def _is_eventful(events: Sequence[VehicleEvent]) -> bool:
+    return any(event.kind in VEHICLE_OUTCOMES for event in events)
+
+
+def is_crash_text(text: str) -> bool:
+    """Whether an autopilot reports a crash in these words."""
+    return bool(CRASH_TEXT.search(text))
+
+
+def flown_window(record: VehicleRecord) -> tuple[float, float] | None:
+    """First and last time in the air [s]; None if the vehicle never took off."""
+    motion = record.motion
+    if motion is None or record.armed == []:
+        return None
+    airborne = motion.height_m > AIRBORNE_M
+    if record.armed:
+        inside = np.zeros(len(motion.t_s), bool)
+        for start_s, end_s in record.armed:
+            inside |= (motion.t_s >= start_s) & (motion.t_s <= end_s + REST_S)
+        airborne &= inside
+    where = np.flatnonzero(airborne)
+    return (float(motion.t_s[where[0]]), float(motion.t_s[where[-1]])) if len(where) else None
+
+
+def _find_impacts(
+    record: VehicleRecord, motion: VehicleMotion, flown: tuple[float, float]
+) -> tuple[tuple[float, float] | None, list[VehicleEvent]]:
+    """Return the fastest touchdown (time, speed), None without one, and the first crash."""
+    contacts = _touches(motion, flown) if motion.from_truth and motion.from_ground else []
+    contacts += _stopped_falls(record, motion)
+    events = [
+        VehicleEvent(round(t_s, 3), CRASHED, f"hit the ground at {speed_mps:.1f} m/s")
+        for t_s, speed_mps in contacts
+        if speed_mps > CRASH_MPS
+    ]
+    return max(contacts, key=lambda contact: contact[1], default=None), events[:1]
+
+
+def _touches(motion: VehicleMotion, flown: tuple[float, float]) -> list[tuple[float, float]]:
+    """Times [s] and sink rates [m/s] of contacts with level ground at the height of the start."""
+    low = (motion.height_m < GROUND_M) & (motion.t_s > flown[0])
+    entered = np.flatnonzero(low[1:] & ~low[:-1]) + 1
+    found = []
+    for at in entered.tolist():
+        t_s = motion.t_s[at]
+        around = (motion.t_s >= t_s - BEFORE_S) & (motion.t_s <= t_s + BEFORE_S)
+        after = (motion.t_s > t_s) & (motion.t_s <= t_s + STOP_S)
+        # A vehicle that started in the air falls through its first height without a stop.
+        if after.any() and float(motion.sink_mps[after].min()) < REST_MPS:
+            found.append((float(t_s), float(motion.sink_mps[around].max())))
+    return found
+
+
+def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[float, float]]:
+    """The fastest fall that ends at the lowest height, at rest, with an impact: (time, speed)."""
+    t_s, sink_mps = motion.t_s, motion.sink_mps
+    # Relative to the lowest height of the flight: the log may begin in the air.
+    low_m = float(np.percentile(motion.height_m, 2)) + LOW_M
+    found = []
+    falls = np.ones(len(t_s), bool)
+    if not motion.from_truth:
+        sped_up = np.convolve(np.diff(sink_mps, prepend=sink_mps[:1]), np.ones(FALL_STEPS), "full")
+        falls = sped_up[: len(t_s)] <= FALL_MPS2 * FALL_STEPS * np.median(np.diff(t_s))
+    for at in np.flatnonzero((sink_mps > CRASH_MPS * 2.0 / 3.0) & falls).tolist():
+        # Also shortly after disarming: the autopilot disarms on an impact.
+        inside = record.armed is None or any(
+            start <= t_s[at] <= end + REST_S for start, end in record.armed
+        )
+        if inside and _is_stopped(record, motion, at, low_m):
+            found.append((float(t_s[at]), float(sink_mps[at])))
+    return [max(found, key=lambda fall: fall[1])] if found else []
+
+
+def _is_stopped(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: float) -> bool:
+    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact."""
+    t_s, height_m = motion.t_s, motion.height_m
+    stop, rest = np.searchsorted(t_s, (t_s[at] + STOP_S, t_s[at] + REST_S)).tolist()
+    if stop >= len(t_s) or np.abs(motion.sink_mps[at : stop + 1]).min() > REST_MPS:
+        return False
+    lies = np.ptp(height_m[stop : rest + 1]) < REST_M
+    if not (lies and height_m[stop] < low_m):
+        return False
+    if record.force is None:
+        return True
+    at_s, force_mps2 = record.force
+    near = (at_s >= t_s[at] - BEFORE_S) & (at_s <= t_s[stop] + BEFORE_S)
+    # Logged too rarely, the accelerometers do not contradict.
+    beyond_mps2 = np.abs(force_mps2[near] - STANDARD_GRAVITY_MPS2)
+    return bool(near.sum() < 10 or np.nanmax(beyond_mps2) > IMPACT_MPS2)
+
+
+def _find_upset(
+    record: VehicleRecord, motion: VehicleMotion
+) -> tuple[float | None, list[VehicleEvent]]:
+    """Return the tilt [deg] at the end, and a crash where a flight ends tilted over."""
+    t_s = motion.t_s
+    windows = record.armed or [(float(t_s[0]), float(t_s[-1]))]
+    end_deg, events = None, []
+    for start_s, end_s in windows:
+        # Around disarming: the autopilot disarms after a crash. A tail-sitter starts upright too.
+        end_deg = median_tilt(motion, end_s - REST_S / 2.0, end_s + REST_S / 2.0)
+        before_deg = median_tilt(motion, start_s - REST_S / 2.0, start_s + REST_S / 2.0)
+        if end_deg is not None and end_deg > UPSET_DEG and not (before_deg or 0.0) > UPSET_DEG:
+            events.append(VehicleEvent(round(end_s, 3), CRASHED, f"{ENDED_TILTED} {end_deg:.0f}°"))
+    last_deg = median_tilt(motion, float(t_s[-1]) - REST_S / 2.0, float(t_s[-1]))
+    if record.motion and motion.from_truth and last_deg is not None:
+        # The truth does not end with the autopilot's arming.
+        end_deg = last_deg
+        if last_deg > UPSET_DEG and not events:
+            text = f"{ENDED_TILTED} {last_deg:.0f}°"
+            events.append(VehicleEvent(round(float(t_s[-1]), 3), CRASHED, text))
+    return None if end_deg is None else round(end_deg, 1), events
+
+
+def median_tilt(motion: VehicleMotion, start_s: float, end_s: float) -> float | None:
+    """Return the median tilt [deg] within a time span; None if unknown."""
+    inside = motion.tilt_deg[(motion.t_s >= start_s) & (motion.t_s <= end_s)]
+    inside = inside[np.isfinite(inside)]
+    return float(np.median(inside)) if len(inside) else None
+
+
+def _find_tumble(
+    record: VehicleRecord, motion: VehicleMotion, flown: tuple[float, float]
+) -> list[VehicleEvent]:
+    """The first time in the air at which the vehicle was thrown over."""
+    over = (motion.tilt_deg > LOST_TILT_DEG) & (motion.height_m > AIRBORNE_M)
+    over &= (motion.t_s >= flown[0]) & (motion.t_s <= flown[1])
+    for at in np.flatnonzero(over).tolist():
+        t_s = float(motion.t_s[at])
+        if mode_at(record, t_s) not in ACROBATIC_MODES:
+            text = f"tilted by {motion.tilt_deg[at]:.0f}° in the air"
+            return [VehicleEvent(round(t_s, 3), LOST_CONTROL, text)]
+    return []
+
+
+def mode_at(record: VehicleRecord, t_s: float) -> str:
+    """Return the mode at a time, empty if unknown."""
+    return next((mode.text for mode in reversed(record.modes) if mode.t_s <= t_s), "")
+
+
+def find_failsafes(record: VehicleRecord, flown: tuple[float, float]) -> list[VehicleEvent]:
+    """Modes that the autopilot entered by itself in the air, each with its own words, and failsafes
+    that it reports without a change of mode."""
+    said = [text for text in record.texts if FAILSAFE_TEXT.search(text.text)]
+    found = []
+    for previous, mode in zip(record.modes, record.modes[1:], strict=False):
+        if not flown[0] <= mode.t_s <= flown[1] or mode.text == previous.text:
+            continue
+        if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
+            continue
+        reasons = [text for text in said if abs(text.t_s - mode.t_s) <= REASON_S]
+        own = [text for text in record.expelled if abs(text.t_s - mode.t_s) <= REASON_S]
+        # Without a record of commands only the autopilot's words tell a failsafe from a command.
+        unasked = record.commands is not None and mode.text in SAFETY_MODES
+        if reasons or own or unasked:
+            words = ", ".join(dict.fromkeys(text.text for text in (*reasons, *own)))
+            found.append(VehicleEvent(round(mode.t_s, 3), FAILSAFE, f"{mode.text}: {words}"))
+    marked = [TimedText(event.t_s, event.text) for event in found]
+    for text in (*said, *record.expelled):
+        if flown[0] <= text.t_s <= flown[1] and not _is_near(text.t_s, marked, -60.0, REASON_S):
+            mode_name = mode_at(record, text.t_s) or "no change of mode"
+            found.append(VehicleEvent(round(text.t_s, 3), FAILSAFE, f"{mode_name}: {text.text}"))
+            marked.append(text)
+    return sorted(found, key=lambda event: event.t_s)
+
+
+def _is_near(t_s: float, marks: Sequence[TimedText], from_s: float, to_s: float) -> bool:
+    return any(t_s + from_s <= mark.t_s <= t_s + to_s for mark in marks)
+
+
+def _find_departure(
+    record: VehicleRecord, motion: VehicleMotion, flown: tuple[float, float]
+) -> tuple[float, float, list[VehicleEvent]]:
+    """Return how far [m] and when [s] the vehicle left the place that its mode holds, and when it
+    flew away from there or from where it believes to be."""
+    farthest_m, left_s, events = 0.0, flown[1], []
+    ends = [*(mode.t_s for mode in record.modes[1:]), float("inf")]
+    spans = [
+        (max(mode.t_s, flown[0]), min(end_s, flown[1]))
+        for mode, end_s in zip(record.modes, ends, strict=True)
+        if record.hovers and mode.text in HOLD_MODES
+    ]
+    for start_s, end_s in spans:
+        inside = (motion.t_s >= start_s) & (motion.t_s <= end_s) & np.isfinite(motion.north_m)
+        if not inside.any():
+            continue
+        north_m, east_m, t_s = motion.north_m[inside], motion.east_m[inside], motion.t_s[inside]
+        apart_m = np.hypot(north_m - north_m[0], east_m - east_m[0])
+        farthest_m = max(farthest_m, float(apart_m.max()))
+        left_s = min(left_s, *t_s[apart_m > DEGRADED_M][:1].tolist(), flown[1])
+        events += _departure(t_s, apart_m, "left its place")
+    if record.errors_m is not None:
+        events += _departure(*_within(record.errors_m, flown), "left its estimate")
+    return farthest_m, left_s, events[:1]
+
+
+def _departure(t_s: Vector, apart_m: Vector, text: str) -> list[VehicleEvent]:
+    far = np.flatnonzero(apart_m > AWAY_M)
+    if not len(far):
+        return []
+    return [
+        VehicleEvent(round(float(t_s[far[0]]), 3), FLEW_AWAY, f"{text} by {apart_m.max():.0f} m")
+    ]
+
+
+def _within(curve: tuple[Vector, Vector], window: tuple[float, float]) -> tuple[Vector, Vector]:
+    t_s, value = curve
+    inside = (t_s >= window[0]) & (t_s <= window[1]) & np.isfinite(value)
+    return t_s[inside], np.abs(value[inside])
+
+
+def _largest(curve: tuple[Vector, Vector] | None, window: tuple[float, float]) -> float:
+    return 0.0 if curve is None else float(_within(curve, window)[1].max(initial=0.0))
+
+
+def _largest_excursion(
+    record: VehicleRecord,
+    flown: tuple[float, float],
+    left_s: float,
+    largest: tuple[float, float],
+) -> VehicleEvent:
+    """The excursion by its `largest` values [m, deg], at the time it began."""
+    beyond = [
+        float(t_s[far[0]])
+        for curve, limit in ((record.errors_m, DEGRADED_M), (record.errors_deg, DEGRADED_DEG))
+        if curve is not None
+        for t_s, value in [_within(curve, flown)]
+        if len(far := np.flatnonzero(value > limit))
+    ]
+    text = f"off by {largest[0]:.1f} m and {largest[1]:.1f}°"
+    return VehicleEvent(round(min([left_s, *beyond]), 3), DEGRADED, text)
+
+
+def _find_touchdown(
+    record: VehicleRecord,
+    motion: VehicleMotion,
+    flown: tuple[float, float],
+    failsafes: Sequence[VehicleEvent],
+) -> list[VehicleEvent]:
+    """The touchdown, and whether nobody had commanded it; a failsafe explains its landing."""
+    end_s = float(motion.t_s[-1])
+    # The last heartbeat comes up to a second before the end of a log.
+    disarmed = bool(record.armed) and record.armed[-1][1] < end_s - REST_S  # type: ignore[index]
+    low = bool(motion.height_m[-1] <= AIRBORNE_M)
+    rests = np.ptp(motion.height_m[motion.t_s > end_s - REST_S / 2.0]) < GROUND_M
+    if not (disarmed or (low and rests)):
+        return []
+    t_s = round(flown[1], 3)
+    commanded = record.commands is None or any(
+        command.text in LANDING_MODES or command.text == "mission" for command in record.commands
+    )
+    # Autonomous landings at the end of a mission are what the mission commands.
+    asked = commanded or mode_at(record, t_s) in ("AUTO", "MISSION") or bool(failsafes)
+    touchdown = VehicleEvent(t_s, "touchdown")
+    return [touchdown] if asked else [touchdown, VehicleEvent(t_s, UNCOMMANDED, "nobody asked for")]
+
+
+def describe_vehicle(found: VehicleOutcome) -> str:
+    """Return the outcome in one line, with the chain of events in seconds."""
+    chain = ", ".join(
+        f"{event.text if event.kind == found.outcome else event.kind} at {event.t_s:.1f} s"
+        for event in found.events
+        if event.kind in (found.outcome, FAILSAFE, LOST_CONTROL, FLEW_AWAY, CRASHED, "touchdown")
+    )
+    return f"{found.outcome}; {chain}" if chain else found.outcome

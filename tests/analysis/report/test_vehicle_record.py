@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+
+from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.curves.recording import Span
+from analysis.report.flight_verdict import assess_flight
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.judging.vehicle_record import vehicle_outcome
+from analysis.report.recordings.flight_sources import RecordedFlight
+from analysis.report.recordings.from_tlog import recording_of_tlog
+from mavproxy_fault.wire.tlog import row_dtype
+
+STEP_US, FLIGHT_S = 50_000, 30.0
+T_US = np.arange(1_000_000, round(FLIGHT_S * 1e6), STEP_US)
+
+
+def rows_of(name, t_us, system=1, **values):
+    rows = np.zeros(len(t_us), row_dtype(name))
+    rows["t_us"], rows["system"], rows["component"] = t_us, system, 1
+    for field, value in values.items():
+        rows[field] = value
+    return rows
+
+
+def crashed_log(texts=()):
+    """The truth falls at 8 m/s at 20 s; the autopilot's estimate comes down gently."""
+    t_s = T_US * 1e-6
+    up_m = np.clip((t_s - 3.0) * 4.0, 0.0, 10.0)
+    true_m = np.minimum(up_m, np.clip(10.0 - (t_s - 20.0) * 8.0, 0.0, None))
+    own_m = np.minimum(up_m, np.clip(10.0 - (t_s - 20.0) * 1.0, 0.0, None))
+    quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (len(T_US), 1))
+    seconds_us = np.arange(1, 30) * 1_000_000
+    place = {"lat": 474_000_000, "lon": 85_000_000}
+    columns = {
+        "HIL_STATE_QUATERNION": rows_of(
+            "HIL_STATE_QUATERNION", T_US, time_usec=T_US, alt=true_m * 1e3 + 4e5, **place,
+            vz=-np.gradient(true_m, t_s) * 100.0, attitude_quaternion=quaternions,
+        ),
+        "GLOBAL_POSITION_INT": rows_of(
+            "GLOBAL_POSITION_INT", T_US, time_boot_ms=T_US // 1000, alt=own_m * 1e3 + 4e5,
+            relative_alt=own_m * 1e3, **place,
+        ),
+        "HEARTBEAT": rows_of(
+            "HEARTBEAT", seconds_us, type=2, autopilot=3, custom_mode=4,
+            base_mode=np.where((seconds_us > 2_000_000) & (seconds_us < 25_000_000), 209, 81),
+        ),
+    }  # fmt: skip
+    if texts:
+        columns["STATUSTEXT"] = rows_of(
+            "STATUSTEXT", [t_us for t_us, _ in texts], severity=1,
+            text=[text.encode() for _, text in texts],
+        )  # fmt: skip
+    return columns
+
+
+def test_the_ground_impact_is_that_of_the_truth_and_not_of_the_estimate() -> None:
+    flight = RecordedFlight(recording_of_tlog(crashed_log(), name="x"), ())
+    assessed = assess_flight(flight, Thresholds())
+    impact = next(check for check in assessed.checks if check.name == "ground impact")
+    assert impact.verdict == "FAIL"
+    assert assessed.summary["outcome"]["outcome"] == "crashed"
+    assert assessed.summary["outcome"]["impact_mps"] == pytest.approx(8.0, abs=0.3)
+    assert assessed.verdict == "FAIL"
+
+
+def test_without_the_truth_the_estimate_is_all_there_is() -> None:
+    columns = crashed_log()
+    del columns["HIL_STATE_QUATERNION"]
+    found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
+    assert (found.outcome, found.source) == ("landed as commanded", "autopilot's estimate")
+
+
+def test_a_crash_that_the_autopilot_reports_never_passes_because_a_fault_acted() -> None:
+    columns = crashed_log([(21_000_000, "Crash: Disarming: AngErr=173>30, Accel=0.9<3.0")])
+    recording = recording_of_tlog(columns, t0_us=0)
+    recording.spans.append(Span("f", 18.0, 28.0, "bias", "injected"))
+    assessed = assess_flight(RecordedFlight(recording, ()), Thresholds())
+    said = next(check for check in assessed.checks if check.name == "messages of the autopilot")
+    assert said.verdict == "FAIL"
+
+
+def test_commands_of_a_ground_station_tell_a_failsafe_from_a_command() -> None:
+    columns = crashed_log()
+    del columns["HIL_STATE_QUATERNION"]
+    beats = columns["HEARTBEAT"]
+    beats["custom_mode"][beats["t_us"] >= 15_000_000] = 9  # LAND
+    asked = rows_of("COMMAND_LONG", [2_000_000, 14_800_000], 255, target_system=1, command=176)
+    asked["param1"], asked["param2"] = 1, [4, 9]
+    for count, outcome in ((2, "landed as commanded"), (1, "failsafe")):
+        found = vehicle_outcome(
+            add_derived_curves(recording_of_tlog(columns | {"COMMAND_LONG": asked[:count]}))
+        )
+        assert found.outcome == outcome
+    # A remote control may have chosen the mode.
+    remote = rows_of("RC_CHANNELS", T_US, time_boot_ms=T_US // 1000, chancount=8, chan5_raw=1500)
+    columns |= {"COMMAND_LONG": asked[:1], "RC_CHANNELS": remote}
+    found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
+    assert found.outcome == "landed as commanded"
