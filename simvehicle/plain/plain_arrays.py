@@ -59,7 +59,7 @@ class Plain(NamedTuple):
 def new_arrays(
     states: int, controls: int, sensors: int, noises: int, block: int
 ) -> dict[str, object]:
-    """Those that nobody else owns."""
+    """The arrays that no other object owns."""
     return {
         "words": np.zeros(WORDS, dtype=np.int64),
         "numbers": np.zeros(NUMBERS),
