@@ -81,7 +81,7 @@ class EvidenceCurve(msgspec.Struct, frozen=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """What a flight recorded of a subject: curves by name, and marks in order of time."""
+    """Records of a subject in a flight: curves by name, and marks in order of time."""
 
     curves: dict[str, EvidenceCurve] = {}
     marks: list[FlightMark] = []

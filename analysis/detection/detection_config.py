@@ -5,7 +5,7 @@ from analysis.detection.isolation.isolation_config import IsolationConfig
 
 
 class DetectorConfig(IsolationConfig, frozen=True, kw_only=True, dict=True):
-    """Every parameter of the detector; each is defined beside what it configures.
+    """Every parameter of the detector; each is defined beside the code it configures.
 
     `reset_s` is the longest gap of epochs that the filter bridges, `history_s` how far back the
     filter can be repaired.

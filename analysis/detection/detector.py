@@ -73,7 +73,7 @@ class Detector:
     def step_piece(
         self, piece: BlockSlice, state: DetectorState
     ) -> tuple[list[Result], DetectorState]:
-        """The same for samples up to an event."""
+        """The decisions on samples up to an event, and the next state."""
         core, pending, mag_b = state
         if len(piece.ids):
             number = core.imu.id
@@ -220,7 +220,7 @@ def run_detector(detector: Detector, samples: Iterable[Sample]) -> list[Result]:
 
 
 def _reset(core: DetectorCore) -> DetectorCore:
-    """The core without its filter and what depends on it."""
+    """The core without its filter and the parts that depend on the filter."""
     trust = core.trust._replace(
         excluded={}, carry_off=None, jump_m=None, unbounded=False, misled=False
     )

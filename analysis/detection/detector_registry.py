@@ -1,4 +1,4 @@
-"""The protocol of the monitor's detectors, and those of other packages, which entry points name."""
+"""The protocol of the monitor's detectors, and other packages' detectors, named by entry points."""
 
 from functools import cache
 from typing import Any, ClassVar

@@ -90,7 +90,7 @@ def bound_position(
 
 
 def level_assumptions(names: Iterable[str]) -> str:
-    """What the levels by some satellites assume."""
+    """The assumptions of the protection levels by some satellites, as text."""
     systems = {name[0] for name in names} - {"J"}  # QZSS counts as GPS
     return SEVERAL_SYSTEMS if len(systems) > 1 else ONE_SYSTEM
 

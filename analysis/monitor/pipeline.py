@@ -83,7 +83,7 @@ def monitor_detectors(config: MonitorConfig) -> dict[str, BlockDetector]:
 
 
 class MonitorSection(DetectorConfig, frozen=True, kw_only=True):
-    """The `monitor` section of a scenario: the filter's keys, and what else the monitor does.
+    """The `monitor` section of a scenario: the filter's keys, and the monitor's further settings.
 
     A mapping `fusion`, empty or not, switches the fusion on. Other packages' detectors add their
     names.
@@ -147,7 +147,7 @@ class Pipeline:
         return [result for _, result in self.push_rows(block)]
 
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
-        """The same, each with the row of the block that led to it."""
+        """The results of a block, each with the row of the block that led to it."""
         found: list[tuple[int, SensorDecision]] = []
         for name, detector in self._detectors.items():
             rows, self.states[name] = detector.step(block, self.states[name])

@@ -23,7 +23,7 @@ class FaultInterval(Protocol):
 
     @property
     def id(self) -> str:
-        """Its name."""
+        """The interval's name."""
 
     @property
     def start_us(self) -> int:
@@ -47,7 +47,7 @@ class ErrorBins(NamedTuple):
     first: Vector
 
     def at(self, index: Any) -> "ErrorBins":
-        """Some of the bins."""
+        """The bins at an index or mask."""
         return ErrorBins(*(column[index] for column in self))
 
 

@@ -86,7 +86,7 @@ NO_ESTIMATES = Estimates(
 
 @dataclass
 class ScorerState:
-    """State of the scorer, changed in place; the history grows by every bin.
+    """State of the scorer, changed in place; `bins` grows with every block.
 
     `last_us` (s,) and `sums` (s, 9) are the newest bin of each source; `truth_us` (k,) and `truth`
     (k, WIDTH) the newest truths.
@@ -173,7 +173,7 @@ class AttitudeScorer:
         return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m, sample.t_us)
 
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
-        """Waiting estimates and those of the block after row `begin`, in order."""
+        """Waiting estimates and the block's estimates after row `begin`, in order."""
         rows = np.arange(begin + 1, len(block.kind))
         block = block.between(begin + 1, len(block.kind))
         # Estimators see one IMU, as a flight controller's estimator instance does.

@@ -158,7 +158,7 @@ def run_command(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 
 def output_folder(out: str | Path | None) -> Path:
-    """Create the output folder; a temporary one for None."""
+    """Create the output folder, a temporary folder if `out` is None."""
     folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
     folder.mkdir(parents=True, exist_ok=True)
     return folder

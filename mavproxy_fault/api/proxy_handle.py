@@ -69,7 +69,7 @@ class Proxy:
     master : str
         The vehicle's connection string, such as `udpin:127.0.0.1:14540`.
     out : str or sequence of str
-        Those of ground stations and other programs. Port 0 selects a free port: see `addresses`.
+        Connection strings of ground stations etc. Port 0 selects a free port: see `addresses`.
     schedule : str, Path, dict or None
         A schedule file, or its content.
     logdir : str, Path or None

@@ -112,7 +112,7 @@ def _places() -> Iterator[Path]:
 
 
 def user_number() -> int:
-    """This user's number; Windows has none, and gives every file the owner 0."""
+    """The user's id; 0 on Windows, which has no ids and gives every file the owner 0."""
     return os.getuid() if hasattr(os, "getuid") else 0
 
 
@@ -128,7 +128,7 @@ def is_usable(path: Path) -> bool:
 
 @cache
 def folder() -> Path:
-    """The folder for the sources as they are now; those of other days go."""
+    """The cache folder of the present sources; old folders of other sources are removed."""
     path = place() / f"kernels-{mark()}"
     for old in path.parent.glob("kernels-*"):
         with suppress(OSError):  # another process may remove it too
@@ -139,7 +139,7 @@ def folder() -> Path:
 
 @cache
 def installed_folder() -> Path | None:
-    """The folder of the same kind that came with the installation, if it serves here."""
+    """The present sources' cache folder in the installation, if this processor can run its code."""
     path = installed() / f"kernels-{mark()}"
     return path if path.is_dir() and runs_baseline() else None
 

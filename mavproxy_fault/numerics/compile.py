@@ -65,7 +65,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return str(self._path)
 
     def get_source_stamp(self) -> str:
-        """One stamp for all, as any source may be inlined into the function."""
+        """One stamp for all sources, as any of them may be inlined into the function."""
         return mark()
 
     def get_disambiguator(self) -> str:
@@ -93,7 +93,7 @@ class _InstalledImpl(LoadedCode):
 
 
 class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
-    """Machine code of one function in one folder; what cannot be read is not there."""
+    """Machine code of one function in one folder; unreadable code counts as absent."""
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Whether there is code for these types of arguments."""
@@ -108,7 +108,7 @@ class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 class _InstalledCache(_FunctionCache):
-    """Machine code that came with the installation; it is only read."""
+    """Machine code of one function that came with the installation; read only."""
 
     _impl_class = _InstalledImpl
 
@@ -129,7 +129,7 @@ class _Cache(_FunctionCache):
         self.lock = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
 
     def holds(self, signature: Any, codegen: Any) -> bool:
-        """Whether either has code for these types of arguments."""
+        """Whether the installed or this machine's cache has code for these types of arguments."""
         installed = self._installed is not None and self._installed.holds(signature, codegen)
         return installed or super().holds(signature, codegen)
 

@@ -25,7 +25,7 @@ def float_index(elements: Sequence[Element]) -> int:
 
 
 class ActiveValueEntry(ActiveEntry):
-    """Changes values in place; they already include the changes of earlier entries."""
+    """Changes values in place; the values already include the changes of earlier entries."""
 
     def __init__(self, entry: Entry, *times: int, injected: bool = False) -> None:
         super().__init__(entry, *times, injected=injected)
@@ -105,7 +105,7 @@ class ActiveValueEntry(ActiveEntry):
     def _scaled(
         self, factors: tuple[float, ...], before: list[Number], key: Any, t_s: float, inner: Any
     ) -> tuple[list[Number], Any]:
-        """Apply the fault to a message in other units, converted to those of the first target."""
+        """Apply the fault to values in the units of the first target, and convert them back."""
         scaled = [x / f for x, f in zip(before, factors, strict=True)]
         after, new = self.fault.after(scaled, key, t_s, inner, self.rng)
         return [y * f for y, f in zip(after, factors, strict=True)], new

@@ -47,7 +47,7 @@ def gps_time(
 
 
 def normalized(week: int, tow_s: float) -> tuple[int, float]:
-    """The same time with seconds within the week."""
+    """The time as week and seconds from 0 to less than a week."""
     weeks, tow_s = divmod(tow_s, WEEK_S)
     return week + int(weeks), tow_s
 

@@ -1,4 +1,4 @@
-"""What the header records of an observation file state, at the file's start or in an event.
+"""Content of an observation file's header records, at the file's start or in an event.
 
 A record holds from where it stands until another replaces it [1]_.
 
@@ -53,7 +53,7 @@ class ObservationHeader(msgspec.Struct, frozen=True, eq=False):
         return 0, NAME + FIELD * field
 
     def with_records(self, lines: Iterable[str]) -> "ObservationHeader":
-        """The header after further records; what is no known record is skipped."""
+        """The header after further records; unknown records are skipped."""
         new, system = self, ""
         types, scales = dict(self.types), dict(self.scales)
         channels = dict(self.channels)

@@ -87,7 +87,7 @@ class LockstepLoop:
     speed : float
         Multiple of real time; infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
-        One that is also fed with answers from elsewhere.
+        A `Lockstep` shared with other code that receives answers.
     plain : Plain, optional
         Runs plain steps at full speed while the autopilot answers.
 

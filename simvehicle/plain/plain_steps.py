@@ -121,7 +121,7 @@ class PlainSteps:
         return math.ceil(min(ends)), left
 
     def _refit(self) -> None:
-        """Use the new vehicle after a plant fault, and the new draws at the end of a block."""
+        """Use the new vehicle after a plant fault, and the weather's new draws after a block."""
         simulation = self._simulation
         draws = simulation.weather.draws
         if simulation.vehicle is not self._vehicle or draws is not self.arrays.draws:
@@ -146,7 +146,7 @@ class PlainSteps:
         return left
 
     def observe(self) -> None:
-        """Let the simulation's truth be that of the last step.
+        """Set the simulation's truth to the state after the last step.
 
         Raises
         ------

@@ -84,7 +84,7 @@ def command(p: Plain, channels: "np.ndarray[tuple[int], np.dtype[np.float32]]") 
 
 @compiled
 def look_ahead(p: Plain) -> None:
-    """Prepare what does not depend on commands in the next step; as `Simulation.prepare`."""
+    """Prepare all of the next step that does not depend on commands; as `Simulation.prepare`."""
     words, numbers, here, around = p.words, p.numbers, p.here, p.around
     words[k.COUNT] += 1
     words[k.NEXT_US] = np.int64(np.rint(words[k.COUNT] * 1e6 / numbers[k.RATE_HZ]))

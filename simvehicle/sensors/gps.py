@@ -31,7 +31,7 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     k_per_s: float = 1.0 / 1100.0  # of the book: a correlation time of 18 minutes
 
     def noise(self, rate_hz: float) -> NoiseModel:
-        """The same process as parameters of the shared error model."""
+        """The Gauss-Markov process as parameters of the shared error model."""
         # Beard and McLain give the noise per sample; convert it to the stationary sigma.
         phi = math.exp(-self.k_per_s / rate_hz)
         sigma = self.kick_m / math.sqrt(1.0 - phi * phi)

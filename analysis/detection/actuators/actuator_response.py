@@ -273,7 +273,7 @@ def _detect_crash(force: Vector, t_us: int, counts: NDArray[np.int64]) -> None:
 
 @compiled
 def _begin_flight(state: ActuatorResponse) -> None:
-    """Reset what a take-off or a gap invalidates."""
+    """Reset the parts of the state that a take-off or a gap invalidates."""
     state.bins.clock[HAS_PREVIOUS] = 0
     state.model.counts[:UNKNOWN] = 0
     state.model.mean[:] = state.model.nonlinearity[:] = 0.0
@@ -418,7 +418,7 @@ def _update_isolation(found: ActuatorHypothesis, counts: NDArray[np.int64]) -> b
 
 @compiled
 def _narrows_pair(pair: tuple[int, int], counts: NDArray[np.int64]) -> bool:
-    """Whether the single hypothesis is one of the two isolated actuators."""
+    """Whether `pair` is a single hypothesis and one of the two isolated actuators."""
     first, second = counts[ISOLATED], counts[ISOLATED + 1]
     one: bool = (
         pair[0] == NO_HYPOTHESIS

@@ -58,7 +58,7 @@ class BroadcastData(Value, frozen=True):
     selection: EphemerisSelection | None = None
 
     def add_ephemeris(self, ephemeris: Ephemeris | StateVector) -> "BroadcastData":
-        """The data with one ephemeris more; one of the same time replaces the known one."""
+        """The data with one more ephemeris, which replaces a known ephemeris of the same time."""
         stored = self.ephemerides.get(ephemeris.satellite, ())
         at = bisect_left(stored, _time_of(ephemeris), key=lambda known: _time_of(known[0]))
         same_time = at < len(stored) and _time_of(stored[at][0]) == _time_of(ephemeris)

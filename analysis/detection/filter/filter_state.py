@@ -1,4 +1,4 @@
-"""What the filter keeps between epochs: motion, attitude search, unused IMU samples."""
+"""State of the filter between epochs: motion, attitude search, unused IMU samples."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -57,7 +57,7 @@ def gravity_ecef(r: Vector) -> Vector:
 
 @compiled
 def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """The same by components, without an array."""
+    """Gravity as in `gravity_ecef`, by components, without an array."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
     # At the origin, where no fix is yet, gravity would be infinite.

@@ -105,7 +105,7 @@ def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
 def normal_equations_over(
     states: Indices, a: Vector, variance: Vector, v: Vector
 ) -> NormalEquations:
-    """The same for a geometry a (n, c) over `states` (c,)."""
+    """Normal equations of innovations with geometry a (n, c) over the states `states` (c,)."""
     count = a.shape[1]
     information, b, total = np.zeros((count, count)), np.zeros(count), 0.0
     for i in range(a.shape[0]):
@@ -167,7 +167,7 @@ def quadratic_form(v: Vector, m: Vector) -> float:
 
 @inlined
 def row_quadratic_form(a: Vector, row: int, m: Vector) -> float:
-    """The same of a row of a (n, c)."""
+    """a_i' m a_i of row i of a (n, c), and m (c, c)."""
     total = 0.0
     for i in range(a.shape[1]):
         for j in range(a.shape[1]):

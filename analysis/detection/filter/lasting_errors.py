@@ -1,4 +1,4 @@
-"""Errors that last for minutes: the position's covariance beyond that of the filter.
+"""Errors that last for minutes: the position's covariance beyond the filter's covariance.
 
 A filter that takes epochs as independent averages its noise away, but not multipath, orbit and
 clock errors, and the residuals of the atmosphere's models: these are the same at the next epoch.

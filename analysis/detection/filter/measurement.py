@@ -71,7 +71,7 @@ class EpochObservation(Value, frozen=True):
         return transmitting_states(self.measurements)
 
     def without_rates(self, names: Collection[str]) -> "EpochObservation":
-        """The same without the Doppler rates of some satellites."""
+        """The observation without the Doppler rates of the satellites `names`."""
         if not names:
             return self
         wrong = [name in names for name in self.satellites]
@@ -150,7 +150,7 @@ def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservati
 
 @compiled
 def _all_plausible(ranges: Vector) -> bool:
-    """Whether all ranges lie within `RANGE_LIMITS_M`; one that is not finite does not."""
+    """Whether all ranges lie within `RANGE_LIMITS_M`; a range that is not finite does not."""
     plausible = True
     for i in range(ranges.shape[0]):
         plausible &= RANGE_LIMITS_M[0] < ranges[i] < RANGE_LIMITS_M[1]
@@ -171,7 +171,7 @@ def predict_innovations(
 
 @compiled
 def transmitting_states(measurements: EpochMeasurements) -> Vector:
-    """Satellites (n, 9) when they sent what was received, as `broadcast.satellite_states`."""
+    """Satellites (n, 9) when they sent the received signals, as `broadcast.satellite_states`."""
     return satellite_states(
         measurements.packed, measurements.week, measurements.tow_s, measurements.pseudorange_m
     )

@@ -115,7 +115,7 @@ def compute_statistics(
 
 @compiled
 def _in_order(innovations: Innovations, order: Indices) -> Innovations:
-    """The same satellites (n,) in an order."""
+    """The innovations with their satellites in the order `order` (n,)."""
     before = innovations.geometry
     h = np.empty_like(before)
     for i in range(order.shape[0]):

@@ -43,7 +43,7 @@ class IsolationConfig(FilterConfig, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def ramp_numbers(self) -> RampNumbers:
-        """What the ramp tests' kernels need."""
+        """The numbers that the ramp tests' kernels need."""
         sigma = self.sigma
         slope, acceleration = sigma.slow_mps**2, self.slow_accel_mps2**2
         return RampNumbers(*map(float, (sigma.slow**2, sigma.slow_s, slope, acceleration)))

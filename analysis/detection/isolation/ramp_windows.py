@@ -50,7 +50,7 @@ YOUNGEST_S = 0.5  # a younger window detects nothing that the main test does not
 
 
 class RampNumbers(NamedTuple):
-    """What the ramp tests assume of a healthy satellite and a healthy IMU.
+    """Assumptions of the ramp tests on a healthy satellite and a healthy IMU.
 
     An unknown offset's variance over that of the range and its correlation time, the variance of a
     natural slope (m/s)^2, and that of a healthy IMU's acceleration error (m/s^2)^2.
@@ -171,7 +171,7 @@ def _window_innovations(
 
 @inlined
 def _rows(m: Vector, which: Indices) -> Vector:
-    """Some rows of a matrix."""
+    """The rows `which` of a matrix."""
     out = np.empty((which.shape[0], m.shape[1]))
     for i in range(which.shape[0]):
         for j in range(m.shape[1]):

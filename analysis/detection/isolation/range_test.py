@@ -24,7 +24,7 @@ MOST_ROUNDS = 3  # a clock jump, a wrong prediction and what is left: each is on
 
 
 class RangeVerdict(Value, frozen=True):
-    """What the range test found, and which ranges the filter may use.
+    """Result of the range test, and which ranges the filter may use.
 
     `motion` is the prediction; where a part of it was found wrong, that part's covariance is
     released (`prediction_freed`). `usable` are the innovations of the satellites that may be used,

@@ -23,7 +23,7 @@ def awaited_confirmation(to_confirm: int) -> str:
 
 
 class Trust(Value, frozen=True):
-    """What is excluded, and what is known of faults that all satellites share.
+    """The excluded satellites, and knowledge of faults that all satellites share.
 
     `excluded` are satellites (or the receiver) that are not used. No epoch could be explained since
     `unexplained_since_us` (None: the last one was). `distrusted` says what of all satellites

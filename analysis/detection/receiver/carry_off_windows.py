@@ -176,7 +176,7 @@ def renew_oldest_window(carry: CarryOffWindows, t_us: int) -> CarryOffWindows:
 def search_windows(
     carry: CarryOffWindows, t_us: int, threshold: float
 ) -> tuple[CarryOffWindows, CarryOffDetection | None, Vector | None]:
-    """A carry-off or a wrong acceleration (3,) in NED that exceeds the chi-square `threshold`."""
+    """Search for a carry-off or a wrong acceleration (3,) in NED beyond chi-square `threshold`."""
     begun = np.flatnonzero(carry.starts_us)
     if not len(begun):
         return carry, None, None

@@ -33,7 +33,7 @@ class Latency(NamedTuple):
 
     @property
     def sigma_s(self) -> float:
-        """One sigma in a test."""
+        """Standard deviation of the latency for a test [s]."""
         return float(np.sqrt(max(self.variance, LEAST_VARIANCE)))
 
     def velocity_change(self, seconds: float) -> Vector:

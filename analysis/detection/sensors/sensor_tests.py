@@ -121,7 +121,7 @@ class NavigationDetector:
     def step_rows(
         self, block: Block, state: NavigationState
     ) -> tuple[list[tuple[int, Result]], NavigationState]:
-        """The same, each with its row of the block: the detector's results, then the sensors'."""
+        """Results, each with its row of the block: the detector's first, then the sensors'."""
         found: list[tuple[int, Result]] = []
         decided: list[EpochReference] = []
         before, detector = state.detector.core.motion, state.detector
@@ -139,7 +139,7 @@ class NavigationDetector:
     def step_piece(
         self, piece: BlockSlice, state: NavigationState
     ) -> tuple[list[Result], NavigationState]:
-        """The same for samples up to an event, for callers that change the filter in between."""
+        """The results of samples up to an event, for callers that change the filter in between."""
         results, detector = self.detector.step_piece(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
         decided = _epoch_reference(piece.last - piece.first, results, detector)

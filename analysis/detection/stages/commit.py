@@ -1,4 +1,4 @@
-"""Commit: what an epoch does to the detector, once its verdict is known.
+"""Commit: the changes of the detector's state by an epoch whose verdict is known.
 
 The filter uses the usable measurements; satellites are excluded and readmitted, the IMU is
 suspended or used again; the position gets its bounds.
@@ -177,7 +177,7 @@ def _confirms_start(assessment: Assessment, verdict: EpochVerdict) -> bool:
 def _update_common_shift(
     assessment: Assessment, verdict: EpochVerdict, config: DetectorConfig
 ) -> CommonShift:
-    """What is known of the velocity that all rates share, after the epoch."""
+    """The usual level of the velocity shift that all rates share, after the epoch."""
     known, t_us = assessment.memory.common_shift, assessment.prediction.motion.t_us
     if not verdict.has_passed(assessment, config.doppler):
         return reset_common_shift(known, t_us)

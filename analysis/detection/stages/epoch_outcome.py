@@ -1,4 +1,4 @@
-"""What the detector found at one epoch, before it becomes a result."""
+"""The detector's findings at one epoch, before they become a result."""
 
 from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.filter_state import ImuStatus

@@ -59,7 +59,7 @@ class FilterUpdate(Value, frozen=True):
 
 
 class EpochVerdict(Value, frozen=True):
-    """What the tests of an epoch say together.
+    """The joint verdict of the tests of an epoch.
 
     `source` is the faulty source where `rates` or `ranges` isolate the IMU: the IMU itself, or
     undecided. `jump_m` (3,) is how far all satellites have jumped, `carry_off` how they carry the

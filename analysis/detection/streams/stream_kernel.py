@@ -124,7 +124,7 @@ def _limit_us(usual: Vector, stream: int) -> int:
 def _accepts_time(
     states: StreamStates, out: StreamAnomalies, row: int, stream: int, clock: int, t_us: int
 ) -> bool:
-    """Whether a sample's time is accepted; one that jumps ahead has to be confirmed.
+    """Whether a sample's time is accepted; a time that jumps ahead has to be confirmed.
 
     If time continues from there for a while without contradiction, everything had paused; if a
     stream contradicts it, the timestamps of all streams that jumped are wrong. Sensors often share
@@ -308,7 +308,7 @@ def _repeated(
 
 @compiled
 def _fix_repeated(states: StreamStates, s: int, numbers: Vector, t_us: int) -> float:
-    """The same for a fix, whose numbers repeat together, and only while it reports motion."""
+    """Repetition of a fix, whose numbers repeat together, tested only while it reports motion."""
     same = True
     for i in range(FIX_NUMBERS):
         same &= numbers[i] == states.values[s, i]

@@ -1,4 +1,4 @@
-"""What vehicle a log is of, and the phases of its flight: armed, and in the air.
+"""The kind of vehicle that a log is of, and the phases of its flight: armed, and in the air.
 
 The class of a vehicle decides which checks make sense, and what the numbers of ArduPilot's flight
 modes mean: each firmware counts its own (`mode` enumerations in mode.h; MAVLink's

@@ -135,7 +135,7 @@ def _end(finding: TextFinding | None, t_s: float) -> None:
 
 
 def _subject(text: str) -> str:
-    """The message without numbers and without words for its beginning or end."""
+    """The message's subject: its text without numbers and without words such as "cleared"."""
     # "GPS glitch" and "GPS glitch cleared" have one subject.
     words = ENDED.sub("", re.sub(r"[-+]?\d+(\.\d+)?|error", "", text)).lower()
     return " ".join(words.replace(":", " ").split())

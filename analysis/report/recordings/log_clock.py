@@ -41,7 +41,7 @@ class _ClockSetting(NamedTuple):
 
 @dataclass(slots=True)
 class StampState:
-    """What `steady_stamps` carries from one block of a log to the next."""
+    """State of `steady_stamps` between the blocks of a log."""
 
     shift_us: int = 0
     stamp_us: int | None = None
@@ -52,7 +52,7 @@ class StampState:
     unstamped: bool = False
 
     def notes(self) -> list[str]:
-        """What a reader of the report should know about the log's timestamps."""
+        """Notes for readers of the report about the log's timestamps."""
         found = []
         if self.unstamped:
             found.append("the log has no timestamps: times are the vehicle's")

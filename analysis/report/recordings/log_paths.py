@@ -41,7 +41,7 @@ def log_files(paths: Sequence[Path], folder: Path) -> tuple[list[Path], list[str
 
 
 def log_file(path: Path, folder: Path) -> Path:
-    """The path, or that of the unpacked log.
+    """The path, or the path of the unpacked log if `path` is compressed.
 
     Raises
     ------

@@ -78,7 +78,7 @@ def _fly_with_retries(
 def _fly_once(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude | str:
-    """One flight, or why it failed."""
+    """Fly once; return the autopilot's attitude errors, or why the flight failed."""
     with tempfile.TemporaryDirectory(prefix="search-") as folder:
         file = Path(folder) / "scenario.yaml"
         scenario = {key: value for key, value in document.items() if key != "schedule"}

@@ -83,7 +83,7 @@ class EvaluationOutcome(NamedTuple):
 
 @dataclass(frozen=True)
 class Batch:
-    """Evaluates a test; the same points, seed and numbers give the same outcome."""
+    """Evaluates a test by compiled kernels; the same points, seed and numbers, the same outcome."""
 
     test: TestFile
 

@@ -76,7 +76,7 @@ class FlightScorer:
 
 @dataclass(frozen=True)
 class SimulatedBatch:
-    """Evaluates a test in the simulator; the counterpart of `Batch`."""
+    """Evaluates a test in the simulator, one flight at a time; `Batch` uses compiled kernels."""
 
     test: TestFile
 

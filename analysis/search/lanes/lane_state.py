@@ -113,7 +113,7 @@ def put_state(buf: Buffer, row: int, lane: int, state: State13) -> None:
 
 @inlined
 def chosen(first: bool, one: State13, other: State13) -> State13:
-    """One of two states."""
+    """The state `one` if `first`, else the state `other`."""
     n, e, d, u, v, w, e0, e1, e2, e3, p, q, r = one
     n_, e_, d_, u_, v_, w_, e0_, e1_, e2_, e3_, p_, q_, r_ = other
     return (

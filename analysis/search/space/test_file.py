@@ -32,7 +32,7 @@ NO_ENVELOPE = {
 
 
 class InitialState(Section, frozen=True):
-    """Initial state; None is that of trimmed flight at the vehicle's cruising speed."""
+    """Initial state; None is the value of trimmed flight at the vehicle's cruising speed."""
 
     height_m: Range = 500.0
     u_mps: Range | None = None
@@ -47,7 +47,7 @@ class InitialState(Section, frozen=True):
 
 
 class SearchControls(Section, frozen=True):
-    """Constant controls; None is that of the trim."""
+    """Constant controls; None is the control of the trim."""
 
     elevator_deg: Range | None = None
     aileron_deg: Range = 0.0
@@ -243,7 +243,7 @@ class TestFile(Section, frozen=True):
 
     @property
     def simulated(self) -> bool:
-        """Whether it is flown by simulator and proxy, one flight after the other."""
+        """Whether the test is flown by simulator and proxy, one flight after the other."""
         return self.scenario is not None or self.estimator in SIMULATOR_ESTIMATORS
 
 
