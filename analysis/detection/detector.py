@@ -18,6 +18,7 @@ from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import add_pending, split_pending, update_interval_s
 from analysis.detection.isolation.epoch_memory import NOTHING_FROZEN
 from analysis.detection.isolation.exclusion import Exclusions, add_exclusions
+from analysis.detection.isolation.trust import CONFIRMING_EPOCHS, LEAST_START_DOF
 from analysis.detection.stages.clock_drift import clock_results
 from analysis.detection.stages.decision_record import (
     build_decision,
@@ -174,7 +175,11 @@ class Detector:
         excluded = add_exclusions(excluded, fix.faulty, epoch.t_us, epoch.t_us)
         core = core._replace(
             motion=fix.motion,
-            trust=core.trust._replace(excluded=excluded, unexplained_since_us=None),
+            trust=core.trust._replace(
+                excluded=excluded,
+                unexplained_since_us=None,
+                to_confirm=CONFIRMING_EPOCHS if fix.dof < LEAST_START_DOF else 0,
+            ),
             memory=core.memory._replace(ramps=None),
             timing=core.timing._replace(ranges_us=epoch.t_us, before_gap=None),
             history=(),

@@ -7,6 +7,19 @@ from analysis.samples.sample import Vector
 
 NO_EXCLUSIONS: Exclusions = {}
 NO_RATE_FAULTS: dict[str, int] = {}
+LEAST_START_DOF = 2  # with one degree of freedom a start detects a fault, but isolates none
+CONFIRMING_EPOCHS = 10  # chosen: at 1 Hz the satellites move 10 to 40 km meanwhile
+
+
+def awaited_confirmation(to_confirm: int) -> str:
+    """What a start with one degree of freedom waits for; empty if it is confirmed."""
+    if not to_confirm:
+        return ""
+    epochs = "1 epoch" if to_confirm == 1 else f"{to_confirm} epochs"
+    return (
+        "a start with 1 degree of freedom:"
+        f" no bound before {epochs} with more satellites or with Doppler agree"
+    )
 
 
 class Trust(Value, frozen=True):
@@ -19,7 +32,8 @@ class Trust(Value, frozen=True):
     have jumped together while it is unknown which place is right. `unbounded` says that the filter
     may follow a wrong source, `misled` that it follows satellites that were found to be wrong all
     together. `rate_faults` counts the epochs in a row in which a satellite's Doppler rate alone was
-    wrong.
+    wrong. `to_confirm` is how many epochs must still agree with a start that could not be tested
+    well, before its position has a bound.
     """
 
     excluded: Exclusions = NO_EXCLUSIONS
@@ -30,3 +44,4 @@ class Trust(Value, frozen=True):
     unbounded: bool = False
     misled: bool = False
     rate_faults: dict[str, int] = NO_RATE_FAULTS
+    to_confirm: int = 0

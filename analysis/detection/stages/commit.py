@@ -39,7 +39,7 @@ from analysis.detection.isolation.exclusion import (
     innovations_of_excluded,
     readmit_satellites,
 )
-from analysis.detection.isolation.trust import Trust
+from analysis.detection.isolation.trust import LEAST_START_DOF, Trust, awaited_confirmation
 from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.stages.assess import Assessment
@@ -161,7 +161,17 @@ def _update_trust(
         unbounded=(trust.unbounded or undecided) and not is_imu,
         misled=trust.misled,
         rate_faults={name: trust.rate_faults.get(name, 0) + 1 for name in wrong_rates},
+        to_confirm=max(trust.to_confirm - _confirms_start(assessment, verdict), 0),
     )
+
+
+def _confirms_start(assessment: Assessment, verdict: EpochVerdict) -> bool:
+    """Whether the epoch tests a start again: with more satellites, or by its Doppler rates."""
+    rates = verdict.rates
+    if rates.hypothesis != "none":
+        return False
+    # More rates than velocity and drift have unknowns test the place that they were predicted for.
+    return rates.dof > 4 or assessment.statistics.parity_dof >= LEAST_START_DOF
 
 
 def _update_common_shift(
@@ -177,6 +187,11 @@ def _update_common_shift(
 def _give_up(core: DetectorCore, t_us: int, config: DetectorConfig) -> DetectorCore:
     """The core without its filter where nothing has explained the ranges for too long."""
     trust = core.trust
+    unexplained = trust.unexplained_since_us is not None or trust.jump_m is not None
+    if trust.to_confirm and (trust.excluded or unexplained):
+        # A start that nothing has confirmed is no ground to exclude what contradicts it.
+        trust = Trust(misled=trust.misled, unbounded=trust.unbounded)
+        return core._replace(motion=None, trust=trust, memory=core.memory._replace(ramps=None))
     since_us = trust.unexplained_since_us
     if since_us is None or (t_us - since_us) * 1e-6 < config.reset_s:
         return core
@@ -202,7 +217,7 @@ def _unbounded_reason(assessment: Assessment, verdict: EpochVerdict, trust: Trus
         return COASTING_REASON
     if trust.jump_m is not None:
         return JUMP_REASON
-    return FOLLOWED_REASON if trust.unbounded else ""
+    return FOLLOWED_REASON if trust.unbounded else awaited_confirmation(trust.to_confirm)
 
 
 def _bound_position(

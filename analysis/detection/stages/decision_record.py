@@ -10,6 +10,7 @@ from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.isolation.trust import awaited_confirmation
 from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
 from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
 from analysis.detection.stages.initial_fix import InitialFix
@@ -69,8 +70,7 @@ def build_start_decision(
     unbounded = JUMP_REASON if trust.jump_m is not None else ""
     unbounded = unbounded or (FOLLOWED_REASON if trust.unbounded else "")
     assert motion is not None
-    # One degree of freedom detects a fault, but does not isolate it.
-    few = "" if fix.dof > 1 else "a start with 1 degree of freedom: it tests little"
+    unbounded = unbounded or awaited_confirmation(trust.to_confirm)
     bounds = None if unbounded else fix.bounds
     return Decision(
         t_us=epoch.t_us,
@@ -86,7 +86,7 @@ def build_start_decision(
         position_sigma_m=None if unbounded else _sigma(motion, bounds),
         **_levels(bounds, observation.satellites),
         mode="start",
-        reason=unbounded or few,
+        reason=unbounded,
     )
 
 

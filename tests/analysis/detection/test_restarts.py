@@ -10,6 +10,8 @@ from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
 from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.measurement import observe_epoch, predict_innovations
+from analysis.detection.isolation.trust import CONFIRMING_EPOCHS
+from analysis.orbits.broadcast import satellite_states
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample
@@ -52,6 +54,84 @@ def static(shared_data: Path) -> list[Sample]:
 def first_minutes(samples: list[Sample], seconds: float) -> list[Sample]:
     begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
     return [s for s in samples if not isinstance(s, Epoch) or s.t_us < begin_us + seconds * 1e6]
+
+
+STATIC_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
+
+
+def of_few(samples: list[Sample], until_s: float, doppler: bool, galileo: int = 0) -> list[Sample]:
+    """The samples with five GPS satellites and some of Galileo for some time."""
+    begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))
+    out: list[Sample] = []
+    for s in samples:
+        if isinstance(s, Epoch):
+            if s.t_us < begin_us + until_s * 1e6:
+                gps = [i for i, n in enumerate(s.satellites) if n[0] == "G"][:5]
+                others = [i for i, n in enumerate(s.satellites) if n[0] == "E"][:galileo]
+                s = s.select([*gps, *others])
+            if not doppler:
+                s = replace(s, doppler_mps=np.full(len(s.satellites), np.nan))
+        out.append(s)
+    return out
+
+
+def bounded(found: list[Decision]) -> list[bool]:
+    assert all((d.hpl_m is None) or d.position_sigma_m for d in found)
+    return [d.position_sigma_m is not None for d in found]
+
+
+def test_a_start_with_one_degree_of_freedom_has_no_bound_before_doppler_agrees(shared_data: Path):
+    folder = shared_data / "gnss_imu_walk"
+    walk = read_rinex_samples(folder / "walk_ex.obs", folder / "walk_ex.nav")
+    # One of the five has no ephemeris: four and two, with five unknowns.
+    found = decisions(of_few(first_minutes(walk, 5.0), 99.0, True, galileo=2))
+    assert (found[0].mode, found[0].dof) == ("start", 1)
+    assert bounded(found) == [k >= CONFIRMING_EPOCHS for k in range(len(found))]
+    assert "no bound before 10 epochs with more satellites or with Doppler" in found[0].reason
+    assert "no bound before 1 epoch with" in found[CONFIRMING_EPOCHS - 1].reason
+
+
+def test_without_doppler_only_more_satellites_confirm_such_a_start(static):
+    found = decisions(of_few(first_minutes(static, 30.0), 15.0, False))
+    assert bounded(found) == [k >= 15 + CONFIRMING_EPOCHS - 1 for k in range(30)]
+
+
+def test_a_wrong_start_yields_to_the_satellites_that_contradict_it(static):
+    part = of_few(first_minutes(static, 20.0), 8.0, False)
+    begin_us = next(s.t_us for s in part if isinstance(s, Epoch))
+    start = next(s for s in decisions(part) if s.position_ecef_m)
+    lines = lines_of_sight(part, np.array(start.position_ecef_m))
+    moved = [
+        replace(s, pseudorange_m=s.pseudorange_m - lines @ np.array([3e3, 3e3, 3e3]))
+        if isinstance(s, Epoch) and s.t_us < begin_us + 8e6
+        else s
+        for s in part
+    ]
+    found = decisions(moved)
+    errors = [np.linalg.norm(np.array(d.position_ecef_m) - STATIC_M) for d in found
+              if d.position_ecef_m]  # fmt: skip
+    assert max(errors) > 3e3
+    assert not any(
+        d.position_sigma_m and np.linalg.norm(np.array(d.position_ecef_m) - STATIC_M) > 20.0
+        for d in found
+        if d.position_ecef_m
+    )
+    assert found[-1].position_sigma_m is not None
+    assert np.linalg.norm(np.array(found[-1].position_ecef_m) - STATIC_M) < 10.0
+
+
+def lines_of_sight(samples: list[Sample], r_ecef_m: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) to the satellites of the first epoch."""
+    epoch = next(s for s in samples if isinstance(s, Epoch))
+    state = Detector().new_state()
+    detector = Detector()
+    for s in samples:
+        if isinstance(s, EphemerisSample):
+            state = detector.step(s, state)[1]
+    packed = select_ephemerides(epoch, state.core.broadcast.ephemerides).packed
+    states = satellite_states(packed, epoch.week, epoch.tow_s, epoch.pseudorange_m)
+    away = states[:, :3] - r_ecef_m
+    return away / np.linalg.norm(away, axis=1, keepdims=True)
 
 
 def test_orbits_of_two_days_do_not_displace_current_ones(static):
