@@ -158,7 +158,7 @@ def check_vehicle(
     or flew away.
     """
     rank = outcome_rank(found.outcome)
-    # Only what is asked for needs a verdict: a flight may have ended before its take-off.
+    # Only criteria of the scenario need a verdict: a flight may have ended before its take-off.
     limit = criteria.outcome or (AT_MOST + FAILSAFE if under_autopilot and rank >= 0 else None)
     checks = []
     if limit is not None:

@@ -56,7 +56,7 @@ class ArduPilotCommands:
         self._requested_mode = -1
         self._cannot_land = self._landing_uploaded = False
         self._items: list[ItemFields] = []
-        self._calls_until_count = 0  # while an upload is in progress, calls to let pass in silence
+        self._calls_until_count = 0  # while an upload is in progress: silent calls to wait
         self._seq = 0
         self._pending: list[bytes] = []
 
