@@ -326,7 +326,7 @@ def find_failsafes(record: VehicleRecord, flown: tuple[float, float]) -> list[Ve
             continue
         reasons = [text for text in said if abs(text.t_s - mode.t_s) <= REASON_S]
         own = [text for text in record.expelled if abs(text.t_s - mode.t_s) <= REASON_S]
-        # Without a record of commands only the autopilot's words tell a failsafe from a command.
+        # Without a record of commands only the autopilot's words distinguish the two.
         unasked = record.commands is not None and mode.text in SAFETY_MODES
         if reasons or own or unasked:
             words = ", ".join(dict.fromkeys(text.text for text in (*reasons, *own)))
@@ -413,7 +413,7 @@ def _find_touchdown(
     flown: tuple[float, float],
     failsafes: Sequence[VehicleEvent],
 ) -> list[VehicleEvent]:
-    """The touchdown, and whether nobody had commanded it; a failsafe explains its landing."""
+    """The touchdown, and whether it was uncommanded; a failsafe explains its landing."""
     end_s = float(motion.t_s[-1])
     # The last heartbeat comes up to a second before the end of a log.
     disarmed = bool(record.armed) and record.armed[-1][1] < end_s - REST_S  # type: ignore[index]

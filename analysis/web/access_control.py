@@ -45,7 +45,7 @@ class AccessControl(NamedTuple):
     ) -> str | None:
         """Why a call is refused; None if it is allowed.
 
-        What is `public` needs no token where the system cannot tell the user of a connection.
+        What is `public` needs no token where the system cannot report the user of a connection.
         """
         # DNS rebinding: another site could reach the port under its own name.
         if call.headers.get("host") not in self.hosts:

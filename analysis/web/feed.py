@@ -86,7 +86,7 @@ class Feed:
         self.add_sample(STATUS_KEY, msgspec.json.encode(state))
 
     def announce_end(self, verdict: str, report: Path | None) -> None:
-        """Tell the viewers that the flight beside the page has ended, and where its report is."""
+        """Notify the viewers that the flight beside the page has ended, and where its report is."""
         self.report = report
         path = None if report is None else str(report)
         self.add_sample(END_KEY, msgspec.json.encode({"verdict": verdict, "report": path}))

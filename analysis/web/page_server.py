@@ -194,7 +194,7 @@ def announce_end(feed: Feed, folder: Path) -> None:
     if summary.is_file():
         verdict = json.loads(summary.read_text())["verdict"]
         feed.announce_end(verdict, report.resolve() if report.is_file() else None)
-        # A page that nobody looks at keeps nobody waiting.
+        # A page without viewers delays no one.
         time.sleep(FETCH_S if feed.viewers else 0.0)
 
 

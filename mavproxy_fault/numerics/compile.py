@@ -192,7 +192,7 @@ def _jitted(function: Function, **options: bool) -> Function:
             stack.enter_context(_at_our_level())
             known = signature in dispatcher.overloads
             if not known and not code.holds(signature, dispatcher.targetctx.codegen()):
-                # Whoever waited for another process here finds what that one has made.
+                # A process that waits here loads the result of the other one.
                 _announce(f"{function.__module__}.{function.__name__}")
                 stack.enter_context(alone(code.lock))
             return compile_one(signature)

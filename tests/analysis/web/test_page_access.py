@@ -102,7 +102,7 @@ ROUTES = ["", "assets/page.js", "api/catalogue", "api/live", "api/preview", "api
           "api/ctl/schedule/stop"]  # fmt: skip
 
 
-@pytest.mark.skipif(not HAS_TABLES, reason="the system does not tell the user of a connection")
+@pytest.mark.skipif(not HAS_TABLES, reason="the system does not report the user of a connection")
 def test_another_user_without_the_token_is_refused_on_every_route(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,7 +125,7 @@ def test_another_user_without_the_token_is_refused_on_every_route(
         assert live.recv(timeout=10)
 
 
-@pytest.mark.skipif(not HAS_TABLES, reason="the system does not tell the user of a connection")
+@pytest.mark.skipif(not HAS_TABLES, reason="the system does not report the user of a connection")
 @pytest.mark.parametrize("host", ["127.0.0.1", "::ffff:127.0.0.1"])
 def test_the_user_of_a_connection_is_told_until_it_is_closed(host: str) -> None:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

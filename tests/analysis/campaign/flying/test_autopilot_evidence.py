@@ -31,7 +31,7 @@ def truth(height_m, tilt_deg=0.0, sink_mps=0.0):
 
 
 def flown_columns(down_at_s: float, sink_mps: float) -> dict[str, np.ndarray]:
-    """A log of an ArduCopter that hovers at 10 m and comes down in LAND, which nobody commanded."""
+    """A log of an ArduCopter that hovers at 10 m and comes down in LAND without a command."""
     t_s = T_US * 1e-6
     height_m = np.clip((t_s - 2.0) * 5.0, 0.0, 10.0)
     height_m = np.minimum(height_m, np.clip(10.0 - (t_s - down_at_s) * sink_mps, 0.0, None))
