@@ -50,9 +50,8 @@ def main(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         # Before the bus, whose threads would prevent a fork.
         monitor = stack.enter_context(MonitorProcess(setup.monitor))
-        bus = stack.enter_context(
-            open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
-        )
+        run_bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
+        bus = stack.enter_context(run_bus)
         file = stack.enter_context(ResultFile(folder))
         publisher = Publisher(bus) if bus else None
 
