@@ -22,7 +22,7 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 Indices = NDArray[np.int64]
 StoredOrbit = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
-RESELECT_S = 300.0  # a selection is made anew at least this often, whatever the fit intervals
+RESELECT_S = 300.0  # a selection is renewed at least this often, whatever the fit intervals
 MOST_EPHEMERIDES = 512  # per satellite: three days of Galileo ephemerides
 
 

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from analysis.detection.filter.ephemerides import EphemerisSelection
 from analysis.detection.filter.inertial import (
     CLOCK,
-    DRIFT,
     ERROR_SIZE,
     ISB,
     X_CLOCK,
     X_DRIFT,
     X_ISB,
-    V,
 )
 from analysis.detection.filter.range_noise import SigmaModel, SigmaNumbers, range_variance
 from analysis.detection.values import Value
@@ -142,19 +140,10 @@ def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservati
         selection.packed, *columns, selection.system, float(epoch.week), epoch.tow_s
     )
     observation, ranges = EpochObservation(selection.names, measurements), columns[0]
-    if _all_plausible(ranges):
-        return observation
     plausible = (ranges > RANGE_LIMITS_M[0]) & (ranges < RANGE_LIMITS_M[1])
+    if plausible.all():
+        return observation
     return observation.select(plausible) if plausible.any() else None
-
-
-@compiled
-def _all_plausible(ranges: Vector) -> bool:
-    """Whether all ranges lie within `RANGE_LIMITS_M`; a range that is not finite does not."""
-    plausible = True
-    for i in range(ranges.shape[0]):
-        plausible &= RANGE_LIMITS_M[0] < ranges[i] < RANGE_LIMITS_M[1]
-    return plausible
 
 
 def predict_innovations(
@@ -211,15 +200,3 @@ def innovations_kernel(
         factor = ionosphere[KLOBUCHAR_COEFFICIENTS]
     delay_m = factor * predicted[:, DELAY]
     return Innovations(v, v_rate, variance, rate_variance, elevation, delay_m, h)
-
-
-@compiled
-def rate_geometry(geometry: Vector, known: Indices) -> Vector:
-    """The Doppler rates' geometry (k, 20) of the satellites `known` (k,) among those of the ranges'
-    geometry (n, 20)."""
-    out = np.zeros((known.shape[0], geometry.shape[1]))
-    for i in range(known.shape[0]):
-        for k in range(3):
-            out[i, V + k] = geometry[known[i], k]
-        out[i, DRIFT] = 1.0
-    return out

@@ -78,22 +78,13 @@ def _join(pending: PendingImu) -> ImuRun:
         run = ImuRun(
             np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
         )
-    if not _rising(run.t_us):
+    if (run.t_us[1:] <= run.t_us[:-1]).any():
         # Stamps that go back are dropped: sorting would mix two clocks.
         later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
         run = ImuRun(run.t_us[later], run.values[later])
     if pending.depth <= PENDING_MAX:
         return run
     return ImuRun(run.t_us[-PENDING_MAX:], run.values[-PENDING_MAX:])
-
-
-@compiled
-def _rising(t_us: Stamps) -> bool:
-    """Whether every stamp is later than the one before."""
-    rising = True
-    for i in range(1, t_us.shape[0]):
-        rising &= t_us[i] > t_us[i - 1]
-    return rising
 
 
 def update_interval_s(known_s: float, run: ImuRun) -> float:

@@ -31,7 +31,7 @@ NOTHING_FROZEN = FrozenOffsets(0, {})
 class EpochMemory(Value, frozen=True):
     """The tests with memory.
 
-    `ramps` are the windows that look for growing faults (None: they begin anew), `frozen` the
+    `ramps` are the windows that look for growing faults (None: they restart), `frozen` the
     offsets subtracted from the ranges, `variance_factor` how the ranges have fitted their noise
     model over the last minute, `common_shift` a velocity that all Doppler rates share.
     """

@@ -35,13 +35,12 @@ LEAST_RATES = 5  # four states and one to spare
 class EpochStatistics(NamedTuple):
     """The tests of an epoch's trusted satellites (n,), before any verdict.
 
-    `residual_m` and `normalised` (n,) are their innovations, in m and as standard normal numbers.
+    `normalised` (n,) are the ranges' innovations as standard normal numbers.
     `q` is the ranges' statistic, `q_rate` that of the `rates` known Doppler rates, `parity` that of
     the snapshot's residuals with `parity_dof` degrees of freedom (0: no test); `systems` counts the
     systems in use. `far` says that most innovations exceed `CLOCK_JUMP_M`.
     """
 
-    residual_m: Vector
     normalised: Vector
     q: float
     q_rate: float
@@ -99,7 +98,6 @@ def compute_statistics(
     parity, dof, systems = parity_test(normal)
     rates = rate_equations(h, innovations.rate_variance[:count], innovations.rate_mps[:count])
     statistics = EpochStatistics(
-        v[:count],
         normalise_innovations(normal, after),
         q,
         normal_statistic(p, rates),
@@ -116,28 +114,15 @@ def compute_statistics(
 @compiled
 def _in_order(innovations: Innovations, order: Indices) -> Innovations:
     """The innovations with their satellites in the order `order` (n,)."""
-    before = innovations.geometry
-    h = np.empty_like(before)
-    for i in range(order.shape[0]):
-        for k in range(h.shape[1]):
-            h[i, k] = before[order[i], k]
     return Innovations(
-        _at(innovations.range_m, order),
-        _at(innovations.rate_mps, order),
-        _at(innovations.variance, order),
-        _at(innovations.rate_variance, order),
-        _at(innovations.elevation_rad, order),
-        _at(innovations.ionosphere_m, order),
-        h,
+        innovations.range_m[order],
+        innovations.rate_mps[order],
+        innovations.variance[order],
+        innovations.rate_variance[order],
+        innovations.elevation_rad[order],
+        innovations.ionosphere_m[order],
+        innovations.geometry[order],
     )
-
-
-@compiled
-def _at(values: Vector, order: Indices) -> Vector:
-    out = np.empty(order.shape[0])
-    for i in range(order.shape[0]):
-        out[i] = values[order[i]]
-    return out
 
 
 @compiled
@@ -178,7 +163,7 @@ def parity_test(normal: NormalEquations) -> tuple[float, int, int]:
     systems, dof = unknowns.shape[0] - 3, max(a.shape[0] - unknowns.shape[0], 0)
     if dof == 0:
         return 0.0, 0, systems
-    b = _at(normal.b, unknowns)
+    b = normal.b[unknowns]
     return (
         normal.total
         - quadratic_form(

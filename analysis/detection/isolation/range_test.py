@@ -104,18 +104,8 @@ def isolate_ranges(
     # Receivers set their clocks: that is reported, and is no alarm.
     alarm = reported not in ("none", "clock")
     reported = "clock" if reported == SYSTEM_CLOCK else reported
-    return RangeVerdict(
-        motion,
-        reported,
-        alarm,
-        verdict.subset,
-        q,
-        threshold,
-        verdict.probabilities,
-        usable,
-        True,
-        verdict.whole_system,
-    )
+    subset, chances, whole = verdict.subset, verdict.probabilities, verdict.whole_system
+    return RangeVerdict(motion, reported, alarm, subset, q, threshold, chances, usable, True, whole)
 
 
 def without_satellites(

@@ -3,13 +3,12 @@
 import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import DRIFT, ERROR_SIZE, ISB
+from analysis.detection.filter.inertial import DRIFT, ERROR_SIZE, ISB, V
 from analysis.detection.filter.information import inverse_covariance
 from analysis.detection.filter.measurement import (
     NO_RATES,
     Innovations,
     RateInnovations,
-    rate_geometry,
 )
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES, EpochStatistics
@@ -47,7 +46,8 @@ def run_rate_test(
     if statistics.q_rate <= threshold:
         return RateVerdict(statistics.q_rate, threshold, count, "none", usable)
     known = np.flatnonzero(np.isfinite(usable.rate_mps))
-    h, v = rate_geometry(usable.geometry, known), usable.rate_mps[known]
+    h, v = np.zeros((len(known), ERROR_SIZE)), usable.rate_mps[known]
+    h[:, V : V + 3], h[:, DRIFT] = usable.geometry[known, :3], 1.0
     # Only known rates: the kernel does not accept NaN.
     m = inverse_covariance(motion.p, h, usable.variance[known])
     velocity = np.ascontiguousarray(h[:, 3:6])

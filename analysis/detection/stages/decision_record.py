@@ -10,6 +10,7 @@ from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.isolation.rate_test import RateVerdict
 from analysis.detection.isolation.trust import awaited_confirmation
 from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
 from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
@@ -43,7 +44,7 @@ def build_decision(
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.trust.excluded)),
         satellites=names + excluded.names,
-        residual_m=(*statistics.residual_m.tolist(), *excluded.range_m.tolist()),
+        residual_m=(*assessment.innovations.range_m.tolist(), *excluded.range_m.tolist()),
         normalised=(*statistics.normalised.tolist(), *excluded.normalised.tolist()),
         # The newest onset: older exclusions have been reported before.
         onset_us=max(onsets, default=None),
@@ -116,38 +117,33 @@ def imu_results(
     # Silence is reported even without rates to test.
     if not prediction.before.inertial or (rates.statistic is None and not faulty):
         return []
-    return [
-        SensorDecision(
-            t_us=epoch.t_us,
-            sensor="imu",
-            statistic=rates.statistic,
-            threshold=rates.threshold,
-            dof=rates.dof,
-            alarm=faulty,
-            isolated=faulty,
-            reason=f"{IMU_SILENT} {gap_s:.2f} s" if silent else "",
-        )
-    ]
+    return [_rate_decision(epoch, rates, "imu", faulty, f"{IMU_SILENT} {gap_s:.2f} s" * silent)]
 
 
 def rate_results(epoch: Epoch, tested: TestedEpoch) -> list[Result]:
     """The satellites whose Doppler rate contradicts the others and the prediction: their rates are
     not used, their ranges are."""
-    rates = tested.verdict.rates
+    rates, reason = tested.verdict.rates, "its Doppler rate is wrong, its range is not"
     return [
-        SensorDecision(
-            t_us=epoch.t_us,
-            sensor="satellites",
-            suspect=name,
-            statistic=rates.statistic,
-            threshold=rates.threshold,
-            dof=rates.dof,
-            alarm=True,
-            isolated=True,
-            reason="its Doppler rate is wrong, its range is not",
-        )
+        _rate_decision(epoch, rates, "satellites", True, reason, name)
         for name in tested.rate_faulty
     ]
+
+
+def _rate_decision(
+    epoch: Epoch, rates: RateVerdict, sensor: str, faulty: bool, reason: str, suspect: str = ""
+) -> SensorDecision:
+    return SensorDecision(
+        t_us=epoch.t_us,
+        sensor=sensor,
+        suspect=suspect,
+        statistic=rates.statistic,
+        threshold=rates.threshold,
+        dof=rates.dof,
+        alarm=faulty,
+        isolated=faulty,
+        reason=reason,
+    )
 
 
 def _position(motion: MotionEstimate) -> tuple[float, float, float]:

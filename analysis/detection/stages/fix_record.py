@@ -23,7 +23,6 @@ def build_fix_decision(
     fix: GpsFix,
     core: DetectorCore,
     position: FixTest | None,
-    velocity: FixTest | None,
     hypothesis: str,
     alarm: bool,
     mode: str,

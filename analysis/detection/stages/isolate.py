@@ -47,11 +47,11 @@ from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 
-SOUND_PREDICTION = ("none", "satellites")  # verdicts of the rates that leave the prediction sound
+USABLE_PREDICTION = ("none", "satellites")  # verdicts of the rates that leave the prediction usable
 
 
 class FilterUpdate(Value, frozen=True):
-    """The filter after the epoch, with its ramp tests and their verdict (None: they begin anew)."""
+    """The filter after the epoch, with its ramp tests and their verdict (None: they restart)."""
 
     motion: MotionEstimate
     ramps: RampBank | None = None
@@ -103,7 +103,7 @@ def isolate(
     verdict = _isolate_by_epoch(assessment, core, run, history, config)
     before, ranges = assessment.prediction.before, verdict.ranges
     unbroken = not assessment.clock_jumped and not ranges.prediction_freed
-    unbroken = unbroken and verdict.rates.hypothesis in SOUND_PREDICTION
+    unbroken = unbroken and verdict.rates.hypothesis in USABLE_PREDICTION
     # Ramp tests need one unbroken filter: what was released or has jumped has no response.
     if unbroken and before.inertial == ranges.motion.inertial:
         return _isolate_by_memory(assessment, verdict, core, history, config)

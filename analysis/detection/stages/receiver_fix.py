@@ -91,7 +91,7 @@ def step_position(
     run, pending = split_pending(pending, fix.t_us)
     if motion is None:
         core = _restart(core, start_at_fix(fix.t_us, measurement))
-        decision = build_fix_decision(fix, core, None, None, "none", False, "start")
+        decision = build_fix_decision(fix, core, None, "none", False, "start")
         return [decision], DetectorState(core, pending, mag_b)
     interval_s = update_interval_s(core.imu.interval_s, run)
     core = core._replace(imu=core.imu._replace(interval_s=interval_s))
@@ -142,7 +142,7 @@ def _run_stages(
     core = core._replace(motion=moved, receiver=core.receiver._replace(last_fix=last))
     shown = _reported_hypothesis(core, hypothesis)
     mode = "position" if moved.inertial else "position-free"
-    results: list[Result] = [build_fix_decision(fix, core, *tests, shown, alarm, mode)]
+    results: list[Result] = [build_fix_decision(fix, core, tests[0], shown, alarm, mode)]
     # Everybody paused where there was no fix either.
     paused = dt_s > PAUSED_S and segment.gap_s > 0.8 * dt_s
     gap_s = segment.gap_s if (motion.inertial or before.inertial) and not paused else 0.0
@@ -208,7 +208,7 @@ def _self_consistent(
         return True
     dt_s = (t_us - last.t_us) * 1e-6
     known = np.isfinite(measurement.v_ned_mps)
-    # Without an earlier velocity it is taken for unchanged.
+    # An unknown earlier velocity counts as unchanged.
     earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measurement.v_ned_mps)
     changed = (measurement.v_ned_mps - earlier)[known]
     moved = measurement.axes @ (measurement.r_ecef_m - last.r_ecef_m)
@@ -228,7 +228,7 @@ def _with_hysteresis(
     motion: MotionEstimate,
     config: DetectorConfig,
 ) -> DetectorCore:
-    """The receiver left out or back in; the IMU left out for a while."""
+    """The core with the receiver excluded or readmitted, or with the IMU suspended."""
     (position, velocity), t_us, trust = tests, motion.t_us, core.trust
     if hypothesis in IMU_IN_DOUBT:
         trust = trust._replace(unbounded=trust.unbounded or hypothesis == UNDECIDED)
@@ -240,7 +240,7 @@ def _with_hysteresis(
         carry_off = trust.carry_off
         if carry_off is None:
             carry_off = estimate_carry_off(core.receiver.last_fix, measurement, velocity)
-        # One that is carried off slowly, or stands, fits at first.
+        # A receiver that is carried off slowly, or repeats its fix, fits at first.
         position_alone = carry_off is None and not core.receiver.repeats.frozen
         names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
         excluded = add_exclusions(trust.excluded, names, t_us, t_us)
@@ -280,7 +280,7 @@ def _update_filter(
     if RECEIVER not in core.trust.excluded and position.passes:
         motion = update_with_fix(motion, position)
     if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.trust.excluded:
-        # Predicted anew, as the position has just moved the filter's velocity, too.
+        # Predicted again, as the position has just changed the filter's velocity, too.
         again = run_fix_tests(measurement, motion, config)[1]
         motion = update_with_fix(motion, again if again is not None else velocity)
     return limit_heading_update(before, motion, acceleration_mps2, measurement.axes)

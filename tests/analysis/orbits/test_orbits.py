@@ -150,5 +150,5 @@ def test_beidou_is_used_with_its_own_clock_offset(shared_data: Path):
 
 
 def test_unknown_systems_are_refused():
-    with pytest.raises(ValueError, match="letters of GERCJ are known"):
+    with pytest.raises(ValueError, match="give letters of GERCJ"):
         DetectorConfig(systems="GX")
