@@ -67,7 +67,17 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"time            {summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
         f" (x{speed:.1f})"
     )
-    for check in summary["criteria"]:
+    _print_criteria(console, summary["criteria"])
+    for row in summary.get("effects", ()):
+        console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
+    console.print("verdict        ", _coloured(summary["verdict"]))
+    if folder is not None and (folder / "report.html").is_file():
+        console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+
+
+def _print_criteria(console: Console, checks: Sequence[Mapping[str, Any]]) -> None:
+    """Print the criteria that failed or could not be tested."""
+    for check in checks:
         if not check["passed"]:
             # None: the data are insufficient.
             word = "FAILED" if check["passed"] is False else "NO VERDICT"
@@ -76,11 +86,6 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
                 f" (limit {check['limit']}) {word}",
                 soft_wrap=True,
             )
-    for row in summary.get("effects", ()):
-        console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
-    console.print("verdict        ", _coloured(summary["verdict"]))
-    if folder is not None and (folder / "report.html").is_file():
-        console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
 
 
 def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:

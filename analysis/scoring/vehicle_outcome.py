@@ -69,6 +69,11 @@ class VehicleMotion(NamedTuple):
     from_truth: bool
     from_ground: bool = True
 
+    @property
+    def has_height(self) -> bool:
+        """Whether any height is known; some logs have the attitude alone."""
+        return bool(np.isfinite(self.height_m).any())
+
 
 class TimedText(NamedTuple):
     """A message of the autopilot, a mode it entered, or a command that it received."""
@@ -138,11 +143,17 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     motion = record.motion
     flown = flown_window(record)
     said = [VehicleEvent(t_s, CRASHED, text) for t_s, text in record.texts if is_crash_text(text)]
+    tested = motion is not None and record.armed != []
+    end_tilt_deg, upset = _find_upset(record, motion) if motion and tested else (None, [])
     if motion is None or flown is None:
-        word = CRASHED if said else NOT_JUDGED
-        return VehicleOutcome(outcome=word, source="autopilot's messages", events=said)
+        events = sorted([*said, *upset], key=lambda event: event.t_s)
+        return VehicleOutcome(
+            outcome=CRASHED if events else NOT_JUDGED,
+            source="autopilot's estimate" if upset else "autopilot's messages",
+            end_tilt_deg=end_tilt_deg,
+            events=events,
+        )
     contact, ground = _find_impacts(record, motion, flown)
-    end_tilt_deg, upset = _find_upset(record, motion)
     failsafes = find_failsafes(record, flown)
     away_m, away_s, departed = _find_departure(record, motion, flown)
     error_deg = _largest(record.errors_deg, flown)
@@ -350,10 +361,10 @@ def _find_departure(
     """Return how far [m] and when [s] the vehicle left the place that its mode holds, and when it
     flew away from there or from where it believes to be."""
     farthest_m, left_s, events = 0.0, flown[1], []
-    ends = [*(mode.t_s for mode in record.modes[1:]), float("inf")]
+    ends_s = [*(mode.t_s for mode in record.modes[1:]), float("inf")]
     spans = [
         (max(mode.t_s, flown[0]), min(end_s, flown[1]))
-        for mode, end_s in zip(record.modes, ends, strict=True)
+        for mode, end_s in zip(record.modes, ends_s, strict=False)  # a log may have no modes
         if record.hovers and mode.text in HOLD_MODES
     ]
     for start_s, end_s in spans:

@@ -56,6 +56,7 @@ FAILURE_PARAMETER = (
 )
 LINK_PART = UnitPart("")  # stands for every message
 LEARN_US = 2_000_000  # instances of a sensor all come within this time; GPS sends once a second
+LEARN_FRAMES = 50  # or so many frames; chosen: sensors in HIL_SENSOR have 5 Hz or more of its 250
 MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
 LARGEST = sys.float_info.max
@@ -88,6 +89,7 @@ class LiveControl:
         self._other_sizes: set[int] = set()  # of datagrams on RflySim's port that were reported
         # Instances heard in each part of a unit, from each system and direction.
         self._sources: dict[tuple[UnitPart, int, str], set[int]] = {}
+        self._frames: dict[int, int] = {}  # of each message, since its instances are noted
         # Messages whose instances are still noted, until this time of the vehicle.
         self._learning = dict.fromkeys((message_layout(name).id for name in PARTS), NEVER_US)
         self._pending: list[tuple[Frame, FailureRequest]] = []  # forwarded, not yet acknowledged
@@ -130,7 +132,10 @@ class LiveControl:
                 self._sources.setdefault(source, set()).add(instance)
         # Later frames of this message bypass this function.
         until_us = self._learning[frame.id]
-        if t_us >= until_us:
+        # What comes from the autopilot is telemetry, and says nothing about its inputs.
+        frames = self._frames.get(frame.id, 0) + reaches_autopilot(name, direction)
+        self._frames[frame.id] = frames
+        if t_us >= until_us or frames >= (LEARN_FRAMES if field else 1):
             del self._learning[frame.id]
             self._update_wanted()
         elif until_us - t_us > LEARN_US:  # the first frame, or the clock has gone back
@@ -148,6 +153,7 @@ class LiveControl:
             # An instance that was not heard may exist by now.
             for part, _ in parts:
                 self._learning[message_layout(part.message).id] = t_us + LEARN_US
+                self._frames.pop(message_layout(part.message).id, None)
             self._update_wanted()
             return None
         if request.instances is None:

@@ -47,7 +47,7 @@ def test_two_builds_in_other_places_that_came_to_functions_in_another_order_give
         made.append(_bytes(folder))
     assert drafts[0] != drafts[1]
     assert made[0] == made[1]
-    assert {"linear.invert_positive_definite", "geolocation.locate"} <= {
+    assert {"linear.invert_positive_definite", "geolocation.locate_state"} <= {
         name.split("/")[-1].split("-")[0] for name in made[0]
     }
     places = [str(place).encode() for place in (sys.prefix, ROOT, tmp_path)]

@@ -117,7 +117,9 @@ def test_live_control_works_without_a_home_or_a_writable_folder(
         for _ in range(100):
             proxy.pass_frame()
         _, errors = proxy.end()
-    assert errors == ""
+    # Kernels cannot be cached there, so they may be compiled meanwhile.
+    compiling = "compiling kernels (first use only); forwarding is slower until then\n"
+    assert errors in ("", compiling)
 
 
 def _memory_of(process: int) -> int:

@@ -36,7 +36,7 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
 def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> FlightCheck:
     name, (warn, fail) = "ground impact", th.impact_mps
     limit = f"warn above {warn:g} m/s, fail above {fail:g} m/s"
-    if record.motion is None or record.armed == []:
+    if record.motion is None or not record.motion.has_height or record.armed == []:
         reason = "never armed" if record.armed == [] else "no height in the log"
         return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
     speed_mps, at_s = found.impact_mps, found.impact_s
@@ -74,8 +74,8 @@ def _upright(record: VehicleRecord, found: VehicleOutcome) -> FlightCheck:
 def _ends_airborne(recording: FlightData, record: VehicleRecord) -> FlightCheck:
     name, limit = "log ends on the ground", "warn: in flight; fail: falling or upside down"
     motion, armed = record.motion, record.armed
-    if motion is None or not armed:
-        reason = "no height in the log" if motion is None else "the log does not say when armed"
+    if motion is None or not motion.has_height or not armed:
+        reason = "no height in the log" if armed else "the log does not say when armed"
         return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
     t_s, height_m, sink_mps = motion.t_s, motion.height_m, motion.sink_mps
     last = t_s > t_s[-1] - 1.0

@@ -52,11 +52,11 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
 
 
 def vehicle_motion(recording: FlightData) -> VehicleMotion | None:
-    """The motion by the truth, else by the autopilot's estimate; None without a logged height."""
+    """The motion by the truth, else by the autopilot's estimate; None without height and tilt."""
     true = _signal(recording, ("altitude", "height"), (TRUTH,))
     height = true or _signal(recording, ("height", "altitude"), ESTIMATES)
     if height is None:
-        return None
+        return _attitude_alone(recording)
     names = (TRUTH,) if true else OWN_ATTITUDE
     step_s = GRID_S[true is not None]
     if not 4 * step_s < height.t_s[-1] - height.t_s[0] < LONGEST_S:
@@ -73,6 +73,14 @@ def vehicle_motion(recording: FlightData) -> VehicleMotion | None:
         t_s, height_m, north_m, east_m, _sink(recording, true is not None, t_s, height_m),
         _tilt(recording, names, t_s), true is not None, from_ground,
     )  # fmt: skip
+
+
+def _attitude_alone(recording: FlightData) -> VehicleMotion | None:
+    tilt = _signal(recording, ("tilt",), OWN_ATTITUDE)
+    if tilt is None:
+        return None
+    unknown = np.full(len(tilt.t_s), np.nan)
+    return VehicleMotion(tilt.t_s, unknown, unknown, unknown, unknown, tilt.value, False)
 
 
 def _signal(

@@ -57,8 +57,8 @@ def run(tmp_path):
             )
             process = subprocess.Popen(
                 [sys.executable, "-m", "mavproxy_fault.cli", "run", str(file),
-                 "--autopilot", autopilot, "--zenoh", "off", "--out", str(tmp_path / "out"),
-                 *options],
+                 "--autopilot", autopilot, "--out", str(tmp_path / "out"),
+                 *(() if "--zenoh" in options else ("--zenoh", "off")), *options],
                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                 start_new_session=True,
             )  # fmt: skip

@@ -143,7 +143,7 @@ def test_a_recording_that_is_refused_leaves_no_folder(shared_data, tmp_path, cap
     obs, wrong = shared_data / "gnss_static" / "SEPT078M.21O", tmp_path / "none.nav"
     out = tmp_path / "run"
     assert main(["monitor", "--rinex", str(obs), str(wrong), "--out", str(out)]) == 2
-    assert "none.nav: cannot be read" in capsys.readouterr().err
+    assert "none.nav: No such file or directory; give a RINEX file" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -31,7 +31,8 @@ def test_the_reference_flight_shows_the_effect_of_a_gust(tmp_path: Path) -> None
     args = argparse.Namespace(
         set=[],
         scenario=str(SHORT), schedule=str(schedule), seed=None, speed="max", out=str(out),
-        gcs="off", ui=False, zenoh="off", zenoh_config="", against_clean=True, report=True,
+        gcs="off", ui=False, estimators=None, zenoh="off", zenoh_config="", against_clean=True,
+        report=True,
     )  # fmt: skip
     main(args)
     summary = json.loads((out / "summary.json").read_text())
