@@ -44,8 +44,14 @@ FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster tha
 FALL_STEPS = 3  # over these many steps
 COMMAND_S = 3.0  # chosen: a mode follows its command within this time
 REASON_S = 2.0  # chosen: an autopilot explains a change of mode within this time
-CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b)|hit ground", re.IGNORECASE)
-FAILSAFE_TEXT = re.compile(r"fail-?safe(?!.*(clear|off|recover|resolved|disabled))", re.IGNORECASE)
+# Neither matches a setting ("Crash check disabled"), nor the end of a failsafe.
+CRASH_TEXT = re.compile(
+    r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))|hit ground", re.IGNORECASE
+)
+FAILSAFE_TEXT = re.compile(
+    r"fail-?safe(?!.*(clear|off|recover|resolved|disabled|enabled|deactivated|set to))",
+    re.IGNORECASE,
+)
 SAFETY_MODES = frozenset(
     ("LAND", "RTL", "SMART_RTL", "AUTO_RTL", "BRAKE", "TERMINATION", "CIRCLE", "ALT_HOLD", "QLAND",
      "QRTL", "DESCEND", "ALTCTL", "STABILIZED")

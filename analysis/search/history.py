@@ -44,11 +44,6 @@ class History:
         # "r+b" keeps the content; "a" could not overwrite an incomplete record.
         self._file = self._path.open("r+b" if data else "w+b")
 
-    @property
-    def known_count(self) -> int:
-        """Number of evaluations in the history when it was opened."""
-        return len(self._known)
-
     def recall(self, count: int) -> Records | None:
         """The next `count` records; None, from then on, if there are fewer."""
         if self._used + count > len(self._known):

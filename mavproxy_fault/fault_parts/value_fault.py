@@ -17,7 +17,6 @@ from mavproxy_fault.wire.frame import Number
 GYRO = "HIL_SENSOR.xgyro"  # target of the faults' examples
 MOST_SENDERS = 256  # chosen: bounds the memory against made-up senders; later ones are not faulted
 MOST_ROWS = 65_536  # stored past values per sender: 65 s at 1 kHz
-GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 
 
 class ValueState(NamedTuple):

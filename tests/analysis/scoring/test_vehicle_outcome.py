@@ -58,6 +58,17 @@ def test_a_crash_in_the_words_of_the_autopilot_is_a_crash() -> None:
     assert flight(texts=[TimedText(50.0, "Crash check disabled")]).outcome != "failsafe"
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Crash check disabled", "Crash check enabled", "Failsafe enabled",
+        "Failsafe mode deactivated", "Battery failsafe action set to LAND",
+    ],
+)  # fmt: skip
+def test_a_setting_and_an_end_are_neither_crash_nor_failsafe(text: str) -> None:
+    assert flight(texts=[TimedText(50.0, text)]).outcome == flight().outcome
+
+
 def test_a_vehicle_thrown_over_in_the_air_lost_control_unless_it_flies_a_flip() -> None:
     tilt = np.where((T_S > 20.0) & (T_S < 20.5), 120.0, 2.0)
     assert flight(tilt_deg=tilt).outcome == "lost control"
