@@ -1,6 +1,7 @@
 """`search --interactive`: fly one test at a time, show it on a page, save it on request."""
 
 import argparse
+import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
@@ -65,7 +66,8 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     flights = make_flights(apply_options(read_test(args.testfile), args), folder)
     server, bound, address = prepare_search_server(flights, None)
-    with contextlib.suppress(KeyboardInterrupt):
+    # Ctrl-C before uvicorn has begun to serve cancels its task.
+    with contextlib.suppress(KeyboardInterrupt, asyncio.CancelledError):
         print(f"page: {address}", flush=True)
         server.run([bound])
     flights.close()
