@@ -7,12 +7,14 @@ make a single sensor late or slow.
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO, MOST_ROWS, ValueFault
 from mavproxy_fault.wire.frame import Number
 
 Key = tuple[int, ...]
-Row = tuple[float, list[Number]]
-Rows = tuple[list[Row], int, int]  # the list and the valid range: first, end (exclusive)
+Rows = tuple[
+    list[tuple[float, list[Number]]], int, int
+]  # the list and the valid range: first, end (exclusive)
 
 
 class Lag(ValueFault, frozen=True, kw_only=True):
@@ -43,22 +45,28 @@ class Lag(ValueFault, frozen=True, kw_only=True):
         return rows[old][1], {**lines, key: (rows, old, end)}
 
 
-class SampleHold(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def hold_sample(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the last sample, `m[place + 2]` of `m[place + 1]`, or take a new one."""
+    # With a tolerance, since timestamps are sums of steps.
+    if not m[place] or not t_s - m[place + 1] < p[at] - CLOSE_S:
+        m[place], m[place + 1], m[place + 2] = 1.0, t_s, x[i]
+    return m[place + 2]
+
+
+class SampleHold(RuleFault, frozen=True, kw_only=True):
     """Update the values only every `value` seconds (a slow sensor)."""
 
     name: ClassVar[str] = "sample-hold"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
+    rule = staticmethod(hold_sample)
+    remembers: ClassVar[int] = 3
 
     value: Duration
 
-    def after(
-        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Return the values of the last sample."""
-        rows: dict[Key, Row] = state or {}
-        sampled = rows.get(key)
-        # With a tolerance, since timestamps are sums of steps.
-        if sampled is not None and t_s - sampled[0] < self.value - CLOSE_S:
-            return sampled[1], rows
-        return before, {**rows, key: (t_s, before)}
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the interval."""
+        return [(self.value,)] * count

@@ -63,7 +63,7 @@ class Engine:
         """Whether an entry may draw random numbers, which requires numpy."""
         return any(
             entry.probability < 1.0
-            or getattr(entry.fault, "draws", True)
+            or getattr(entry.fault, "drawn", getattr(entry.fault, "draws", True))
             or getattr(entry.fault, "profile", None) is not None
             for entry in self._entries()
         )
