@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled import object_file
-from mavproxy_fault.compiled.tables import Tables
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.faults.noise_fault import NoiseFault
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
@@ -23,7 +23,7 @@ class Passed(NamedTuple):
     data: bytes
 
 
-class Passage(Tables):
+class Passage(CompiledCore):
     """Passes datagrams in machine code; leaves those that it cannot process to the core.
 
     `settle` writes the passed frames to the tape; call it before giving the core data or reading

@@ -128,6 +128,11 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         assert self.live is not None
         return LIVE, *otherwise, self.live.timeout_s
 
+    @property
+    def remembers(self) -> bool:
+        """Whether `profile_value` needs memory."""
+        return self.segments is not None or self.live is not None
+
     def memory(self, rng: "Generator | None") -> Memory:
         """Return the memory of `profile_value`: segments with drawn numbers, or no live value."""
         if self.live is not None:

@@ -106,7 +106,9 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
 
     def new_state(self, start_us: int) -> Memory:
         """Return the memory of one direction, which begins with the start time."""
-        memory = Memory(max(self.remembers, 1))
+        if not self.remembers:
+            return NO_MEMORY
+        memory = Memory(self.remembers)
         memory.write([float(start_us)])
         return memory
 

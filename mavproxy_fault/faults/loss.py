@@ -135,6 +135,7 @@ class RateLimit(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "rate-limit"
     example: ClassVar[dict[str, Any]] = {"value": 20}
     rule = staticmethod(limit_rate)
+    remembers: ClassVar[int] = 1
 
     value: Annotated[float, Meta(ge=1e-6)]
     queue_s: Seconds = 0.0

@@ -68,6 +68,7 @@ class Jitter(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "jitter"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
     rule = staticmethod(delay_at_random)
+    remembers: ClassVar[int] = 1
 
     value: Seconds
     distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"

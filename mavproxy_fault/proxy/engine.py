@@ -240,14 +240,14 @@ class Engine:
             else:
                 sends = running.act(draft.sealed() if draft else frame, direction, t_us)
             if running.needs_attention:
-                self._attend(running, t_us)
+                self.attend(running, t_us)
         if sends is None:
             sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
         if self._released:
             sends, self._released = self._released + sends, []
         return sends
 
-    def _attend(self, running: ActiveEntry, t_us: int) -> None:
+    def attend(self, running: ActiveEntry, t_us: int) -> None:
         """Add a pending label of a fault, and note an early end."""
         if running.end_us <= t_us:
             self._edge_us = t_us  # at the next frame
@@ -281,6 +281,8 @@ class Engine:
         for running in self._any:
             if running.matches_junk(data, direction, sealed=sealed):
                 sends = _apply_to_outgoing(running, sends, direction, t_us)
+                if running.needs_attention:
+                    self.attend(running, t_us)
         return sends
 
     def drain_labels(self) -> list[Label]:

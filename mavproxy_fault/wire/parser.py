@@ -110,6 +110,12 @@ class Parser:
             self._incomplete = b""
         return self._parse(data, final=datagram)
 
+    def take_incomplete(self) -> bytes:
+        """Return and forget the buffered bytes, which are pushed again."""
+        data, self._incomplete = self._incomplete, b""
+        self.counters.bytes -= len(data)
+        return data
+
     @property
     def contains_frame(self) -> bool:
         """Whether the incomplete bytes contain a verified frame."""
