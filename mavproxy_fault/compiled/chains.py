@@ -71,16 +71,24 @@ def _has_exact_numbers(payload: int, size: int, step: Any, shared: Shared) -> bo
 
 
 @kernel
+def read_instance(payload: int, size: int, number: int, shared: Shared) -> int:
+    """The instance of a message that distinguishes sensors of one kind, else 0."""
+    table = shared.table[number]
+    if table[k.INSTANCE_AT] < 0:
+        return i64(0)
+    length = min(table[k.INSTANCE_SIZE], size - table[k.INSTANCE_AT])
+    return i64(little_endian(shared.data, payload + table[k.INSTANCE_AT], length))
+
+
+@kernel
 def is_ready(
-    payload: int, size: int, number: int, sender: int, link: int, signed: bool, shared: Shared
-) -> bool:
+    payload: int, size: int, number: int, sender: int, link: int, t_us: int, signed: bool,
+    shared: Shared,
+) -> bool:  # fmt: skip
     """Whether all entries of a message can act on a frame here; `places` then says where."""
     loop, table = shared.loop, shared.table[number]
     from_vehicle = shared.ports[link, k.FROM_VEHICLE]
-    instance = i64(0)
-    if table[k.INSTANCE_AT] >= 0:
-        length = min(table[k.INSTANCE_SIZE], size - table[k.INSTANCE_AT])
-        instance = little_endian(shared.data, payload + table[k.INSTANCE_AT], length)
+    instance = read_instance(payload, size, number, shared)
     first, place = table[k.CHAIN], 0
     while first >= 0:
         step = shared.steps[first]
@@ -90,6 +98,10 @@ def is_ready(
             shared.places[place] = 0
             if signed and not entry[k.SEALED_TOO]:
                 shared.places[place] = SIGNED
+            elif entry[k.EFFECT] == k.IDLE:
+                if t_us >= entry[k.START]:
+                    return False
+                shared.places[place] = SKIPPED
             elif entry[k.REMEMBERS]:
                 found = _find_memory(step[k.ENTRY], number, sender, from_vehicle, instance, shared)
                 if found < 0:

@@ -55,6 +55,7 @@ class CompiledCore:
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
         self._rows = len(core.links)  # the rows after the links' are for lent chunks
+        self._interrupted = [self.loop[place] for place in INTERRUPTED]
         self._sends: list[Send] = []  # announcements, to be sent before anything else
         self._seen: tuple[Any, ...] = ()
         self._tie(None)
@@ -104,10 +105,15 @@ class CompiledCore:
             for number in self._learned:
                 self._classify(number)
             self._seen = seen  # only now: what fails for want of memory is done again
+        if plans is not None:
+            plans.follow_idle()
 
     def _classify(self, number: int) -> None:
         """Set how a message is processed."""
         kind, first = self._way(number)
+        control = self._core.control
+        sampled = control is not None and number in control.wanted
+        self._arrays["table"][number, k.SAMPLED] = sampled
         if self._plans is not None:
             self.loop[k.KEY_COUNT] = self._plans.key_count
         self._arrays["table"][number, k.KIND], self._arrays["table"][number, k.CHAIN] = kind, first
@@ -117,7 +123,7 @@ class CompiledCore:
         engine: Any = self._core.engine
         control = self._core.control
         # A signing key is routed and recorded with care.
-        if number == SETUP_SIGNING or (control is not None and number in control.wanted):
+        if number == SETUP_SIGNING or (control is not None and number in control.needed):
             return k.INTERPRETED, -1
         if engine is None or (engine.wanted is not None and number not in engine.wanted):
             return k.PASS, -1
@@ -145,36 +151,46 @@ class CompiledCore:
         """Process received bytes as `Core.received` does; the core takes what needs it."""
         core = self._core
         if not data:
-            return core.received(link, data, now_us, stream=stream)
+            return core.received(link, data, now_us, stream=stream)  # the end of a stream
         data = core.take_incomplete(link, stream) + data
-        sends, at = core.release_due(now_us), 0
-        while at < len(data):
-            more, passed, found = self._lend(link, data[at : at + k.ROW], now_us)
+        sends = core.release_due(now_us)
+        self._lend(link, data, now_us)
+        return sends + self.finish(link, data, now_us, stream=stream)
+
+    def finish(self, link: int, data: bytes, now_us: int, *, stream: int = 0) -> list[Send]:
+        """Return what leaves of a lent chunk that machine code has begun with."""
+        sends: list[Send] = []
+        at = 0
+        while True:
+            more, passed, found = self._collect(now_us)
             sends += more
             at += passed
             if found in (k.FRAME, k.REST):
                 length = frame_length(data, at) if found == k.FRAME else len(data) - at
                 self._learn(data[at : at + length])
-                sends += core.received(link, data[at : at + length], now_us, stream=stream)
+                sends += self._core.received(link, data[at : at + length], now_us, stream=stream)
                 at += length
-        return sends
+            if at >= len(data):
+                return sends
+            self._lend(link, data[at:], now_us)
 
-    def _lend(self, link: int, data: bytes, now_us: int) -> tuple[list[Send], int, int]:
-        """Pass a chunk in machine code; what leaves, how many bytes passed, and what ended it."""
-        loop, rows = self.loop, self._rows
-        start = rows * k.BATCH * k.ROW
-        self._arrays["data"][start : start + len(data)] = data
-        before = [loop[place] for place in INTERRUPTED]
-        loop[k.LENT], loop[k.LINK], loop[k.AT], loop[k.COUNT], loop[k.ROW_AT] = 1, link, 0, 1, 0
-        self._arrays["heads"][rows, 0, k.LENGTH] = len(data)
-        loop[k.CAME] = now_us * 1000 - loop[k.BASE]
+    def _lend(self, link: int, data: bytes, now_us: int) -> None:
+        """Pass a chunk in machine code, as far as that goes."""
+        loop, start, length = self.loop, self._rows * k.BATCH * k.ROW, min(len(data), k.ROW)
+        self._arrays["data"][start : start + length] = data[:length]
         self._refresh()
+        self._interrupted = [loop[place] for place in INTERRUPTED]
+        loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us * 1000 - loop[k.BASE]
         self._run()
-        found = loop[k.FOUND]
-        passed = len(data) if found == k.DONE else loop[k.ROW_AT]
-        for place, value in zip(INTERRUPTED, before, strict=True):
+
+    def _collect(self, now_us: int) -> tuple[list[Send], int, int]:
+        """Return what leaves of a lent chunk, how many bytes passed, and what ended it."""
+        loop = self.loop
+        passed, found = loop[k.ROW_AT], loop[k.FOUND]
+        for place, value in zip(INTERRUPTED, self._interrupted, strict=True):
             loop[place] = value
-        sends = self._segments(rows, -1, now_us)
+        sends = self._segments(self._rows, -1, now_us)
+        loop[k.SEGMENT] = loop[k.OTHERS] = 0
         self._settle(now_us)
         return sends + self.take_sends(), passed, found
 

@@ -8,13 +8,13 @@ interpreter, with everything as it was before that frame. Importing this file im
 import numpy as np
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.chains import apply_chain, is_ready, seal
+from mavproxy_fault.compiled.chains import apply_chain, is_ready, read_instance, seal
 from mavproxy_fault.compiled.elements import little_endian
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
-from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the core, as machine code
@@ -38,6 +38,21 @@ def _stamp_us(payload: int, size: int, number: int, shared: Shared) -> int:
 
 
 @kernel
+def _is_sampled(
+    payload: int, size: int, number: int, sender: int, t_us: int, shared: Shared
+) -> bool:
+    """Whether this period of a sampled message already has a frame, which the core has seen."""
+    instance = read_instance(payload, size, number, shared)
+    key = i64(number) << 32 | sender << 16 | (instance & 0xFFFF)
+    sample = shared.samples[(key ^ key >> 11 ^ key >> 32) % k.SAMPLES]
+    period = t_us // SAMPLE_PERIOD_US
+    if sample[0] == key and sample[1] == period:
+        return True
+    sample[0], sample[1] = key, period
+    return False
+
+
+@kernel
 def _is_ready_at(
     payload: int, size: int, number: int, sender: int, link: int, now_us: int, signed: bool,
     shared: Shared,
@@ -56,10 +71,14 @@ def _is_ready_at(
     )  # fmt: skip
     t_us = vehicle_time(senders, sender, stamp_us, now_us)
     ready = senders[cells.UNCONFIRMED] == before[6]
+    if shared.table[number, k.SAMPLED] and not _is_sampled(
+        payload, size, number, sender, t_us, shared
+    ):
+        ready = False
     if kind != k.PASS and t_us >= shared.loop[k.EDGE]:
         ready = False
     if ready and kind == k.PLANNED:
-        ready = is_ready(payload, size, number, sender, link, signed, shared)
+        ready = is_ready(payload, size, number, sender, link, t_us, signed, shared)
     if ready:
         return i64(t_us)
     (

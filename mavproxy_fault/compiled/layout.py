@@ -29,11 +29,13 @@ BLOCK = 2048  # numbers drawn ahead for each
 MOST_WORK = 64  # frames that one frame may become
 SLOT = 320  # bytes kept for each, more than the longest frame
 MOST_CHAIN = 32  # entries that may act on one message
+SAMPLES = 1024  # senders of sampled messages that are distinguished
 
 # Columns of `table`, by message id
 KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT = range(7)
 INSTANCE_AT, INSTANCE_SIZE, CHAIN = range(7, 10)  # -1 for none
-TABLE_SIZE = 10
+SAMPLED = 10  # whether the core has to see one of its frames in each period
+TABLE_SIZE = 11
 INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 # Columns of `entries`, a row for each active entry
 EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
@@ -41,7 +43,7 @@ REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in i
 DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
 FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(16, 21)  # counts; WAYS: bit mask
 ENTRY_SIZE = 21
-VALUES, DELAY, COPIES, RENUMBER = range(4)  # effects
+VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before START
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
 STEP_SIZE = 7
@@ -72,9 +74,11 @@ COMPILED_LINKS = 26  # bit mask
 SIGNED_TOO = 27  # whether signed frames pass; else a key has to be looked at
 ROW_AT, OUT_AT, SEGMENT, OPEN = range(28, 32)  # in the datagram; in the output; its open segment
 HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
-LENT, FOUND = 34, 35  # whether a chunk is lent in the last row; what became of a datagram
+LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
 OUT_END, OTHERS = 36, 37  # of the output's room; links outside the compiled form that it is for
-LOOP_SIZE = 38
+MASK = 38  # the links that a lent chunk leaves on, or one of the next
+LOOP_SIZE = 39
+UNTOUCHED, BEGUN = -1, -2
 # Why it returns
 TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT, LENT_PASSED, TO_SETTLE = range(7)
 # What became of a datagram: all of it passed, its next frame or its rest is handed over, a label
@@ -131,6 +135,7 @@ class Shared(NamedTuple):
     values: Doubles  # (SLOT,) of a frame's elements
     work: Octets  # (MOST_WORK SLOT,)
     items: Integers  # (MOST_WORK, 3)
+    samples: Integers  # (SAMPLES, 2) sender and period of the newest sample
     outcome: Doubles  # (2,)
 
 
@@ -179,5 +184,6 @@ def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
         "values": table("d", SLOT),
         "work": table("B", MOST_WORK * SLOT),
         "items": table("q", MOST_WORK, 3),
+        "samples": table("q", SAMPLES, 2),
         "outcome": table("d", 2),
     }

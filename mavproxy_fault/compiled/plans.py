@@ -16,6 +16,7 @@ from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.fault_parts.elements import Element, locate_element
 from mavproxy_fault.fault_parts.memory import Memory
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, RuleLinkFault
+from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.faults.registry import our_faults
 from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
 from mavproxy_fault.proxy.active_entry import BOTH_DIRECTIONS, ActiveEntry
@@ -130,6 +131,15 @@ class Plans:
         """Whether an entry has got other parameters, or has come further."""
         return any(stage(running) != before for running, before in self._stages)
 
+    def follow_idle(self) -> None:
+        """Note when the core has to see the next frame of faults that seldom act."""
+        for row, running in enumerate(self._running):
+            if self.entries[row, k.EFFECT] == k.IDLE:
+                states = running.states.values()
+                self.entries[row, k.START] = min(
+                    map(running.fault.idle_until_us, states), default=0
+                )
+
     def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
         """Write the chain of entries that act on a message; the first row, None if one cannot."""
         rows = [self._row(running) for running in acting]
@@ -177,6 +187,8 @@ class Plans:
         elif isinstance(fault, TimestampFault) and max(map(abs, fault.error())) < LARGEST_SHIFT_S:
             plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
             plan[k.REMEMBERS] = 0
+        elif isinstance(fault, SimulatorFault):
+            plan[k.EFFECT], plan[k.REMEMBERS] = k.IDLE, 0
         else:
             return None
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)

@@ -174,9 +174,23 @@ def _pass_rows(link: int, rows: int, shared: Shared) -> int:
             if loop[k.ROW_AT]:
                 shared.heard[link, peer] = 1
         if found == k.DONE:
-            loop[k.AT], loop[k.ROW_AT] = row + 1, 0
+            loop[k.AT] = row + 1
+            loop[k.ROW_AT] = 0 if rows == link else length
     loop[k.FOUND] = found
     return found
+
+
+@kernel
+def _give_back(length: int, found: int, shared: Shared) -> None:
+    """Put what became of a lent chunk in its place, if all of it leaves together at once; MASK are
+    then its links, else UNTOUCHED or BEGUN."""
+    loop, rows = shared.loop, shared.loop[k.LINK_COUNT]
+    start = rows * k.BATCH * k.ROW
+    loop[k.MASK] = k.BEGUN if loop[k.ROW_AT] else k.UNTOUCHED
+    if found == k.DONE and loop[k.SEGMENT] <= 1 and loop[k.OUT_AT] in (start, start + length):
+        loop[k.MASK] = shared.masks[rows, 0] if loop[k.SEGMENT] else 0
+        for n in range(loop[k.OUT_AT] - start):
+            shared.data[start + n] = shared.outs[start + n]
 
 
 @kernel
@@ -192,6 +206,7 @@ def _drain(link: int, lent: int, shared: Shared) -> int:
     begun = loop[k.AT]
     found = _pass_rows(link, loop[k.LINK_COUNT] if lent else link, shared)
     if lent:
+        _give_back(lent, found, shared)
         return k.LENT_PASSED
     _send_segments(link, shared)
     spent = max(_now_ns(loop) - started, 16)
@@ -251,7 +266,9 @@ def _forward(shared: Shared) -> int:
         _send_due(shared)
         return k.DUE_SENT
     lent = loop[k.LENT]
-    loop[k.LENT] = 0
+    if lent:
+        shared.heads[loop[k.LINK_COUNT], 0, k.LENGTH] = lent
+        loop[k.LENT], loop[k.AT], loop[k.COUNT], loop[k.ROW_AT] = 0, 0, 1, 0
     while True:
         if loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) > k.LOG_SIZE - k.LOG_MARGIN:
             return k.LOG_FULL
@@ -320,6 +337,7 @@ def forward(addresses: Any) -> int:
             carray(addresses[ORDER.values], (k.SLOT,), f64),
             carray(addresses[ORDER.work], (k.MOST_WORK * k.SLOT,), u8),
             carray(addresses[ORDER.items], (k.MOST_WORK, 3), i64),
+            carray(addresses[ORDER.samples], (k.SAMPLES, 2), i64),
             carray(addresses[ORDER.outcome], (2,), f64),
         )
     )

@@ -7,7 +7,7 @@ called from either side at any frame.
 import mmap
 from typing import Any
 
-NUMBERS = 1 << 20  # 8 MB of address space; pages are used only when touched
+NUMBERS = 1 << 22  # 32 MB of address space; pages are used only when touched
 
 ARENA: Any = memoryview(mmap.mmap(-1, 8 * NUMBERS)).cast("d")
 _free: dict[int, list[int]] = {}  # offsets of released regions, by size

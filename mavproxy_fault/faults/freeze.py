@@ -1,14 +1,11 @@
-"""Stale and slow values: frozen, replayed, rate-limited, or decaying to neutral."""
+"""Stale and slow values: frozen, rate-limited, or decaying to neutral."""
 
 import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.profile import Duration, NotNegative
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
-from mavproxy_fault.fault_parts.value_fault import GYRO, MOST_ROWS, ValueFault
-from mavproxy_fault.wire.frame import Number
-
-Key = tuple[int, ...]
+from mavproxy_fault.fault_parts.value_fault import GYRO
 
 
 @value_rule
@@ -34,36 +31,6 @@ class Freeze(RuleFault, frozen=True, kw_only=True):
     def numbers(self, count: int) -> list[Numbers]:
         """No parameters."""
         return [()] * count
-
-
-class Replay(ValueFault, frozen=True, kw_only=True):
-    """Record the first `value` seconds, then replay them in a loop."""
-
-    name: ClassVar[str] = "replay"
-    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
-    by_sender: ClassVar[bool] = True
-
-    value: Duration
-
-    def after(
-        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Return the next recorded values of this sender."""
-        recordings: dict[Key, tuple[list[list[Number]], int]] = state or {}
-        recording, at = recordings.get(key, ([], 0))
-        # A stopped clock ends the recording when it is full.
-        if (t_s < self.value and len(recording) < MOST_ROWS) or not recording:
-            # The list is shared with older states, which read up to their own `at`: a copy per
-            # frame would take quadratic time.
-            shared = len(recording) != at
-            recording = [*recording, before] if shared else _append_row(recording, before)
-            return before, {**recordings, key: (recording, len(recording))}
-        return recording[at % len(recording)], {**recordings, key: (recording, at + 1)}
-
-
-def _append_row(recording: list[list[Number]], values: list[Number]) -> list[list[Number]]:
-    recording.append(values)
-    return recording
 
 
 @value_rule

@@ -69,6 +69,11 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
         messages = self._messages(values, target, t_us)
         return [forwarded, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
 
+    def idle_until_us(self, state: PlantFaultState) -> int:
+        """Return the time before which `apply` changes nothing."""
+        constant = getattr(self, "value", None) is not None
+        return state.at_us + (REPEAT_US if constant else STEP_US)
+
     def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
         """Return the state after a live value that arrived at `t_us`."""
         t_s = (t_us - state.start_us) / 1e6

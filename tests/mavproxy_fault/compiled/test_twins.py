@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.forwarder import Forwarder
 from mavproxy_fault.compiled.object_file import load, make
-from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkState
