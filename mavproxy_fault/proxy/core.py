@@ -335,14 +335,15 @@ class Core:
 
     def _time(self, frame: Frame, now_us: int, state: LinkState, batch: OutgoingBatch) -> int:
         senders = self.senders
+        first_us = senders[T0]
         t_us = self.clock.read(frame, now_us)
         if senders[UNCONFIRMED] != self._doubted:
             self._doubted = senders[UNCONFIRMED]
             state.unconfirmed += 1
         if senders[T0] == UNKNOWN:
             self._on_wall_clock = True
-        elif self._on_wall_clock:
-            # The first timestamp ever: restart the schedule, which began on the wall clock.
+        elif self._on_wall_clock or senders[T0] != first_us != UNKNOWN:
+            # The timeline begins, after the wall clock or another clock: restart the schedule.
             self._on_wall_clock = False
             if self.engine is not None:
                 senders[WALL_OFFSET] = now_us - t_us

@@ -292,6 +292,23 @@ def test_a_schedule_begun_on_the_wall_clock_restarts_with_the_first_stamp() -> N
     assert [label.t0_us for label in core.drain_labels()] == [WALL_US, WALL_US, 7_000_000]
 
 
+def test_a_schedule_begun_on_the_uptime_of_a_waiting_autopilot_restarts_with_the_simulator() -> (
+    None
+):
+    schedule = "faults: [{id: d, fault: drop, target: HEARTBEAT, at_s: 2, for_s: 1}]"
+    core = core_with(schedule)
+    layout = message_layout("ATTITUDE")
+    waiting = build_frame(layout, {"time_boot_ms": 11_000_000}, system=1, component=2)
+    core.received(AUTOPILOT, waiting, WALL_US)
+    core.received(SIM, sensor(0.004), WALL_US + 5_000_000)
+    core.received(SIM, sensor(2.5), WALL_US + 8_000_000)
+    core.received(SIM, heartbeat(), WALL_US + 8_000_000)
+    core.received(SIM, sensor(4.0), WALL_US + 9_000_000)
+    core.received(SIM, heartbeat(), WALL_US + 9_000_000)
+    begun, ended = core.drain_labels()
+    assert (begun.start_us, ended.end_us, ended.frames) == (2_500_000, 3_004_000, 1)
+
+
 def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it() -> None:
     key = derive_key("secret")
     schedule = "faults: [{id: g, fault: bias, target: HIL_SENSOR.xgyro, value: 0.5}]"
