@@ -42,6 +42,7 @@ from mavproxy_fault.proxy.senders import (
     new_senders,
 )
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
@@ -49,6 +50,8 @@ from mavproxy_fault.wire.signing import Signing
 if TYPE_CHECKING:
     from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
+
+HEARTBEAT = message_layout("HEARTBEAT").id
 
 
 @dataclass(slots=True)
@@ -277,7 +280,8 @@ class Core:
                 for reply in replies:
                     raw = self._numbering.number_frame(reply)
                     self._send_now(1 << arrival.link, raw, arrival.now_us, batch)
-                return
+                if frame.id != HEARTBEAT:  # which is for the vehicle too
+                    return
         mask = self._routes.select(frame, arrival.link)
         engine = self.engine
         # Fast path: most frames are not wanted by any fault.
