@@ -197,11 +197,15 @@ class Commands:
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
             return CommandResult.DENIED, []
-        unit, kind, instance = (integer_parameter(value) for value in request.params[:3])
+        unit, kind, instance, mask = (integer_parameter(value) for value in request.params[:4])
         if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
             return CommandResult.UNSUPPORTED, []
-        exists = self._fail_motor(instance, kind == FAILURE_OFF)
-        return (CommandResult.ACCEPTED if exists else CommandResult.DENIED), []
+        # Param 4 is a bitmask of instances, used if param 3 is NaN.
+        chosen = (
+            [n for n in range(1, 17) if max(mask, 0) >> n - 1 & 1] if instance < 0 else [instance]
+        )
+        exist = [self._fail_motor(number, kind == FAILURE_OFF) for number in chosen]
+        return (CommandResult.ACCEPTED if any(exist) else CommandResult.DENIED), []
 
     def _amsl(self, request: CommandRequest) -> float:
         relative = request.frame in (
