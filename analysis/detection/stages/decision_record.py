@@ -43,6 +43,7 @@ def build_decision(
         alarm=tested.alarm or late,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.trust.excluded)),
+        unused=_unused(core),
         satellites=names + excluded.names,
         residual_m=(*assessment.innovations.range_m.tolist(), *excluded.range_m.tolist()),
         normalised=(*statistics.normalised.tolist(), *excluded.normalised.tolist()),
@@ -82,6 +83,7 @@ def build_start_decision(
         alarm=bool(fix.faulty),
         hypothesis=reported_hypothesis(trust, core.imu, "none", False, False),
         excluded=tuple(sorted(trust.excluded)),
+        unused=_unused(core),
         satellites=observation.satellites,
         position_ecef_m=_position(motion),
         position_sigma_m=None if unbounded else _sigma(motion, bounds),
@@ -144,6 +146,11 @@ def _rate_decision(
         isolated=faulty,
         reason=reason,
     )
+
+
+def _unused(core: DetectorCore) -> dict[str, str]:
+    """Satellites in view without a usable ephemeris, and why."""
+    return core.broadcast.selection.unused if core.broadcast.selection is not None else {}
 
 
 def _position(motion: MotionEstimate) -> tuple[float, float, float]:
