@@ -22,10 +22,13 @@ def run_remarks(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             )
         )
     found += [("ephemeris", text) for text in summary.get("wrong_ephemerides", ())]
-    found += [
-        ("not used", f"{row['satellite']} in {_epochs(row['epochs'])}: {row['reason']}")
-        for row in summary.get("unused_satellites", ())
-    ]
+    unused: dict[str, list[str]] = {}
+    for row in summary.get("unused_satellites", ()):
+        named = unused.setdefault(row["reason"], [])
+        named.append(f"{row['satellite']} in {_epochs(row['epochs'])}")
+    found += [("not used", f"{reason}: {', '.join(named)}") for reason, named in unused.items()]
+    if noise := summary.get("noise"):
+        found.append(("noise", noise))
     return found + [("not observable", text) for text in _limits(summary)]
 
 
@@ -44,6 +47,7 @@ def _limits(summary: Mapping[str, Any]) -> list[str]:
         # Without labels, a plain antenna on the ground gives a hundred alarms per hour.
         if (
             summary["false_alarms"] is None
+            and not summary.get("noise")
             and summary["alarms"] * 3600.0 > MANY_ALARMS_PER_HOUR * summary["sim_s"]
         ):
             found.append(

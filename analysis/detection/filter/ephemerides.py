@@ -47,7 +47,7 @@ class EphemerisSelection:
 
     satellites: tuple[str, ...]
     week: int
-    part: int
+    part: float
     keep: Indices | None
     names: tuple[str, ...]
     packed: Vector
@@ -122,7 +122,7 @@ def select_ephemerides(
     return EphemerisSelection(
         epoch.satellites,
         epoch.week,
-        int(part),
+        part,
         np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
         names,
         np.array(rows).reshape(len(rows), PACKED),

@@ -37,9 +37,6 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 # Klobuchar's; the element behind them is the factor by which their error exceeds broadcast ones'
 KLOBUCHAR_COEFFICIENTS = 8
-# Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's factor), BeiDou's
-# B3I wanders as much more on a recorded walk (benchmarks/fdi_walk.py).
-SYSTEM_VARIANCE_FACTOR = (1.0, 1.0, 1.5**2, 1.5**2)
 # Error of an ephemeris in m, times the square of its age in h, before its time and after it, by
 # clock: measured against later ephemerides (benchmarks/fdi.md). GPS's is flat as long as it holds.
 EARLY_ERROR_M, LATE_ERROR_M = (0.0, 1.0, 7.5, 0.3), (0.0, 0.25, 7.5, 0.3)
@@ -194,7 +191,7 @@ def innovations_kernel(
         v_rate[i] = rate_mps[i] - predicted[i, RATE] - x[X_DRIFT]
         age_s = (measurements.week - packed[i, WEEK]) * WEEK_S + measurements.tow_s - packed[i, TOE]
         growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
-        variance[i] *= SYSTEM_VARIANCE_FACTOR[system]
+        variance[i] *= sigma.systems[system] ** 2
         variance[i] += (growth_m * (age_s / 3600.0) ** 2) ** 2
         rate_variance[i] = sigma.rate_mps**2 / math.sin(max(elevation[i], 0.1))
         for k in range(3):
