@@ -65,11 +65,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
         found.notes.append("the file ends within a message: the log is truncated")
     if log.corrupted:
         found.notes.append("parts of the file are corrupted and were skipped")
-    if log.restarts:
-        found.notes.append(
-            f"the vehicle restarted {log.restarts} time(s) in this log: each boot is drawn after "
-            "the one before, one second later"
-        )
+    found.notes.extend(log.times.notes())
     return replace(found, utc0_us=_utc0_us(log, start_us))
 
 

@@ -195,8 +195,7 @@ def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
-    if log.stale:
-        notes.append(f"{log.stale} samples from before the log are drawn at its beginning")
+    notes.extend(log.times.notes())
     if lacking:
         notes.append(f"fields missing in {', '.join(lacking)}: no spans or tracks from it")
     if log.cut:
