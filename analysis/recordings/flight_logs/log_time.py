@@ -131,7 +131,8 @@ def place_rows(
             keep &= (key in even) | ~find_misdated(placed, topic=True)
             stale = keep & (placed < found.begin_us - STALE_US)
             found.stale += int(stale.sum())
-            keep &= (placed <= last + FARTHEST_BEHIND_US) | (key in even)
+            far = (placed > last + FARTHEST_BEHIND_US) & (own != 0 if len(own) else False)
+            keep &= ~far | (key in even)
             placed = np.where(stale, found.begin_us, placed)
         found.times[key], found.keep[key] = placed, keep
         found.misdated |= not keep.all()

@@ -106,12 +106,14 @@ def read_ulog(
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     raw = _joined_rows(found)
-    if not raw and not found.others:
+    if not found.formats:
         raise ConfigError(f"{path}: not a readable ULog; give a complete file")
     stamps = {key: RowStamps(rows["at"], *_own_times(rows)) for key, rows in raw.items()}
     others = {kind: [row for row in found.others if row[1] == kind] for kind in "LCPOQIM"}
     placed: dict[Any, RowStamps] = {kind: _placed(kind, rows) for kind, rows in others.items()}
     times = place_rows(placed | stamps, begin_us=found.begin_us)
+    if not any(times.times[key].any() for key in raw):
+        raise ConfigError(f"{path}: holds no message with a time; give a log of a flight")
     topics = {}
     for key, rows in raw.items():
         keep, t_us = times.keep[key], times.times[key]

@@ -29,6 +29,16 @@ NUMBERS = {
 FIELD = re.compile(r"(\w+)(?:\[(\d+)\])? (\w+)$", re.ASCII)
 LENGTHS = {"B": 40, "S": 8, "R": 2, "O": 2, "L": 9, "C": 11, "A": 4, "D": 2}  # payload, at least
 SHORTEST = {ord(kind): length for kind, length in LENGTHS.items()}
+# What the payload of a message begins with, or all of it: no message is found by chance.
+SOUND = {
+    ord(kind): re.compile(begin, re.DOTALL)
+    for kind, begin in {
+        "A": rb"...\w+$", "B": rb".{40}$", "C": rb"[0-7].{10}", "D": rb"..",
+        "F": rb"[\w/]+:[\w\[\]; ]+$", "I": rb".[\w\[\]]+ \w", "L": rb"[0-7].{8}", "M": rb"..\w",
+        "O": rb"..$", "P": rb".(int32_t|float) \w", "Q": rb"..(int32_t|float) \w", "R": rb"..$",
+        "S": rb"\x2f\x73\x13\x20\x25\x0c\xbb\x12$",
+    }.items()
+}  # fmt: skip
 APPENDED, OFFSETS = 1, struct.Struct("<3Q")  # bit of the flags, and where data were appended
 
 Rows = NDArray[np.void]
@@ -147,7 +157,8 @@ def _next_message(found: ULogMessages, data: bytes, begin: int, at: int) -> int:
     for start in range(begin + 1, size - HEAD):
         if data[start + 2] in KINDS:
             end = _end_of(found, data, start)
-            if end and (end == size or _end_of(found, data, end)):
+            sound = end and SOUND[data[start + 2]].match(data, start + HEAD, end)
+            if sound and (end == size or _end_of(found, data, end)):
                 return start
     return size
 

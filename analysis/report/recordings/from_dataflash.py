@@ -23,6 +23,7 @@ from analysis.report.curves.recording import (
 from analysis.report.curves.vehicle_phase import ARDUPILOT, BUILDS, class_by_texts, mode_name
 from analysis.report.recordings.event_names import ERRORS, EVENTS, FAILSAFE_REASONS
 from analysis.report.recordings.mapped_message import add_message
+from analysis.report.recordings.vehicle_identity import identity_by_messages
 
 ARMED, DISARMED = 10, 11  # EV.Id
 # EV.Id of events that occur once per flight and only while armed.
@@ -66,7 +67,8 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     if log.corrupted:
         found.notes.append("parts of the file are corrupted and were skipped")
     found.notes.extend(log.times.notes())
-    return replace(found, utc0_us=_utc0_us(log, start_us))
+    identity = identity_by_messages(found)
+    return replace(found, utc0_us=_utc0_us(log, start_us), identity=identity)
 
 
 def _topic(

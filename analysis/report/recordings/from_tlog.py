@@ -1,7 +1,7 @@
 """Convert the MAVLink messages of one or more tlogs of one flight to `FlightData`."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from analysis.report.recordings.log_clock import (
 )
 from analysis.report.recordings.mapped_message import add_message
 from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
+from analysis.report.recordings.vehicle_identity import identity_by_messages
 from mavproxy_fault.wire.tlog import Columns
 
 LANDED_STATES = {1: "landed", 2: "flying", 3: "flying", 4: "flying"}  # MAV_LANDED_STATE
@@ -111,12 +112,13 @@ def recording_of_tlog(
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
-    return FlightData(
+    flight = FlightData(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
         found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
         messages=found.messages, vehicle=vehicles[0].kind,
     )  # fmt: skip
+    return replace(flight, identity=identity_by_messages(flight))
 
 
 def _by_component(columns: Columns) -> tuple[Columns, Columns]:

@@ -20,6 +20,7 @@ from analysis.report.curves.recording import (
 )
 from analysis.report.curves.vehicle_phase import CLASSES, PX4_TYPES, VTOL
 from analysis.report.recordings.mapped_message import add_flag, add_message
+from analysis.report.recordings.vehicle_identity import identity_by_info
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 Values = NDArray[np.float64]
@@ -82,6 +83,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
         _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
         defaults=log.defaults, printed=log.printed, vehicle=_vehicle_class(log),
+        identity=identity_by_info(log.info, log.parameters),
     )  # fmt: skip
 
 
@@ -189,9 +191,7 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
 
 
 def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
-    # The branch of the build if there is one, else the beginning of the version hash.
-    version = str(log.info.get("ver_sw_branch", "")) or str(log.info.get("ver_sw", ""))[:10]
-    notes = [f"PX4 {version} on {log.info.get('ver_hw', 'unknown hardware')}"]
+    notes = []
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
