@@ -15,6 +15,7 @@ from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
 from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
+from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the core, as machine code
@@ -60,7 +61,8 @@ def _is_ready_at(
     """The vehicle time of a frame; UNKNOWN, and no clock changed, if the core has to take it."""
     senders, kind = shared.senders, shared.table[number, k.KIND]
     stamp_us = _stamp_us(payload, size, number, shared)
-    if stamp_us and senders[cells.T0] == cells.UNKNOWN:
+    simulator_begins = number == HIL_SENSOR and senders[cells.SIMULATED] == 0
+    if stamp_us and (simulator_begins or senders[cells.T0] == cells.UNKNOWN):
         return i64(cells.UNKNOWN)
     clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
     system = cells.SYSTEM_TIME + (sender >> 8)
