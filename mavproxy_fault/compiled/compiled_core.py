@@ -17,6 +17,7 @@ from mavproxy_fault.proxy.capture_buffer import INDEX, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.routing import target_offsets
+from mavproxy_fault.proxy.senders import WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.frame import STX_V1, STX_V2
@@ -56,6 +57,7 @@ class CompiledCore:
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
         self._rows = len(core.links)  # the rows after the links' are for lent chunks
         self._interrupted = [self.loop[place] for place in INTERRUPTED]
+        self._core_ran = True  # since the rows of faults were last compared with the entries
         self._sends: list[Send] = []  # announcements, to be sent before anything else
         self._seen: tuple[Any, ...] = ()
         self._tie(None)
@@ -99,14 +101,15 @@ class CompiledCore:
             self.loop[k.EDGE] = engine.edge_us
             seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
-        if seen != self._seen or (plans is not None and plans.changed):
+        if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
             if plans is not None:
                 plans.clear()
             for number in self._learned:
                 self._classify(number)
             self._seen = seen  # only now: what fails for want of memory is done again
-        if plans is not None:
+        if plans is not None and self._core_ran:
             plans.follow_idle()
+        self._core_ran = False
 
     def _classify(self, number: int) -> None:
         """Set how a message is processed."""
@@ -143,6 +146,8 @@ class CompiledCore:
             plans = Plans()
             self._tie(plans)
             self._plans = plans
+            engine: Any = self._core.engine
+            engine.collect = lambda: plans.settle(engine)
         return self._plans
 
     # Chunks without a socket
@@ -168,6 +173,7 @@ class CompiledCore:
             if found in (k.FRAME, k.REST):
                 length = frame_length(data, at) if found == k.FRAME else len(data) - at
                 self._learn(data[at : at + length])
+                self._core_ran = True
                 sends += self._core.received(link, data[at : at + length], now_us, stream=stream)
                 at += length
             if at >= len(data):
@@ -191,7 +197,7 @@ class CompiledCore:
             loop[place] = value
         sends = self._segments(self._rows, -1, now_us)
         loop[k.SEGMENT] = loop[k.OTHERS] = 0
-        self._settle(now_us)
+        self._settle(now_us, plain=found == k.DONE)
         return sends + self.take_sends(), passed, found
 
     def _segments(self, rows: int, links: int, now_us: int) -> list[Send]:
@@ -221,6 +227,7 @@ class CompiledCore:
 
     def count(self) -> None:
         """Add the machine code's counts to the core's."""
+        self._settle(self._core.clock.t_us + self._core.senders[WALL_OFFSET])
         ports = self.ports
         for number, state in enumerate(self._core.states):
             state.frames += ports[number, k.FRAMES]
@@ -229,15 +236,18 @@ class CompiledCore:
             for column in (k.FRAMES, k.MISSING, k.FAULTED):
                 ports[number, column] = 0
 
-    def _settle(self, now_us: int) -> None:
-        """Give the core the faults' counts, the delayed frames and the passed ones."""
+    def _settle(self, now_us: int, *, plain: bool = False) -> None:
+        """Give the core the faults' counts, the delayed frames and the passed ones.
+
+        After a `plain` stretch, which needs nothing from the core, the counts can wait.
+        """
         loop, core = self.loop, self._core
         engine: Any = core.engine
         if engine is not None and loop[k.WANTED_AT]:
             engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
             loop[k.WANTED_AT] = 0
-            if self._plans is not None:
-                self._plans.settle(engine)
+        if self._plans is not None and engine is not None and not plain:
+            self._core_ran |= self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:
             due_us, mask, length = HELD.unpack_from(self._arrays["held"], at)
@@ -251,7 +261,7 @@ class CompiledCore:
             self._tape.sent += sent[: loop[k.SENT_AT]]
             self._tape.index += index[: loop[k.INDEX_AT]]
             self.drop_tape()
-        if engine is not None:
+        if engine is not None and not plain:
             self._sends += core.announce_labels(now_us)
 
     def take_sends(self) -> list[Send]:

@@ -97,7 +97,7 @@ class Forwarder(CompiledCore):
             others = loop[k.OTHERS]
             self._sends += self._segments(loop[k.LINK], others, now_us)
             loop[k.OTHERS] = 0
-        self._settle(now_us)
+        self._settle(now_us, plain=reason == k.OTHER_READY)
         return reason
 
     def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
@@ -150,6 +150,7 @@ class Forwarder(CompiledCore):
                 loop[k.AT], loop[k.ROW_AT] = at + 1, 0
                 return number, b"", loop[k.CAME]
         self._learn(data)
+        self._core_ran = True
         return number, data, loop[k.CAME]
 
     @property
@@ -181,6 +182,7 @@ class Forwarder(CompiledCore):
 
     def count(self) -> None:
         """Add the machine code's counts to the links', the core's and the latencies."""
+        self._settle((self.loop[k.BASE] + self.loop[k.CAME]) // 1000)
         ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
             if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):

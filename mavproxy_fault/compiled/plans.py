@@ -304,9 +304,9 @@ class Plans:
             if isinstance(generator, DrawnAhead):
                 generator.set_back()
 
-    def settle(self, engine: "Engine") -> None:
-        """Add the counts of the compiled code to the entries, whose labels may begin."""
-        entries = self.entries
+    def settle(self, engine: "Engine") -> bool:
+        """Add the counts of the compiled code to the entries; whether a label has begun."""
+        entries, begun = self.entries, False
         for row, running in enumerate(self._running):
             running.sealed += entries[row, k.SEALED]
             entries[row, k.SEALED] = 0
@@ -324,3 +324,5 @@ class Plans:
             self.changes[row, 1] = -1.0
             if running.needs_attention:
                 engine.attend(running, first_us)
+                begun = True
+        return begun

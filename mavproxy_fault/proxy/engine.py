@@ -5,7 +5,7 @@ one before. Only messages in `wanted` need to pass through the engine; inactive 
 nothing.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -56,6 +56,7 @@ class Engine:
         self._labels: list[Label] = []
         self._noted: dict[str, Label] = {}  # open labels of what the vehicle itself does
         self._released: list[Outgoing] = []  # released by a fault that ended
+        self.collect: Callable[[], object] = lambda: None  # adds what compiled code has counted
         self._update_wanted()
 
     @property
@@ -143,6 +144,7 @@ class Engine:
         self._index()
 
     def _end(self, running: ActiveEntry, t_us: int) -> None:
+        self.collect()
         self._released += running.release(t_us, overdue=False)
         label = running.close(t_us)
         if label is not None:
@@ -472,6 +474,7 @@ class Engine:
 
     def state(self) -> dict[str, Any]:
         """Return the state of the schedule and every fault, for pages and the bus."""
+        self.collect()
         return {
             "t0_us": self.t0_us,
             "now_us": self.now_us,
