@@ -28,9 +28,9 @@ from analysis.autopilots.hil_exchange import (
     ConnectionDeadline,
     is_lockstep_traffic,
 )
-from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
+from analysis.autopilots.stretches import open_stretches
 from analysis.autopilots.user_parameters import read_parameters
 from analysis.report.curves.fault_effects import deviation_curves, measure_effects
 from analysis.report.curves.recording import Signal
@@ -286,8 +286,8 @@ class AutopilotRun:
         self._autopilot_commands = commands
         self._operator = Operator(flight_plan(simulation), commands)
         mav_type, mix = mav_type_and_mix(simulation)
-        hil = HilPacker(mav_type=mav_type)
-        plain = plain_flight(simulation, hil, self._passage)
+        hil = HilPacker(simulation.board, mav_type=mav_type)
+        stretches = open_stretches(simulation, hil, self._passage)
         with launch as running:
             self._startup_pacer = StartupPacer(running)
             deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
@@ -310,7 +310,7 @@ class AutopilotRun:
                 speed,
                 self._progress,
                 lockstep,
-                plain if plain and plain.join(sender, receiver, lockstep) else None,
+                stretches if stretches and stretches.join(sender, receiver, lockstep) else None,
             )
             reason = ""
             try:

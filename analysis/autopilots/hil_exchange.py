@@ -24,7 +24,6 @@ from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading
-from simvehicle.vehicles.body import Truth
 
 SendListener = Callable[[list[Send]], None]  # receives the frames for monitor and ground station
 STAMP_BYTES = slice(10, 18)  # time_usec in every message that steps the autopilot
@@ -108,14 +107,14 @@ class AutopilotSender:
         self._pending_commands: list[bytes] = []  # of a ground station, for the next step
         self._step_sent = False  # whether a step has left since the last call of `commands`
 
-    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+    def frames(self, readings: Sequence[Reading]) -> list[bytes]:
         """Return the frames of a step after the faults."""
         out: list[bytes] = []
         self._step_sent = True
         # The operator first: its commands belong to the state before this step.
         if self._proxy_answers or self._pending_commands:
             self._send_pending(out)
-        data = b"".join(self._packer.frames(t_us, truth, readings))
+        data = b"".join(self._packer.frames(readings))
         return self.send_packed(data, self._packer.step_us, out)
 
     def send_packed(
@@ -139,7 +138,7 @@ class AutopilotSender:
         return out
 
     def note_step(self, step_us: int) -> None:
-        """Note that plain steps have sent a step with this timestamp."""
+        """Note that a stretch has sent a step with this timestamp."""
         self.step_us, self._step_sent = step_us, True
 
     @property
@@ -293,7 +292,7 @@ class AutopilotReceiver:
         self.link = links[0]
         self._sender, self._connection_deadline, self._lockstep = sender, deadline, lockstep
         self._inboxes = [Inbox(link) for link in links]
-        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by plain steps
+        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by a stretch
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """Return received frames that have left the proxy for the simulator."""
@@ -313,7 +312,7 @@ class AutopilotReceiver:
         return found
 
     def push_bytes(self, stream: int, data: bytes) -> None:
-        """Take bytes of the HIL link that plain steps have read."""
+        """Take bytes of the HIL link that a stretch has read."""
         self._pushed_chunks.append((stream, data))
 
     def incomplete(self, stream: int) -> bool:
