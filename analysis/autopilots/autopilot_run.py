@@ -19,7 +19,12 @@ import msgspec
 
 from analysis.autopilots.ardupilot import ardupilot_process
 from analysis.autopilots.bus_session import AutopilotBusSession
-from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, AutopilotCommands, Operator
+from analysis.autopilots.flight_operator import (
+    IGNORED_STREAMS,
+    OPERATOR_PERIOD_US,
+    AutopilotCommands,
+    Operator,
+)
 from analysis.autopilots.flight_plan import DEFAULT_HEIGHTS_M, flight_plan
 from analysis.autopilots.flight_process import run_flight_process
 from analysis.autopilots.hil_exchange import (
@@ -55,7 +60,7 @@ from mavproxy_fault.schedule.entries import Entry, Schedule
 from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.parser import Parser, walk_frames
 from mavproxy_fault.wire.tlog import read_columns
 from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.pace import parse_speed
@@ -351,7 +356,12 @@ class AutopilotRun:
     def _deliver(self, sends: list[Send]) -> None:
         for send in sends:
             if send.link == GROUND and not is_lockstep_traffic(send.data):
-                for item in self._parser.push(send.data, datagram=True):
+                wanted = [
+                    send.data[start:end]
+                    for start, end, number in walk_frames(send.data)
+                    if number not in IGNORED_STREAMS
+                ]
+                for item in self._parser.push(b"".join(wanted), datagram=True):
                     if isinstance(item, Frame):
                         self._operator.receive(item)
 

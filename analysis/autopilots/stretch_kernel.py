@@ -34,8 +34,9 @@ Octets = NDArray[np.uint8]
 Doubles = NDArray[np.float64]
 
 # Why a stretch ends: its time, bytes that the inbox has to take, frames that the core has to take,
-# bytes that have not left, no answer, a state that has diverged
-OVER, CAME, KEPT, STAYED, SILENT, DIVERGED = range(6)
+# bytes that have not left, no answer, a state that has diverged, an answer that the core has to
+# finish
+OVER, CAME, KEPT, STAYED, SILENT, DIVERGED, ANSWERED = range(7)
 WAIT_MS = 50  # for an answer, before the loop has a look at its time-outs
 ROOM = 32_768
 DONTWAIT, NOSIGNAL, POLLIN = 0x40, 0x4000, 1
@@ -86,9 +87,9 @@ def _called(_: Any, function: Any, argument: Any) -> Any:
 
 @inlined
 def _passed(s: Any, loop: Integers, link: int, length: int, t_us: int) -> int:
-    """The links that a datagram in the proxy's room leaves on, changed there; -1 if the core has
-    to take it; as `Passage.passed`."""
-    loop[c.LENT], loop[c.LINK], loop[c.CAME] = length, link, t_us + s.unix_us
+    """The links that a datagram in the proxy's room leaves on, changed there; UNTOUCHED or BEGUN if
+    the core has to finish it."""
+    loop[c.LENT], loop[c.LINK], loop[c.CAME] = length, link, 1000 * (t_us + s.unix_us)
     _called(s.forward, s.addresses)
     return int(loop[c.MASK])
 
@@ -172,7 +173,7 @@ def fly_stretch(
             data[i] = s.came[i]
         mask = _passed(s, loop, s.vehicle, s.got, f.t_us)
         if mask < 0:
-            return CAME
+            return CAME if mask == c.UNTOUCHED else ANSWERED
         s.answered_us = s.step_us
         if mask >> s.simulator & 1:
             _obey(flight, stretch, data[_HEAD : _HEAD + PAYLOAD_SIZE])

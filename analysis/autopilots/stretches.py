@@ -27,7 +27,7 @@ class Stretches:
         self._records = np.zeros(1, dtype=k.STRETCH)
         self._now: Any = self._records[0]
         self._now["simulator"], self._now["vehicle"] = SIMULATOR, VEHICLE
-        self._room = np.asarray(passage.loop), np.asarray(passage.data)
+        self._room = np.asarray(passage.loop), np.asarray(passage.room)
         # Compile now, without a step to fly, while no autopilot waits.
         self._fly()
 
@@ -109,9 +109,13 @@ class Stretches:
         now, sender = self._now, self._sender
         if reason == k.CAME:
             self._receiver.push_bytes(self._stream, now["came"][: now["got"]].tobytes())
+        elif reason == k.ANSWERED:
+            answer = now["came"][: now["got"]].tobytes()
+            sends = self._passage.finish(VEHICLE, answer, sender.flight.now_us)
+            self._receiver.route_received(answer, sends, sender.returned)
         elif reason == k.KEPT:
             packed = self._packer.packed_bytes()
-            self._link.write(b"".join(sender.send_packed(packed, self._packer.step_us)))
+            self._link.write(b"".join(sender.finish_packed(packed)))
             self._lockstep.sent(sender.step_us, time.monotonic())
         elif reason == k.STAYED:
             length, went = len(self._packer.packed_bytes()), max(int(now["went"]), 0)

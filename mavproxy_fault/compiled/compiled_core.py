@@ -6,7 +6,6 @@ was counted. It needs no sockets; `forwarder` adds those.
 """
 
 import struct
-from collections.abc import Iterator
 from ctypes import c_void_p
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +19,7 @@ from mavproxy_fault.proxy.routing import target_offsets
 from mavproxy_fault.proxy.senders import WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
-from mavproxy_fault.wire.frame import STX_V1, STX_V2
-from mavproxy_fault.wire.parser import frame_span
+from mavproxy_fault.wire.parser import frame_span, walk_frames
 from mavproxy_fault.wire.signing import SETUP_SIGNING
 
 if TYPE_CHECKING:
@@ -77,7 +75,7 @@ class CompiledCore:
 
     def _learn(self, data: bytes) -> None:
         """Learn the messages of a datagram that are new."""
-        for number in message_ids(data):
+        for _, _, number in walk_frames(data):
             described = find_layout(number) if number < k.IDS else None
             if described is not None and number not in self._learned:
                 self._learned[number] = described
@@ -282,14 +280,3 @@ def frame_length(data: bytes, at: int) -> int:
     place = frame_span(data, at)
     assert place is not None
     return place[0]
-
-
-def message_ids(data: bytes) -> Iterator[int]:
-    """Yield the message ids of a datagram's frames, up to bytes that are none."""
-    at = 0
-    while at < len(data) and data[at] in (STX_V1, STX_V2):
-        place = frame_span(data, at)
-        if place is None:
-            return
-        yield place[1]
-        at += place[0]

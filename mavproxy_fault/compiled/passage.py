@@ -1,4 +1,4 @@
-"""The compiled core for a process that contains both ends of a link, and calls it without Python."""
+"""The compiled core for a process that contains both ends of a link."""
 
 import ctypes
 import sys
@@ -50,6 +50,7 @@ class Passage(CompiledCore):
     def settle(self) -> None:
         """Give the core what was counted, and the passed frames to the tape."""
         self._settle((self.loop[k.BASE] + self.loop[k.CAME]) // 1000)
+        self._core_ran = True
 
 
 def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:

@@ -40,7 +40,7 @@ class Stage(NamedTuple):
 
 def memories_of(running: ActiveEntry) -> list[tuple[int, tuple[int, ...], Memory]]:
     """What an entry with a rule remembers: direction, sender (or nothing), and where."""
-    found = []
+    found: list[tuple[int, tuple[int, ...], Memory]] = []
     for way, state in running.states.items():
         if isinstance(state, Memory):
             found.append((WAYS.index(way), (), state))
@@ -176,11 +176,10 @@ class Plans:
         plan[k.FRAMES_HIT :] = [0] * (k.ENTRY_SIZE - k.FRAMES_HIT)
         if isinstance(fault, RuleFault) and fault.rule is not None:
             plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
-            shared = getattr(fault, "profile", None) is not None
+            profile = getattr(fault, "profile", None)
             # One more than the numbers of an element; 0 for no memory.
+            shared = profile is not None and profile.remembers
             plan[k.REMEMBERS] = fault.remembers + 1 if fault.remembers or shared else 0
-            if shared and not fault.profile.remembers:
-                plan[k.REMEMBERS] = 0
         elif isinstance(fault, RuleLinkFault) and fault.effect in EFFECTS:
             plan[k.EFFECT], plan[k.RULE] = EFFECTS[fault.effect], link_rules().index(fault.rule)
             plan[k.REMEMBERS] = int(fault.remembers > 0)

@@ -187,6 +187,8 @@ def _give_back(length: int, found: int, shared: Shared) -> None:
     loop, rows = shared.loop, shared.loop[k.LINK_COUNT]
     start = rows * k.BATCH * k.ROW
     loop[k.MASK] = k.BEGUN if loop[k.ROW_AT] else k.UNTOUCHED
+    if loop[k.HELD_AT]:
+        return
     if found == k.DONE and loop[k.SEGMENT] <= 1 and loop[k.OUT_AT] in (start, start + length):
         loop[k.MASK] = shared.masks[rows, 0] if loop[k.SEGMENT] else 0
         for n in range(loop[k.OUT_AT] - start):
