@@ -4,7 +4,7 @@
     python benchmarks/wire_costs.py --faults
 
 The first form sends windows of 64 frames of HIL_SENSOR through proxies that take turns in each
-round: a forwarder in C (UDP only), mavlink-router (built by whoever runs this) and
+round: a forwarder in C (UDP only), mavlink-router (built by the person who runs this) and
 mavproxy-fault, as processes; it prints microseconds of their processor time per frame, medians of
 the rounds. The second form gives the cost of each fault of the catalogue within one process, in
 units of that of a bias.

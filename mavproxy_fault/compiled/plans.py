@@ -132,7 +132,7 @@ class Plans:
         return any(stage(running) != before for running, before in self._stages)
 
     def follow_idle(self) -> None:
-        """Note when the core has to see the next frame of faults that seldom act."""
+        """Note when the core has to see the next frame of faults that act at intervals."""
         for row, running in enumerate(self._running):
             if self.entries[row, k.EFFECT] == k.IDLE:
                 states = running.states.values()

@@ -15,7 +15,7 @@ _used = 0
 
 
 class Memory:
-    """A region of zeros, returned when nobody holds it any more."""
+    """A region of zeros, released with its last reference."""
 
     __slots__ = ("at", "size")
 
