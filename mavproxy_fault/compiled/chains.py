@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.elements import (
+from mavproxy_fault.compiled.element_bytes import (
     LARGEST_WHOLE,
     little_endian,
     read_element,

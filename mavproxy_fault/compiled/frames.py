@@ -9,7 +9,7 @@ import numpy as np
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.chains import apply_chain, is_ready, read_instance, seal
-from mavproxy_fault.compiled.elements import little_endian
+from mavproxy_fault.compiled.element_bytes import little_endian
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.proxy import sender_rules
