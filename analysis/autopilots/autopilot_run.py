@@ -36,7 +36,6 @@ from analysis.autopilots.hil_exchange import (
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
 from analysis.autopilots.stretches import open_stretches
-from analysis.autopilots.user_parameters import read_parameters
 from analysis.report.curves.fault_effects import deviation_curves, measure_effects
 from analysis.report.curves.recording import Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
@@ -53,6 +52,7 @@ from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
 from mavproxy_fault.proxy.interfaces import Send

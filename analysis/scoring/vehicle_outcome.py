@@ -26,6 +26,7 @@ VEHICLE_OUTCOMES = (
     AS_COMMANDED, UNAFFECTED, DETECTED, DEGRADED, UNCOMMANDED, FAILSAFE, FLEW_AWAY, LOST_CONTROL,
     CRASHED,
 )  # fmt: skip
+BAD_ENDS = (FLEW_AWAY, LOST_CONTROL, CRASHED)
 CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
 UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
 LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost

@@ -43,14 +43,14 @@ def check_command(binary: str) -> list[str]:
 
 
 def start_process(
-    command: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
+    command: list[str], folder: Path, ports: Ports, home: TrueState
 ) -> "subprocess.Popen[bytes]":
-    """Start the program in `folder`; later files of `defaults` take precedence."""
+    """Start the program in `folder`, with the parameters of its `PARAMETER_FILE`."""
     place = f"{home.lat_e7 * 1e-7:.7f},{home.lon_e7 * 1e-7:.7f},{home.alt_mm * 1e-3:.3f}"
     options = {
         "--model": "JSON:127.0.0.1",
         "--home": f"{place},{home.yaw_deg:.2f}",
-        "--defaults": ",".join(str(path.resolve()) for path in defaults),
+        "--defaults": PARAMETER_FILE,
         "--speedup": str(SPEEDUP),
         "--sim-port-out": str(ports.physics),
         "--serial0": f"udpclient:127.0.0.1:{ports.mavlink}",

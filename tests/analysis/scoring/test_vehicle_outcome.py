@@ -63,6 +63,7 @@ def test_a_crash_in_the_words_of_the_autopilot_is_a_crash() -> None:
     [
         "Crash check disabled", "Crash check enabled", "Failsafe enabled",
         "Failsafe mode deactivated", "Battery failsafe action set to LAND",
+        "vibration compensation: error 1",
     ],
 )  # fmt: skip
 def test_a_setting_and_an_end_are_neither_crash_nor_failsafe(text: str) -> None:
