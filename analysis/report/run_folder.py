@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from analysis.results import Result, encode_lines
-from mavproxy_fault.documents.atomic_file import write_atomic
+from mavproxy_fault.documents.atomic_file import replace_file, write_all, write_atomic
 from mavproxy_fault.documents.errors import ConfigError
 
 
@@ -49,7 +49,7 @@ class ResultFile:
     """Writes `results.jsonl`, one result per line; written lines survive a kill of the process."""
 
     def __init__(self, folder: Path) -> None:
-        self._file = (folder / "results.jsonl").open("wb")
+        self._file = replace_file(folder / "results.jsonl")
 
     def __enter__(self) -> "ResultFile":
         return self
@@ -63,9 +63,8 @@ class ResultFile:
         self._file.close()
 
     def write(self, results: Iterable[Result]) -> None:
-        """Append results and flush."""
-        self._file.write(encode_lines(results))
-        self._file.flush()
+        """Append results."""
+        write_all(self._file, encode_lines(results))
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from mavproxy_fault.documents.atomic_file import create_file, write_all
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.code_cache import is_usable, user_number
 
@@ -65,6 +66,5 @@ def _create_credentials(folder: Path) -> Path:
 
 
 def _write(path: Path, text: str) -> None:
-    # Restrict access before writing the password.
-    path.touch(mode=0o600)
-    path.write_text(text)
+    with create_file(path) as file:
+        write_all(file, text.encode())
