@@ -32,6 +32,12 @@ def replace_file(path: Path) -> FileIO:
     return create_file(path)
 
 
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file of this user alone, as `replace_file` does."""
+    with replace_file(path) as file:
+        write_all(file, data)
+
+
 def write_atomic(path: Path, text: str, mode: int = SHARED) -> None:
     """Write a file so that a reader sees either the old or the new content."""
     # Renaming within a folder is atomic.
