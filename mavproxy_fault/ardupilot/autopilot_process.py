@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.ardupilot.hil_readings import TrueState
+from mavproxy_fault.documents.atomic_file import replace_file
 from mavproxy_fault.documents.errors import ConfigError
 
 OUTPUT_LOG = "autopilot.log"
@@ -64,7 +65,7 @@ def start_process(
         "--serial8": "none:",
     }
     arguments = [word for option in options.items() for word in option]
-    with (folder / OUTPUT_LOG).open("wb") as output:
+    with replace_file(folder / OUTPUT_LOG) as output:
         return subprocess.Popen(
             [*command, "-w", *arguments],
             cwd=folder,
