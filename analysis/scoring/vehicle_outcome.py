@@ -300,11 +300,11 @@ def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEven
         before = beyond[:at][t_s[:at] < blow_s - STOP_S]
         if not ends or (len(before) and beyond[at] < BLOW_FACTOR * np.quantile(before, 0.999)):
             continue
-        after = (motion.t_s >= blow_s) & (motion.t_s <= blow_s + REST_S)
-        lost = bool(np.any(motion.tilt_deg[after] > LOST_TILT_DEG))
+        around = np.abs(motion.t_s - blow_s) < REST_S
+        lost = bool(np.any(motion.tilt_deg[around] > LOST_TILT_DEG))
         if lost or ends[0] - blow_s < REST_S:
-            what = "the attitude was lost" if lost else "the motors were cut"
-            text = f"{BLOW} of {beyond[at]:.0f} m/s², then {what}"
+            what = "with the attitude lost" if lost else "then the motors were cut"
+            text = f"{BLOW} of {beyond[at]:.0f} m/s², {what}"
             return [VehicleEvent(round(blow_s, 3), CRASHED, text)]
     return []
 
