@@ -73,7 +73,8 @@ def main() -> None:
             print(f"{path.name} ({found['verdict']}, {found['outcome']}): {', '.join(wrong)}")
     for name in sorted({*true, *false, *missed}):
         print(f"{name}: {true[name]} true, {false[name]} false, {missed[name]} missed")
-    print(f"crashes that fail: {failed} of {crashes}; first event in time: {timed - late} of {timed}")
+    print(f"crashes that fail: {failed} of {crashes}")
+    print(f"first event in time: {timed - late} of {timed}")
     print(f"clean flights that warn or fail: {warned} of {clean}")
 
 

@@ -140,9 +140,9 @@ def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
-        elif campaign.fails(result.outcome):
+        elif campaign.fails(result):
             failures += 1
-            text = f"{result.outcome}; {describe_excursions(result)}"
+            text = f"{result.outcome}; {result.failed or describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)
     suite.set("failures", str(failures))
     suite.set("errors", str(errors))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from analysis.field_maps.dataflash_map import DATAFLASH
 from analysis.field_maps.ulog_map import ULOG
 from analysis.report.curves.derived_curves import derive_curves
 from analysis.report.curves.recording import FlightData, Message, Signal
@@ -120,3 +121,11 @@ def test_estimators_that_are_both_upside_down_agree() -> None:
         s for s in derive_curves(FlightData("r", signals=signals))[0] if s.panel == "divergence"
     ]
     assert apart.value.max() == pytest.approx(2.0 * np.cos(np.radians(10.0)), abs=0.01)
+
+
+def test_a_simulated_heading_of_ardupilot_is_in_degrees() -> None:
+    message = Message(np.array([0.0, 1.0]), {"Yaw": np.array([350.0, 10.0])})
+    data = FlightData("r")
+    add_message(data, DATAFLASH["SIM"], message)
+    (heading,) = (one for one in data.signals if one.panel == "yaw")
+    assert heading.value == pytest.approx([-10.0, 10.0])
