@@ -5,6 +5,7 @@ byte with the session's schedule, which is the default. With another schedule th
 """
 
 import argparse
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.atomic_file import replace_file, write_all
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -198,6 +200,13 @@ def main(args: argparse.Namespace) -> int:
     schedule = read_schedule(args.schedule) if args.schedule else recorded_schedule(source)
     tape = CaptureBuffer() if args.out else None
     playing = LogReplay(source, schedule, tape, read_signing(args))
+    for entry in () if playing.repeats else schedule.faults:
+        if isinstance(entry.fault, SimulatorFault):
+            print(
+                f"replay: {entry.name} on {', '.join(entry.targets)} changes nothing in a log: the "
+                "simulator applies it; fly it with run, or choose a target in a message",
+                file=sys.stderr,
+            )
     if tape is not None:
         out = Path(args.out)
         # By file identity, since a link may have another name.
