@@ -154,7 +154,7 @@ class BridgedAutopilot:
         return answers
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
-        values = bridge_parameters(self._vehicle, discovered.sensors) | self._overrides
+        values = {**bridge_parameters(self._vehicle, discovered.sensors), **self._overrides}
         (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
         rate_hz = discovered.sensors.rate_hz
         self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
