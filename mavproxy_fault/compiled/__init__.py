@@ -1,8 +1,8 @@
-"""The proxy's fast form: the same rules as machine code, from system call to system call.
+"""The core's machine code: the same rules, frame by frame, on every link.
 
-The *layout* names the columns of the arrays both sides share. *Frames* verifies, patches, counts
-and records whole datagrams, *sockets* waits, receives and sends in batches. *Plans* are faults
-written down as rows of numbers. The *object file* is their machine code, made once and loaded
-without numba. The *forwarder* owns the arrays. docs/compiled.md lists what it supports and what
-it does not.
+The *layout* names the columns of the arrays that both sides share. *Frames* verifies, times, routes
+and records frames, *chains* lets faults act on them, *sockets* waits, receives and sends in
+batches. *Plans* are faults written down as rows of numbers. The *object file* is the machine code,
+made once and loaded without numba. The *compiled core* processes chunks in it and leaves the rest
+to the core; the *forwarder* does so on sockets. docs/compiled.md lists what goes which way.
 """
