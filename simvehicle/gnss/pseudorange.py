@@ -57,12 +57,11 @@ def signal_geometry(
 ) -> Vector:
     """The signals of n satellites received at GPS time `tow_s`, as rows (10, n).
 
-    They are geometric range [m] and range rate [m/s], the satellite's clock error [s] and its rate,
-    elevation and azimuth [rad], the atmospheric delay [m], and the unit vector to the satellite,
-    Earth-fixed at reception. Below 3 degrees of elevation, and below the horizon, the delay is that
-    at 3 degrees; empty `coefficients` mean no ionosphere. The position is
-    `r_ecef_m[:3]`. The time of flight comes from two evaluations of the orbit, each refined along
-    the velocity; the remaining error is below a micrometre.
+    Range [m] and its rate [m/s], satellite clock error [s] and its rate, elevation and azimuth
+    [rad], atmospheric delay [m] (below 3 degrees of elevation that at 3 degrees; empty
+    `coefficients` mean no ionosphere), and the unit vector to the satellite, Earth-fixed at
+    reception. The position is `r_ecef_m[:3]`. The time of flight comes from two evaluations of the
+    orbit, each refined along the velocity; the remaining error is below a micrometre.
     """
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
     lat, lon, height = geodetic_of(rx, ry, rz)
