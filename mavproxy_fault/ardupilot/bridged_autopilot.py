@@ -3,7 +3,7 @@
 import select
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, Ports, start_process
@@ -35,7 +35,7 @@ class BridgedAutopilot:
     vehicle : {"copter", "plane"}
     folder : Path
         Working folder of the process, with its logs.
-    overrides : mapping of str
+    overrides : dict of str
         The user's parameters; they override the bridge's.
     say : callable
         Receives status lines for the user.
@@ -50,7 +50,7 @@ class BridgedAutopilot:
         command: Sequence[str],
         vehicle: VehicleKind,
         folder: Path,
-        overrides: Mapping[str, float],
+        overrides: dict[str, float],
         say: Callable[[str], None],
         hil: str = "the HIL link",
     ) -> None:
