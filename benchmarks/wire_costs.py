@@ -217,7 +217,9 @@ def print_links(args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         subprocess.run(["cc", "-O2", "-o", folder / "forwarder", HERE / "forwarder.c"], check=True)
-        print("| row | C | mavlink-router | mavproxy-fault | of mavlink-router |\n|---|---|---|---|---|")
+        print(
+            "| row | C | mavlink-router | mavproxy-fault | of mavlink-router |\n|---|---|---|---|---|"
+        )
         for row in ROWS:
             costs: dict[str, list[float]] = {}
             for _ in range(args.rounds):
@@ -238,7 +240,9 @@ def fault_us(faults: list[dict[str, Any]], chunks: list[bytes]) -> float:
     best_s = float("inf")
     for _ in range(2):
         engine = Engine(parse_schedule({"seed": 1, "faults": faults}))
-        core = Core([LinkRole("a", "from-vehicle", False), LinkRole("b", "to-vehicle", False)], engine)
+        core = Core(
+            [LinkRole("a", "from-vehicle", False), LinkRole("b", "to-vehicle", False)], engine
+        )
         compiled, now_us = CompiledCore(core, 0, None), 10**12
         begun_s = time.process_time()
         for chunk in chunks:
