@@ -223,13 +223,14 @@ class NavigationDetector:
             if states.by_fix:  # the fix is the filter's input
                 for name in OF_RECEIVER:
                     states.sensors[name].stamp_us = NEVER_US
-            if row in called:  # also without samples: a fix may come later
+            if row in called:
                 end = int(np.searchsorted(imu, row))
                 states.add_rates(rates_rps[begin:end])
-                states.view, begin = _view_reference(decision, motion, states.turning_rps), end
-            if all(one.stamp_us == NEVER_US for one in states.sensors.values()):
-                continue
-            if row in called:
+                begin = end
+                # Also without a sample: a late fix is compared with it.
+                states.view = _view_reference(decision, motion, states.turning_rps)
+                if all(one.stamp_us == NEVER_US for one in states.sensors.values()):
+                    continue
                 states.turning_rps = 0.0
             found += [(row, result) for result in self._outcomes(names, states)]
         states.add_rates(rates_rps[begin:])

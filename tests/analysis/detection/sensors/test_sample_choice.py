@@ -1,5 +1,6 @@
 """Which samples are held against which state: without the detector, with a compass that turns."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -88,3 +89,21 @@ def test_an_older_sample_may_have_another_attitude(rate_rps: float, alarm: bool)
     (*_, (sensor, statistic)) = judged(rows, [*rolls, 0.0])
     assert sensor == "mag"
     assert (statistic > 26.0) is alarm
+
+
+def test_a_fix_is_compared_with_its_own_epoch_even_if_no_other_sensor_had_a_sample() -> None:
+    order = [kinds.MAG, kinds.TRUTH, kinds.TRUTH, kinds.FIX]
+    stamps = np.array([0, 0, STEP_US, STEP_US])
+    values = np.zeros((4, kinds.WIDTH))
+    values[:, :3] = FIELD_GAUSS
+    x = np.zeros(X_SIZE)
+    x[0], x[6] = 6_378_137.0, 1.0
+    motion = MotionEstimate(0, x, np.zeros((ERROR_SIZE, ERROR_SIZE)), inertial=True)
+    faulty = msgspec.structs.replace(decision(STEP_US), hypothesis="imu")
+    detector = NavigationDetector()
+    found, _ = detector._judged(
+        kinds.Block(np.array(order), stamps, values, {}),
+        [(1, decision(0), motion), (2, faulty, motion)],
+        detector.new_state().states,
+    )
+    assert [result.reason for row, result in found if row == 3] == ["no healthy reference"] * 2
