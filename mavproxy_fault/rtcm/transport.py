@@ -51,7 +51,6 @@ def _crc_tables() -> tuple[tuple[int, ...], ...]:
 
 
 _TABLES = _crc_tables()
-CRC24Q_TABLE = _TABLES[0]
 
 
 def crc24q(data: bytes) -> int:
