@@ -3,9 +3,9 @@
     python benchmarks/flight_logs.py FOLDER [TABLE]
 
 TABLE (`benchmarks/flight_logs.csv`) has a row per log: its MD5, repository, half (the first was
-used for development), class, whether it crashed, and the checks that are true of it. Those of the first
-half were held against numbers that pymavlink and pyulog give, those of the second only where they
-looked wrong. Of the logs themselves nothing is stored here.
+used for development), class, whether it crashed, and the checks that are true of it. Those of the
+first half were held against numbers that pymavlink and pyulog give, those of the second only where
+they looked wrong. Of the logs themselves nothing is stored here.
 """
 
 import csv
