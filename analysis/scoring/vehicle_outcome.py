@@ -315,11 +315,23 @@ def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEven
             continue
         around = np.abs(motion.t_s - blow_s) < REST_S
         lost = bool(np.any(motion.tilt_deg[around] > LOST_TILT_DEG))
-        if lost or ends[0] - blow_s < REST_S:
+        cut = ends[0] - blow_s < REST_S and not _touches_down(motion, blow_s)
+        if lost or cut:
             what = "with the attitude lost" if lost else "then the motors were cut"
             text = f"{BLOW} of {beyond[at]:.0f} m/s², {what}"
             return [VehicleEvent(round(blow_s, 3), CRASHED, text)]
     return []
+
+
+def _touches_down(motion: VehicleMotion, t_s: float) -> bool:
+    """Whether the vehicle came down slowly and steadily to its lowest height."""
+    before = (motion.t_s > t_s - 1.0) & (motion.t_s < t_s - BEFORE_S)
+    after = (motion.t_s > t_s) & (motion.t_s < t_s + STOP_S)
+    if not before.any() or not after.any():
+        return False
+    sink_mps = float(np.median(motion.sink_mps[before]))
+    low = motion.height_m[after].min() < np.nanmin(motion.height_m) + AIRBORNE_M
+    return bool(BEFORE_S < sink_mps < CRASH_MPS and low)
 
 
 def _find_upset(

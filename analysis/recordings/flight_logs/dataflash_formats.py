@@ -123,7 +123,8 @@ def _named(form: MessageFormat) -> MessageFormat:
         same = [a == b for a, b in zip(own, first, strict=False)]
         if form.name == name and len(own) == len(first) and same.count(False) == 1:
             i = same.index(False)
-            if _one_wrong(own[i], first[i]):
+            # Logs up to 2015 have milliseconds.
+            if own[i] != "TimeMS" and _one_wrong(own[i], first[i]):
                 return replace(form, columns=(*first, *form.columns[len(first) :]))
         # Messages are named in capitals and digits.
         strange = form.name not in KNOWN and own == first

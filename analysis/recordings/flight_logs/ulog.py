@@ -117,6 +117,8 @@ def read_ulog(
     topics = {}
     for key, rows in raw.items():
         keep, t_us = times.keep[key], times.times[key]
+        if not keep.any():
+            continue
         columns = {n: rows[n][keep] for n in rows.dtype.names or () if n != "at"}
         topics[key] = _with_newer_names(columns | {"timestamp": t_us[keep]})
     texts = _texts(others, times)

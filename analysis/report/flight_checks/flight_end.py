@@ -56,7 +56,7 @@ def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> Fli
         return FlightCheck(name=name, verdict=PASS, evidence=slow, limit=limit, panel="climb")
     return FlightCheck(
         name=name,
-        verdict=FAIL if speed_mps > fail else WARN,
+        verdict=FAIL if speed_mps >= fail else WARN,
         evidence=f"hit the ground at a sink rate of {speed_mps:.1f} m/s, at {at_s:.1f} s",
         limit=limit,
         windows=((at_s, at_s + STOP_S),),

@@ -94,6 +94,13 @@ def test_a_blow_that_ends_the_flight_is_a_crash(blow_mps2, armed_until_s, outcom
     )
 
 
+def test_a_touchdown_that_the_imu_feels_hard_is_no_crash() -> None:
+    felt_mps2 = np.full_like(T_S, 9.8)
+    felt_mps2[np.searchsorted(T_S, 52.4)] += 140.0
+    found = flight(force=(T_S, felt_mps2), armed=[(3.0, 53.5)])
+    assert found.outcome == "landed as commanded"
+
+
 def test_a_vehicle_thrown_over_in_the_air_lost_control_unless_it_flies_a_flip() -> None:
     tilt = np.where((T_S > 20.0) & (T_S < 20.5), 120.0, 2.0)
     assert flight(tilt_deg=tilt).outcome == "lost control"

@@ -121,3 +121,14 @@ def test_only_the_wanted_messages_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(log())
     assert {name for name, _ in read_dataflash(path, ("ATT",)).topics} == {"ATT"}
+
+
+def test_an_old_log_keeps_its_milliseconds(tmp_path: Path) -> None:
+    fields = b"TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"
+    data = form("FMT") + row("FMT", 130, 19, b"ATT", b"Icccccc", fields)
+    for tick in range(100):
+        data += b"\xa3\x95\x82" + struct.pack("<Ihhhhhh", 60_000 + tick * 100, 1, 1, 1, 1, 1, 1)
+    path = tmp_path / "old.bin"
+    path.write_bytes(data)
+    times = read_dataflash(path).topics["ATT", 0]["TimeUS"]
+    assert times[[0, -1]].tolist() == [60_000_000, 69_900_000]
