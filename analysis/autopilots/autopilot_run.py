@@ -36,7 +36,7 @@ from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
 from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.run.vehicle_judging import judge_vehicle_of_run
 from analysis.scoring.criteria import CriterionCheck
@@ -149,8 +149,8 @@ def main(args: argparse.Namespace) -> int:
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns)
-    print_summary(summary, folder)
-    return 1 if reason else EXIT_CODES[summary["verdict"]]
+    code = show_summary(args, summary, folder)
+    return 1 if reason else code
 
 
 def report_early_end(summary: dict[str, Any], reason: str) -> None:

@@ -24,12 +24,13 @@ from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.run_progress import RunProgress
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.errors import ConfigError
@@ -101,8 +102,7 @@ def main(args: argparse.Namespace) -> int:
         if injected is not None:
             (folder / "labels.jsonl").write_bytes(encode_lines(injected))
         _report(args, folder, labels or [], summary, reference, integrity)
-    print_summary(summary, folder)
-    return EXIT_CODES[summary["verdict"]]
+    return show_summary(args, summary, folder)
 
 
 def open_results_bus(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
@@ -140,10 +140,11 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     samples = [sample for block in read_blocks(args) for sample in block.samples()]
     found = calibrate_sigma(samples, config.detector)
     write_sigma(path, found)
-    print(
+    text = (
         f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
         f"{found.chi_square_per_dof:.2f}; use it with --sigma {path}"
     )
+    print_result(args, {"file": path, "fit": found}, text)
     return 0
 
 

@@ -19,7 +19,7 @@ from analysis.run.reference_flight import REFERENCE_FOLDER, start_reference_flig
 from analysis.run.run_progress import RunProgress
 from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.run.vehicle_judging import judge_vehicle_of_run
 from mavproxy_fault.app.recorder import EDITS, Recorder
@@ -96,8 +96,7 @@ def main(args: argparse.Namespace) -> int:
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns, curves)
-    print_summary(summary, folder)
-    return EXIT_CODES[summary["verdict"]]
+    return show_summary(args, summary, folder)
 
 
 def run_flight(

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.plant_fault import PlantFault
@@ -50,7 +51,7 @@ def replay_rinex(args: argparse.Namespace) -> int:
     out.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
     labels_path = out.with_suffix(out.suffix + ".labels.jsonl")
     labels_path.write_bytes(encode_lines(labels))
-    print(f"{out}\n{labels_path}")
+    print_result(args, {"log": out, "labels": labels_path}, f"{out}\n{labels_path}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"fault {word} matched no observation", file=sys.stderr)
     return 0

@@ -30,17 +30,17 @@ from mavproxy_fault.documents.atomic_file import write_atomic
 MAX_CURVES = 300  # flights with curves in the page, the worst ones
 
 
-def write_report(folder: Path, plan: CampaignPlan) -> None:
-    """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
+def write_report(folder: Path, plan: CampaignPlan) -> dict[str, object]:
+    """Write the page, `campaign-summary.json` (returned), CSV, Markdown and JUnit XML."""
     campaign, results = write_page(folder, plan)
-    (folder / "campaign-summary.json").write_text(
-        json.dumps(campaign_summary(plan, results), indent=1) + "\n"
-    )
+    summary = campaign_summary(plan, results)
+    (folder / "campaign-summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     (folder / "summary.md").write_text(render_markdown(campaign, results), encoding="utf-8")
     write_csv(folder / "cells.csv", results)
     # A compiled campaign has too many cells for JUnit readers.
     if not campaign.compiled:
         write_junit(folder / "junit.xml", campaign, results)
+    return summary
 
 
 def write_page(
@@ -69,6 +69,7 @@ def write_page(
 def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
     """Return outcome counts by subject and fault, and the critical magnitudes if searched."""
     summary: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
+    summary["failed"] = sum(plan.campaign.fails(result.outcome) for result in results)
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
         by_fault = counts.setdefault(result.cell.subject, {})
