@@ -60,7 +60,7 @@ NO_COLOR turns colours off.
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # supported by shtab
 HELP_ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
-    "search", "report", "ui", "warm-up",
+    "search", "report", "ui", "new", "warm-up",
 )  # fmt: skip
 
 

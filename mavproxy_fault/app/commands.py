@@ -230,6 +230,16 @@ def add_ardupilot(commands: Any) -> None:
     parser.set_defaults(main=main_of("mavproxy_fault.ardupilot.bridge_command"))
 
 
+def add_new(commands: Any) -> None:
+    """`new`: a package of one's own."""
+    parser = commands.add_parser("new", help="write a package with an estimator, detector or fault")
+    parser.add_argument("kind", choices=("estimator", "detector", "fault"), help="what it adds")
+    parser.add_argument("name", metavar="NAME", help="its name, such as gyro-only")
+    parser.add_argument("--out", metavar="DIR", help="its folder (default: NAME)")
+    add_json(parser)
+    parser.set_defaults(main=main_of("mavproxy_fault.app.new_package"))
+
+
 BUILT_IN_COMMANDS: dict[str, AddCommand] = {
     "ardupilot": add_ardupilot,
     "proxy": add_proxy,
@@ -237,4 +247,5 @@ BUILT_IN_COMMANDS: dict[str, AddCommand] = {
     "inject": add_inject,
     "schedule": add_schedule,
     "faults": add_faults,
+    "new": add_new,
 }
