@@ -172,7 +172,7 @@ def add_campaign(commands: Any) -> None:
     )
     parser.add_argument(
         "file", nargs="+", metavar="YAML",
-        help="campaign file; or: compare BEFORE AFTER; or: search DIR [CELL]",
+        help="campaign file; or: compare BEFORE AFTER (baseline.json); or: search DIR [CELL]",
     )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument(

@@ -53,19 +53,20 @@ def test_against_a_baseline_only_what_got_worse_fails_the_step(tmp_path: Path) -
     for folder in (first, baseline):
         folder.mkdir()
     fly(first, campaign=str(CAMPAIGN))
-    # These two files are what docs/ci.md calls a baseline.
-    for name in ("campaign.json", "cells.jsonl"):
-        shutil.copy(first / "out" / name, baseline)
+    shutil.copy(first / "out" / "baseline.json", baseline)
+    assert (baseline / "baseline.json").stat().st_size < 1000  # of four cells
     (again := tmp_path / "again").mkdir()
     shutil.copytree(first / "out", again / "out")
-    assert fly(again, campaign=str(CAMPAIGN), against=str(baseline)).returncode == 0
+    assert (
+        fly(again, campaign=str(CAMPAIGN), against=str(baseline / "baseline.json")).returncode == 0
+    )
     # An aborted cell shows nothing, so it cannot pass.
     lines = (again / "out" / "cells.jsonl").read_text()
     assert '"outcome":"unaffected"' in lines
     (done := tmp_path / "done").mkdir()
     (done / "cells.jsonl").write_text(lines.replace('"unaffected"', '"aborted"'))
     shutil.copy(first / "out" / "campaign.json", done)
-    assert cli.main(["campaign", "compare", str(baseline), str(done)]) == 1
+    assert cli.main(["campaign", "compare", str(baseline / "baseline.json"), str(done)]) == 1
 
 
 def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:

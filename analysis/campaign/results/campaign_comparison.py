@@ -21,7 +21,7 @@ from scipy.stats import binomtest
 
 from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED, outcome_rank
-from analysis.campaign.results_store import read_campaign_folder
+from analysis.campaign.results_store import read_results
 from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -63,8 +63,7 @@ def compare_folders(before: Path, after: Path, args: argparse.Namespace) -> int:
         If the campaigns have no cell in common.
     """
     old, new = (
-        {result.cell.key: result for result in read_campaign_folder(folder)[1]}
-        for folder in (before, after)
+        {result.cell.key: result for result in read_results(folder)} for folder in (before, after)
     )
     # No common cell is a mistake of the user, not "nothing changed".
     changes = compare_results(old, new)
