@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,30 +11,17 @@ import pytest
 from mavproxy_fault.cli import main
 
 
-def install(folder: Path) -> None:
-    """Leave beside a package what an installer does: its entry points."""
-    text = (folder / "pyproject.toml").read_text(encoding="utf-8")
-    project = tomllib.loads(text)["project"]
-    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
-    groups = [
-        "\n".join([f"[{group}]", *(f"{name} = {value}" for name, value in points.items())])
-        for group, points in project["entry-points"].items()
-    ]
-    (info / "entry_points.txt").write_text("\n".join(groups))
-
-
 @pytest.mark.parametrize("kind", ["estimator", "detector", "fault"])
 def test_the_test_of_a_new_package_passes(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str,
+    tmp_path: Path,
+    install_package: Callable[[Path], None],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = tmp_path / "my-own"
     assert main(["new", kind, "my-own", "--out", str(folder)]) == 0
     assert str(folder / f"test_{'my_own'}.py") in capsys.readouterr().out.splitlines()
-    install(folder)
+    install_package(folder)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
         env={**os.environ, "PYTHONPATH": str(folder)},
