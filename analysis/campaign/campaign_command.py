@@ -114,7 +114,7 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, args: argparse.
         if store.results:
             summary = {**write_report(folder, plan), "folder": folder}
             print_result(args, summary, lambda: print_outcomes(folder, plan))
-    return sum(campaign.fails(result.outcome) for result in store.results.values())
+    return sum(campaign.fails(result) for result in store.results.values())
 
 
 def new_folder(parent: Path, name: str) -> Path:

@@ -8,10 +8,11 @@ from typing import Any, Literal
 import msgspec
 
 from analysis.autopilots.user_parameters import read_parameters
-from analysis.campaign.cell import MONITOR
+from analysis.campaign.cell import MONITOR, CellResult
 from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
+from analysis.scoring.criteria import VehicleCriteria
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
@@ -142,7 +143,8 @@ class CompiledScenario(_Section, frozen=True):
 class CampaignFile(_Section, frozen=True):
     """A campaign file; the number of cells is the product of its lists.
 
-    `vary` lists values of scenario keys, such as wind and start, by their paths.
+    `vary` lists values of scenario keys, such as wind and start, by their paths; `criteria` limit
+    what happens to the vehicle of an autopilot.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -155,6 +157,7 @@ class CampaignFile(_Section, frozen=True):
     seeds: tuple[int, ...] = (1,)
     find: Literal["outcomes", "critical"] = "outcomes"
     limits: OutcomeLimits = OutcomeLimits()
+    criteria: VehicleCriteria = VehicleCriteria()
     keep: Literal["none", "interesting", "all"] = "none"
     flight_limit_s: float = 600.0
     folder: str = "."
@@ -219,11 +222,12 @@ class CampaignFile(_Section, frozen=True):
         bisected = ABORTED if self.find == "critical" else self.limits.worse_from
         return self.limits.fail_from or bisected
 
-    def fails(self, outcome: str) -> bool:
-        """Whether a cell with this outcome fails: an aborted one does in any case."""
-        if outcome == ABORTED or self.fail_from == ABORTED:
-            return outcome == ABORTED
-        return outcome_rank(outcome) >= outcome_rank(self.fail_from)
+    def fails(self, result: CellResult) -> bool:
+        """Whether a cell fails: an aborted one does in any case, as one that misses a criterion."""
+        outcome = result.outcome
+        if outcome == ABORTED or result.failed:
+            return True
+        return self.fail_from != ABORTED and outcome_rank(outcome) >= outcome_rank(self.fail_from)
 
     def fault(self, name: str) -> FaultChoice:
         """Return a fault by its name in results."""

@@ -3,7 +3,8 @@
 All of it runs in the thread of the proxy's loop and does no I/O. `LiveControl` intercepts one
 MAVLink command, MAV_CMD_INJECT_FAILURE. Where the proxy changes what the autopilot reads, it
 applies the failure and acknowledges it in the vehicle's name; otherwise the command is forwarded,
-and the autopilot's own acknowledgement is labelled.
+and the autopilot's own acknowledgement is labelled. An autopilot on a HIL link sends a single
+HEARTBEAT; it is repeated to ground stations, which need it to find the vehicle.
 """
 
 import logging
@@ -39,7 +40,13 @@ from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import NEVER_US
-from mavproxy_fault.proxy.senders import LINKS, VEHICLE_SYSTEM, new_senders
+from mavproxy_fault.proxy.senders import (
+    CLOCK_OFFSET,
+    LINKS,
+    NEWEST_STAMP,
+    VEHICLE_SYSTEM,
+    new_senders,
+)
 from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -51,6 +58,9 @@ ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5  # MAV_RESULT
 COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
 ACKNOWLEDGEMENT = message_layout("COMMAND_ACK").id
 PARAMETER = message_layout("PARAM_VALUE").id
+HEARTBEAT = message_layout("HEARTBEAT").id
+STATION = 6  # MAV_TYPE_GCS
+SILENT_US = 3_000_000  # chosen: three heartbeats missing
 FAILURE_PARAMETER = (
     b"SYS_FAILURE_EN"  # PX4's parameter; 0 has the same bytes in every parameter type
 )
@@ -94,6 +104,7 @@ class LiveControl:
         self._learning = dict.fromkeys((message_layout(name).id for name in PARTS), NEVER_US)
         self._pending: list[tuple[Frame, FailureRequest]] = []  # forwarded, not yet acknowledged
         self._whole: dict[str, FailureRequest] = {}  # failures of all instances
+        self._heartbeats: dict[int, tuple[int, Frame]] = {}  # of autopilots: newest, and its time
         self._first_vehicle = 0
         self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
         self.wanted: frozenset[int] = frozenset()
@@ -110,6 +121,8 @@ class LiveControl:
         """
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
+        if frame.id == HEARTBEAT:
+            return self._answer_heartbeat(frame, t_us)
         if frame.id in COMMANDS:
             return self._command(frame, t_us) if frame.number("command") == INJECT_FAILURE else None
         if frame.id == ACKNOWLEDGEMENT:
@@ -119,6 +132,24 @@ class LiveControl:
         elif frame.id in self._learning:
             self._learn(frame, direction, t_us, sealed=sealed)
         return None
+
+    def _answer_heartbeat(self, frame: Frame, t_us: int) -> list[Frame] | None:
+        """Answer a ground station's HEARTBEAT with those of autopilots that send none, but fly."""
+        if frame.component == AUTOPILOT:
+            self._heartbeats[frame.system] = t_us, frame
+        if frame.number("type") != STATION:
+            return None
+        return [
+            beat
+            for at_us, beat in self._heartbeats.values()
+            # It may have come on the wall clock, before the first timestamp.
+            if abs(t_us - at_us) > SILENT_US and t_us - self._last_stamp(beat) < SILENT_US
+        ]
+
+    def _last_stamp(self, frame: Frame) -> int:
+        """Vehicle time of the sender's newest timestamp since its boot."""
+        clock = (frame.system << 8 | frame.component) << 1
+        return self.senders[NEWEST_STAMP + clock] + self.senders[CLOCK_OFFSET + clock]
 
     def _learn(self, frame: Frame, direction: str, t_us: int, *, sealed: bool) -> None:
         """Note which units and instances a message carries to the autopilot."""
@@ -332,7 +363,9 @@ class LiveControl:
         return self.view.drain()
 
     def _update_wanted(self) -> None:
-        self.wanted = COMMANDS | {PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
+        self.wanted = (
+            COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
+        )
 
     # -- Zenoh -----------------------------------------------------------------------------------
 

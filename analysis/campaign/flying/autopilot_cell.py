@@ -7,9 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from analysis.autopilots.flight_process import run_flight_process
 from analysis.campaign.cell import CampaignFlight, monitor_verdict
 from analysis.campaign.flying.autopilot_evidence import collect_evidence
+from analysis.scoring.criteria import VehicleCriteria, check_vehicle
+from analysis.scoring.vehicle_outcome import VehicleOutcome
 from mavproxy_fault.documents.errors import ConfigError
 
 MAX_TRIES = 3  # on a busy machine the operator's timeouts may end a flight before its fault
@@ -20,10 +24,11 @@ def run_autopilot_cell(
     run: Sequence[str],
     schedule: dict[str, Any],
     folder: Path,
+    criteria: VehicleCriteria,
     *,
     kept: bool,
 ) -> CampaignFlight:
-    """Fly a cell; arguments and errors as in `run_flight_process`.
+    """Fly a cell and check its criteria; arguments and errors as in `run_flight_process`.
 
     Raises
     ------
@@ -40,10 +45,21 @@ def run_autopilot_cell(
             evidence, flight_s = collect_evidence(run_folder)
             wall_s = time.monotonic() - started_s
             verdict = monitor_verdict(summary["faults"])
+            failed = missed_criteria(criteria, summary)
             return CampaignFlight(
-                {subject: evidence}, {}, flight_s, wall_s, str(run_folder), verdict
+                {subject: evidence}, {}, flight_s, wall_s, str(run_folder), verdict, failed
             )
         shutil.rmtree(run_folder)
     problem = "the fault never acted" if took_off else "the vehicle did not take off"
     reason = summary["autopilot"]["ended_early"]
     raise ConfigError(f"{subject}: {problem} in {MAX_TRIES} tries; {reason}")
+
+
+def missed_criteria(criteria: VehicleCriteria, summary: dict[str, Any]) -> str:
+    """Describe what a flight misses of the criteria on the vehicle; empty if it meets them."""
+    onset_s = min((fault["start_s"] for fault in summary["faults"]), default=None)
+    found = msgspec.convert(summary["outcome"], VehicleOutcome)
+    checks = check_vehicle(criteria, found, onset_s, under_autopilot=False)
+    return ", ".join(
+        f"{check.name} {check.value} (limit {check.limit})" for check in checks if not check.passed
+    )

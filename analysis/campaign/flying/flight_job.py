@@ -83,6 +83,7 @@ def run_job(job: Job) -> JobAnswer:
             verdict=flight.verdict.word,
             blamed=flight.verdict.blamed,
             verdict_s=flight.verdict.delay_s,
+            failed=flight.failed,
             wall_s=flight.wall_s,
         )
         for cell in job.cells
@@ -126,7 +127,9 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
             run = [*campaign.scenario_arguments(cell.scenario), *autopilot.options(campaign.folder)]
-            return run_autopilot_cell(autopilot.name, run, schedule, folder, kept=kept)
+            return run_autopilot_cell(
+                autopilot.name, run, schedule, folder, campaign.criteria, kept=kept
+            )
     subjects = [cell.subject for cell in job.cells]
     setup = setup_by_name(campaign, cell.scenario, cell.seed, subjects)
     faults = parse_schedule(schedule, campaign.name)

@@ -78,7 +78,7 @@ def write_page(
 def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
     """Return outcome counts by subject and fault, and the critical magnitudes if searched."""
     summary: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
-    summary["failed"] = sum(plan.campaign.fails(result.outcome) for result in results)
+    summary["failed"] = sum(plan.campaign.fails(result) for result in results)
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
         by_fault = counts.setdefault(result.cell.subject, {})
@@ -150,9 +150,9 @@ def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
-        elif campaign.fails(result.outcome):
+        elif campaign.fails(result):
             failures += 1
-            text = f"{result.outcome}; {describe_excursions(result)}"
+            text = f"{result.outcome}; {result.failed or describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)
     suite.set("failures", str(failures))
     suite.set("errors", str(errors))

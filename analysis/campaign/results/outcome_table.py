@@ -39,7 +39,7 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     # Five are enough to see the reason; the files have all.
     for result in aborted[:5]:
         console.print(f"aborted: {result.cell.key}: {result.note}", soft_wrap=True)
-    failed = sum(campaign.fails(result.outcome) for result in results)
+    failed = sum(campaign.fails(result) for result in results)
     rule = campaign.fail_from if campaign.fail_from == ABORTED else f"{campaign.fail_from} or worse"
     console.print(f"{len(results)} cells, {len(aborted)} aborted, {failed} failed ({rule})")
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)

@@ -98,7 +98,7 @@ CURVES: tuple[LogCurve, ...] = (
     LogCurve("ATT", "roll", "ATTITUDE", field("Roll"), False),
     # ArduPilot's simulator logs its truth.
     *(LogCurve("SIM", part, "truth", field(part.title()), False) for part in ("roll", "pitch")),
-    LogCurve("SIM", "yaw", "truth", heading_field("Yaw"), False),
+    LogCurve("SIM", "yaw", "truth", heading_field("Yaw", 1.0), False),
     LogCurve("SIM", "altitude", "truth", field("Alt"), False),
     LogCurve("SIM2", "climb", "truth", field("VD", -1.0), False),
     LogCurve("ATT", "roll", "desired", field("DesRoll"), False),

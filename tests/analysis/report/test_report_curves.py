@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from analysis.report.curves.dataflash_curves import CURVES
 from analysis.report.curves.derived_curves import derive_curves
+from analysis.report.curves.field_values import values_of
 from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.curves.spectra import frequency_marks, spectrum_panels
 from analysis.report.curves.ulog_innovations import innovation_signals
@@ -120,3 +122,8 @@ def test_estimators_that_are_both_upside_down_agree() -> None:
         s for s in derive_curves(FlightData("r", signals=signals))[0] if s.panel == "divergence"
     ]
     assert apart.value.max() == pytest.approx(2.0 * np.cos(np.radians(10.0)), abs=0.01)
+
+
+def test_a_simulated_heading_of_ardupilot_is_in_degrees() -> None:
+    (curve,) = (one for one in CURVES if (one.message, one.panel) == ("SIM", "yaw"))
+    assert values_of(curve, {"Yaw": np.array([350.0, 10.0])}) == pytest.approx([-10.0, 10.0])
