@@ -21,7 +21,8 @@ from mavproxy_fault.faults.registry import (
 from mavproxy_fault.schedule.binding import TARGET_FIELDS
 from mavproxy_fault.schedule.entries import Entry, EntryKeys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
-from mavproxy_fault.wire.dialect import message_layout, message_names
+from mavproxy_fault.wire.dialect import built_in_messages, message_layout, message_names
+from mavproxy_fault.wire.dialect_files import dialect_paths
 
 TARGETS = {
     "fields": "MESSAGE.field, MESSAGE.field[3] or a list of them",
@@ -35,10 +36,14 @@ def main(args: argparse.Namespace) -> int:
     """Run one of the actions."""
     if args.action == "list":
         if args.messages:
+            sources = [
+                "built in: " + " ".join(text for key, text in one.items() if key != "sha256")
+                for one in built_in_messages()["sources"]
+            ] + [f"dialect: {path}" for path in dialect_paths()]
             messages = {name: message_layout(name).id for name in message_names()}
             by_id = sorted(messages, key=messages.__getitem__)
-            lines = (f"{messages[name]:8}  {name}" for name in by_id)
-            print_result(args, messages, "\n".join(lines))
+            lines = [*sources, *(f"{messages[name]:8}  {name}" for name in by_id)]
+            print_result(args, {"sources": sources, "messages": messages}, "\n".join(lines))
         else:
             catalogue = list_catalogue()
             print_result(args, catalogue, format_catalogue(catalogue))
@@ -47,9 +52,9 @@ def main(args: argparse.Namespace) -> int:
         print_result(args, {"name": args.name, "text": text}, text)
     elif args.action == "check":
         faults = {entry.id: describe_entry(entry) for entry in read_schedule(args.file).faults}
-        lines = (f"\n  {id}: {described}" for id, described in faults.items())
+        text = "".join(f"\n  {id}: {described}" for id, described in faults.items())
         count = f"{len(faults)} fault{'s' * (len(faults) != 1)}"
-        print_result(args, {"faults": faults}, f"{args.file}: {count}: OK{''.join(lines)}")
+        print_result(args, {"faults": faults}, f"{args.file}: {count}: OK{text}")
     elif args.action == "plot":
         _plot(args)
     else:

@@ -182,10 +182,14 @@ class Commands:
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
             return False
-        unit, kind, instance = (integer_parameter(value) for value in request.params[:3])
+        unit, kind, instance, mask = (integer_parameter(value) for value in request.params[:4])
         if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
             return CommandResult.UNSUPPORTED
-        return self._fail_motor(instance, kind == FAILURE_OFF)
+        # Param 4 is a bitmask of instances, used if param 3 is NaN.
+        chosen = (
+            [n for n in range(1, 17) if max(mask, 0) >> n - 1 & 1] if instance < 0 else [instance]
+        )
+        return any([self._fail_motor(number, kind == FAILURE_OFF) for number in chosen])
 
     def _amsl(self, request: CommandRequest) -> float:
         relative = request.frame in (

@@ -35,7 +35,7 @@ def test_programs_get_the_result_as_json(
     schedule: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words, key in (
-        (("list",), "faults"), (("list", "--messages"), "HEARTBEAT"), (("show", "bias"), "text"),
+        (("list",), "faults"), (("list", "--messages"), "messages"), (("show", "bias"), "text"),
         (("check", str(schedule)), "faults"),
     ):  # fmt: skip
         assert main(["faults", *words, "--json"]) == 0
