@@ -108,6 +108,7 @@ def script_of(block: Block) -> str:
     return f"{sys.executable} driver.py " + " ".join(f'"{word}"' for word in words)
 
 
+@pytest.mark.timeout(1800)  # ten minutes of a reader, with every wait of his
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_quickstart_works_as_printed(
     page: Path, tmp_path: Path, programs: Path, network: list[str]
@@ -143,7 +144,7 @@ def test_a_quickstart_works_as_printed(
         cwd=tmp_path, env={**os.environ, **variables}, start_new_session=True,
     )  # fmt: skip
     try:
-        code = process.wait(540)
+        code = process.wait(1700)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -10,12 +10,13 @@ from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import CampaignRun
 from analysis.campaign.cell import CellResult
-from analysis.campaign.results.campaign_progress import CampaignProgress
+from analysis.campaign.outcomes import outcome_rank
 from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.live_heat_map import LiveHeatMap
 from analysis.campaign.results.outcome_table import print_outcomes
 from analysis.campaign.results_store import ResultsStore
 from analysis.campaign.worker_pool import open_worker_pool
+from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -99,11 +100,15 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, args: argparse.
     store = ResultsStore(folder, campaign)
     pool = open_worker_pool(workers, args.ray, campaign.flight_limit_s)
     try:
-        with CampaignProgress(plan.max_cells, len(store.results)) as progress:
+        with WorkProgress("flying", plan.max_cells, "cells") as progress:
             heat_map = LiveHeatMap(folder, plan)
 
+            worst = list(store.results.values())
+
             def show(results: list[CellResult]) -> None:
-                progress.show(results)
+                worst[:] = [max(worst + results, key=lambda one: outcome_rank(one.outcome))]
+                text = f"worst: {worst[0].outcome} ({worst[0].cell.fault})"
+                progress.show(len(store.results), text)
                 heat_map.show(results)
 
             CampaignRun(plan, pool, store, show).run_all()

@@ -23,7 +23,6 @@ from analysis.recordings.position_reference import PositionReference, read_refer
 from analysis.recordings.read_recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
-from analysis.run.run_progress import RunProgress
 from analysis.run.stop_signal import StopCheck, stop_requests
 from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
@@ -31,6 +30,7 @@ from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
@@ -215,7 +215,7 @@ def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop:
     """Feed a complete recording to the monitor, some rows at a time: a day takes a minute."""
     sky, count = RecordedSky(block, monitor.detector), len(block.kind)
     spans_s = (block.t_us - block.t_us[0]) * 1e-6
-    with RunProgress(float(spans_s[-1]), "monitoring") as progress:
+    with WorkProgress("monitoring", float(spans_s[-1])) as progress:
         for begin in range(0, count, PART_ROWS):
             end = min(begin + PART_ROWS, count)
             deliver(sky.add_sky(monitor.push(block.between(begin, end))))

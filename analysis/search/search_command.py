@@ -25,10 +25,10 @@ from analysis.search.evaluation.pool import Pool, pool_of
 from analysis.search.history import RECORD, History
 from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import seed_of
-from analysis.search.search_progress import SearchProgress
 from analysis.search.searchers import make_searcher
 from analysis.search.shrink import MeanErrors, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
+from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -49,8 +49,12 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     pool = pool_of(args.workers, args.ray)
     try:
-        progress = SearchProgress(test.unit)
-        cases, totals = run_search(test, pool, folder, progress, progress.print_line)
+        with WorkProgress("searching", test.budget or DEFAULT_BUDGET, "tests") as bar:
+
+            def show(tests: int, worst: float, budget: int) -> None:
+                bar.show(tests, f"worst {worst:.4g} {test.unit}", budget)
+
+            cases, totals = run_search(test, pool, folder, show, bar.say)
     finally:
         pool.close()
     text = log_text(test, cases, totals)
