@@ -23,7 +23,7 @@ def add_json(*parsers: argparse.ArgumentParser) -> None:
 def print_result(args: argparse.Namespace, data: object, show: str | Callable[[], None]) -> None:
     """Print a result as JSON if the command line asks for it, otherwise the text or by `show`."""
     if getattr(args, "json", False):
-        print(msgspec.json.encode(data).decode())
+        print(msgspec.json.encode(data, enc_hook=str).decode())  # the paths of files
     elif callable(show):
         show()
     else:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.app.command_result import open_console, plain_table
+from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 from mavproxy_fault.cli import SHELLS, build_parser, main
 
 
@@ -117,6 +117,15 @@ def test_every_command_with_a_result_prints_it_as_json() -> None:
     every = [one for one in parsers(build_parser()) if one._subparsers is None]
     without = {one.prog.split()[-1] for one in every if "--json" not in one._option_string_actions}
     assert without == others
+
+
+def test_a_result_as_json_is_one_line_with_its_paths(capsys: pytest.CaptureFixture[str]) -> None:
+    result = {"folder": Path("out"), "error_m": float("nan"), "flights": [{"n": 1}]}
+    print_result(argparse.Namespace(json=True), result, "text")
+    line = capsys.readouterr().out
+    assert line == '{"folder":"out","error_m":null,"flights":[{"n":1}]}\n'
+    print_result(argparse.Namespace(json=False), result, "text")
+    assert capsys.readouterr().out == "text\n"
 
 
 def test_a_table_off_a_terminal_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
