@@ -52,6 +52,7 @@ for line in typed:
     process.stdin.write(line + "\\n")
     process.stdin.flush()
     wait_for("ACCEPTED", begin)
+    time.sleep(2)  # until a HEARTBEAT shows the new state
 """
 
 
@@ -156,3 +157,11 @@ def test_a_quickstart_works_as_printed(
         assert [line for line in wanted if line.split() not in words] == []
     if set(missing) & PROGRAMS.keys():
         pytest.skip(f"{', '.join(sorted(set(missing)))}; everything else of the page was run")
+
+
+def test_the_test_of_the_readme_passes(tmp_path: Path) -> None:
+    (block,) = [one for one in blocks_of(ROOT / "README.md") if one.language == "python"]
+    (tmp_path / block.title).write_text(block.text)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "."]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "1 passed" in done.stdout, done.stdout
