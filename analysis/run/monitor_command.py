@@ -34,6 +34,7 @@ from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
@@ -104,7 +105,7 @@ def main(args: argparse.Namespace) -> int:
     if folder is not None:
         write_summary(folder, summary)
         if injected is not None:
-            (folder / "labels.jsonl").write_bytes(encode_lines(injected))
+            write_private(folder / "labels.jsonl", encode_lines(injected))
         _report(args, folder, labels or [], summary, reference, integrity)
     return show_summary(args, summary, folder)
 

@@ -1,7 +1,5 @@
 """Fly a cell with a real autopilot: one `mavproxy-fault run --autopilot` and its run folder."""
 
-import json
-import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +7,11 @@ from typing import Any
 
 import msgspec
 
-from analysis.autopilots.flight_process import run_flight_process
+from analysis.autopilots.flight_process import repeat_flight_process
 from analysis.campaign.cell import CampaignFlight, monitor_verdict
 from analysis.campaign.flying.autopilot_evidence import collect_evidence
 from analysis.scoring.criteria import VehicleCriteria, check_vehicle
 from analysis.scoring.vehicle_outcome import VehicleOutcome
-from mavproxy_fault.documents.errors import ConfigError
-
-MAX_TRIES = 3  # on a busy machine the operator's timeouts may end a flight before its fault
 
 
 def run_autopilot_cell(
@@ -28,31 +23,20 @@ def run_autopilot_cell(
     *,
     kept: bool,
 ) -> CampaignFlight:
-    """Fly a cell and check its criteria; arguments and errors as in `run_flight_process`.
-
-    Raises
-    ------
-    ConfigError
-        If no try had a take-off and a fault that acted.
-    """
+    """Fly a cell and check its criteria; arguments and errors as in `repeat_flight_process`."""
     started_s = time.monotonic()
-    for _ in range(MAX_TRIES):
-        run_folder = run_flight_process(subject, run, schedule, folder, kept=kept)
-        summary = json.loads((run_folder / "summary.json").read_text())
-        took_off = "take-off" in summary["autopilot"]["moments_s"]
-        # A flight counts only if it took off and its fault acted.
-        if took_off and (summary["faults"] or not schedule["faults"]):
-            evidence, flight_s = collect_evidence(run_folder)
-            wall_s = time.monotonic() - started_s
-            verdict = monitor_verdict(summary["faults"])
-            failed = missed_criteria(criteria, summary)
-            return CampaignFlight(
-                {subject: evidence}, {}, flight_s, wall_s, str(run_folder), verdict, failed
-            )
-        shutil.rmtree(run_folder)
-    problem = "the fault never acted" if took_off else "the vehicle did not take off"
-    reason = summary["autopilot"]["ended_early"]
-    raise ConfigError(f"{subject}: {problem} in {MAX_TRIES} tries; {reason}")
+    run_folder, summary = repeat_flight_process(
+        subject, run, schedule, folder, kept=kept, must_act=bool(schedule["faults"])
+    )
+    evidence, flight_s = collect_evidence(run_folder)
+    return CampaignFlight(
+        {subject: evidence},
+        duration_s=flight_s,
+        wall_s=time.monotonic() - started_s,
+        folder=str(run_folder),
+        verdict=monitor_verdict(summary["faults"]),
+        failed=missed_criteria(criteria, summary),
+    )
 
 
 def missed_criteria(criteria: VehicleCriteria, summary: dict[str, Any]) -> str:
