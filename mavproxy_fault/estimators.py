@@ -11,18 +11,17 @@ from analysis.samples.sample import (
     Sample,
     VisionSample,
 )
+from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion
 from mavproxy_fault.numerics.rotations.rotation import (
     euler_from_quat,
     matrix_from_quat,
     quat_from_euler,
     quat_from_matrix,
-    quat_from_rotvec,
-    quat_multiply,
 )
 
 __all__ = [
     "AirspeedSample", "AttitudeEstimate", "BaroSample", "Estimator", "GpsFix", "ImuSample",
     "MagSample", "Prior", "RangeSample", "Sample", "VisionSample", "estimator_names",
     "euler_from_quat", "make_estimator", "matrix_from_quat", "quat_from_euler", "quat_from_matrix",
-    "quat_from_rotvec", "quat_multiply",
+    "rotate_quaternion",
 ]  # fmt: skip
