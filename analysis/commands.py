@@ -6,7 +6,8 @@ import sys
 from typing import Any
 
 from mavproxy_fault.app.command_parser import positive_count
-from mavproxy_fault.app.commands import add_bus, add_router
+from mavproxy_fault.app.command_result import add_json
+from mavproxy_fault.app.commands import add_bus, add_router, main_of
 
 
 def add_run(commands: Any) -> None:
@@ -14,10 +15,9 @@ def add_run(commands: Any) -> None:
     parser = commands.add_parser("run", help="fly a scenario: simulator + proxy + monitor + report")
     _add_scenario(parser)
     parser.add_argument(
-        "--estimators",
-        metavar="NAMES",
+        "--estimators", metavar="ESTIMATORS",
         help="attitude estimators to score, comma-separated (default: the scenario's)",
-    )
+    )  # fmt: skip
     # No default here, since it depends on --ui: a live page needs real time.
     parser.add_argument(
         "--speed", metavar="1|N|max", help="times real time (default: max, with --ui 1)"
@@ -25,26 +25,21 @@ def add_run(commands: Any) -> None:
     out = "folder for logs and results (default: runs/NUMBER-NAME)"
     parser.add_argument("--out", "--logdir", metavar="DIR", help=out)
     parser.add_argument(
-        "--gcs",
-        default="udpout:127.0.0.1:14550",  # where QGroundControl listens
-        metavar="EP|off",
+        "--gcs", default="udpout:127.0.0.1:14550", metavar="EP|off",  # where QGroundControl listens
         help="ground station, unless --speed max (default: udpout:127.0.0.1:14550)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--ui", action="store_true", help="serve the web page for fault control and live view"
     )
     add_bus(parser, "results")
     parser.add_argument(
-        "--against-clean",
-        action="store_true",
+        "--against-clean", action="store_true",
         help="also fly a fault-free reference flight and report the effect of each fault",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--no-report",
-        dest="report",
-        action="store_false",
+        "--no-report", dest="report", action="store_false",
         help="write only the logs, results and summary",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--autopilot",
         choices=("ardupilot", "ardupilot:copter", "ardupilot:plane", "px4"),
@@ -54,18 +49,15 @@ def add_run(commands: Any) -> None:
         "--binary", metavar="PATH", help="its SITL binary (default: arducopter, arduplane, px4)"
     )
     parser.add_argument(
-        "--parameters",
-        metavar="FILE",
+        "--parameters", metavar="FILE",
         help="parameters of the autopilot, one NAME VALUE per line, override those of the run",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--from",
-        dest="count_from",  # `args.from` would be no Python
-        default="take-off",
-        metavar="EVENT",
+        "--from", dest="count_from", default="take-off", metavar="EVENT",  # `args.from` is no name
         help="flight event from which at_s counts (autopilot): first-stamp, arming, take-off, "
         "mission-item:N, landing",
-    )
+    )  # fmt: skip
+    add_json(parser)
     # The command line calls the `main` of the chosen subcommand.
     parser.set_defaults(main=_run)
 
@@ -73,19 +65,14 @@ def add_run(commands: Any) -> None:
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
     """Add the scenario and the options that replace parts of it."""
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="YAML (default: the demo)")
-    parser.add_argument(
-        "--schedule", metavar="FILE", help="fault schedule (default: the scenario's)"
-    )
+    parser.add_argument("--schedule", metavar="YAML", help="faults (default: the scenario's)")
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of all random numbers (default: the scenario's)"
     )
     parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
+        "--set", action="append", default=[], metavar="PATH=VALUE",
         help="set a value of the scenario, such as environment.wind_ned_mps[0]=5; repeatable",
-    )
+    )  # fmt: skip
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -107,14 +94,8 @@ def _run_scenario(args: argparse.Namespace) -> int:
 
             # The page is available from the first frame to the last.
             stack.enter_context(serve_beside(args))
-        if args.autopilot:
-            # Imported here: a run under an autopilot needs other modules.
-            from analysis.autopilots.autopilot_run import main as fly
-
-            return fly(args)
-        from analysis.run.run_command import main
-
-        return main(args)
+        module = "autopilots.autopilot_run" if args.autopilot else "run.run_command"
+        return main_of(f"analysis.{module}")(args)
 
 
 def add_monitor(commands: Any) -> None:
@@ -125,44 +106,33 @@ def add_monitor(commands: Any) -> None:
     source.add_argument("--log", metavar="LOG", help="tlog, ULog or dataflash log")
     # The first file holds the observations; each system may have its own navigation file.
     source.add_argument(
-        "--rinex",
-        nargs="+",
-        metavar="FILE",
+        "--rinex", nargs="+", metavar="FILE",
         help="RINEX 2, 3 or 4: OBS NAV [NAV ...]; or a receiver log [NAV ...]: u-blox LOG.ubx (or"
         " LOG.ulg of PX4, LOG.bin of ArduPilot), Septentrio LOG.sbf",
-    )
+    )  # fmt: skip
     parser.add_argument("--imu", metavar="CSV", help="IMU samples for --rinex")
-    parser.add_argument("--schedule", metavar="FILE", help="faults to inject into the --rinex file")
+    parser.add_argument("--schedule", metavar="YAML", help="faults to inject into the --rinex file")
     parser.add_argument(
-        "--truth",
-        metavar="POINT|FILE",
+        "--truth", metavar="POINT|FILE",
         help="true antenna position: X,Y,Z or LAT,LON,HEIGHT, a .pos file, or a CSV",
-    )
+    )  # fmt: skip
     parser.add_argument("--labels", metavar="FILE", help="labels of the injected faults, to score")
     parser.add_argument("--out", metavar="DIR", help="folder for results and report")
     parser.add_argument("--watch", action="store_true", help="show a compact live status")
     parser.add_argument(
-        "--scenario", metavar="FILE", help="monitor settings and criteria (default: built in)"
+        "--scenario", metavar="YAML", help="monitor settings and criteria (default: built in)"
     )
     parser.add_argument(
         "--calibrate", metavar="FILE", help="fit the pseudorange noise to fault-free data, write it"
     )
     parser.add_argument("--sigma", metavar="FILE", help="noise model written by --calibrate")
     parser.add_argument(
-        "--for",
-        dest="for_s",
-        type=float,
-        metavar="S",
+        "--for", dest="for_s", type=float, metavar="S",
         help="end after S seconds of vehicle time (default: no limit)",
-    )
+    )  # fmt: skip
     add_bus(parser, "results")
-    parser.set_defaults(main=_monitor)
-
-
-def _monitor(args: argparse.Namespace) -> int:
-    from analysis.run.monitor_command import main
-
-    return main(args)
+    add_json(parser)
+    parser.set_defaults(main=main_of("analysis.run.monitor_command"))
 
 
 def add_search(commands: Any) -> None:
@@ -173,10 +143,9 @@ def add_search(commands: Any) -> None:
         "--budget", type=int, metavar="N", help="evaluations (default: the file's, or 2000)"
     )
     parser.add_argument(
-        "--method",
-        metavar="M",
-        help="random, matyas, sobol, cmaes, de or mixed (default: the file's)",
-    )
+        "--method", choices=("random", "matyas", "sobol", "cmaes", "de", "mixed"),
+        help="how to search (default: the file's)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, metavar="N", help="random seed (default: the file's)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -187,17 +156,13 @@ def add_search(commands: Any) -> None:
     parser.add_argument(
         "--interactive", action="store_true", help="inspect the tests one by one on a web page"
     )
+    add_json(parser)
     parser.set_defaults(main=_search)
 
 
 def _search(args: argparse.Namespace) -> int:
-    if args.interactive:
-        from analysis.search_page.search_server import main as inspect_tests
-
-        return inspect_tests(args)
-    from analysis.search.search_command import main
-
-    return main(args)
+    module = "search_page.search_server" if args.interactive else "search.search_command"
+    return main_of(f"analysis.{module}")(args)
 
 
 def add_campaign(commands: Any) -> None:
@@ -206,11 +171,9 @@ def add_campaign(commands: Any) -> None:
         "campaign", help="find which faults, how large and when, break an estimator or autopilot"
     )
     parser.add_argument(
-        "file",
-        nargs="+",
-        metavar="FILE",
-        help="campaign file (YAML); or: compare BEFORE AFTER; or: search DIR [CELL]",
-    )
+        "file", nargs="+", metavar="YAML",
+        help="campaign file; or: compare BEFORE AFTER (baseline.json); or: search DIR [CELL]",
+    )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=positive_count, metavar="N", help="processes (default: all cores)"
@@ -221,13 +184,8 @@ def add_campaign(commands: Any) -> None:
     )
     parser.add_argument("--dataset", metavar="DIR", help="write the flights as a labelled data set")
     parser.add_argument("--dry-run", action="store_true", help="print only the size and duration")
-    parser.set_defaults(main=_campaign)
-
-
-def _campaign(args: argparse.Namespace) -> int:
-    from analysis.campaign.campaign_command import main
-
-    return main(args)
+    add_json(parser)
+    parser.set_defaults(main=main_of("analysis.campaign.campaign_command"))
 
 
 def add_report(commands: Any) -> None:
@@ -239,29 +197,21 @@ def add_report(commands: Any) -> None:
         "--against", action="append", default=[], metavar="LOG", help="log to compare with"
     )
     parser.add_argument(
-        "--criteria", metavar="FILE", help="thresholds of the checks, YAML (default: built in)"
+        "--criteria", metavar="YAML", help="thresholds of the checks (default: built in)"
     )
     parser.add_argument("--out", metavar="DIR", help="output folder (default: LOG-report)")
     parser.add_argument("--figures", action="store_true", help="also write plots as PNG, SVG, PDF")
     parser.add_argument(
-        "--export",
-        choices=("csv", "parquet", "mcap", "kml", "geojson"),
+        "--export", choices=("csv", "parquet", "mcap", "kml", "geojson"),
         help="export the data as tables or the tracks as map files",
-    )
+    )  # fmt: skip
     parser.add_argument("--pdf", action="store_true", help="also write a PDF (needs a browser)")
     parser.add_argument(
-        "--data",
-        default="2",  # text, as it is a number or a word
-        metavar="MB|beside",
+        "--data", default="2", metavar="MB|beside",  # text, as it is a number or a word
         help="fields for the page's search: MB megabytes in the page (2), or all beside it",
-    )
-    parser.set_defaults(main=_report)
-
-
-def _report(args: argparse.Namespace) -> int:
-    from analysis.report.report_command import main
-
-    return main(args)
+    )  # fmt: skip
+    add_json(parser)
+    parser.set_defaults(main=main_of("analysis.report.report_command"))
 
 
 def add_ui(commands: Any) -> None:
@@ -277,10 +227,4 @@ def add_ui(commands: Any) -> None:
         "--sequences", metavar="DIR", help="folder for the test sequences of the page"
     )
     add_router(parser)
-    parser.set_defaults(main=_ui)
-
-
-def _ui(args: argparse.Namespace) -> int:
-    from analysis.web.page_server import main
-
-    return main(args)
+    parser.set_defaults(main=main_of("analysis.web.page_server"))

@@ -53,12 +53,15 @@ default ports (all on 127.0.0.1)
 
 exit codes
   0 success    1 the verdict is FAIL    2 the input is invalid
+
+`mavproxy-fault help COMMAND` explains a command; --json prints its result for programs.
+NO_COLOR turns colours off.
 """
 RECORDING_READERS = ("replay", "report", "monitor")  # they know a session's own dialects
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # supported by shtab
 HELP_ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
-    "search", "report", "ui", "warm-up",
+    "search", "report", "ui", "new", "warm-up",
 )  # fmt: skip
 
 
@@ -92,7 +95,8 @@ def build_parser(command: str = "") -> argparse.ArgumentParser:
         else {**_registered(), **BUILT_IN_COMMANDS}
     )
     if command and not command.startswith("-") and command not in adders:
-        raise ConfigError(f"{command}: is not a command; {suggest_known(command, adders)}")
+        known = suggest_known(command, [*adders, "help"])
+        raise ConfigError(f"{command}: is not a command; {known}")
     # The help lists our commands in a fixed order and then the plugins by name.
     for name in [*(n for n in HELP_ORDER if n in adders), *sorted(adders.keys() - set(HELP_ORDER))]:
         adders[name](commands)
@@ -204,6 +208,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _prefer_own_packages()
         given = _take_dialects(given)
+        if given[:1] == ["help"]:
+            given = [*given[1:], "--help"]
         parsed = build_parser(given[0] if given else "").parse_args(given)
         # Commands return their exit code; any exception but a ConfigError is a bug and shown.
         with _handle_signals(last=arguments is None):

@@ -19,8 +19,8 @@ import pytest
 
 # pytest loads this file in every project of the environment, so the fixtures do the heavy imports.
 if TYPE_CHECKING:
-    from mavproxy_fault.api.flight_run import Run
     from mavproxy_fault.api.proxy_handle import Proxy
+    from mavproxy_fault.api.result_folders import Run
 
 MASTER, OUT, COMMAND = "fault_master", "fault_out", "fault_autopilot"
 SIMULATED = (
@@ -102,7 +102,7 @@ def autopilot(
 @pytest.fixture
 def flight(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., "Run"]:
     """`mavproxy_fault.run` with the faults of the test's markers and a folder of the test's."""
-    from mavproxy_fault.api.flight_run import run
+    from mavproxy_fault.api.command_calls import run
 
     folders: list[Path] = []
 

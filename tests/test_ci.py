@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,14 @@ import pytest
 import yaml
 
 from mavproxy_fault import cli
+from mavproxy_fault.cli import build_parser
 
 ROOT = Path(__file__).parents[1]
 ACTION: dict[str, Any] = yaml.safe_load((ROOT / "action.yml").read_text())
 CAMPAIGN = ROOT / "tests" / "analysis" / "campaign" / "small.yaml"
 
 
-def fly(tmp_path: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
+def fly(tmp_path: Path, *, pythonpath: str = "", **inputs: str) -> subprocess.CompletedProcess[str]:
     """The step that flies, with our own installation in the place of the one before it."""
     environment = tmp_path / "mavproxy-fault" / "bin"
     environment.mkdir(parents=True)
@@ -31,7 +33,13 @@ def fly(tmp_path: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
     runner = {"RUNNER_TEMP": str(tmp_path), "GITHUB_STEP_SUMMARY": str(tmp_path / "summary")}
     return subprocess.run(
         ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
-        env={**os.environ, **given, **runner, "OUT": str(tmp_path / "out")},
+        env={
+            **os.environ,
+            **given,
+            **runner,
+            "OUT": str(tmp_path / "out"),
+            "PYTHONPATH": pythonpath,
+        },
         capture_output=True,
         text=True,
         check=False,
@@ -53,19 +61,56 @@ def test_against_a_baseline_only_what_got_worse_fails_the_step(tmp_path: Path) -
     for folder in (first, baseline):
         folder.mkdir()
     fly(first, campaign=str(CAMPAIGN))
-    # These two files are what docs/ci.md calls a baseline.
-    for name in ("campaign.json", "cells.jsonl"):
-        shutil.copy(first / "out" / name, baseline)
+    shutil.copy(first / "out" / "baseline.json", baseline)
+    assert (baseline / "baseline.json").stat().st_size < 1000  # of four cells
     (again := tmp_path / "again").mkdir()
     shutil.copytree(first / "out", again / "out")
-    assert fly(again, campaign=str(CAMPAIGN), against=str(baseline)).returncode == 0
+    assert (
+        fly(again, campaign=str(CAMPAIGN), against=str(baseline / "baseline.json")).returncode == 0
+    )
     # An aborted cell shows nothing, so it cannot pass.
     lines = (again / "out" / "cells.jsonl").read_text()
     assert '"outcome":"unaffected"' in lines
     (done := tmp_path / "done").mkdir()
     (done / "cells.jsonl").write_text(lines.replace('"unaffected"', '"aborted"'))
     shutil.copy(first / "out" / "campaign.json", done)
-    assert cli.main(["campaign", "compare", str(baseline), str(done)]) == 1
+    assert cli.main(["campaign", "compare", str(baseline / "baseline.json"), str(done)]) == 1
+
+
+def test_a_planted_regression_turns_the_copied_job_red(
+    tmp_path: Path, install_package: Callable[[Path], None]
+) -> None:
+    cli.main(["new", "estimator", "my-own", "--out", str(tmp_path / "my-own")])
+    install_package(tmp_path / "my-own")
+    file, scenario = (tmp_path / "my-own" / name for name in ("my_own.py", "scenario.yaml"))
+    campaign = yaml.safe_load((ROOT / "examples" / "ci" / "campaign.yaml").read_text())
+    campaign |= {"subjects": ["my-own"], "scenarios": [str(scenario)], "onsets": [8], "seeds": [1]}
+    # Two flights of 14 s instead of eighteen of 40.
+    campaign |= {"durations_s": [3], "faults": [{**campaign["faults"][0], "magnitudes": [0.01]}]}
+    scenario.write_text(scenario.read_text().replace("duration_s: 30", "duration_s: 14"))
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "campaign.yaml").write_text(yaml.safe_dump(campaign))
+    (job,) = yaml.safe_load((ROOT / "examples/ci/github.yml").read_text())["jobs"].values()
+    options = job["steps"][-1]["with"]
+    for line, code in (("* 1e-6", 0), ("* 1e-5", 1)):  # a wrong unit
+        text = file.read_text()
+        assert "* 1e-6" in text
+        file.write_text(text.replace("* 1e-6", line))
+        folder = tmp_path / str(code)
+        folder.mkdir()
+        (folder / "tests").symlink_to(tmp_path / "tests")
+        done = fly(folder, **options, pythonpath=str(tmp_path / "my-own"))
+        assert done.returncode == code, done.stdout + done.stderr
+
+
+def test_the_jobs_to_copy_give_the_action_what_it_takes() -> None:
+    for name in ("github.yml", "github_px4.yml", "github_ardupilot.yml"):
+        (job,) = yaml.safe_load((ROOT / "examples" / "ci" / name).read_text())["jobs"].values()
+        step = next(step for step in job["steps"] if "mavproxy-fault" in step.get("uses", ""))
+        assert step["with"].keys() <= ACTION["inputs"].keys()
+    lab = yaml.safe_load((ROOT / "examples" / "ci" / "gitlab.yml").read_text())["sensor-faults"]
+    assert lab["script"][-1].startswith("mavproxy-fault campaign ")
+    build_parser("campaign").parse_args(lab["script"][-1].split()[1:])
 
 
 def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:

@@ -7,16 +7,18 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from mavproxy_fault import cli
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 PART = re.compile(
-    r"`((?:(?:mavproxy_fault|simvehicle|analysis)/[\w/-]+|baro_jump|pyproject|night|jumps)\.\w+)`"
+    r"`((?:(?:mavproxy_fault|simvehicle|analysis)/[\w/-]+|night|jumps)\.\w+)`"
     r"|^```(\w+)\n(.*?)^```",
     re.S | re.M,
 )
@@ -133,23 +135,16 @@ def test_what_the_page_adds_is_in_the_house_style(copy: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the page's detector package as an installer leaves it, and its scenarios."""
-    folder = tmp_path_factory.mktemp("installed")
+def installed(
+    tmp_path_factory: pytest.TempPathFactory, install_package: Callable[[Path], None]
+) -> Path:
+    """A folder with the detector that the page's command writes, and the page's scenarios."""
+    folder = tmp_path_factory.mktemp("installed") / "baro-jump"
+    assert cli.main(["new", "detector", "baro-jump", "--out", str(folder)]) == 0
+    install_package(folder)
     for file, _, text in parts():
-        if "/" not in file:
+        if file in ("night.yaml", "jumps.yaml"):
             (folder / file).write_text(text, encoding="utf-8")
-    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
-    groups = [
-        "\n".join([f"[{group}]", *(f"{name} = {value}" for name, value in points.items())])
-        for group, points in project["entry-points"].items()
-    ]
-    (info / "entry_points.txt").write_text("\n".join(groups))
     return folder
 
 

@@ -45,7 +45,7 @@ from analysis.run.reference_flight import REFERENCE_FOLDER
 from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.run.vehicle_judging import judge_vehicle_of_run
 from analysis.scoring.criteria import CriterionCheck
@@ -162,8 +162,8 @@ def main(args: argparse.Namespace) -> int:
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns, curves)
-    print_summary(summary, folder)
-    return 1 if reason else EXIT_CODES[summary["verdict"]]
+    code = show_summary(args, summary, folder)
+    return 1 if reason else code
 
 
 def deviations_from_reference(

@@ -2,18 +2,22 @@
 
 import argparse
 import os
+import sys
 from pathlib import Path
+from typing import NamedTuple
 
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import CampaignRun
 from analysis.campaign.cell import CellResult
-from analysis.campaign.results.campaign_progress import CampaignProgress
+from analysis.campaign.outcomes import outcome_rank
 from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.live_heat_map import LiveHeatMap
 from analysis.campaign.results.outcome_table import print_outcomes
 from analysis.campaign.results_store import ResultsStore
 from analysis.campaign.worker_pool import open_worker_pool
+from analysis.work_progress import WorkProgress
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 # Rough values: an estimate in minutes, hours or days.
@@ -30,7 +34,7 @@ def main(args: argparse.Namespace) -> int:
 
         if len(args.file) != 3:
             raise ConfigError("campaign compare: needs two campaign folders, BEFORE and AFTER")
-        return compare_folders(*(Path(name) for name in args.file[1:]))
+        return compare_folders(Path(args.file[1]), Path(args.file[2]), args)
     if args.file[0] == "search":
         from analysis.campaign.results.cell_search import write_search
 
@@ -39,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
                 "campaign search: needs a campaign folder and optionally a cell's key"
             )
         path = write_search(Path(args.file[1]), args.file[2] if len(args.file) == 3 else None)
-        print(f"mavproxy-fault search {path}")
+        print_result(args, {"test_file": path}, f"mavproxy-fault search {path}")
         return 0
     if len(args.file) != 1:
         raise ConfigError("campaign: needs exactly one campaign file; see docs/campaigns.md")
@@ -49,11 +53,12 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
     plan = CampaignPlan(campaign, keep)
-    # With `--dry-run` this is the complete output.
-    print(describe_size(plan, workers), flush=True)
+    size = estimate_size(plan, workers)
     if args.dry_run:
+        print_result(args, size._asdict(), describe_size(size))
         return 0
-    failed = run_campaign(plan, folder, workers, args.ray)
+    print(describe_size(size), file=sys.stderr, flush=True)
+    failed = run_campaign(plan, folder, workers, args)
     if args.dataset:
         from analysis.campaign.results.data_set import export_data_set
 
@@ -83,7 +88,7 @@ def check_binaries(campaign: CampaignFile) -> None:
             raise ConfigError(f"{campaign.name}: subject {subject.name}: binary {text}") from None
 
 
-def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: str | None) -> int:
+def run_campaign(plan: CampaignPlan, folder: Path, workers: int, args: argparse.Namespace) -> int:
     """Fly the missing cells, then write and print the results, also after Ctrl-C.
 
     Returns
@@ -93,13 +98,17 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
     """
     campaign = plan.campaign
     store = ResultsStore(folder, campaign)
-    pool = open_worker_pool(workers, ray_address, campaign.flight_limit_s)
+    pool = open_worker_pool(workers, args.ray, campaign.flight_limit_s)
     try:
-        with CampaignProgress(plan.max_cells, len(store.results)) as progress:
+        with WorkProgress("flying", plan.max_cells, "cells") as progress:
             heat_map = LiveHeatMap(folder, plan)
 
+            worst = list(store.results.values())
+
             def show(results: list[CellResult]) -> None:
-                progress.show(results)
+                worst[:] = [max(worst + results, key=lambda one: outcome_rank(one.outcome))]
+                text = f"worst: {worst[0].outcome} ({worst[0].cell.fault})"
+                progress.show(len(store.results), text)
                 heat_map.show(results)
 
             CampaignRun(plan, pool, store, show).run_all()
@@ -108,8 +117,8 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
         store.close()
         # There may be no results if the first flight was refused.
         if store.results:
-            write_report(folder, plan)
-            print_outcomes(folder, plan)
+            summary = {**write_report(folder, plan), "folder": folder}
+            print_result(args, summary, lambda: print_outcomes(folder, plan))
     return sum(campaign.fails(result) for result in store.results.values())
 
 
@@ -121,8 +130,20 @@ def new_folder(parent: Path, name: str) -> Path:
     return parent / f"campaign-{name}-{number}"
 
 
-def describe_size(plan: CampaignPlan, workers: int) -> str:
-    """Describe the number of cells and flights, and the expected duration."""
+class CampaignSize(NamedTuple):
+    """The size of a campaign; of a search for critical magnitudes, the largest possible."""
+
+    name: str
+    cells: int
+    flights: int
+    flight_s: float
+    duration_s: float
+    workers: int
+    is_exact: bool
+
+
+def estimate_size(plan: CampaignPlan, workers: int) -> CampaignSize:
+    """Count cells and flights, and estimate the duration."""
     campaign: CampaignFile = plan.campaign
     # Reference flights are flights, but not cells.
     flights, cells = plan.max_flights + len(plan.reference_jobs()), plan.max_cells
@@ -130,10 +151,16 @@ def describe_size(plan: CampaignPlan, workers: int) -> str:
     if any(map(campaign.autopilot, campaign.subject_names)):
         speed = AUTOPILOT_SPEED
     wall_s = flights * plan.flight_s / speed / workers
-    most = "at most " if campaign.find == "critical" else ""
+    exact = campaign.find != "critical"
+    return CampaignSize(campaign.name, cells, flights, plan.flight_s, wall_s, workers, exact)
+
+
+def describe_size(size: CampaignSize) -> str:
+    """Describe the size in a sentence."""
+    most = "" if size.is_exact else "at most "
     return (
-        f"{campaign.name}: {most}{cells} cells in {flights} flights of {plan.flight_s:g} s, "
-        f"about {format_duration(wall_s)} on {workers} workers"
+        f"{size.name}: {most}{size.cells} cells in {size.flights} flights of {size.flight_s:g} s, "
+        f"about {format_duration(size.duration_s)} on {size.workers} workers"
     )
 
 

@@ -86,6 +86,11 @@ def classify_flight(
     )
     # The fault did not cause marks that the reference flight has too.
     new = new_marks(flight.marks, reference.marks, onset_s)
+    # An estimator that is lost without the fault too has no excursion, but fails all the same.
+    if largest_error(flight, ATTITUDE, onset_s) > limits.lost_deg or (
+        largest_error(flight, POSITION, onset_s) > limits.lost_m and not has_path
+    ):
+        new.append(FlightMark(onset_s, LOST))
     # Reversed, so that the earliest of each kind stays in the dictionary.
     first = {mark.kind: mark for mark in reversed(new)}
     detected, failsafe = first.get("detected"), first.get("failsafe")
@@ -131,6 +136,12 @@ def outcome_of(
         happened.add(LOST)
     # Unaffected if nothing with a rank happened.
     return max(happened, key=outcome_rank, default="unaffected")
+
+
+def largest_error(flight: Evidence, name: str, onset_s: float) -> float:
+    """Return the largest error since the onset; 0 if there is none."""
+    t_s, value = _arrays(flight.curves.get(name, EvidenceCurve([], [])))
+    return float(np.max(value[t_s >= onset_s], initial=0.0))
 
 
 def error_excursion(

@@ -23,6 +23,7 @@ CAMPAIGN, CELLS, CURVES, REFERENCE_FLIGHTS = (
     "curves.jsonl",
     "twins.jsonl",
 )
+BASELINE = "baseline.json"  # all that a comparison needs
 T = TypeVar("T")
 
 
@@ -120,6 +121,22 @@ def read_lines(path: Path, kind: type[T]) -> list[T]:
 def read_campaign_json(path: Path) -> CampaignFile:
     """Read `campaign.json`."""
     return msgspec.json.decode(path.read_bytes(), type=CampaignFile)
+
+
+def read_results(path: Path) -> list[CellResult]:
+    """Read the results of a completed campaign: of its folder, or of its baseline file.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+    """
+    if not path.is_file():
+        return read_campaign_folder(path)[1]
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=list[CellResult])
+    except msgspec.MsgspecError as error:
+        raise ConfigError(f"{path}: {error}; give the {BASELINE} of a campaign") from None
 
 
 def read_campaign_folder(folder: Path) -> tuple[CampaignFile, list[CellResult]]:

@@ -5,7 +5,6 @@ in microseconds as in the log.
 """
 
 import csv
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,8 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.report.curves.recording import FlightData
+from analysis.report.foxglove_views import write_views
 from analysis.results import encode, read_results
 from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire import tlog
@@ -25,7 +26,7 @@ Table = dict[str, NDArray[Any]]
 TIMES = ("t_us", "timestamp", "TimeUS")
 
 
-def export_tables(paths: Sequence[Path], folder: Path, form: str) -> None:
+def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: FlightData) -> None:
     """Write the tables of logs (or of a run folder) to `folder` as csv, parquet or mcap.
 
     Raises
@@ -38,7 +39,7 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str) -> None:
         target = folder / path.stem if len(paths) > 1 else folder
         target.mkdir(exist_ok=True)
         if form == "mcap":
-            _write_mcap(target / f"{path.stem}.mcap", path)
+            _write_mcap(target / f"{path.stem}.mcap", path, recording)
             continue
         for name, table in read_tables(path):
             if form == "csv":
@@ -130,58 +131,51 @@ def _write_parquet(path: Path, table: Table) -> None:
     pq.write_table(pa.table(arrays), path, compression="zstd")
 
 
-def _write_mcap(path: Path, log: Path) -> None:
-    """Write an MCAP file with one channel of JSON messages per table."""
-    mcap = import_extra("mcap.writer")
+def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
+    """Write an MCAP file: Foxglove's views, a JSON channel per table, and the complete results."""
+    foxglove = import_extra("foxglove")
+    context = foxglove.Context()
 
-    with path.open("wb") as file:
-        writer = mcap.Writer(file, compression=mcap.CompressionType.ZSTD)
-        writer.start(profile="", library="mavproxy-fault")
+    def channel(topic: str, schema: dict[str, Any]) -> Any:
+        described = {"title": topic, "type": "object", **schema}
+        return foxglove.Channel(topic, schema=described, context=context)
+
+    with foxglove.open_mcap(path, allow_overwrite=True, context=context):
+        write_views(recording, context)
         for name, table in read_tables(log, with_results=False):
-            _write_channel(writer, name, table)
-        _write_results(writer, log / "results.jsonl")
-        writer.finish()
+            kinds = {column: {"type": _json_type(values)} for column, values in table.items()}
+            rows = channel(f"/{name}", {"properties": kinds})
+            for stamp, row in zip(_stamps_ns(table), _json_rows(table), strict=True):
+                rows.log(row, log_time=stamp)
+        topics: dict[str, Any] = {}
+        path = log / "results.jsonl"
+        for result in read_results(path) if path.is_file() else ():
+            kind = type(result).__name__
+            if kind not in topics:
+                topics[kind] = channel(f"/results/{kind}", msgspec.json.schema(type(result)))
+            topics[kind].log(encode(result), log_time=max(result.t_us, 0) * 1000)
 
 
-def _write_channel(writer: Any, name: str, table: Table) -> None:
-    properties = {column: {"type": _json_type(values)} for column, values in table.items()}
-    schema = json.dumps({"type": "object", "properties": properties}).encode()
-    schema_id = writer.register_schema(name, "jsonschema", schema)
-    channel = writer.register_channel(f"/{name}", "json", schema_id)
-    time = next((key for key in TIMES if key in table), None)
-    columns = [_python_values(column) for column in table.values()]
-    # MCAP uses nanoseconds; tables without a time (parameters, formats) are at zero.
-    stamps = table[time].astype(np.int64) * 1000 if time else np.zeros(len(columns[0]), np.int64)
-    for stamp, row in zip(stamps.tolist(), zip(*columns, strict=True), strict=True):
-        values = {key: _finite(value) for key, value in zip(table, row, strict=True)}
-        data = json.dumps(values, allow_nan=False).encode()
-        # MCAP timestamps are unsigned.
-        writer.add_message(channel, log_time=max(stamp, 0), data=data, publish_time=max(stamp, 0))
+def _stamps_ns(table: Table) -> list[int]:
+    """Return the rows' times; tables without a time (parameters, formats) are at zero."""
+    time = next((table[key] for key in TIMES if key in table), None)
+    if time is None:
+        return [0] * len(next(iter(table.values()), ()))
+    # MCAP's times are unsigned.
+    stamps: list[int] = (time.astype(np.int64).clip(0) * 1000).tolist()
+    return stamps
 
 
-def _write_results(writer: Any, path: Path) -> None:
-    """Write complete results as in `results.jsonl`, one channel per type under `/results`."""
-    if not path.is_file():
-        return
-    channels: dict[str, int] = {}
-    for result in read_results(path):
-        kind = type(result).__name__
-        if kind not in channels:
-            schema = json.dumps(msgspec.json.schema(type(result))).encode()
-            schema_id = writer.register_schema(kind, "jsonschema", schema)
-            channels[kind] = writer.register_channel(f"/results/{kind}", "json", schema_id)
-        time_ns = max(result.t_us, 0) * 1000
-        writer.add_message(
-            channels[kind], log_time=time_ns, data=encode(result), publish_time=time_ns
-        )
+def _json_rows(table: Table) -> Iterator[dict[str, Any]]:
+    """Yield rows; NaN and infinity, which JSON lacks, are None."""
+    for row in zip(*map(_python_values, table.values()), strict=True):
+        yield {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in zip(table, row, strict=True)
+        }
 
 
 def _json_type(column: NDArray[Any]) -> str:
     if column.dtype.kind == "b":
         return "boolean"
     return "string" if column.dtype.kind in "SU" else "number"
-
-
-def _finite(value: Any) -> Any:
-    """Replace NaN and infinity, which JSON lacks, by None."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -18,6 +18,7 @@ from analysis.report.judging.checks import RANK
 from analysis.report.log_report import report_log
 from analysis.report.page.index_page import UNREADABLE, index_html
 from analysis.report.recordings.log_paths import PACKED
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 LOGS = (".tlog", ".ulg", ".bin", ".log")
@@ -60,7 +61,8 @@ def report_folder(folder: Path, args: argparse.Namespace) -> int:
             rows[name] = row
     finally:  # keep finished reports, also after Ctrl-C
         _write(out, folder, {name: {"mark": marks[name], "row": rows[name]} for name in rows})
-    print(f"{len(rows)} flight{'s' * (len(rows) != 1)} ({len(new)} new): {out / 'index.html'}")
+    text = f"{len(rows)} flight{'s' * (len(rows) != 1)} ({len(new)} new): {out / 'index.html'}"
+    print_result(args, {"flights": rows, "index": out / "index.html"}, text)
     verdicts = {row["verdict"] for row in rows.values()}
     # Unreadable takes precedence over failed.
     return 2 if UNREADABLE in verdicts else int("FAIL" in verdicts)

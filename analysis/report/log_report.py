@@ -53,7 +53,7 @@ def write_optional_outputs(
     elif args.export:
         from analysis.report.export import export_tables
 
-        export_tables(paths, folder / "export", args.export)
+        export_tables(paths, folder / "export", args.export, recording)
     # The browser prints the page written before.
     if args.pdf:
         write_pdf(folder / "report.html")

@@ -16,6 +16,7 @@ from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
 from analysis.report.recordings.log_paths import log_file, log_files
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
+from mavproxy_fault.app.command_result import open_console, print_result
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.label import read_labels
 
@@ -43,7 +44,7 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     others = [assess_flight(read_flight([log], ()), thresholds) for log in against]
     paths, unreadable = log_files([Path(log) for log in args.logs], unpacked)
     flights = group_logs(paths)
-    failed = False
+    failed, rows = False, []
     for flight_paths in flights:
         folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
         try:
@@ -56,8 +57,12 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
             continue
         write_report(folder, outcome, others, args.data)
         write_optional_outputs(folder, outcome, flight_paths, args)
-        print_outcome(outcome, folder)
+        if not args.json:
+            print_outcome(outcome, folder)
+        rows.append({**outcome.summary, "folder": folder})
         failed |= outcome.verdict == FAIL
+    if args.json:
+        print_result(args, {"flights": rows, "unreadable": unreadable}, "")
     for message in unreadable:
         print(f"mavproxy-fault: {message}", file=sys.stderr)
     return 2 if unreadable else int(failed)
@@ -78,10 +83,10 @@ def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
 
 def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
     """Print the verdict, warnings, failures and faults on the terminal."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(soft_wrap=True, highlight=False, markup=False)
+    console = open_console()
+    console.soft_wrap = True
     colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
     recording = outcome.flight.recording
     console.print(Text(recording.name, "bold"), f" {recording.duration_s:.0f} s")

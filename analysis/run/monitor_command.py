@@ -23,14 +23,15 @@ from analysis.recordings.position_reference import PositionReference, read_refer
 from analysis.recordings.read_recordings import read_log, read_rinex
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
-from analysis.run.run_progress import RunProgress
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from analysis.work_progress import WorkProgress
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
 from mavproxy_fault.documents.atomic_file import write_private
@@ -106,8 +107,7 @@ def main(args: argparse.Namespace) -> int:
         if injected is not None:
             write_private(folder / "labels.jsonl", encode_lines(injected))
         _report(args, folder, labels or [], summary, reference, integrity)
-    print_summary(summary, folder)
-    return EXIT_CODES[summary["verdict"]]
+    return show_summary(args, summary, folder)
 
 
 def open_results_bus(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
@@ -146,7 +146,8 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
             "--calibrate: fewer than 20 epochs can be solved; give a longer recording"
         )
     write_sigma(path, found)
-    print(f"{path}: {found.describe()}; use it with --sigma {path}")
+    text = f"{path}: {found.describe()}; use it with --sigma {path}"
+    print_result(args, {"file": path, "fit": found}, text)
     return 0
 
 
@@ -215,7 +216,7 @@ def monitor_recording(block: Block, monitor: Monitor, deliver: ResultSink, stop:
     """Feed a complete recording to the monitor, some rows at a time: a day takes a minute."""
     sky, count = RecordedSky(block, monitor.detector), len(block.kind)
     spans_s = (block.t_us - block.t_us[0]) * 1e-6
-    with RunProgress(float(spans_s[-1]), "monitoring") as progress:
+    with WorkProgress("monitoring", float(spans_s[-1])) as progress:
         for begin in range(0, count, PART_ROWS):
             end = min(begin + PART_ROWS, count)
             deliver(sky.add_sky(monitor.push(block.between(begin, end))))

@@ -16,12 +16,12 @@ from analysis.results import Result, read_results
 from analysis.run.monitor_process import MonitorProcess
 from analysis.run.proxied_flight import ProxiedFlight, recorder_session
 from analysis.run.reference_flight import REFERENCE_FOLDER, start_reference_flight
-from analysis.run.run_progress import RunProgress
 from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import stop_requests
-from analysis.run.terminal_summary import EXIT_CODES, print_summary
+from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
 from analysis.run.vehicle_judging import judge_vehicle_of_run
+from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus
 from mavproxy_fault.links.link import Link
@@ -96,8 +96,7 @@ def main(args: argparse.Namespace) -> int:
     write_summary(folder, summary)
     if args.report:
         write_flight_report(folder, summary, columns, curves)
-    print_summary(summary, folder)
-    return EXIT_CODES[summary["verdict"]]
+    return show_summary(args, summary, folder)
 
 
 def run_flight(
@@ -116,7 +115,7 @@ def run_flight(
     With `together`, for a live page, the flight waits for a monitor that falls behind.
     """
     recorded_us = 0
-    with RunProgress(flight.duration_s) as progress:
+    with WorkProgress("flying", flight.duration_s) as progress:
         battery = BatteryWarnings(progress.say)
         with stop_requests() as stop:
             # Stop only between two steps, so that logs stay complete.

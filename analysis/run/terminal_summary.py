@@ -1,5 +1,6 @@
 """Print the summary of a run to the terminal."""
 
+import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from rich.text import Text
 
 from analysis.scoring.run_remarks import run_remarks
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
+from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 
 # NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
@@ -18,9 +20,16 @@ GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
+def show_summary(args: argparse.Namespace, summary: dict[str, Any], folder: Path | None) -> int:
+    """Print the summary as text or JSON, and return the exit code of its verdict."""
+    data = {**summary, "folder": folder}
+    print_result(args, data, lambda: print_summary(summary, folder))
+    return EXIT_CODES[summary["verdict"]]
+
+
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
-    console = Console(markup=False)  # texts of users and autopilots may contain brackets
+    console = open_console()
     if "outcome" in summary:
         found = msgspec.convert(summary["outcome"], VehicleOutcome)
         console.print(f"vehicle         {describe_vehicle(found)}", soft_wrap=True)
@@ -131,9 +140,8 @@ def _known(count: int | None) -> str:
 
 
 def _faults(rows: list[Mapping[str, Any]]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for name in ("fault", "target", "from s", "to s", "frames", "delay s", "isolated", "verdict"):
-        table.add_column(name, justify="right" if name[-2:] in (" s", "es") else "left")
+    numbers = ("from s", "to s", "frames", "delay s")
+    table = plain_table("fault", "target", *numbers, "isolated", "verdict", right=numbers)
     for row in rows:
         word = row["verdict"]
         table.add_row(

@@ -25,10 +25,11 @@ from analysis.search.evaluation.pool import Pool, pool_of
 from analysis.search.history import RECORD, History
 from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import seed_of
-from analysis.search.search_progress import SearchProgress
 from analysis.search.searchers import make_searcher
 from analysis.search.shrink import MeanErrors, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
+from analysis.work_progress import WorkProgress
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 DEFAULT_BUDGET = 2000  # evaluations: seconds with the compiled kernels
@@ -48,19 +49,20 @@ def main(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
     pool = pool_of(args.workers, args.ray)
     try:
-        progress = SearchProgress(test.unit)
-        cases, totals = run_search(test, pool, folder, progress, progress.print_line)
+        with WorkProgress("searching", test.budget or DEFAULT_BUDGET, "tests") as bar:
+
+            def show(tests: int, worst: float, budget: int) -> None:
+                bar.show(tests, f"worst {worst:.4g} {test.unit}", budget)
+
+            cases, totals = run_search(test, pool, folder, show, bar.say)
     finally:
         pool.close()
     text = log_text(test, cases, totals)
     (folder / "TestResFile.log").write_text(text)
     write_cases(folder, test, cases)
-    (folder / "search-summary.json").write_bytes(
-        msgspec.json.format(
-            msgspec.json.encode({"totals": totals._asdict(), "cases": [c._asdict() for c in cases]})
-        )
-    )
-    print(f"\n{text}\n{folder}/")
+    summary = {"totals": totals._asdict(), "cases": [c._asdict() for c in cases]}
+    (folder / "search-summary.json").write_bytes(msgspec.json.format(msgspec.json.encode(summary)))
+    print_result(args, {**summary, "folder": folder}, f"\n{text}\n{folder}/")
     return 0
 
 
@@ -90,7 +92,7 @@ def run_search(
     pool: Pool,
     folder: Path,
     progress: Progress | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], object] | None = None,
 ) -> tuple[list[WorstCase], Totals]:
     """Search, score the candidates on fresh noise, shrink the faults of the worst.
 
@@ -100,8 +102,8 @@ def run_search(
     archive = Archive(test.keep)
     rejected: Counter[str] = Counter()
     tests, steps = search_cases(test, pool, folder, archive, rejected, progress)
-    # In the simulator and with an autopilot this takes as long as many tests.
-    say = say if say is not None and test.simulated else _silent
+    # This takes as long as many tests.
+    say = say or str
     say(f"rescoring the worst {len(archive.cases)}, {test.rescore_draws} flights each")
     ranked = rescore_cases(test, pool, archive.cases)[: test.keep]
     cases = []
@@ -111,10 +113,6 @@ def run_search(
         cases.append(finish_case(test, case, outcome))
     totals = Totals(tests, dict(rejected), steps, time.perf_counter() - started, steps * test.dt_s)
     return cases, totals
-
-
-def _silent(text: str) -> None:
-    """Discard a progress line."""
 
 
 def search_cases(

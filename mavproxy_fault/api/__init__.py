@@ -2,5 +2,6 @@
 
 `Proxy` is the proxy of a test; its `fault` starts a `LiveFault`. A `LocalProxy` runs the event
 loop in a thread, a `RemoteProxy` controls another process over Zenoh; `ProxyObserver` stores the
-labels and samples of either. `Run` gives the results of one `mavproxy-fault run`.
+labels and samples of either. `command_calls` starts `mavproxy-fault run` and others,
+`result_folders` reads what they leave.
 """

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import write_yaml
@@ -34,15 +35,26 @@ TARGETS = {
 def main(args: argparse.Namespace) -> int:
     """Run one of the actions."""
     if args.action == "list":
-        print(list_messages() if args.messages else list_catalogue())
+        if args.messages:
+            sources = [
+                "built in: " + " ".join(text for key, text in one.items() if key != "sha256")
+                for one in built_in_messages()["sources"]
+            ] + [f"dialect: {path}" for path in dialect_paths()]
+            messages = {name: message_layout(name).id for name in message_names()}
+            by_id = sorted(messages, key=messages.__getitem__)
+            lines = [*sources, *(f"{messages[name]:8}  {name}" for name in by_id)]
+            print_result(args, {"sources": sources, "messages": messages}, "\n".join(lines))
+        else:
+            catalogue = list_catalogue()
+            print_result(args, catalogue, format_catalogue(catalogue))
     elif args.action == "show":
-        print(describe_fault(args.name))
+        text = describe_fault(args.name)
+        print_result(args, {"name": args.name, "text": text}, text)
     elif args.action == "check":
-        schedule = read_schedule(args.file)
-        plural = "s" * (len(schedule.faults) != 1)
-        print(f"{args.file}: {len(schedule.faults)} fault{plural}: OK")
-        for entry in schedule.faults:
-            print(f"  {entry.id}: {describe_entry(entry)}")
+        faults = {entry.id: describe_entry(entry) for entry in read_schedule(args.file).faults}
+        text = "".join(f"\n  {id}: {described}" for id, described in faults.items())
+        count = f"{len(faults)} fault{'s' * (len(faults) != 1)}"
+        print_result(args, {"faults": faults}, f"{args.file}: {count}: OK{text}")
     elif args.action == "plot":
         _plot(args)
     else:
@@ -50,26 +62,27 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def list_messages() -> str:
-    """List the messages that may be targets, with their ids, one per line, after their sources."""
-    sources = [
-        "built in: " + " ".join(text for key, text in one.items() if key != "sha256")
-        for one in built_in_messages()["sources"]
-    ] + [f"dialect: {path}" for path in dialect_paths()]
-    layouts = sorted((message_layout(name) for name in message_names()), key=lambda one: one.id)
-    return "\n".join([*sources, *(f"{layout.id:8}  {layout.name}" for layout in layouts)])
+def fault_and_preset_names() -> list[str]:
+    """Return every name that `inject` and `faults show` know."""
+    return [*known_faults(), *known_aliases(), *preset_names()]
 
 
-def list_catalogue() -> str:
-    """List all faults and presets, one per line."""
-    rows = [("faults", "")]
+def list_catalogue() -> dict[str, dict[str, str]]:
+    """Return what each fault and each preset does, in one line."""
+    faults = {}
     for name, kind in known_faults().items():
         aliases = ", ".join(getattr(kind, "aliases", ()))
-        also = f" (also {aliases})" if aliases else ""
-        rows.append((f"  {name}", first_line(kind) + also))
-    rows.append(("presets", ""))
-    rows += [(f"  {name}", str(read_preset(name)["about"])) for name in preset_names()]
-    return "\n".join(f"{left:28}{right}".rstrip() for left, right in rows)
+        faults[name] = first_line(kind) + (f" (also {aliases})" if aliases else "")
+    presets = {name: str(read_preset(name)["about"]) for name in preset_names()}
+    return {"faults": faults, "presets": presets}
+
+
+def format_catalogue(catalogue: dict[str, dict[str, str]]) -> str:
+    """Format all faults and presets, one per line."""
+    lines = []
+    for title, rows in catalogue.items():
+        lines += [title, *(f"  {name:26}{about}" for name, about in rows.items())]
+    return "\n".join(lines)
 
 
 def first_line(kind: type[Any]) -> str:
@@ -93,7 +106,7 @@ def describe_fault(name: str) -> str:
         return f"{name}: {preset['about']}\n\nas faults:\n{parts}\n{use}"
     kind = fault_class(name)
     if kind is None:
-        known = suggest_known(name, [*known_faults(), *known_aliases(), *preset_names()])
+        known = suggest_known(name, fault_and_preset_names())
         raise ConfigError(f"faults show: {name} is neither a fault nor a preset; {known}")
     lines = [f"{name}: {inspect.getdoc(kind)}", "", f"target: {TARGETS[kind.acts_on]}"]
     if acts_on_ranges(kind):
@@ -156,7 +169,7 @@ def _plot(args: argparse.Namespace) -> None:
         schedule = read_schedule(name)
     out = Path(args.out or Path(name).with_suffix(".png").name)
     draw_preview(schedule, out)
-    print(out)
+    print_result(args, {"plot": out}, str(out))
 
 
 def schedule_schema() -> dict[str, Any]:

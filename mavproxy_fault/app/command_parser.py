@@ -4,6 +4,7 @@ import argparse
 import itertools
 import re
 from collections.abc import Iterable
+from importlib import import_module
 from typing import Any
 
 from mavproxy_fault.documents.suggestion import suggest_known
@@ -43,6 +44,9 @@ class CommandParser(argparse.ArgumentParser):
         """Parse; an unknown option is reported before missing arguments."""
         # The options of a parser with subcommands end at the first positional argument.
         is_own = "--".__ne__ if self._subparsers is None else re.compile("--.").match
+        if args == [] and self._subparsers is not None:
+            self.print_help()
+            self.exit(2)  # nothing was done
         given: set[str] = set()
         for argument in itertools.takewhile(is_own, args or ()):
             self._check_option(argument.partition("=")[0])
@@ -89,18 +93,39 @@ class CompletionAction(argparse.Action):
     ) -> None:
         import shtab
 
-        _complete_files(parser, shtab.FILE, shtab.DIRECTORY)
+        _complete_arguments(parser)
         print(shtab.complete(parser, values))
         parser.exit()
 
 
-def _complete_files(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
-    """Make shtab complete file and folder arguments of all subcommands."""
+# Names by metavar: the registry of a package that an entry point may extend.
+KNOWN_NAMES = {
+    "FAULT": ("mavproxy_fault.app.catalogue", "fault_and_preset_names"),
+    "MSG.FIELD": ("mavproxy_fault.wire.dialect", "message_names"),
+    "ESTIMATORS": ("analysis.estimators", "estimator_names"),
+}
+YAML_FILES = ("*.yaml", "*.yml")
+FILE_PATTERNS = {
+    "YAML": YAML_FILES, "SCENARIO": YAML_FILES, "TESTFILE": YAML_FILES, "PNG": ("*.png",),
+    "CSV": ("*.csv",), "LOG": ("*.tlog", "*.ulg", "*.bin", "*.log", "*.BIN", "*.??o", "*.rnx"),
+}  # fmt: skip
+
+
+def _complete_arguments(parser: argparse.ArgumentParser) -> None:
+    """Make shtab complete the names, files and folders of all subcommands, by their metavars."""
+    import shtab
+
     for action in parser._actions:
+        kind = str(action.metavar)
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                _complete_files(sub, file, folder)
-        elif action.metavar == "DIR":
-            action.complete = folder  # type: ignore[attr-defined]  # read by shtab
-        elif action.metavar in ("FILE", "LOG", "PNG", "CSV", "SCENARIO", "TESTFILE", "PATH"):
-            action.complete = file  # type: ignore[attr-defined]
+                _complete_arguments(sub)
+        elif kind in KNOWN_NAMES:
+            module, function = KNOWN_NAMES[kind]
+            action.choices = list(getattr(import_module(module), function)())
+        elif kind in FILE_PATTERNS:
+            action.complete = shtab.glob(*FILE_PATTERNS[kind])  # type: ignore[attr-defined]
+        elif kind in ("FILE", "PATH", "POINT|FILE"):
+            action.complete = shtab.FILE  # type: ignore[attr-defined]
+        elif kind == "DIR":
+            action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]

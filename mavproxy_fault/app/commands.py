@@ -3,11 +3,25 @@
 import argparse
 import gc
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
+from mavproxy_fault.app.command_result import add_json
+
 AddCommand = Callable[[Any], None]
+Main = Callable[[argparse.Namespace], int]
 
 ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560, /dev/ttyUSB0,57600"
+
+
+def main_of(module: str) -> Main:
+    """Return the `main` of a command's module, which is imported when the command runs."""
+
+    def main(args: argparse.Namespace) -> int:
+        run: Main = import_module(module).main
+        return run(args)
+
+    return main
 
 
 def add_proxy(commands: Any) -> None:
@@ -20,7 +34,7 @@ def add_proxy(commands: Any) -> None:
     )  # fmt: skip
     # MAVProxy's name, accepted but not shown: in our other commands it is the output.
     parser._option_string_actions["--out"] = to
-    parser.add_argument("--schedule", metavar="FILE", help="faults to apply (YAML)")
+    parser.add_argument("--schedule", metavar="YAML", help="faults to apply")
     parser.add_argument("--logdir", metavar="DIR", help="write tlogs and labels here")
     parser.add_argument(
         "--allow-peer", action="append", default=[], metavar="NET",
@@ -48,7 +62,7 @@ def add_proxy(commands: Any) -> None:
         "--rflysim", type=int, metavar="PORT", help="UDP port for RflySim's fault packets"
     )
     parser.add_argument(
-        "--rflysim-map", metavar="FILE", help="map of its fault ids, YAML (default: built-in)"
+        "--rflysim-map", metavar="YAML", help="map of its fault ids (default: built-in)"
     )
     _add_signing(parser)
     parser.set_defaults(main=_proxy)
@@ -65,9 +79,7 @@ def _proxy(args: argparse.Namespace) -> int:
     # Loaded modules stay; scanning them for garbage takes a tenth of the start-up time.
     gc.disable()
     try:
-        from mavproxy_fault.app.proxy_command import main
-
-        return main(args)
+        return main_of("mavproxy_fault.app.proxy_command")(args)
     finally:
         gc.enable()
 
@@ -77,7 +89,7 @@ def add_replay(commands: Any) -> None:
     parser = commands.add_parser("replay", help="replay a tlog, or apply faults to a RINEX file")
     parser.add_argument("log", metavar="LOG", help="a tlog, or a RINEX observation file")
     parser.add_argument(
-        "--schedule", metavar="FILE", help="faults to apply (default: those of the recording)"
+        "--schedule", metavar="YAML", help="faults to apply (default: those of the recording)"
     )
     parser.add_argument(
         "--nav", nargs="+", metavar="FILE", help="RINEX navigation files, for spoofs into RINEX"
@@ -88,13 +100,8 @@ def add_replay(commands: Any) -> None:
     )
     where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
     _add_signing(parser)
-    parser.set_defaults(main=_replay)
-
-
-def _replay(args: argparse.Namespace) -> int:
-    from mavproxy_fault.app.replay import main
-
-    return main(args)
+    add_json(parser)
+    parser.set_defaults(main=main_of("mavproxy_fault.app.replay"))
 
 
 def add_inject(commands: Any) -> None:
@@ -122,6 +129,7 @@ def add_inject(commands: Any) -> None:
         help="where --through finds the vehicle (default: udpin://127.0.0.1:14540)",
     )  # fmt: skip
     _add_run(parser)
+    add_json(parser)
     parser.set_defaults(main=_inject)
 
 
@@ -157,13 +165,8 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _inject(args: argparse.Namespace) -> int:
-    if args.through is not None:
-        from mavproxy_fault.app.standard_failure import main as standard
-
-        return standard(args)
-    from mavproxy_fault.app.inject import main
-
-    return main(args)
+    module = "inject" if args.through is None else "standard_failure"
+    return main_of(f"mavproxy_fault.app.{module}")(args)
 
 
 def add_schedule(commands: Any) -> None:
@@ -171,20 +174,15 @@ def add_schedule(commands: Any) -> None:
     parser = commands.add_parser("schedule", help="load, save, show or clear a running schedule")
     actions = parser.add_subparsers(dest="action", title="actions", metavar="ACTION", required=True)
     load = actions.add_parser("load", help="replace the running schedule by a file")
-    load.add_argument("file", metavar="FILE", help="YAML; its times count from now on")
+    load.add_argument("file", metavar="YAML", help="its times count from now on")
     save = actions.add_parser("save", help="write the running schedule, live faults included")
-    save.add_argument("file", nargs="?", metavar="FILE", help="(default: to the terminal)")
+    save.add_argument("file", nargs="?", metavar="YAML", help="(default: to the terminal)")
     state = actions.add_parser("state", help="state of all faults, as JSON")
     clear = actions.add_parser("clear", help="end every fault")
     for action in (load, save, state, clear):
         _add_run(action)
-    parser.set_defaults(main=_schedule)
-
-
-def _schedule(args: argparse.Namespace) -> int:
-    from mavproxy_fault.app.schedule_command import main
-
-    return main(args)
+    add_json(load, save, state, clear)
+    parser.set_defaults(main=main_of("mavproxy_fault.app.schedule_command"))
 
 
 def add_faults(commands: Any) -> None:
@@ -195,23 +193,18 @@ def add_faults(commands: Any) -> None:
     listing.add_argument("--messages", action="store_true", help="list the known messages")
     listing.set_defaults(action="list")
     show = actions.add_parser("show", help="show parameters and an example of a fault or preset")
-    show.add_argument("name", metavar="NAME")
+    show.add_argument("name", metavar="FAULT", help="fault or preset by name")
     show.set_defaults(action="show")
     check = actions.add_parser("check", help="check a schedule file")
-    check.add_argument("file", metavar="FILE")
+    check.add_argument("file", metavar="YAML", help="the schedule")
     check.set_defaults(action="check")
     plot = actions.add_parser("plot", help="draw a schedule's fault functions to PNG")
-    plot.add_argument("file", metavar="FILE")
-    plot.add_argument("--out", metavar="PNG", help="(default: name of FILE with .png, here)")
+    plot.add_argument("file", metavar="YAML", help="the schedule, or a preset by name")
+    plot.add_argument("--out", metavar="PNG", help="(default: name of the schedule with .png)")
     plot.set_defaults(action="plot")
+    add_json(listing, show, check, plot)
     actions.add_parser("schema", help="JSON Schema of schedules").set_defaults(action="schema")
-    parser.set_defaults(main=_faults)
-
-
-def _faults(args: argparse.Namespace) -> int:
-    from mavproxy_fault.app.catalogue import main
-
-    return main(args)
+    parser.set_defaults(main=main_of("mavproxy_fault.app.catalogue"))
 
 
 def add_ardupilot(commands: Any) -> None:
@@ -234,13 +227,17 @@ def add_ardupilot(commands: Any) -> None:
     parser.add_argument(
         "--out", default="ardupilot", metavar="DIR", help="working folder of ArduPilot"
     )
-    parser.set_defaults(main=_ardupilot)
+    parser.set_defaults(main=main_of("mavproxy_fault.ardupilot.bridge_command"))
 
 
-def _ardupilot(args: argparse.Namespace) -> int:
-    from mavproxy_fault.ardupilot.bridge_command import main
-
-    return main(args)
+def add_new(commands: Any) -> None:
+    """`new`: a package of one's own."""
+    parser = commands.add_parser("new", help="write a package with an estimator, detector or fault")
+    parser.add_argument("kind", choices=("estimator", "detector", "fault"), help="what it adds")
+    parser.add_argument("name", metavar="NAME", help="its name, such as gyro-only")
+    parser.add_argument("--out", metavar="DIR", help="its folder (default: NAME)")
+    add_json(parser)
+    parser.set_defaults(main=main_of("mavproxy_fault.app.new_package"))
 
 
 BUILT_IN_COMMANDS: dict[str, AddCommand] = {
@@ -250,4 +247,5 @@ BUILT_IN_COMMANDS: dict[str, AddCommand] = {
     "inject": add_inject,
     "schedule": add_schedule,
     "faults": add_faults,
+    "new": add_new,
 }

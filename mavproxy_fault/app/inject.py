@@ -7,11 +7,13 @@ from typing import Any
 
 import msgspec
 
+from mavproxy_fault.app.catalogue import fault_and_preset_names
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.running_proxy import join_run, query_run
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_yaml
-from mavproxy_fault.faults.registry import fault_class, known_faults
+from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.live.bus_types import ScheduleState
 from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry
@@ -27,11 +29,13 @@ def main(args: argparse.Namespace) -> int:
         )
     if args.list:
         with join_run(args) as bus:
-            print(format_fault_table(query_run(bus, "state")))
+            state = query_run(bus, "state")
+        print_result(args, state["faults"], format_fault_table(state))
         return 0
     what, data = build_request(args)
     with join_run(args) as bus:
-        print(json.dumps(query_run(bus, what, msgspec.json.encode(data))))
+        reply = query_run(bus, what, msgspec.json.encode(data))
+    print_result(args, reply, json.dumps(reply))
     return 0
 
 
@@ -110,7 +114,7 @@ def live_entry(
         If the fault does not exist, or a key is wrong or missing.
     """
     if fault_class(fault) is None and fault not in preset_names():
-        known = suggest_known(fault, [*known_faults(), *preset_names()])
+        known = suggest_known(fault, fault_and_preset_names())
         raise ConfigError(f"inject: {fault} is neither a fault nor a preset; {known}")
     # The preset, if a fault has the same name, only without target and value.
     unchanged = target is None and value is None

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.playback import LogRecord, LogSource, open_log
 from mavproxy_fault.app.proxy_command import read_signing
 from mavproxy_fault.app.recorder import encode_lines
@@ -219,11 +220,12 @@ def main(args: argparse.Namespace) -> int:
             raise ConfigError(
                 f"--out {out}: {error.strerror}; give a file that can be written"
             ) from None
-        print(f"{out}\n{labels}")
+        print_result(args, {"log": out, "labels": labels}, f"{out}\n{labels}")
         return 0
     link = open_link(args.link, bare_udp="udpout")
     try:
-        print(f"{replay_to_link(playing, link)} sent to {link.name}")
+        count = replay_to_link(playing, link)
+        print_result(args, {"frames": count, "link": link.name}, f"{count} sent to {link.name}")
     finally:
         link.close()
     return 0

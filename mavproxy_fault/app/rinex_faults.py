@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
@@ -51,7 +52,7 @@ def replay_rinex(args: argparse.Namespace) -> int:
     labels_path = out.with_suffix(out.suffix + ".labels.jsonl")
     write_private(out, ("\n".join(lines) + "\n").encode("ascii", "replace"))
     write_private(labels_path, encode_lines(labels))
-    print(f"{out}\n{labels_path}")
+    print_result(args, {"log": out, "labels": labels_path}, f"{out}\n{labels_path}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"fault {word} matched no observation", file=sys.stderr)
     return 0

@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.running_proxy import join_run, query_run
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
@@ -18,14 +19,16 @@ def main(args: argparse.Namespace) -> int:
         with join_run(args) as bus:
             loaded = query_run(bus, "schedule/begin", text)["faults"]
         count = f"{len(loaded)} fault{'s' * (len(loaded) != 1)}"
-        print(f"{count} loaded: {', '.join(loaded)}" if loaded else "no faults loaded")
+        said = f"{count} loaded: {', '.join(loaded)}" if loaded else "no faults loaded"
+        print_result(args, {"faults": loaded}, said)
     elif args.action == "save":
         with join_run(args) as bus:
             _save(query_run(bus, "schedule/save")["anew"], args.file)
     elif args.action == "clear":
         with join_run(args) as bus:
             cleared = query_run(bus, "schedule/stop")["cleared"]
-        print("all faults cleared" if cleared else "no faults to clear")
+        said = "all faults cleared" if cleared else "no faults to clear"
+        print_result(args, {"cleared": cleared}, said)
     else:
         with join_run(args) as bus:
             print(json.dumps(query_run(bus, "state"), indent=2))

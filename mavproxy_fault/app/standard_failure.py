@@ -10,6 +10,7 @@ import sys
 import time
 from typing import Any
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 
@@ -31,15 +32,17 @@ def main(args: argparse.Namespace) -> int:
         if refusal:
             print(f"{args.fault}: {refusal}", file=sys.stderr)
             return 1
-        print(f"{args.fault}: accepted")
+        accepted = {"fault": args.fault, "state": "accepted"}
+        print_result(args, accepted, f"{args.fault}: accepted")
         if args.for_s is None:
             return 0
         try:
             time.sleep(args.for_s)
         except KeyboardInterrupt:
-            print("ended early")
+            print("ended early", file=sys.stderr)
         refusal = send_failure(failure, unit, mavsdk_failure_types()["ok"], instance)
-        print(f"{args.fault}: {refusal or 'ended'}")
+        state = refusal or "ended"
+        print_result(args, {"fault": args.fault, "state": state}, f"{args.fault}: {state}")
         return 1 if refusal else 0
 
 

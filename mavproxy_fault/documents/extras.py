@@ -10,7 +10,7 @@ from mavproxy_fault.documents.errors import ConfigError
 
 LOG = logging.getLogger(__name__)
 EXTRAS = {
-    "ahrs": "ahrs", "hatanaka": "rinex", "matplotlib": "plots", "mcap": "mcap",
+    "ahrs": "ahrs", "foxglove": "mcap", "hatanaka": "rinex", "matplotlib": "plots", "mcap": "mcap",
     "pyarrow": "parquet",
 }  # fmt: skip
 

@@ -13,8 +13,8 @@ def suggest_known(name: str, known: Iterable[str]) -> str:
         return "none exist"
     name = name[:LONGEST]
     # Message names are in capitals, so a second search uses capitals.
-    close = difflib.get_close_matches(name, names, 3, 0.5) or difflib.get_close_matches(
-        name.upper(), names, 3, 0.5
+    close = difflib.get_close_matches(name, names, 3) or difflib.get_close_matches(
+        name.upper(), names, 3
     )
     if close:
         return f"did you mean {' or '.join(close)}?"

@@ -239,12 +239,8 @@ def _open_session(address: str, run: str, router: bool, config: Any) -> Bus:
     except zenoh.ZError as error:
         # Zenoh appends a path of its own source.
         reason = str(error).split(" at /")[0]
-        wrong = (
-            _explain_router_failure(address, reason) if router else _explain_client_failure(address)
-        )
         raise ConfigError(
-            f"zenoh {address} {wrong} ({reason}); allowed: tcp/HOST:PORT that is "
-            + ("free" if router else "served by a proxy, a run or zenohd")
+            _explain_router_failure(address, reason) if router else _explain_client_failure(address)
         ) from error
     except BaseException as error:
         # Zenoh's panic is not an Exception, and its class is known only by name.
@@ -264,18 +260,25 @@ def _explain_router_failure(address: str, reason: str) -> str:
         if "address already in use" in reason.lower()
         else ""
     )
-    return "cannot be opened as the router" + held
+    return (
+        f"zenoh {address} cannot be opened as the router{held} ({reason}); allowed: tcp/HOST:PORT"
+        " that is free"
+    )
 
 
 def _explain_client_failure(address: str) -> str:
-    """Explain why a client could not connect: refused, or no router listening."""
+    """Explain why a client could not connect: refused, or nothing listening."""
     host, _, port = address.partition("/")[2].rpartition(":")
     with contextlib.suppress(OSError, ValueError), socket.create_connection((host, int(port)), 1.0):
         return (
-            "refused the connection: it belongs to another user or requires a password or"
-            " certificate; give them with --zenoh-config FILE or the variable ZENOH_CONFIG"
+            f"zenoh {address} refused the connection: it belongs to another user or requires a"
+            " password or certificate; give them with --zenoh-config FILE or the variable"
+            " ZENOH_CONFIG"
         )
-    return "has no router listening"
+    return (
+        f"no proxy or run is at zenoh {address}; start one, such as `mavproxy-fault run --ui`, or"
+        " give its address with --zenoh"
+    )
 
 
 def check_run_name(run: str) -> None:

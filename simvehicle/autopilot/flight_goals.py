@@ -134,10 +134,13 @@ class CommandedFlight:
         return True
 
     def take_off(self, alt_m: float) -> None:
-        """Climb at the current position to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT)."""
+        """Climb at the current position to `alt_m` above sea level (NaN: MIS_TAKEOFF_ALT).
+
+        MIS_TAKEOFF_ALT is also the lowest, as in PX4: MAVProxy's `takeoff 10` is above home.
+        """
         self.commanded = True
         self._enter_mode(FlightMode.TAKEOFF)
-        if math.isfinite(alt_m):
+        if alt_m > self.home.alt_m + float(self._parameters["MIS_TAKEOFF_ALT"]):
             self.goal = replace(self.goal, r_ned_m=self._position_at(alt_m))
 
     def go_to(self, lat_deg: float, lon_deg: float, alt_m: float, yaw_rad: float) -> bool:

@@ -9,19 +9,20 @@ References
 .. [1] Holm, Scandinavian Journal of Statistics 6(2), 1979.
 """
 
+import argparse
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from scipy.stats import binomtest
 
 from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED, outcome_rank
-from analysis.campaign.results_store import read_campaign_folder
+from analysis.campaign.results_store import read_results
+from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 # Tested in addition to the single faults, to find many small changes of one sign.
@@ -53,7 +54,7 @@ class FaultChange(NamedTuple):
         return self.p_value < SIGNIFICANCE_LEVEL and self.worse > self.better
 
 
-def compare_folders(before: Path, after: Path) -> int:
+def compare_folders(before: Path, after: Path, args: argparse.Namespace) -> int:
     """Print what changed; return 1 if something got significantly worse or was aborted, else 0.
 
     Raises
@@ -62,8 +63,7 @@ def compare_folders(before: Path, after: Path) -> int:
         If the campaigns have no cell in common.
     """
     old, new = (
-        {result.cell.key: result for result in read_campaign_folder(folder)[1]}
-        for folder in (before, after)
+        {result.cell.key: result for result in read_results(folder)} for folder in (before, after)
     )
     # No common cell is a mistake of the user, not "nothing changed".
     changes = compare_results(old, new)
@@ -71,20 +71,24 @@ def compare_folders(before: Path, after: Path) -> int:
         raise ConfigError(
             f"{before} and {after}: no common cells; fly the same campaign file twice"
         )
-    console = Console(markup=False)
-    console.print(_table(changes))
-    for change in changes:
-        if change.regressed:
+    regressed = [change for change in changes if change.regressed]
+    # Without its cells a campaign cannot show that nothing got worse.
+    aborted = sum(result.outcome == ABORTED for result in new.values())
+
+    def show() -> None:
+        console = open_console()
+        console.print(_table(changes))
+        for change in regressed:
             for earlier, later in change.examples:
                 console.print(
                     f"{later.cell.key}: {earlier.outcome} -> {later.outcome}", soft_wrap=True
                 )
-    regressed = [change for change in changes if change.regressed]
-    console.print(f"{len(regressed)} of {len(changes)} got worse")
-    # Without its cells a campaign cannot show that nothing got worse.
-    aborted = sum(result.outcome == ABORTED for result in new.values())
-    if aborted:
-        console.print(f"{aborted} cells of {after} aborted", soft_wrap=True)
+        console.print(f"{len(regressed)} of {len(changes)} got worse")
+        if aborted:
+            console.print(f"{aborted} cells of {after} aborted", soft_wrap=True)
+
+    rows = [{**change._asdict(), "regressed": change.regressed} for change in changes]
+    print_result(args, {"changes": rows, "aborted": aborted}, show)
     return int(bool(regressed or aborted))
 
 
@@ -155,11 +159,10 @@ def holm_correction(p_values: Sequence[float]) -> list[float]:
 
 
 def _table(changes: Sequence[FaultChange]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for name in ("subject", "fault", "pairs", "worse", "better", "p", ""):
-        table.add_column(name)
+    numbers = ("pairs", "worse", "better", "p")
+    table = plain_table("subject", "fault", *numbers, "", right=numbers)
     for change in changes:
         mark = Text("worse" if change.regressed else "", "red")
-        numbers = (str(change.pairs), str(change.worse), str(change.better))
-        table.add_row(change.subject, change.fault, *numbers, f"{change.p_value:.3g}", mark)
+        counts = (str(change.pairs), str(change.worse), str(change.better))
+        table.add_row(change.subject, change.fault, *counts, f"{change.p_value:.3g}", mark)
     return table

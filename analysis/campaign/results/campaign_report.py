@@ -18,6 +18,7 @@ from analysis.campaign.results.campaign_page import render_campaign_page
 from analysis.campaign.results.outcome_grid import severity_key
 from analysis.campaign.results.outcome_markdown import render_markdown
 from analysis.campaign.results_store import (
+    BASELINE,
     CURVES,
     REFERENCE_FLIGHTS,
     CellEvidence,
@@ -30,17 +31,25 @@ from mavproxy_fault.documents.atomic_file import write_atomic
 MAX_CURVES = 300  # flights with curves in the page, the worst ones
 
 
-def write_report(folder: Path, plan: CampaignPlan) -> None:
-    """Write `campaign.html`, `campaign-summary.json`, `cells.csv`, `summary.md` and `junit.xml`."""
+def write_report(folder: Path, plan: CampaignPlan) -> dict[str, object]:
+    """Write the page, `campaign-summary.json` (returned), baseline, CSV, Markdown and JUnit XML."""
     campaign, results = write_page(folder, plan)
-    (folder / "campaign-summary.json").write_text(
-        json.dumps(campaign_summary(plan, results), indent=1) + "\n"
-    )
+    summary = campaign_summary(plan, results)
+    (folder / "campaign-summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     (folder / "summary.md").write_text(render_markdown(campaign, results), encoding="utf-8")
     write_csv(folder / "cells.csv", results)
+    write_baseline(folder / BASELINE, results)
     # A compiled campaign has too many cells for JUnit readers.
     if not campaign.compiled:
         write_junit(folder / "junit.xml", campaign, results)
+    return summary
+
+
+def write_baseline(path: Path, results: list[CellResult]) -> None:
+    """Write what `campaign compare` needs of each cell, one cell per line."""
+    keys = ("cell", "outcome", "excursion_deg", "excursion_m")
+    rows = [msgspec.json.encode({key: getattr(result, key) for key in keys}) for result in results]
+    path.write_bytes(b"[\n" + b",\n".join(sorted(rows)) + b"\n]\n")
 
 
 def write_page(
@@ -69,6 +78,7 @@ def write_page(
 def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str, object]:
     """Return outcome counts by subject and fault, and the critical magnitudes if searched."""
     summary: dict[str, object] = {"name": plan.campaign.name, "cells": len(results)}
+    summary["failed"] = sum(plan.campaign.fails(result) for result in results)
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
         by_fault = counts.setdefault(result.cell.subject, {})

@@ -1,10 +1,8 @@
 """Print a campaign's outcomes to the terminal."""
 
-import sys
 from itertools import groupby
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -13,8 +11,8 @@ from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
 from analysis.campaign.results_store import read_campaign_folder
+from mavproxy_fault.app.command_result import open_console, plain_table
 
-LOG_WIDTH = 500  # chosen: longer than any row, so that no table is cut
 COLOURS = {
     "unaffected": "green", "detected": "cyan", "degraded": "yellow", "failsafe": "magenta",
     "landed uncommanded": "magenta", "lost": "red", "flew away": "red", "lost control": "red",
@@ -26,11 +24,8 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     """Print one row per subject and fault, then critical magnitudes and aborted cells."""
     campaign, results = read_campaign_folder(folder)
     units = magnitude_units(campaign)
-    # Off a terminal there is no width to fit: a log keeps complete lines.
-    console = Console(markup=False, width=None if sys.stdout.isatty() else LOG_WIDTH)
-    table = Table(box=None, pad_edge=False)
-    for name in ("subject", "fault", "worst outcome from each magnitude"):
-        table.add_column(name)
+    console = open_console()
+    table = plain_table("subject", "fault", "worst outcome from each magnitude")
     for row in outcome_grid(results, plan.campaign):
         # Only the magnitudes at which the outcome changes.
         steps = [next(group) for _, group in groupby(row.cells, lambda c: c.worst.outcome)]
@@ -62,9 +57,9 @@ def _text(cell: GridCell, unit: MagnitudeUnit) -> Text:
 def _criticals(
     plan: CampaignPlan, known: dict[str, object], units: dict[str, MagnitudeUnit]
 ) -> Table:
-    table = Table(box=None, pad_edge=False, title="critical magnitudes")
-    for name in ("subject", "scenario", "fault", "onset", "for s", "seed", "magnitude", "flights"):
-        table.add_column(name)
+    table = plain_table(
+        "subject", "scenario", "fault", "onset", "for s", "seed", "critical magnitude", "flights"
+    )
     for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]
         text = units[series[2]].describe(critical.magnitude) or "none"
         table.add_row(*series, text, str(critical.flights))

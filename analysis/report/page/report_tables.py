@@ -18,88 +18,55 @@ REASONS = 6  # shown under the verdict
 
 
 def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    facts = []
-    if "outcome" in summary:
-        facts.append(("outcome", summary["outcome"]["outcome"]))
-    attitude = summary.get("attitude_rmse_deg")
-    rows = summary.get("faults") or []
-    hours = (summary.get("sim_s") or 0) / 3600
-    false_alarms = summary.get("false_alarms")
-    if rows:
-        seen = sum(bool(row["detected"]) for row in rows)
-        facts.append(("faults detected", f"{seen} of {len(rows)}"))
-        delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
-        if delays:
-            facts.append(("longest detection delay", f"{max(delays):.2f} s"))
-    if false_alarms is not None:
-        facts.append(("false alarms", str(false_alarms)))
-        if hours > 0:
-            facts.append(("false alarms per hour", f"{false_alarms / hours:.1f}"))
-    if summary.get("epochs") is not None:
-        facts.append(("GNSS epochs", str(summary["epochs"])))
-    if summary.get("untestable_epochs") is not None:
-        facts.append(("epochs untestable", str(summary["untestable_epochs"])))
-    if summary.get("unexplained_epochs"):
-        facts.append(("epochs unexplained", str(summary["unexplained_epochs"])))
-    if attitude:
-        facts.append(("attitude RMSE, worst axis", f"{attitude['max']:.2f}°"))
-    if summary.get("position_rmse_m") is not None:
-        facts.append(("position RMSE", f"{summary['position_rmse_m']:.2f} m"))
-    if summary.get("sim_s"):
-        facts.append(("flight", f"{summary['sim_s']:.0f} s"))
-    return facts
+    rows, sim_s = summary.get("faults") or [], summary.get("sim_s")
+    delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
+    false_alarms, position_m = summary.get("false_alarms"), summary.get("position_rmse_m")
+    per_hour = None if false_alarms is None or not sim_s else 3600 * false_alarms / sim_s
+    facts = {
+        "outcome": summary.get("outcome", {}).get("outcome"),
+        "faults detected": f"{sum(bool(r['detected']) for r in rows)} of {len(rows)}"
+        if rows
+        else None,
+        "longest detection delay": f"{max(delays):.2f} s" if delays else None,
+        "false alarms": false_alarms,
+        "false alarms per hour": None if per_hour is None else f"{per_hour:.1f}",
+        "GNSS epochs": summary.get("epochs"),
+        "epochs untestable": summary.get("untestable_epochs"),
+        "epochs unexplained": summary.get("unexplained_epochs") or None,
+        "attitude RMSE, worst axis": f"{summary['attitude_rmse_deg']['max']:.2f}°"
+        if summary.get("attitude_rmse_deg")
+        else None,
+        "position RMSE": None if position_m is None else f"{position_m:.2f} m",
+        "flight": f"{sim_s:.0f} s" if sim_s else None,
+    }
+    return [(name, str(value)) for name, value in facts.items() if value is not None]
 
 
 def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
     tables = []
-    rows = summary.get("faults") or []
-    if rows:
+    if rows := summary.get("faults"):
         head = (
-            "fault",
-            "target",
-            "from, s",
-            "to, s",
-            "frames",
-            "delay, s",
-            "isolated",
-            "verdict",
+            "fault", "target", "from, s", "to, s", "frames", "delay, s", "isolated", "verdict",
             "note",
-        )
-        cells = [
-            (
-                str(row["id"]),
-                str(row["target"]),
-                _short(row["start_s"]),
-                _short(row["end_s"]),
-                str(row["frames"]),
-                _short(row["delay_s"]),
-                ", ".join(row["isolated"]),
-                (str(row["verdict"]), str(row["verdict"])),
-                _remark(row),
-            )
+        )  # fmt: skip
+        keys = ("id", "target", "start_s", "end_s", "frames", "delay_s", "isolated")
+        cells: list[list[Cell]] = [
+            [*(_shown(row[key]) for key in keys), (row["verdict"], row["verdict"]), _remark(row)]
             for row in rows
         ]
         tables.append((TIMELINE, ReportTable("Injected against detected", head, cells)))
-    false = summary.get("false_by_channel") or []
-    if false:
+    if false := summary.get("false_by_channel"):
         tables.append((TIMELINE, _false_table(false)))
-    remarks = run_remarks(summary) if "untestable_reasons" in summary else []
-    if remarks:
+    if remarks := run_remarks(summary) if "untestable_reasons" in summary else []:
         tables.append((CHECKS, ReportTable("Remarks", ("kind", "what"), remarks)))
-    effects = summary.get("effects") or []
-    if effects:
+    if effects := summary.get("effects"):
         tables.append((FAULT_EFFECTS, _effect_table(effects)))
-    checks = summary.get("criteria") or []
-    if checks:
+    if checks := summary.get("criteria"):
         texts = {True: "PASS", False: "FAIL", None: "not judged"}
         cells_ = [
-            (
-                str(check["name"]),
-                _shown(check["value"]),
-                _shown(check["limit"]),
-                (texts[check["passed"]], texts[check["passed"]]),
-            )
+            (str(check["name"]), _limit(check["value"]), _limit(check["limit"]), (word, word))
             for check in checks
+            if (word := texts[check["passed"]])
         ]
         head_ = ("criterion", "found", "limit", "verdict")
         tables.append((CHECKS, ReportTable("Criteria", head_, cells_)))
@@ -133,14 +100,8 @@ def _effect_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
 
 def _false_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
     head = ("channel", "outside faults", "inside faults", "per hour", "isolated", "for, s")
-    cells = [
-        (
-            str(row["channel"]),
-            *(str(row["outside"]), str(row["inside"]), f"{row['per_hour']:g}"),
-            *(", ".join(row["blamed"]), f"{row['seconds']:.1f}"),
-        )
-        for row in rows
-    ]
+    keys = ("channel", "outside", "inside", "per_hour", "blamed", "seconds")
+    cells = [tuple(_shown(row[key]) for key in keys) for row in rows]
     note = "Alarms that no fault explains; inside a fault only those that isolated a sensor."
     return ReportTable("False alarms", head, cells, note)
 
@@ -169,15 +130,9 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> ReportTable:
         if part.get("samples")
     ]
     head = (
-        "period",
-        "samples",
-        "roll",
-        "pitch",
-        "yaw",
-        "total",
-        "total, 95th percentile",
+        "period", "samples", "roll", "pitch", "yaw", "total", "total, 95th percentile",
         "total, largest",
-    )
+    )  # fmt: skip
     note = "RMS errors in degrees; the total is the angle of rotation from estimate to truth."
     return ReportTable(f"Attitude errors of {name}", head, rows, note)
 
@@ -185,20 +140,22 @@ def _attitude_table(name: str, scores: Mapping[str, Any]) -> ReportTable:
 def criteria_reasons(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The criteria that a run did not meet."""
     return [
-        (FAIL, f"{row['name']}: {_shown(row['value'])}, limit {_shown(row['limit'])}")
+        (FAIL, f"{row['name']}: {_limit(row['value'])}, limit {_limit(row['limit'])}")
         for row in summary.get("criteria") or ()
         if row["passed"] is False
     ]
 
 
+def _limit(value: object) -> str:
+    """Format a number with the digits of a limit."""
+    return f"{value:.4g}" if isinstance(value, float) else _shown(value)
+
+
 def _shown(value: object) -> str:
+    """Format a value of a result: a time with hundredths, a list as words."""
     if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else str(value)
-
-
-def _short(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
+        return f"{value:.2f}"
+    return "" if value is None else ", ".join(value) if isinstance(value, list) else str(value)
 
 
 def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTable | None:
@@ -241,12 +198,7 @@ def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> ReportTable | None:
     """The autopilot's reactions to each fault; None if they were not searched."""
     rows = [
-        (
-            str(fault["id"]),
-            f"{reaction['t_s']:.2f}",
-            f"{reaction['after_s']:.2f}",
-            str(reaction["text"]),
-        )
+        (str(fault["id"]), *(_shown(reaction[key]) for key in ("t_s", "after_s", "text")))
         for fault in faults
         for reaction in fault.get("reaction", ())
     ]

@@ -18,10 +18,7 @@ def reading_bar(path: Path) -> Iterator[ReportProgress]:
     if hidden or path.stat().st_size < SHOWN_BYTES:
         yield lambda _: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from analysis.work_progress import WorkProgress
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(f"reading {path.name}", total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+    with WorkProgress(f"reading {path.name}", 100.0, "%") as progress:
+        yield lambda share: progress.show(100.0 * share)

@@ -36,6 +36,11 @@ def test_errors_that_the_reference_flight_has_too_do_not_count() -> None:
     assert outcome(evidence(bump(6.0)), evidence(bump(6.0))).outcome == "unaffected"
 
 
+def test_an_estimate_that_is_lost_without_the_fault_too_is_lost() -> None:
+    broken = evidence(bump(60.0, 11, 31))
+    assert outcome(broken, broken).outcome == "lost"
+
+
 def test_events_before_the_onset_do_not_count() -> None:
     assert outcome(evidence(bump(60.0, 2, 9))).outcome == "unaffected"
 

@@ -2,18 +2,24 @@
 
 import csv
 import json
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
+from analysis.report.recordings.flight_sources import read_flight
 from mavproxy_fault.cli import main
 from mavproxy_fault.wire import tlog
 
 Flight = Callable[..., Path]
+ROOT = Path(__file__).parents[3]
 
 
 def report(*arguments: object) -> int:
@@ -118,6 +124,50 @@ def test_csv_parquet_and_mcap_hold_the_same_rows(flight: Flight, tmp_path: Path)
         ]
     assert [stamp for stamp, _ in messages] == (rows["t_us"] * 1000).tolist()
     assert [values["yaw"] for _, values in messages] == rows["yaw"].tolist()
+
+
+def test_foxglove_reads_positions_transforms_and_events_by_its_own_schemas(
+    flight: Flight, tmp_path: Path
+) -> None:
+    report(flight(), "--export", "mcap", "--out", tmp_path / "out")
+    found: dict[str, list[tuple[str, int, Any]]] = {}
+    with (tmp_path / "out" / "export" / "flight.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        channels = reader.get_summary().channels.values()
+        typed = [channel.topic for channel in channels if channel.message_encoding == "protobuf"]
+        for schema, channel, message, value in reader.iter_decoded_messages(topics=typed):
+            found.setdefault(channel.topic, []).append((schema.name, message.log_time, value))
+    kinds = {topic: rows[0][0] for topic, rows in found.items()}
+    recording = read_flight([flight()], ()).recording
+    for track in recording.tracks:
+        topic = f"/position/{track.name.lower().replace(' ', '_')}"
+        assert kinds[topic] == "foxglove.LocationFix"
+        assert [row[2].latitude for row in found[topic]] == track.lat_deg.tolist()
+    assert kinds["/transforms"] == "foxglove.FrameTransform"
+    assert kinds["/pose/attitude"] == "foxglove.PoseInFrame"
+    yaw = recording.of("yaw")[0].value[0]
+    turn = found["/pose/attitude"][0][2].pose.orientation
+    # Level: the nose points east at a yaw of 90 degrees, where ROS counts from.
+    assert 2 * np.rad2deg(np.arctan2(turn.z, turn.w)) == pytest.approx(90 - yaw, abs=5)
+    for name, log_time, value in found["/pose/attitude"]:
+        assert value.timestamp.seconds * 10**9 + value.timestamp.nanos == log_time, name
+
+
+def test_the_layouts_show_topics_of_the_export() -> None:
+    views = ROOT / "examples" / "views"
+    layout = json.loads((views / "foxglove.json").read_text())
+    shown = set(re.findall(r'"/[\w./]+"', json.dumps(layout["configById"])))
+    known = (
+        "/position/",
+        "/pose/",
+        "/received.HIL_SENSOR",
+        "/sent.HIL_SENSOR",
+        "/results/",
+        "/log",
+    )
+    assert all(topic.strip('"').startswith(known) for topic in shown)
+    curves = ET.parse(views / "plotjuggler.xml").iter("curve")
+    assert all(curve.attrib["name"].startswith(known) for curve in curves)
 
 
 def test_a_run_folder_is_reported_with_its_labels_and_results(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.campaign.campaign_command import describe_size
+from analysis.campaign.campaign_command import describe_size, estimate_size
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
@@ -66,7 +66,7 @@ def parameters(path: Path) -> object:
 
 def dry_run(path: Path) -> object:
     """Do what `campaign --dry-run` does with a file."""
-    return describe_size(CampaignPlan(read_campaign(path), None), 2)
+    return describe_size(estimate_size(CampaignPlan(read_campaign(path), None), 2))
 
 
 def campaign(path: Path) -> str:

@@ -152,7 +152,7 @@ def test_a_proxy_of_another_process_can_be_joined() -> None:
 
 
 def test_joining_a_missing_proxy_fails() -> None:
-    with pytest.raises(mavproxy_fault.ConfigError, match="no router"):
+    with pytest.raises(mavproxy_fault.ConfigError, match="no proxy or run"):
         mavproxy_fault.Proxy.attach(choose_free_port("tcp/127.0.0.1:0"))
 
 

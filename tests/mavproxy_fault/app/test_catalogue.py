@@ -5,7 +5,7 @@ import jsonschema
 import pytest
 import yaml
 
-from mavproxy_fault.app.catalogue import list_catalogue, schedule_schema
+from mavproxy_fault.app.catalogue import format_catalogue, list_catalogue, schedule_schema
 from mavproxy_fault.cli import main
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.schedule.presets import preset_names
@@ -27,8 +27,19 @@ def schedule(tmp_path: Path) -> Path:
 
 
 def test_the_list_has_one_line_for_every_fault_and_preset() -> None:
-    words = [line.split()[0] for line in list_catalogue().splitlines()]
+    words = [line.split()[0] for line in format_catalogue(list_catalogue()).splitlines()]
     assert words == ["faults", *known_faults(), "presets", *preset_names()]
+
+
+def test_programs_get_the_result_as_json(
+    schedule: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, key in (
+        (("list",), "faults"), (("list", "--messages"), "messages"), (("show", "bias"), "text"),
+        (("check", str(schedule)), "faults"),
+    ):  # fmt: skip
+        assert main(["faults", *words, "--json"]) == 0
+        assert key in json.loads(capsys.readouterr().out)
 
 
 def test_show_lists_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,7 +70,7 @@ def test_components_are_listed_while_they_live() -> None:
 
 
 def test_without_a_router_the_error_names_the_address() -> None:
-    with pytest.raises(ConfigError, match=r"tcp/127\.0\.0\.1:1 has no router listening"):
+    with pytest.raises(ConfigError, match=r"no proxy or run is at zenoh tcp/127\.0\.0\.1:1; start"):
         open_bus("tcp/127.0.0.1:1")
 
 

@@ -13,7 +13,7 @@ SCHEDULES = [
     for path in sorted(EXAMPLES.glob("*.yaml"))
     if set(yaml.safe_load(path.read_text())) <= {"seed", "faults"}
 ]
-DOCUMENT = EXAMPLES.parent / "docs" / "faults.md"
+DOCUMENT = EXAMPLES.parent / "docs" / "keys.md"
 
 
 def test_there_are_examples() -> None:
@@ -28,5 +28,5 @@ def test_an_example_is_read(path: Path) -> None:
 
 def test_every_fault_and_preset_has_its_line_in_the_documentation() -> None:
     text = DOCUMENT.read_text()
-    missing = [n for n in (*known_faults(), *preset_names()) if f"| `{n}` |" not in text]
+    missing = [n for n in (*known_faults(), *preset_names()) if f"### `{n}` (" not in text]
     assert missing == []

@@ -32,6 +32,13 @@ def test_the_height_of_a_take_off_command_is_above_sea_level(station: Any) -> No
     assert station.flight.goal.r_ned_m[2] == pytest.approx(-33.0)
 
 
+def test_a_take_off_below_the_least_height_climbs_to_it(station: Any) -> None:
+    station.command(400, 1)
+    # MAVProxy's `takeoff 3`: in MAVLink's frame that is below the field.
+    station.command(22, 0, 0, 0, 0, 0, 0, 3)
+    assert station.flight.goal.r_ned_m.tolist() == pytest.approx([0, 0, -10])
+
+
 def test_a_take_off_commanded_before_arming_starts_with_arming(station: Any) -> None:
     station.command(22)
     assert station.flight.goal.kind is GoalKind.IDLE

@@ -1,3 +1,4 @@
+from argparse import Namespace
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,7 @@ from analysis.campaign.results.campaign_comparison import (
 from analysis.campaign.results_store import ResultsStore
 from mavproxy_fault.documents.errors import ConfigError
 
+TEXT = Namespace(json=False)
 SMALL = read_campaign(Path(__file__).parents[1] / "small.yaml")
 
 
@@ -77,10 +79,10 @@ def test_the_exit_code_is_1_if_something_got_worse(tmp_path: Path, capsys) -> No
         ledger.add([result(outcome, seed=seed) for seed in range(12)], None)
         ledger.close()
     before, after = tmp_path / "before", tmp_path / "after"
-    assert compare_folders(before, after) == 1
+    assert compare_folders(before, after, TEXT) == 1
     assert "unaffected -> lost" in capsys.readouterr().out
-    assert compare_folders(after, before) == 0
-    assert compare_folders(before, before) == 0
+    assert compare_folders(after, before, TEXT) == 0
+    assert compare_folders(before, before, TEXT) == 0
 
 
 def test_campaigns_without_a_common_cell_are_refused(tmp_path: Path) -> None:
@@ -88,4 +90,4 @@ def test_campaigns_without_a_common_cell_are_refused(tmp_path: Path) -> None:
     for name, campaign in (("a", SMALL), ("b", other)):
         ResultsStore(tmp_path / name, campaign).close()
     with pytest.raises(ConfigError, match="no common cells"):
-        compare_folders(tmp_path / "a", tmp_path / "b")
+        compare_folders(tmp_path / "a", tmp_path / "b", TEXT)

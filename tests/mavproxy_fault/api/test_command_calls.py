@@ -57,6 +57,8 @@ def test_a_campaign_gives_its_cells_and_whether_it_passed(tmp_path: Path) -> Non
     assert outcomes[0.001] == "unaffected"
     assert outcomes[2.0] in ("degraded", "lost")
     assert campaign.summary["cells"] == 2
+    assert list(campaign.frame()["magnitude"]) == list(campaign.cells["magnitude"])
+    assert "<td style='color:#2a7'>unaffected</td>" in campaign._repr_html_()
     assert campaign.page.is_file()
     with pytest.raises(mavproxy_fault.ConfigError, match="subjectz"):
         mavproxy_fault.campaign({**content, "subjectz": []}, out=tmp_path / "bad")
@@ -73,3 +75,4 @@ def test_a_search_gives_its_worst_cases(tmp_path: Path) -> None:
     search = mavproxy_fault.search(content, out=tmp_path / "out", budget=32)
     assert len(search.cases) == 2
     assert search.cases[0]["error_deg"] >= search.cases[1]["error_deg"] > 1.0
+    assert list(search.frame()["error_deg"]) == [case["error_deg"] for case in search.cases]

@@ -30,6 +30,21 @@ def test_a_run_gives_labels_results_and_columns_as_arrays(tmp_path: Path) -> Non
     assert len(errors["angle"]) == len(errors["t_us"]) > 50
     assert run.summary["sim_s"] == pytest.approx(8, abs=0.1)
     assert run.report.is_file()
+    frame = run.frame("HIL_SENSOR")
+    assert frame["xgyro"].max() == sent["xgyro"].max()
+    assert len(run.frame("HIL_SENSOR", received=True)) == len(received)
+    assert list(run.frame("AttitudeError")["estimator"].unique()) == ["ekf"]
+    # An array field is a list in each row.
+    controls = next(iter(run.frame("HIL_ACTUATOR_CONTROLS")["controls"]))
+    assert len(controls) == 16
+    lines = run.plot("HIL_SENSOR.xgyro", "HIL_SENSOR.zacc").axes[0].lines
+    assert lines[0].get_ydata().max() > lines[1].get_ydata().max() + 0.2
+    assert f">{run.summary['faults'][0]['verdict']}</td>" in run._repr_html_()
+    again = mavproxy_fault.monitor(
+        run.folder / "sent.tlog", labels=run.folder / "labels.jsonl", out=tmp_path / "again"
+    )
+    assert again.summary["faults"][0]["id"] == "step"
+    assert again._repr_html_().startswith(f"<b>{again.verdict} ")
 
 
 def test_an_invalid_scenario_is_refused() -> None:
