@@ -13,6 +13,7 @@ def add_run(commands: Any) -> None:
     """`run`: simulator, proxy, monitor and report from one scenario."""
     parser = commands.add_parser("run", help="fly a scenario: simulator + proxy + monitor + report")
     _add_scenario(parser)
+    _add_requirements(parser)
     parser.add_argument(
         "--estimators",
         metavar="NAMES",
@@ -88,6 +89,16 @@ def _add_scenario(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_requirements(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--require",
+        action="append",
+        default=[],
+        metavar="FORMULA|NAME",
+        help="requirement in Signal Temporal Logic, or one of the library; repeatable",
+    )
+
+
 def _run(args: argparse.Namespace) -> int:
     # Imported late, as below: numba and GTSAM load slowly, and `--help` needs neither.
     from analysis.run.monitor_process import MonitorDiedError
@@ -155,6 +166,7 @@ def add_monitor(commands: Any) -> None:
         metavar="S",
         help="end after S seconds of vehicle time (default: no limit)",
     )
+    _add_requirements(parser)
     add_bus(parser, "results")
     parser.set_defaults(main=_monitor)
 
