@@ -110,7 +110,7 @@ def run_campaign(plan: CampaignPlan, folder: Path, workers: int, ray_address: st
         if store.results:
             write_report(folder, plan)
             print_outcomes(folder, plan)
-    return sum(campaign.fails(result.outcome) for result in store.results.values())
+    return sum(campaign.fails(result) for result in store.results.values())
 
 
 def new_folder(parent: Path, name: str) -> Path:

@@ -1,17 +1,20 @@
 """Campaign files (YAML): subjects under test, scenarios, and faults."""
 
 import math
-from itertools import product
+import re
+from functools import cached_property
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
 from analysis.autopilots.user_parameters import read_parameters
-from analysis.campaign.cell import MONITOR
+from analysis.campaign.cell import MONITOR, CellResult
 from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
+from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
@@ -19,8 +22,10 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
+from mavproxy_fault.schedule.triggers import FLIGHT_EVENTS, Condition, event_condition
 
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets by default
+BARE_MODE = re.compile(r"\b(mode\s*[!=]=\s*)([A-Z][\w.]*)")
 PHASES = ("hover", "turn", "climb", "descent", "level", "landing")
 
 
@@ -58,7 +63,8 @@ class Magnitudes(_Section, frozen=True):
 
 
 class FaultChoice(_Section, frozen=True):
-    """A fault or preset; `magnitudes` replace its key `sets`; `also` holds further keys."""
+    """A fault or preset, or several `faults` at once; `magnitudes` replace its key `sets`; `also`
+    holds further keys. A part without magnitudes takes those of the whole."""
 
     id: str | None = None
     fault: str | None = None
@@ -67,15 +73,18 @@ class FaultChoice(_Section, frozen=True):
     magnitudes: tuple[float, ...] | Magnitudes | None = None
     sets: str = MAGNITUDE
     also: dict[str, Any] = {}
+    faults: tuple["FaultChoice", ...] = ()
 
     def __post_init__(self) -> None:
-        if (self.fault is None) == (self.preset is None):
-            raise ValueError("needs exactly one of fault and preset")
+        if [self.fault is None, self.preset is None, not self.faults].count(False) != 1:
+            raise ValueError("needs exactly one of fault, preset and faults")
 
     @property
     def name(self) -> str:
         """The name of the fault in results."""
         target = self.target if isinstance(self.target, str) else "+".join(self.target or [])
+        if self.faults and not self.id:
+            return " + ".join(part.name for part in self.faults)
         return self.id or " ".join(filter(None, (self.fault or self.preset, target)))
 
     def magnitude_list(self) -> list[float | None]:
@@ -102,8 +111,18 @@ class FaultChoice(_Section, frozen=True):
         # Logarithmic if possible: effects of faults span decades.
         return Magnitudes(low=low, high=high, spacing="log" if low > 0.0 else "linear")
 
-    def entry(self, magnitude: float | None, onset_s: float, duration_s: float) -> dict[str, Any]:
-        """Build the schedule entry of the fault."""
+    def entries(
+        self, magnitude: float | None, start: dict[str, Any], duration_s: float
+    ) -> list[dict[str, Any]]:
+        """Build the schedule entries of the fault; `start` has the keys of its onset."""
+        if self.faults:
+            return [
+                entry
+                for part in self.faults
+                for entry in part.entries(
+                    part.magnitude_list()[0] if part.magnitudes else magnitude, start, duration_s
+                )
+            ]
         entry: dict[str, Any] = {"id": self.name.replace(" ", "-"), **self.also}
         for key in ("fault", "preset", "target"):
             if getattr(self, key) is not None:
@@ -111,7 +130,7 @@ class FaultChoice(_Section, frozen=True):
         if magnitude is not None:
             entry[self.sets] = magnitude
         # Last, so that `also` cannot move the fault.
-        return {**entry, "at_s": onset_s, "for_s": duration_s}
+        return [{**entry, **start, "for_s": duration_s}]
 
 
 class SubjectChoice(_Section, frozen=True):
@@ -139,10 +158,19 @@ class CompiledScenario(_Section, frozen=True):
     compiled: dict[str, Any]
 
 
-class CampaignFile(_Section, frozen=True):
+class Combination(_Section, frozen=True):
+    """Faults at once, in addition to each alone: all pairs, or a covering array, in which each two
+    values of the campaign's lists occur together in one flight at least."""
+
+    faults: Literal[2] = 2
+    cover: Literal["all", "pairs"] = "all"
+
+
+class CampaignFile(_Section, frozen=True, dict=True):
     """A campaign file; the number of cells is the product of its lists.
 
-    `vary` lists values of scenario keys, such as wind and start, by their paths.
+    `vary` lists values of scenario keys, such as wind and start, by their paths; `requirements`
+    are judged in each flight; `combine` adds pairs of faults.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -157,6 +185,8 @@ class CampaignFile(_Section, frozen=True):
     limits: OutcomeLimits = OutcomeLimits()
     keep: Literal["none", "interesting", "all"] = "none"
     flight_limit_s: float = 600.0
+    requirements: Any = None
+    combine: Combination | Literal[2] | None = None
     folder: str = "."
 
     def __post_init__(self) -> None:
@@ -164,8 +194,10 @@ class CampaignFile(_Section, frozen=True):
             if not getattr(self, name):
                 raise ValueError(f"{name} is empty; give at least one")
         for onset in self.onsets:
-            if isinstance(onset, str) and onset not in PHASES:
-                raise ValueError(f"onsets: {onset} is unknown; give seconds or {', '.join(PHASES)}")
+            onset_keys(onset)
+        parse_requirements(self.requirements)
+        if self.combine and (self.find == "critical" or self.compiled):
+            raise ValueError("combine needs find: outcomes and scenario files")
         for path, values in self.vary.items():
             if not values:
                 raise ValueError(f"vary.{path} is empty; give at least one value")
@@ -219,15 +251,81 @@ class CampaignFile(_Section, frozen=True):
         bisected = ABORTED if self.find == "critical" else self.limits.worse_from
         return self.limits.fail_from or bisected
 
-    def fails(self, outcome: str) -> bool:
-        """Whether a cell with this outcome fails: an aborted one does in any case."""
-        if outcome == ABORTED or self.fail_from == ABORTED:
-            return outcome == ABORTED
-        return outcome_rank(outcome) >= outcome_rank(self.fail_from)
+    def fails(self, result: CellResult) -> bool:
+        """Whether a cell fails: by its outcome, by a violated requirement, or aborted."""
+        if any(one.met is False for one in result.requirements) or result.outcome == ABORTED:
+            return True
+        if self.fail_from == ABORTED:
+            return False
+        return outcome_rank(result.outcome) >= outcome_rank(self.fail_from)
 
-    def fault(self, name: str) -> FaultChoice:
-        """Return a fault by its name in results."""
-        return next(fault for fault in self.faults if fault.name == name)
+    @cached_property
+    def pairs(self) -> tuple[FaultChoice, ...]:
+        """The pairs of faults at once, each with one magnitude of either."""
+        sized = [
+            (fault, magnitude) for fault in self.faults for magnitude in fault.magnitude_list()
+        ]
+        return tuple(
+            _join_faults(one, other)
+            for one, other in (combinations(sized, 2) if self.combine else ())
+            if one[0] is not other[0]
+        )
+
+    @cached_property
+    def pair_names(self) -> frozenset[str]:
+        """The names of the pairs in results."""
+        return frozenset(pair.name for pair in self.pairs)
+
+    @property
+    def cover(self) -> str:
+        """Which pairs are flown."""
+        return self.combine.cover if isinstance(self.combine, Combination) else "all"
+
+    @cached_property
+    def all_faults(self) -> dict[str, FaultChoice]:
+        """The faults and pairs by their names in results."""
+        return {fault.name: fault for fault in (*self.faults, *self.pairs)}
+
+
+def _join_faults(*sized: tuple[FaultChoice, float | None]) -> FaultChoice:
+    """Return faults at once, each with a magnitude."""
+    parts = tuple(
+        msgspec.structs.replace(fault, id=fault.name, magnitudes=None if m is None else (m,))
+        for fault, m in sized
+    )
+    names = (f"{fault.name} {'' if m is None else f'{m:g}'}".rstrip() for fault, m in sized)
+    return FaultChoice(id=" + ".join(names), faults=parts)
+
+
+def onset_keys(onset: float | str) -> dict[str, Any]:
+    """Return the keys of a schedule's entry for an onset: seconds, a flight event, or a condition
+    such as `mode == AUTO.RTL`; none for a phase, whose time is that of the reference flight.
+
+    Raises
+    ------
+    ValueError
+        If the onset is none of these.
+    """
+    if not isinstance(onset, str):
+        return {"at_s": onset}
+    if onset in PHASES:
+        return {}
+    try:
+        if event_condition(onset) is not None:
+            return {"from": onset, "at_s": 0.0}
+    except ValueError:
+        pass
+    try:
+        # Names of modes need no quotes in a campaign.
+        when = BARE_MODE.sub(r'\1"\2"', onset)
+        Condition(when)
+    except ValueError as error:
+        events = ", ".join((*FLIGHT_EVENTS, "mission-item:N"))
+        raise ValueError(
+            f"onsets: {onset} {error}; give seconds, a phase ({', '.join(PHASES)}), a flight event "
+            f"({events}), or a condition as in a schedule"
+        ) from None
+    return {"when": when, "at_s": 0.0}
 
 
 def read_campaign(path: Path | str) -> CampaignFile:
@@ -264,5 +362,6 @@ def read_campaign(path: Path | str) -> CampaignFile:
     # Parsed at the first magnitude, so that errors show before the first flight.
     for i, fault in enumerate(campaign.faults):
         where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
-        parse_entry(fault.entry(fault.magnitude_list()[0], 0.0, 1.0), where)
+        for entry in fault.entries(fault.magnitude_list()[0], {"at_s": 0.0}, 1.0):
+            parse_entry(entry, where)
     return campaign

@@ -5,6 +5,8 @@ from typing import Any
 
 import msgspec
 
+from analysis.scoring.requirements import RequirementResult
+
 HEALTHY = "healthy"  # the `fault` of a reference flight
 MONITOR = "monitor"  # the subject name of the project's own detector
 
@@ -63,6 +65,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     verdict_s: float | None = None
     note: str = ""
     wall_s: float = 0.0
+    requirements: list[RequirementResult] = []
 
 
 class FlightMark(msgspec.Struct, frozen=True):
@@ -111,7 +114,8 @@ def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
 
 
 class CampaignFlight(msgspec.Struct, frozen=True):
-    """A completed flight: evidence by subject, start of each phase [s], and duration."""
+    """A completed flight: evidence and requirements by subject, start of each phase [s], duration,
+    and start of the first fault."""
 
     evidence: dict[str, Evidence]
     phases: dict[str, float] = {}
@@ -119,6 +123,8 @@ class CampaignFlight(msgspec.Struct, frozen=True):
     wall_s: float = 0.0
     folder: str = ""
     verdict: CellVerdict = CellVerdict()
+    requirements: dict[str, list[RequirementResult]] = {}
+    fault_s: float | None = None
 
 
 def file_key(*parts: Any) -> str:

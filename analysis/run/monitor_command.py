@@ -67,8 +67,7 @@ def main(args: argparse.Namespace) -> int:
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     found: list[Result] = []  # for the requirements
-    condition = LogCondition()
-    started_s = time.monotonic()
+    condition, started_s = LogCondition(), time.monotonic()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_results_bus(args))
         publisher = Publisher(bus) if bus else None

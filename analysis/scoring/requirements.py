@@ -283,6 +283,12 @@ def parse_requirements(section: Any) -> tuple[Requirement, ...]:
     return found
 
 
+def requirement_arguments(requirements: Iterable[Requirement]) -> list[str]:
+    """Return the arguments of `run` for requirements."""
+    texts = (json.dumps(msgspec.to_builtins(one)) for one in requirements)
+    return [word for text in texts for word in ("--require", text)]
+
+
 def read_requirements(where: str, section: Any) -> tuple[Requirement, ...]:
     """Read requirements as `parse_requirements` does.
 
@@ -304,6 +310,9 @@ def _parse_requirement(item: Any) -> Requirement:
         except msgspec.ValidationError as error:
             raise ValueError(str(error)) from None
     text = str(item)
+    # The keys of `Requirement` in one line, as `requirement_arguments` writes them.
+    if text.startswith("{"):
+        return _parse_requirement(read_yaml(text, "--require").data)
     ready = ready_requirements()
     if re.fullmatch(r"[a-z_]+", text) and text not in TRUTHS:
         if text not in ready:

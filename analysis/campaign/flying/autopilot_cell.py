@@ -7,9 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from analysis.autopilots.flight_process import run_flight_process
 from analysis.campaign.cell import CampaignFlight, monitor_verdict
 from analysis.campaign.flying.autopilot_evidence import collect_evidence
+from analysis.scoring.requirements import RequirementResult
 from mavproxy_fault.documents.errors import ConfigError
 
 MAX_TRIES = 3  # on a busy machine the operator's timeouts may end a flight before its fault
@@ -38,11 +41,15 @@ def run_autopilot_cell(
         # A flight counts only if it took off and its fault acted.
         if took_off and (summary["faults"] or not schedule["faults"]):
             evidence, flight_s = collect_evidence(run_folder)
-            wall_s = time.monotonic() - started_s
-            verdict = monitor_verdict(summary["faults"])
+            faults, judged = summary["faults"], summary.get("requirements", [])
+            begun_s = min((fault["start_s"] for fault in faults), default=None)
+            off_ground_s = summary["autopilot"]["moments_s"]["take-off"]
             return CampaignFlight(
-                {subject: evidence}, {}, flight_s, wall_s, str(run_folder), verdict
-            )
+                {subject: evidence}, {}, flight_s, time.monotonic() - started_s, str(run_folder),
+                monitor_verdict(faults),
+                {subject: msgspec.convert(judged, list[RequirementResult])},
+                None if begun_s is None else round(begun_s - off_ground_s, 3),
+            )  # fmt: skip
         shutil.rmtree(run_folder)
     problem = "the fault never acted" if took_off else "the vehicle did not take off"
     reason = summary["autopilot"]["ended_early"]

@@ -13,7 +13,7 @@ from statistics import median
 
 import msgspec
 
-from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.campaign_file import CampaignFile, onset_keys
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import CellResult, Evidence, EvidenceCurve
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
@@ -22,11 +22,13 @@ from analysis.campaign.results.outcome_grid import (
     GridCell,
     GridRow,
     failsafe_share,
+    find_interactions,
     outcome_grid,
     severity_key,
 )
 from analysis.campaign.results_store import CellEvidence
 from analysis.estimators import estimator_names
+from analysis.scoring.requirements import parse_requirements, requirement_arguments
 
 MAX_LISTED = 5000  # results in the page, the worst ones
 MAX_CURVE_POINTS = 200  # of one curve
@@ -83,6 +85,7 @@ def render_campaign_page(
             _reactions_html(grid),
             _pareto_html(grid, plan.campaign.limits),
             _worst_html(listed[:WORST_ROWS], units),
+            _interactions_html(plan.campaign, results),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
             f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
@@ -113,7 +116,8 @@ def _result_model(result: CellResult, campaign: CampaignFile) -> dict[str, objec
     cell = msgspec.structs.asdict(fields.pop("cell"))
     # Four digits for display; `cells.csv` has the full values.
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
-    return {**cell, **rounded, "again": rerun_command(result, campaign)}
+    judged = [f"{one.name}: {one.describe()}" for one in result.requirements]
+    return {**cell, **rounded, "requirements": judged, "again": rerun_command(result, campaign)}
 
 
 def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
@@ -122,8 +126,9 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     if campaign.compiled:
         return ""
     cell = result.cell
-    entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
-    schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
+    start = onset_keys(cell.onset) or {"at_s": result.onset_s}
+    entries = campaign.all_faults[cell.fault].entries(cell.magnitude, start, cell.duration_s)
+    schedule = json.dumps({"seed": cell.seed, "faults": entries})
     autopilot = campaign.autopilot(cell.subject)
     arguments = ["mavproxy-fault", "run", *campaign.scenario_arguments(cell.scenario)]
     arguments += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
@@ -131,7 +136,7 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
         arguments += autopilot.options(campaign.folder)
     elif cell.subject in estimator_names():
         arguments += ["--estimators", cell.subject]
-    arguments.append("--ui")
+    arguments += [*requirement_arguments(parse_requirements(campaign.requirements)), "--ui"]
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(arguments)}"
 
 
@@ -235,6 +240,19 @@ def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) 
         "note", "monitor",
     )  # fmt: skip
     return "<h2>Worst cells</h2>" + _table("Worst cells", head, rows)
+
+
+def _interactions_html(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
+    """Return the table of pairs that fail where neither fault alone does; empty without pairs."""
+    if not campaign.combine:
+        return ""
+    head = ("subject", "pair", "scenario", "onset", "seed", "outcome", "requirements")
+    rows = [
+        (r.cell.subject, r.cell.fault, r.cell.scenario, f"{r.cell.onset}", f"{r.cell.seed}",
+         r.outcome, ", ".join(one.name for one in r.requirements if one.met is False))
+        for r in find_interactions(campaign, results)
+    ]  # fmt: skip
+    return "<h2>Pairs that fail where neither fault alone does</h2>" + _table("Pairs", head, rows)
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -11,7 +11,7 @@ from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
 def render_markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
     """Return a table with one row per subject and fault, and one cell per magnitude."""
     rows, units = outcome_grid(results, campaign), magnitude_units(campaign)
-    failed = sum(campaign.fails(result.outcome) for result in results)
+    failed = sum(campaign.fails(result) for result in results)
     # Markdown needs rows of equal length.
     width = max((len(row.cells) for row in rows), default=0)
     lines = [

@@ -11,7 +11,12 @@ from rich.text import Text
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import ABORTED
-from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
+from analysis.campaign.results.outcome_grid import (
+    GridCell,
+    find_interactions,
+    outcome_grid,
+    requirement_counts,
+)
 from analysis.campaign.results_store import read_campaign_folder
 
 LOG_WIDTH = 500  # chosen: longer than any row, so that no table is cut
@@ -40,11 +45,20 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     console.print(table)
     if plan.campaign.find == "critical":
         console.print(_criticals(plan, {result.cell.key: result for result in results}, units))
+    for name, counts in requirement_counts(results).items():
+        total = sum(counts[word] for word in ("satisfied", "violated", "not shown"))  # type: ignore[misc]
+        console.print(
+            f"requirement {name}: violated in {counts['violated']} of {total} cells; worst: "
+            f"{counts['worst']} in {counts['cell']}",
+            soft_wrap=True,
+        )
+    for result in find_interactions(campaign, results):
+        console.print(f"fails only as a pair: {result.cell.key}: {result.outcome}", soft_wrap=True)
     aborted = [result for result in results if result.outcome == ABORTED]
     # Five are enough to see the reason; the files have all.
     for result in aborted[:5]:
         console.print(f"aborted: {result.cell.key}: {result.note}", soft_wrap=True)
-    failed = sum(campaign.fails(result.outcome) for result in results)
+    failed = sum(campaign.fails(result) for result in results)
     rule = campaign.fail_from if campaign.fail_from == ABORTED else f"{campaign.fail_from} or worse"
     console.print(f"{len(results)} cells, {len(aborted)} aborted, {failed} failed ({rule})")
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)

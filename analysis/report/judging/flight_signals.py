@@ -38,10 +38,12 @@ def judge_requirements(
     labels: Sequence[Label] = (),
     results: Iterable[Result] = (),
     ground_m: float | None = None,
+    subject: str = "",
 ) -> list[RequirementResult]:
     """Judge a flight by its recording with derived curves, its labels and results.
 
-    `ground_m` is the true altitude of the ground; without it heights count from the start.
+    `ground_m` is the true altitude of the ground; without it heights count from the start. The
+    attitude error is that of the estimator `subject`, if it is one.
     """
     if not requirements:
         return []
@@ -52,6 +54,9 @@ def judge_requirements(
             RequirementResult(name=one.label, formula=one.formula, met=None,
                               reason=reason) for one in requirements
         ]  # fmt: skip
+    own = signals.values.get(f"{subject.replace('-', '_')}__attitude_error_deg")
+    if own is not None:
+        signals = signals._replace(values={**signals.values, "attitude_error_deg": own})
     return [one.judge(signals) for one in requirements]
 
 

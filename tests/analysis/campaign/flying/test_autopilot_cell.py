@@ -11,7 +11,7 @@ from analysis.campaign.flying import autopilot_cell
 from analysis.campaign.flying.autopilot_cell import MAX_TRIES, run_autopilot_cell
 from mavproxy_fault.documents.errors import ConfigError
 
-FAULT = {"verdict": "isolated", "isolated": ["imu"], "wrongly": [], "delay_s": 0.5}
+FAULT = {"start_s": 14.0, "verdict": "isolated", "isolated": ["imu"], "wrongly": [], "delay_s": 0.5}
 ONE: dict[str, Any] = {"seed": 1, "faults": [{"id": "gyro"}]}
 NONE: dict[str, Any] = {"seed": 1, "faults": []}
 
