@@ -190,6 +190,14 @@ def add_search(commands: Any) -> None:
         help="random, matyas, sobol, cmaes, de or mixed (default: the file's)",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="random seed (default: the file's)")
+    parser.add_argument(
+        "--violate",
+        metavar="REQUIREMENT",
+        help="search for flights that violate a requirement: a formula or a name",
+    )
+    parser.add_argument(
+        "--first", action="store_true", default=None, help="stop at the first that violates it"
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=positive_count, metavar="N", help="processes on this machine (default: 1)"

@@ -1,7 +1,6 @@
 """Campaign files (YAML): subjects under test, scenarios, and faults."""
 
 import math
-import re
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
@@ -10,9 +9,11 @@ from typing import Any, Literal
 import msgspec
 
 from analysis.autopilots.user_parameters import read_parameters
-from analysis.campaign.cell import MONITOR, CellResult
+from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import MONITOR
+from analysis.flying.onset import onset_keys
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
 from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
@@ -22,11 +23,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
-from mavproxy_fault.schedule.triggers import FLIGHT_EVENTS, Condition, event_condition
 
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets by default
-BARE_MODE = re.compile(r"\b(mode\s*[!=]=\s*)([A-Z][\w.]*)")
-PHASES = ("hover", "turn", "climb", "descent", "level", "landing")
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -295,37 +293,6 @@ def _join_faults(*sized: tuple[FaultChoice, float | None]) -> FaultChoice:
     )
     names = (f"{fault.name} {'' if m is None else f'{m:g}'}".rstrip() for fault, m in sized)
     return FaultChoice(id=" + ".join(names), faults=parts)
-
-
-def onset_keys(onset: float | str) -> dict[str, Any]:
-    """Return the keys of a schedule's entry for an onset: seconds, a flight event, or a condition
-    such as `mode == AUTO.RTL`; none for a phase, whose time is that of the reference flight.
-
-    Raises
-    ------
-    ValueError
-        If the onset is none of these.
-    """
-    if not isinstance(onset, str):
-        return {"at_s": onset}
-    if onset in PHASES:
-        return {}
-    try:
-        if event_condition(onset) is not None:
-            return {"from": onset, "at_s": 0.0}
-    except ValueError:
-        pass
-    try:
-        # Names of modes need no quotes in a campaign.
-        when = BARE_MODE.sub(r'\1"\2"', onset)
-        Condition(when)
-    except ValueError as error:
-        events = ", ".join((*FLIGHT_EVENTS, "mission-item:N"))
-        raise ValueError(
-            f"onsets: {onset} {error}; give seconds, a phase ({', '.join(PHASES)}), a flight event "
-            f"({events}), or a condition as in a schedule"
-        ) from None
-    return {"when": when, "at_s": 0.0}
 
 
 def read_campaign(path: Path | str) -> CampaignFile:

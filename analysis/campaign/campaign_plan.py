@@ -11,8 +11,9 @@ from pathlib import Path
 
 from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
-from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, file_key
+from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
 from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
+from analysis.flying.flight_evidence import CampaignFlight
 from mavproxy_fault.documents.extras import import_extra
 
 MAX_BATCH_CELLS = 2048  # cells in one batch, so that progress shows and a kill loses little

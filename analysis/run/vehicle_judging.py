@@ -45,9 +45,12 @@ def judge_vehicle_of_run(
         summary, check_vehicle(setup.criteria, found, onset_s, under_autopilot=under_autopilot)
     )
     results = read_results(folder / "results.jsonl")
-    ground_m = setup.scenario.start.alt_m
+    ground_m, estimators = setup.scenario.start.alt_m, setup.monitor.attitude.estimators
+    # The simulator's controller has no estimate of its own.
+    subject = "" if under_autopilot or len(estimators) != 1 else estimators[0]
     add_requirements(
-        summary, judge_requirements(setup.requirements, recording, labels, results, ground_m)
+        summary,
+        judge_requirements(setup.requirements, recording, labels, results, ground_m, subject),
     )
 
 

@@ -151,6 +151,12 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return frozenset(_variables(self.tree))
 
     @property
+    def unit(self) -> str:
+        """The unit of its robustness, if all its signals have the same."""
+        units = {UNITS.get(name.rpartition("_")[2], "") for name in self.signals} - {""}
+        return units.pop() if len(units) == 1 else ""
+
+    @property
     def always(self) -> dict[str, Any] | None:
         """The formula inside an outermost `always` without bounds; None without one."""
         bounds, inner = self.tree.get("Always", ({"lower": 1.0}, None))
@@ -211,11 +217,9 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         else:
             met = robustness >= 0.0
             shown = robustness if abs(robustness) < LOGICAL else None
-        endings = {name.rpartition("_")[2] for name in self.signals}
-        units = {UNITS[ending] for ending in endings if ending in UNITS}
         return RequirementResult(
             name=self.label, formula=self.formula, met=met, robustness=shown,
-            unit=units.pop() if len(units) == 1 else "",
+            unit=self.unit,
             at_s=None if at_s is None or (met and shown is None) else round(at_s, 3),
             reason=reason,
         )  # fmt: skip

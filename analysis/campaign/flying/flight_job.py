@@ -9,11 +9,13 @@ from typing import Any
 
 import msgspec
 
-from analysis.campaign.campaign_file import CampaignFile, onset_keys
-from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, Evidence
-from analysis.campaign.flying.internal_flight import run_simulated_flight
+from analysis.campaign.campaign_file import CampaignFile
+from analysis.campaign.cell import HEALTHY, Cell, CellResult
 from analysis.campaign.outcomes import ABORTED, classify_flight, outcome_rank
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import CampaignFlight, Evidence
+from analysis.flying.internal_flight import run_simulated_flight
+from analysis.flying.onset import onset_keys
 from analysis.run.run_setup import RunSetup, read_setup
 from analysis.scoring.requirements import parse_requirements, requirement_arguments
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -123,7 +125,7 @@ def run_cell_flight(job: FlightJob, start: dict[str, Any]) -> CampaignFlight:
     schedule = {"seed": cell.seed, "faults": entries}
     autopilot = campaign.autopilot(cell.subject)
     if autopilot is not None:
-        from analysis.campaign.flying.autopilot_cell import run_autopilot_cell
+        from analysis.flying.autopilot_cell import run_autopilot_cell
 
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None

@@ -13,9 +13,9 @@ from statistics import median
 
 import msgspec
 
-from analysis.campaign.campaign_file import CampaignFile, onset_keys
+from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import CellResult, Evidence, EvidenceCurve
+from analysis.campaign.cell import CellResult
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import RANKS, OutcomeLimits, outcome_rank
 from analysis.campaign.results.outcome_grid import (
@@ -28,6 +28,8 @@ from analysis.campaign.results.outcome_grid import (
 )
 from analysis.campaign.results_store import CellEvidence
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import Evidence, EvidenceCurve
+from analysis.flying.onset import onset_keys
 from analysis.scoring.requirements import parse_requirements, requirement_arguments
 
 MAX_LISTED = 5000  # results in the page, the worst ones

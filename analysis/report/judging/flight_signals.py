@@ -47,16 +47,13 @@ def judge_requirements(
     """
     if not requirements:
         return []
-    signals = collect_signals(recording, labels, results, ground_m)
+    signals = collect_signals(recording, labels, results, ground_m, subject)
     if signals is None:
         reason = "the flight has neither a truth nor a height"
         return [
             RequirementResult(name=one.label, formula=one.formula, met=None,
                               reason=reason) for one in requirements
         ]  # fmt: skip
-    own = signals.values.get(f"{subject.replace('-', '_')}__attitude_error_deg")
-    if own is not None:
-        signals = signals._replace(values={**signals.values, "attitude_error_deg": own})
     return [one.judge(signals) for one in requirements]
 
 
@@ -65,6 +62,7 @@ def collect_signals(
     labels: Sequence[Label],
     results: Iterable[Result],
     ground_m: float | None = None,
+    subject: str = "",
 ) -> FlightSignals | None:
     """Put all signals on the time grid of the motion; None without a motion."""
     record = vehicle_record(recording)
@@ -95,6 +93,8 @@ def collect_signals(
         "detected": grid.flags((at_s, at_s + HELD_S) for at_s in alarms),
         **{f"{name}__attitude_error_deg": grid.curve(curve) for name, curve in attitudes.items()},
     }
+    if (own := f"{subject.replace('-', '_')}__attitude_error_deg") in values:
+        values["attitude_error_deg"] = values[own]
     mode_at = np.full(len(grid.t_s), "", object)
     for name, begin_s, end_s in _mode_spans(record):
         mode_at[(grid.t_s >= begin_s) & (grid.t_s < end_s)] = name

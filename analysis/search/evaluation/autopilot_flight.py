@@ -15,17 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.autopilots.flight_process import run_flight_process
+from analysis.flying.autopilot_cell import run_autopilot_cell
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AUTOPILOTS
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import write_yaml
+from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 
 Array = NDArray[np.float64]
 REFERENCE_SEED = 1
-MAX_ATTEMPTS = 3  # on a busy machine a take-off may fail by the operator's timeouts
 
 
 class AutopilotAttitude(NamedTuple):
@@ -52,51 +51,47 @@ def measure_autopilot_error(
     # One seed for all: each test has its own seed and would need its own reference.
     reference = {**document, "seed": REFERENCE_SEED, "schedule": {"faults": []}}
     base = _reference_flight(choice, json.dumps(reference, sort_keys=True), settle_s)
-    errors = _fly_with_retries(choice, document, settle_s)
+    errors = _fly(choice, document, settle_s)
     return errors, np.sqrt(np.maximum(errors.mean_square - base.mean_square, 0.0))
 
 
 @cache
 def _reference_flight(choice: AutopilotChoice, document: str, settle_s: float) -> AutopilotAttitude:
     """The fault-free reference flight, flown once for each scenario."""
-    return _fly_with_retries(choice, json.loads(document), settle_s)
+    return _fly(choice, json.loads(document), settle_s)
 
 
-def _fly_with_retries(
+def _fly(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude:
-    """Fly, and repeat a failed take-off, in which no fault had started."""
-    reason = ""
-    for _ in range(MAX_ATTEMPTS):
-        result = _fly_once(choice, document, settle_s)
-        if not isinstance(result, str):
-            return result
-        reason = result
-    raise ConfigError(f"autopilot: {MAX_ATTEMPTS} flights failed; {reason}")
-
-
-def _fly_once(
-    choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
-) -> AutopilotAttitude | str:
-    """Fly once; return the autopilot's attitude errors, or why the flight failed."""
-    with tempfile.TemporaryDirectory(prefix="search-") as folder:
-        file = Path(folder) / "scenario.yaml"
-        scenario = {key: value for key, value in document.items() if key != "schedule"}
-        file.write_text(write_yaml(_without_none(scenario)))
-        arguments = [str(file), "--autopilot", choice.kind]
-        for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
-            arguments += [option, value] if value is not None else []
+    with tempfile.TemporaryDirectory(prefix="search-") as scratch:
+        folder = Path(scratch)
+        arguments = flight_arguments(choice, document, folder)
         schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
-        run = run_flight_process("autopilot", arguments, schedule, Path(folder), kept=False)
-        return _read(run, settle_s)
+        flight = run_autopilot_cell(
+            "autopilot", arguments, schedule, folder, kept=False, must_act=False
+        )
+        return _read(Path(flight.folder), settle_s)
 
 
-def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
+def flight_arguments(
+    choice: AutopilotChoice, document: Mapping[str, Any], folder: Path
+) -> list[str]:
+    """Write the scenario of a point to a folder; return the arguments of `run` that fly it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "scenario.yaml"
+    scenario = {key: value for key, value in document.items() if key != "schedule"}
+    file.write_text(write_yaml(without_none(scenario)))
+    arguments = [str(file), "--autopilot", choice.kind]
+    for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
+        arguments += [option, value] if value is not None else []
+    return arguments
+
+
+def _read(run: Path, settle_s: float) -> AutopilotAttitude:
     """The errors in a run folder, from `settle_s` after take-off to landing."""
     flight = json.loads((run / "summary.json").read_text())["autopilot"]
-    off_ground_s = flight["moments_s"].get("take-off")
-    if off_ground_s is None:
-        return f"it never took off; {flight['ended_early']}"
+    off_ground_s = flight["moments_s"]["take-off"]
     errors = [
         result
         for result in read_results(run / "results.jsonl")
@@ -113,7 +108,7 @@ def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
         ]
     )
     if not len(rows):
-        return "it sent no attitude in the air"
+        raise ConfigError("autopilot: it sent no attitude in the air")
     last_s = errors[-1].t_us * 1e-6
     return AutopilotAttitude(
         np.mean(rows**2, axis=0),
@@ -121,10 +116,3 @@ def _read(run: Path, settle_s: float) -> AutopilotAttitude | str:
         min(last_s, until_s) - off_ground_s,
         flight["ended_early"] if not flight["landed"] else "",
     )
-
-
-def _without_none(node: Any) -> Any:
-    """A copy of a document without entries that are None."""
-    if isinstance(node, Mapping):
-        return {key: _without_none(value) for key, value in node.items() if value is not None}
-    return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node

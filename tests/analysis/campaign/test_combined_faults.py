@@ -10,10 +10,11 @@ import msgspec
 import pytest
 import yaml
 
-from analysis.campaign.campaign_file import CampaignFile, onset_keys, read_campaign
+from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.cell import Cell, CellResult
 from analysis.campaign.results.outcome_grid import find_interactions
+from analysis.flying.onset import onset_keys
 from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import parse_schedule

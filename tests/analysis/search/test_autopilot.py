@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.flying import autopilot_cell
+from analysis.flying.flight_evidence import Evidence
 from analysis.results import AttitudeError, encode_lines
 from analysis.search.evaluation import autopilot_flight
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
@@ -30,7 +32,7 @@ def written(
     moments = {"arming": 5.0} | ({"take-off": 10.0, "landing": 20.0} if off_ground else {})
     ended = "" if landed else "it fell"
     account = {"landed": landed, "ended_early": ended, "moments_s": moments}
-    (run / "summary.json").write_text(json.dumps({"autopilot": account}))
+    (run / "summary.json").write_text(json.dumps({"autopilot": account, "faults": []}))
     errors = [
         AttitudeError(
             t_us=t * 1_000_000,
@@ -63,7 +65,8 @@ def flights(monkeypatch):
             return written(folder, HEALTHY_DEG)
         return written(folder, **coming.pop(0))
 
-    monkeypatch.setattr(autopilot_flight, "run_flight_process", fly)
+    monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
+    monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
     autopilot_flight._reference_flight.cache_clear()
     yield coming, flown
     autopilot_flight._reference_flight.cache_clear()
@@ -95,7 +98,7 @@ def test_a_failed_take_off_is_repeated_and_then_reported(flights, choice):
     found, _ = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
     assert found.lasted_s == 10.0
     coming += [{"error_deg": 0.0, "off_ground": False, "landed": False}] * 3
-    with pytest.raises(ConfigError, match="3 flights failed; it never took off"):
+    with pytest.raises(ConfigError, match="did not take off in 3 tries"):
         autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
 
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import yaml
 
-from analysis.campaign.campaign_file import onset_keys, read_campaign
+from analysis.campaign.campaign_file import read_campaign
+from analysis.flying.onset import onset_keys
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 
 from analysis.autopilots.flight_process import run_flight_process
-from analysis.campaign.cell import CampaignFlight, monitor_verdict
-from analysis.campaign.flying.autopilot_evidence import collect_evidence
+from analysis.flying.autopilot_evidence import collect_evidence
+from analysis.flying.flight_evidence import CampaignFlight, monitor_verdict
 from analysis.scoring.requirements import RequirementResult
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -25,8 +25,10 @@ def run_autopilot_cell(
     folder: Path,
     *,
     kept: bool,
+    must_act: bool = True,
 ) -> CampaignFlight:
-    """Fly a cell; arguments and errors as in `run_flight_process`.
+    """Fly a cell; arguments and errors as in `run_flight_process`. Unless its fault `must_act`, a
+    flight counts in which the fault's condition never came.
 
     Raises
     ------
@@ -39,7 +41,7 @@ def run_autopilot_cell(
         summary = json.loads((run_folder / "summary.json").read_text())
         took_off = "take-off" in summary["autopilot"]["moments_s"]
         # A flight counts only if it took off and its fault acted.
-        if took_off and (summary["faults"] or not schedule["faults"]):
+        if took_off and (summary["faults"] or not (schedule["faults"] and must_act)):
             evidence, flight_s = collect_evidence(run_folder)
             faults, judged = summary["faults"], summary.get("requirements", [])
             begun_s = min((fault["start_s"] for fault in faults), default=None)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import (
+from analysis.flying.flight_evidence import (
     ATTITUDE,
     MONITOR,
     POSITION,
@@ -22,11 +22,12 @@ from analysis.campaign.cell import (
     FlightMark,
     monitor_verdict,
 )
-from analysis.campaign.flying.flight_phases import PhaseTracker
+from analysis.flying.flight_phases import PhaseTracker
 from analysis.monitor.monitor import Monitor
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.recordings.from_tlog import recording_of_tlog
+from analysis.report.run_folder import ResultFile
 from analysis.results import AttitudeError, Decision, Result, SensorDecision
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.reference_flight import BATCH_BYTES
@@ -78,7 +79,7 @@ def run_simulated_flight(
     with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
         folder = Path(scratch) if keep is None else keep
         if keep is not None or setup.requirements:
-            write_logs(flight, labels, folder)
+            write_logs(flight, labels, results, folder)
         completed = flight.completed_labels()
         judged = {name: judge_flight(setup, folder, completed, results, name) for name in subjects}
     summary = monitor.summary(completed, Criteria(), 0.0)
@@ -104,11 +105,15 @@ def judge_flight(
     )
 
 
-def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:
-    """Write the flight's tlogs and labels, as `run` does."""
+def write_logs(
+    flight: ProxiedFlight, labels: Sequence[Label], results: Sequence[Result], folder: Path
+) -> None:
+    """Write the flight's tlogs, labels and results, as `run` does."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
     recorder.write(flight.capture, labels)
+    with ResultFile(folder) as file:
+        file.write(results)
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

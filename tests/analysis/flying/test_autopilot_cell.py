@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from analysis.campaign.cell import CellVerdict, Evidence
-from analysis.campaign.flying import autopilot_cell
-from analysis.campaign.flying.autopilot_cell import MAX_TRIES, run_autopilot_cell
+from analysis.flying import autopilot_cell
+from analysis.flying.autopilot_cell import MAX_TRIES, run_autopilot_cell
+from analysis.flying.flight_evidence import CellVerdict, Evidence
 from mavproxy_fault.documents.errors import ConfigError
 
 FAULT = {"start_s": 14.0, "verdict": "isolated", "isolated": ["imu"], "wrongly": [], "delay_s": 0.5}
