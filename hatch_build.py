@@ -37,10 +37,9 @@ class MachineCode(BuildHookInterface):  # type: ignore[type-arg,misc]
         sources, made = self._folder / "sources", self._folder / "made"
         sources.symlink_to(self.root)
         made.mkdir()
-        # The build's own packages may be on the path already. Without a fixed seed, sets in what is
-        # pickled would stand in another order each time.
+        # The build's own packages may be on the path already.
         path = os.pathsep.join([str(sources), *filter(None, [os.environ.get("PYTHONPATH")])])
-        environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "0"}
+        environment = {**os.environ, "PYTHONPATH": path}
         warm_up = [sys.executable, "-m", "analysis.warm_up", "--portable", str(made)]
         subprocess.run(warm_up, env=environment, cwd=self._folder, check=True)
         for file in sorted(made.rglob("*")):

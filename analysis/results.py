@@ -30,13 +30,15 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     """The verdict of the detector on one GNSS epoch.
 
     `hypothesis` is one of none, satellites, imu, clock, gps (the receiver's position, without raw
-    ranges), GPS-or-imu (not distinguishable; the position then has no sigma), multiple-unknown, or
-    untestable (for the `reason`). `excluded` are the satellites left out of the solution of this
-    epoch. `residual_m`, `normalised` and `satellites` are parallel. `mode` names the prediction:
-    inertial, free (no healthy IMU), start (first snapshot), position or position-free (no raw
-    ranges). The parity test uses the satellites alone; the slow test accumulates residuals to
-    detect ramps. `hpl_m` and `vpl_m` are the protection levels, valid under `level_assumes`: they
-    do not bound coordinated spoofing of all satellites, with or without an IMU, before it is
+    ranges), GPS-or-imu (not distinguishable; the position then has no sigma), ephemeris (the one
+    that the `reason` names is wrong, its satellite is not), multiple-unknown, or untestable (for
+    the `reason`). `excluded` are the satellites left out of the solution of this epoch, `unused`
+    those without a usable ephemeris, and why. `residual_m`, `normalised` and `satellites` are
+    parallel. The covariance of the position is xx, xy, xz, yy, yz, zz in ECEF. `mode` names the
+    prediction: inertial, free (no healthy IMU), start (first snapshot), position or position-free
+    (no raw ranges). The parity test uses the satellites alone; the slow test accumulates residuals
+    to detect ramps. `hpl_m` and `vpl_m` are the protection levels, valid under `level_assumes`:
+    they do not bound coordinated spoofing of all satellites, with or without an IMU, before it is
     detected. Elevation, azimuth, C/N0 and signals, parallel to `satellites`, and the dilution of
     precision of the satellites in use come with a RINEX recording only.
     """
@@ -48,6 +50,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     alarm: bool
     hypothesis: str
     excluded: tuple[str, ...] = ()
+    unused: dict[str, str] = {}
     reason: str = ""
     satellites: tuple[str, ...] = ()
     residual_m: tuple[float | None, ...] = ()
@@ -56,6 +59,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     probabilities: dict[str, float] = {}
     position_ecef_m: tuple[float, float, float] | None = None
     position_sigma_m: tuple[float, float, float] | None = None
+    position_covariance_m2: tuple[float, float, float, float, float, float] | None = None
     mode: str = ""
     parity_statistic: float | None = None
     parity_threshold: float | None = None

@@ -2,15 +2,12 @@
 
 Short flights, searches and reports run in a temporary folder: they call the same functions as
 users do, so no list of kernels is needed. A wheel's build runs this too (`hatch_build.py`).
-With SOURCE_DATE_EPOCH set, which asks for reproducible builds, everything is then compiled once
-more in a fixed order, which takes twice the time.
 """
 
 import argparse
 import contextlib
 import io
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -87,36 +84,15 @@ def add_warm_up(subparsers: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Carry out the command."""
-    if args.portable is None:
-        _warm_up()
-        return 0
-    if "SOURCE_DATE_EPOCH" not in os.environ:
+    if args.portable is not None:
         _aim_at_baseline(args.portable)
-        _warm_up()
-        return 0
-    with TemporaryDirectory(prefix="mavproxy-fault-") as draft:
-        _aim_at_baseline(draft)
-        _warm_up()
-        _carry_out_chain([Step("all in a fixed order", partial(_again, draft, args.portable))])
-    return 0
-
-
-def _warm_up() -> None:
-    """Call all compiled functions, with one process per processor."""
     with TemporaryDirectory(prefix="mavproxy-fault-") as folder:
         chains = _chains(Path(folder))
         # Whichever comes second to a function waits for the other, and loads it.
         workers = min(len(chains), os.cpu_count() or 1)
         with ProcessPoolExecutor(workers, spawn_context()) as pool:
             list(pool.map(_carry_out_chain, chains))
-
-
-def _again(draft: str, folder: str) -> None:
-    """Recompile the flights' functions into a folder in a fixed order, for reproducible bytes."""
-    # Sets in what is pickled stand in the order of a hash.
-    environment = {**os.environ, "MAVPROXY_FAULT_CACHE": folder, "PYTHONHASHSEED": "0"}
-    command = [sys.executable, "-P", "-m", "analysis.recompile", draft]
-    subprocess.run(command, env=environment, check=True)
+    return 0
 
 
 def _aim_at_baseline(folder: str) -> None:

@@ -16,12 +16,11 @@ from gnss_sets import Recording, recordings
 from msgspec.structs import replace
 
 from analysis.detection import DetectorConfig
-from analysis.detection.calibrate import calibrate_sigma
 from analysis.detection.detector import Detector, run_detector
+from analysis.detection.learn_noise import learn_noise
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Sample
-from mavproxy_fault.documents.errors import ConfigError
 
 OUTSIDE = 3.0
 
@@ -33,9 +32,8 @@ def row(recording: Recording) -> str:
     middle_us = (stamps[0] + stamps[-1]) // 2
     config = DetectorConfig(systems=recording.systems)
     cells = [judged(recording, samples, config)]
-    try:
-        found = calibrate_sigma(part(samples, 0, middle_us), config)
-    except ConfigError:  # too few epochs
+    found = learn_noise(part(samples, 0, middle_us), config)
+    if found is None:  # too few epochs
         cells.append("- | - | - | - | -")
     else:
         fitted = replace(config, sigma=found.sigma)

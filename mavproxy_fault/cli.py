@@ -25,7 +25,7 @@ from mavproxy_fault.app.commands import BUILT_IN_COMMANDS, AddCommand
 from mavproxy_fault.app.lossy_log import LossyHandler
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
-from mavproxy_fault.wire.dialect import DIALECT_VARIABLE
+from mavproxy_fault.wire.dialect_files import DIALECT_VARIABLE, dialect_paths, find_recorded
 
 EPILOG = """\
 examples
@@ -54,6 +54,7 @@ default ports (all on 127.0.0.1)
 exit codes
   0 success    1 the verdict is FAIL    2 the input is invalid
 """
+RECORDING_READERS = ("replay", "report", "monitor")  # they know a session's own dialects
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # supported by shtab
 HELP_ORDER = (
     "run", "sim", "proxy", "monitor", "replay", "inject", "schedule", "faults", "campaign",
@@ -164,11 +165,11 @@ def _take_dialects(given: Sequence[str]) -> list[str]:
         known, rest = parser.parse_known_args(given)
     except SystemExit:
         raise ConfigError("--dialect: has no value; give a MAVLink XML file") from None
-    if known.dialect:
-        # Absolute, since a command may change its folder.
-        files = [os.path.abspath(name) for name in known.dialect]
-        before = os.environ.get(DIALECT_VARIABLE)
-        os.environ[DIALECT_VARIABLE] = os.pathsep.join([before, *files] if before else files)
+    # Absolute, since a command may change its folder.
+    files = [os.path.abspath(name) for name in (*dialect_paths(), *known.dialect)]
+    if rest and rest[0] in RECORDING_READERS:
+        files += find_recorded(rest[1:], files)
+    os.environ[DIALECT_VARIABLE] = os.pathsep.join(files)
     return rest
 
 

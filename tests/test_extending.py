@@ -26,10 +26,10 @@ import socket, tempfile
 import numpy as np
 from analysis.estimators import make_estimator
 from analysis.estimators.estimator import Prior
-from analysis.report.curves.tlog_curves import CURVES
+from analysis.field_maps.tlog_map import TLOG
 from analysis.report.flight_checks import _files
 from analysis.report.curves.panels import PANELS
-from analysis.samples.message_readers import READERS
+from analysis.samples.message_readers import SAMPLE_LINES
 from analysis.samples.sample import ImuSample
 from mavproxy_fault.links.spec import open_link
 from simvehicle.hil.hil_messages import READING_MESSAGES
@@ -56,9 +56,9 @@ for t_us in range(10_000, 1_010_000, 10_000):
     estimate, state = estimator.update(sample, state)
 assert abs(2 * np.arctan2(estimate.q_nb[3], estimate.q_nb[0]) - 0.1) < 1e-9
 
-assert READERS["VICON_POSITION_ESTIMATE"] is READERS["VISION_POSITION_ESTIMATE"]
+assert "VICON_POSITION_ESTIMATE" in SAMPLE_LINES
 assert any(file.__name__.endswith("radio_checks") for file in _files())
-assert any(curve.panel == "humidity" for curve in CURVES)
+assert TLOG["HYGROMETER_SENSOR"][0].target == "humidity"
 assert any(panel.key == "humidity" for panel in PANELS)
 assert SensorSuite(thermometer=Thermometer()).thermometer.rate_hz == 1.0
 layout, values = READING_MESSAGES[TemperatureReading](TemperatureReading(0, 21.5), 0)

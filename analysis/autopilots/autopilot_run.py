@@ -7,6 +7,7 @@ ends with the flight. The schedule's times count from a flight event, by default
 import argparse
 import contextlib
 import gc
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from analysis.autopilots.ardupilot import ardupilot_process
 from analysis.autopilots.bus_session import AutopilotBusSession
 from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, AutopilotCommands, Operator
 from analysis.autopilots.flight_plan import DEFAULT_HEIGHTS_M, flight_plan
+from analysis.autopilots.flight_process import run_flight_process
 from analysis.autopilots.hil_exchange import (
     AutopilotReceiver,
     AutopilotSender,
@@ -30,9 +32,12 @@ from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
 from analysis.autopilots.user_parameters import read_parameters
+from analysis.report.curves.fault_effects import deviation_curves, measure_effects
+from analysis.report.curves.recording import Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.run.monitor_process import MonitorProcess
 from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
+from analysis.run.reference_flight import REFERENCE_FOLDER
 from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
@@ -46,8 +51,9 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
 from mavproxy_fault.proxy.interfaces import Send
-from mavproxy_fault.schedule.entries import Schedule
+from mavproxy_fault.schedule.entries import Entry, Schedule
 from mavproxy_fault.schedule.saving import write_schedule
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.tlog import read_columns
@@ -62,6 +68,7 @@ from simvehicle.scenario.scenario_file import Scenario
 CONNECT_TIMEOUT_S = 60.0  # wall time for the autopilot to connect
 AUTOPILOTS = {"ardupilot": ardupilot_process, "px4": px4_process}
 LOAD_TOPIC = "@ctl/schedule/load"
+SENSORS = frozenset(message_layout(name).id for name in ("HIL_SENSOR", "HIL_GPS"))
 START_EVENTS = ("first-stamp", "arming", "take-off", "landing")
 THREAD_PRIORITY = 80  # between PX4's logger and telemetry (74 and below) and its control (90)
 
@@ -101,11 +108,6 @@ def main(args: argparse.Namespace) -> int:
     """Fly, report, and return the exit code: also 1 if the flight ended early."""
     name, _, vehicle = args.autopilot.partition(":")
     autopilot = AUTOPILOTS[name]
-    if args.against_clean:
-        raise ConfigError(
-            f"--against-clean: cannot be used with --autopilot, since two flights of {name} differ"
-            " even without a fault; run both schedules and compare the logs with report --against"
-        )
     check_start_event(args.count_from)
     overrides = read_parameters(args.parameters)
     setup = setup_from_args(args)
@@ -146,11 +148,40 @@ def main(args: argparse.Namespace) -> int:
         report_early_end(summary, reason)
     summary["autopilot"] = run.summary(reason)
     summary["edited"] = run.edit_lines(folder)
+    curves = []
+    if args.against_clean:
+        t0_us = run.flight.core.clock.t0_us or 0
+        schedule = {"seed": setup.schedule.seed, "faults": []}
+        curves = deviations_from_reference(args, schedule, folder, summary, t0_us)
+        summary["effects"] = measure_effects(curves, labels, t0_us)
     write_summary(folder, summary)
     if args.report:
-        write_flight_report(folder, summary, columns)
+        write_flight_report(folder, summary, columns, curves)
     print_summary(summary, folder)
     return 1 if reason else EXIT_CODES[summary["verdict"]]
+
+
+def deviations_from_reference(
+    args: argparse.Namespace,
+    schedule: dict[str, Any],
+    folder: Path,
+    summary: dict[str, Any],
+    t0_us: int,
+) -> list[Signal]:
+    """Fly the same without faults, and return the deviations from it by the time since take-off."""
+    given = {name: getattr(args, name) for name in ("autopilot", "binary", "parameters", "speed")}
+    run = [args.scenario] if args.scenario else []
+    run += [f"--set={change}" for change in args.set]
+    run += [f"--{name}={value}" for name, value in given.items() if value is not None]
+    reference = run_flight_process(
+        "--against-clean", run, schedule, folder / REFERENCE_FOLDER, kept=False
+    )
+    clean = json.loads((reference / "summary.json").read_text())
+    take_offs_s = [one["autopilot"]["moments_s"].get("take-off") for one in (summary, clean)]
+    if None in take_offs_s:
+        return []
+    later_us = round((take_offs_s[0] - take_offs_s[1]) * 1e6)
+    return deviation_curves(folder, reference, t0_us, later_us)
 
 
 def report_early_end(summary: dict[str, Any], reason: str) -> None:
@@ -196,6 +227,16 @@ def check_start_event(event: str) -> None:
         )
 
 
+def keep_telemetry(entry: Entry) -> Entry:
+    """Let a sensor's fault that names no target change what the autopilot reads, and not what it
+    reports in messages of the same content."""
+    given = "target" in entry.written or entry.where.direction
+    if given or entry.fault.acts_on == "plant" or not SENSORS.intersection(entry.ids or ()):
+        return entry
+    where = msgspec.structs.replace(entry.where, direction="to-vehicle")
+    return msgspec.structs.replace(entry, where=where, written={**entry.written, "where": where})
+
+
 class AutopilotRun:
     """One flight under an autopilot: connects its parts, records it, and starts the schedule."""
 
@@ -207,11 +248,12 @@ class AutopilotRun:
         monitor: MonitorProcess,
         stop: StopCheck,
     ) -> None:
+        faults = [keep_telemetry(entry) for entry in setup.schedule.faults]
         # The other faults are loaded at the chosen flight event; these name their own.
-        event_entries = tuple(entry for entry in setup.schedule.faults if "from" in entry.written)
+        event_entries = tuple(entry for entry in faults if "from" in entry.written)
         self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, event_entries))
         self.results: list[Any] = []
-        self._schedule = setup.schedule
+        self._schedule = Schedule(setup.schedule.seed, tuple(faults))
         self._count_from, self._stop = count_from, stop
         self._monitor = monitor
         self._edit_log = EditLog(self.flight.core, self.flight.capture)

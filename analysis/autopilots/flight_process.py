@@ -4,18 +4,16 @@ Each flight is a process group with its own ports and folder, so flights do not 
 it ends with the worker that started it.
 """
 
-import ctypes
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import write_yaml
 
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 EXIT_WRONG_INPUT = 2
 ERROR_LINES = 3
 RUN_FOLDER = "run"  # the run folder inside the flight's folder
@@ -46,15 +44,10 @@ def run_flight_process(
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=_end_with_parent,
+        preexec_fn=die_with_parent,
     )
     if done.returncode == EXIT_WRONG_INPUT or not (run_folder / "summary.json").is_file():
         # The last lines of its output give the reason.
         last = done.stderr.strip().splitlines()[-ERROR_LINES:]
         raise ConfigError(f"{subject}: the flight failed; {' '.join(last)}")
     return run_folder
-
-
-def _end_with_parent() -> None:
-    """Let the kernel end the flight when its worker is killed."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

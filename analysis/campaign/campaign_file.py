@@ -15,6 +15,7 @@ from analysis.estimators import estimator_names
 from analysis.flying.flight_evidence import MONITOR
 from analysis.flying.onset import onset_keys
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
+from analysis.scoring.criteria import VehicleCriteria
 from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
@@ -168,7 +169,8 @@ class CampaignFile(_Section, frozen=True, dict=True):
     """A campaign file; the number of cells is the product of its lists.
 
     `vary` lists values of scenario keys, such as wind and start, by their paths; `requirements`
-    are judged in each flight; `combine` adds pairs of faults.
+    are judged in each flight, `criteria` limit what happens to the vehicle of an autopilot;
+    `combine` adds pairs of faults.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -181,6 +183,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
     seeds: tuple[int, ...] = (1,)
     find: Literal["outcomes", "critical"] = "outcomes"
     limits: OutcomeLimits = OutcomeLimits()
+    criteria: VehicleCriteria = VehicleCriteria()
     keep: Literal["none", "interesting", "all"] = "none"
     flight_limit_s: float = 600.0
     requirements: Any = None
@@ -250,12 +253,12 @@ class CampaignFile(_Section, frozen=True, dict=True):
         return self.limits.fail_from or bisected
 
     def fails(self, result: CellResult) -> bool:
-        """Whether a cell fails: by its outcome, by a violated requirement, or aborted."""
-        if any(one.met is False for one in result.requirements) or result.outcome == ABORTED:
+        """Whether a cell fails: aborted, by its outcome, a criterion or a violated requirement."""
+        violated = any(one.met is False for one in result.requirements)
+        if result.outcome == ABORTED or result.failed or violated:
             return True
-        if self.fail_from == ABORTED:
-            return False
-        return outcome_rank(result.outcome) >= outcome_rank(self.fail_from)
+        worst = outcome_rank(result.outcome)
+        return self.fail_from != ABORTED and worst >= outcome_rank(self.fail_from)
 
     @cached_property
     def pairs(self) -> tuple[FaultChoice, ...]:

@@ -45,7 +45,8 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     `outcome` is one of `outcomes.RANKS` or `aborted`, with the reason in `note`. Excursions are the
     largest errors beyond those of the reference flight. `detected_by` is the first flag, alarm or
     text that the reference flight lacks. `verdict` is the monitor's (`docs/verdicts.md`), `blamed`
-    are the sensors it isolated, `verdict_s` is its delay; empty if no monitor ran.
+    are the sensors it isolated, `verdict_s` is its delay; empty if no monitor ran. `failed` are the
+    criteria on the vehicle that were missed.
     """
 
     cell: Cell
@@ -62,6 +63,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     blamed: str = ""
     verdict_s: float | None = None
     note: str = ""
+    failed: str = ""
     wall_s: float = 0.0
     requirements: list[RequirementResult] = []
 

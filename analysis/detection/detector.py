@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
@@ -27,6 +28,7 @@ from analysis.detection.stages.decision_record import (
     rate_results,
     untestable_decision,
 )
+from analysis.detection.stages.ephemeris_fault import try_other_ephemerides
 from analysis.detection.stages.epoch_stages import late_onsets, repair, run_stages
 from analysis.detection.stages.initial_fix import check_against_prior, solve_initial_fix
 from analysis.detection.stages.observe import observe
@@ -196,8 +198,10 @@ class Detector:
         # One in, one out: the history stays as long as `history_s`.
         if history and history[0].t_us < t_us - config.history_s * 1e6:
             history = history[1:]
-        history = (*history, EpochRecord(t_us, core, observation, run))
-        onsets = late_onsets(outcome.tested, core, t_us, config)
+        record = EpochRecord(t_us, core, observation, run)
+        record, outcome, wrong = try_other_ephemerides(epoch, record, outcome, history, config)
+        history = (*history, record)
+        onsets = late_onsets(outcome.tested, record.core, t_us, config)
         if onsets:
             outcome = repair(outcome, onsets, history, config)
             history = outcome.core.history
@@ -206,7 +210,12 @@ class Detector:
         tested = outcome.tested
         if tested is None:
             return [untestable_decision(t_us, outcome.reason, core.trust.excluded)], core
-        results: list[Result] = [build_decision(epoch, tested, core, bool(onsets), config)]
+        decision = build_decision(epoch, tested, core, bool(onsets), config)
+        if wrong:
+            decision = msgspec.structs.replace(
+                decision, alarm=True, hypothesis="ephemeris", reason=wrong
+            )
+        results: list[Result] = [decision]
         results += imu_results(epoch, tested, core.imu, config) + rate_results(epoch, tested)
         if core.motion is not None:
             results += clock_results(core.motion, core.history)

@@ -34,7 +34,7 @@ from analysis.detection.filter.lasting_errors import (
     TROPOSPHERE_M,
     RangeGeometry,
     VarianceFactor,
-    lasting_position_variance,
+    lasting_position_covariance,
     normal_matrix,
     range_geometry,
 )
@@ -61,11 +61,11 @@ LARGEST_LEVEL_M = 1e4  # a larger level is reported as none
 
 
 class PositionBounds(NamedTuple):
-    """The bounds of a position: the variance factor of its noise, the variance of lasting errors
-    (3,) in ECEF, and the protection levels, infinite where a fault would not be observable."""
+    """The bounds of a position: the variance factor of its noise, the covariance of lasting errors
+    (3, 3) in ECEF, and the protection levels, infinite where a fault would not be observable."""
 
     factor: float
-    lasting_m2: tuple[float, float, float]
+    lasting_m2: Vector
     hpl_m: float
     vpl_m: float
 
@@ -84,9 +84,11 @@ def bound_position(
     `slow_share` is the variance of lasting range errors over that of noise.
     """
     factor = misfit.factor
-    table = bounds_kernel(used, moved_m, offset_m, r_ecef_m, factor, slow_share, level_factors())
-    x, y, z, horizontal_m, vertical_m = table.tolist()
-    return PositionBounds(factor, (x, y, z), horizontal_m, vertical_m)
+    lasting_m2, most = bounds_kernel(
+        used, moved_m, offset_m, r_ecef_m, factor, slow_share, level_factors()
+    )
+    north_m, east_m, vertical_m = most.tolist()
+    return PositionBounds(factor, lasting_m2, math.hypot(north_m, east_m), vertical_m)
 
 
 def level_assumptions(names: Iterable[str]) -> str:
@@ -119,21 +121,19 @@ def bounds_kernel(
     factor: float,
     slow_share: float,
     factors: Vector,
-) -> Vector:
-    """Lasting variance in ECEF (3) and the two levels."""
+) -> tuple[Vector, Vector]:
+    """Lasting covariance (3, 3) in ECEF, and the levels (3,) north, east, down."""
     lat, lon, _ = geodetic_position(r_ecef_m)
     axes = ned_axes(lat, lon)
     geometry = range_geometry(used, axes)
     weight = _weights(used, _vertical_m(lat, lon), max(factor, 1.0) * (1.0 + slow_share))
-    v, out = np.empty(weight.shape[0]), np.empty(AXES + 2)
+    v = np.empty(weight.shape[0])
     for i in range(v.shape[0]):
         v[i] = used.range_m[i] + offset_m[i]
         for k in range(AXES):
             v[i] -= used.geometry[i, k] * moved_m[k]
-    out[:AXES] = lasting_position_variance(used, geometry, axes, factor)
-    most = _levels(geometry, weight, v, factors)
-    out[AXES], out[AXES + 1] = math.hypot(most[0], most[1]), most[2]
-    return out
+    lasting_m2 = lasting_position_covariance(used, geometry, axes, factor)
+    return lasting_m2, _levels(geometry, weight, v, factors)
 
 
 @compiled

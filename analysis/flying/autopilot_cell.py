@@ -12,7 +12,9 @@ import msgspec
 from analysis.autopilots.flight_process import run_flight_process
 from analysis.flying.autopilot_evidence import collect_evidence
 from analysis.flying.flight_evidence import CampaignFlight, monitor_verdict
+from analysis.scoring.criteria import VehicleCriteria, check_vehicle
 from analysis.scoring.requirements import RequirementResult
+from analysis.scoring.vehicle_outcome import VehicleOutcome
 from mavproxy_fault.documents.errors import ConfigError
 
 MAX_TRIES = 3  # on a busy machine the operator's timeouts may end a flight before its fault
@@ -23,12 +25,13 @@ def run_autopilot_cell(
     run: Sequence[str],
     schedule: dict[str, Any],
     folder: Path,
+    criteria: VehicleCriteria | None = None,
     *,
     kept: bool,
     must_act: bool = True,
 ) -> CampaignFlight:
-    """Fly a cell; arguments and errors as in `run_flight_process`. Unless its fault `must_act`, a
-    flight counts in which the fault's condition never came.
+    """Fly a cell and check its criteria; arguments and errors as in `run_flight_process`. Unless
+    its fault `must_act`, a flight counts in which the fault's condition never came.
 
     Raises
     ------
@@ -48,7 +51,7 @@ def run_autopilot_cell(
             off_ground_s = summary["autopilot"]["moments_s"]["take-off"]
             return CampaignFlight(
                 {subject: evidence}, {}, flight_s, time.monotonic() - started_s, str(run_folder),
-                monitor_verdict(faults),
+                monitor_verdict(faults), missed_criteria(criteria, summary) if criteria else "",
                 {subject: msgspec.convert(judged, list[RequirementResult])},
                 None if begun_s is None else round(begun_s - off_ground_s, 3),
             )  # fmt: skip
@@ -56,3 +59,13 @@ def run_autopilot_cell(
     problem = "the fault never acted" if took_off else "the vehicle did not take off"
     reason = summary["autopilot"]["ended_early"]
     raise ConfigError(f"{subject}: {problem} in {MAX_TRIES} tries; {reason}")
+
+
+def missed_criteria(criteria: VehicleCriteria, summary: dict[str, Any]) -> str:
+    """Describe what a flight misses of the criteria on the vehicle; empty if it meets them."""
+    onset_s = min((fault["start_s"] for fault in summary["faults"]), default=None)
+    found = msgspec.convert(summary["outcome"], VehicleOutcome)
+    checks = check_vehicle(criteria, found, onset_s, under_autopilot=False)
+    return ", ".join(
+        f"{check.name} {check.value} (limit {check.limit})" for check in checks if not check.passed
+    )

@@ -65,6 +65,7 @@ class CampaignFlight(msgspec.Struct, frozen=True):
     wall_s: float = 0.0
     folder: str = ""
     verdict: CellVerdict = CellVerdict()
+    failed: str = ""
     requirements: dict[str, list[RequirementResult]] = {}
     fault_s: float | None = None
 

@@ -18,7 +18,7 @@ from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRA
 from analysis.detection.actuators.alarm_precedence import apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
-from analysis.detection.actuators.tumble_kernel import new_tumble, track_tumble
+from analysis.detection.actuators.tumble import TumbleState, track_tumble
 from analysis.detection.compass.earth_field_detector import EarthFieldDetector
 from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
 from analysis.detection.compass.turn_detector import TurnDetector
@@ -133,7 +133,7 @@ class Pipeline:
         self._pauses = PauseFilter() if config.streams else None
         self._pauses_state = PauseState()
         self._lost_us: Sequence[tuple[int, int]] = ()
-        self._tumble = new_tumble()
+        self._tumble = TumbleState()
         self._held_out_us = NEVER_US  # until when the filter does without the IMU
         self._imu_us = NEVER_US  # when the IMU was isolated last
 
@@ -162,7 +162,7 @@ class Pipeline:
         results += [*found, *errors]
         # By row, so that results do not depend on how the stream was cut into blocks.
         results.sort(key=itemgetter(0))
-        lost = track_tumble(block.kind, block.t_us, block.values, self._tumble)
+        lost = track_tumble(block, self._tumble)
         actuators = self.states[ACTUATORS]
         if actuators is not None or lost.any():
             crash_us = NEVER_CRASHED_US if actuators is None else int(actuators.counts[CRASH_US])

@@ -14,6 +14,7 @@ from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
+from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.flight_sources import RecordedFlight
@@ -139,6 +140,8 @@ def _summary(
             for t_s, check in chain_of(checks)
         ],
         "vehicle": recording.vehicle,
+        "identity": recording.identity,
+        "flight": dict(flight_facts(recording)),
         "signals": _numbers(recording),
         "links": [
             {

@@ -10,6 +10,8 @@ from math import atan2, degrees, hypot
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from analysis.report.solution_row import SolutionRow
 from mavproxy_fault.rinex.gps_clock import leap_seconds
 
@@ -60,7 +62,7 @@ def _sentences(row: SolutionRow) -> Iterator[tuple[str, dict[str, Any]]]:
         | {"mv": "", "mvEW": ""},
     )
     north, east, down = (_number(s, 3) for s in row.sigma_ned_m or (None, None, None))
-    ellipse = {"rangeRms": "", "stdMajor": "", "stdMinor": "", "orient": ""}
+    ellipse = {"rangeRms": ""} | _ellipse(row)
     yield (
         "GST",
         {"time": utc.time(), "stdLat": north, "stdLong": east, "stdAlt": down} | ellipse,
@@ -78,6 +80,15 @@ def _quality(row: SolutionRow) -> tuple[int, str, str, int]:
     if row.sigma_ned_m is None:
         return NO_FIX
     return FIX if row.satellites else DEAD_RECKONED
+
+
+def _ellipse(row: SolutionRow) -> dict[str, float | str]:
+    """The horizontal error ellipse, its orientation from true north; blank without a covariance."""
+    if row.covariance_ned_m2 is None:
+        return {"stdMajor": "", "stdMinor": "", "orient": ""}
+    (minor, major), axes = np.linalg.eigh(row.covariance_ned_m2[:2, :2])
+    orient = round(degrees(atan2(axes[1, 1], axes[0, 1])) % 180.0, 1)
+    return {"stdMajor": round(major**0.5, 3), "stdMinor": round(minor**0.5, 3), "orient": orient}
 
 
 def _motion(row: SolutionRow) -> dict[str, float | str]:

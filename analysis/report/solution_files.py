@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from analysis.report.curves.recording import FlightData
 from analysis.report.export_tracks import FORMS, export_tracks
 from analysis.report.nmea_file import write_nmea
@@ -40,9 +42,13 @@ def _write_both(path: Path, rows: Sequence[SolutionRow], quality: int) -> None:
 def _line(row: SolutionRow, quality: int) -> str:
     time = row.gps_time
     north, east, down = row.sigma_ned_m or (0.0, 0.0, 0.0)
+    between = np.zeros((3, 3)) if row.covariance_ned_m2 is None else row.covariance_ned_m2
+    # RTKLIB's form: the root of a covariance, with its sign.
+    signed = (np.sign(between) * np.sqrt(np.abs(between))).tolist()
+    north_east, east_up, up_north = signed[0][1], -signed[1][2], -signed[2][0]
     return (
         f"{time:%Y/%m/%d %H:%M:%S}.{time.microsecond // 1000:03d} {row.lat_deg:14.9f}"
         f" {row.lon_deg:14.9f} {row.height_m:10.4f} {quality:3d} {len(row.satellites):3d}"
         f" {north:8.4f} {east:8.4f} {down:8.4f}"
-        "   0.0000   0.0000   0.0000   0.00    0.0\n"
+        f" {north_east:8.4f} {east_up:8.4f} {up_north:8.4f}   0.00    0.0\n"
     )

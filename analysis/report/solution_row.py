@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from analysis.results import Decision, FusedState
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.earth import geodetic_from_ecef
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
@@ -23,8 +24,8 @@ class SolutionRow:
         In GPS time, which is ahead of UTC by the leap seconds.
     height_m : float
         Above the WGS 84 ellipsoid.
-    sigma_ned_m : tuple or None
-        Standard deviations north, east, down; None if unknown.
+    covariance_ned_m2 : array (3, 3) or None
+        None if unknown.
     satellites : tuple of str
         The satellites in use.
     velocity_ned_mps : tuple or None
@@ -35,11 +36,19 @@ class SolutionRow:
     lat_deg: float
     lon_deg: float
     height_m: float
-    sigma_ned_m: NedVector | None
+    covariance_ned_m2: Vector | None
     satellites: tuple[str, ...]
     velocity_ned_mps: NedVector | None = None
     hdop: float | None = None
     vdop: float | None = None
+
+    @property
+    def sigma_ned_m(self) -> NedVector | None:
+        """Standard deviations north, east, down; None if unknown."""
+        if self.covariance_ned_m2 is None:
+            return None
+        north, east, down = np.sqrt(np.diag(self.covariance_ned_m2)).tolist()
+        return north, east, down
 
 
 def row_of(state: Decision | FusedState) -> SolutionRow:
@@ -52,12 +61,12 @@ def row_of(state: Decision | FusedState) -> SolutionRow:
     if isinstance(state, FusedState):
         used = (name for name, weight in state.weights.items() if weight > 0.0)
         satellites = tuple(name for name in used if name[1:].isdigit())
-        return SolutionRow(*place, state.position_sigma_m, satellites, state.velocity_ned_mps)
-    sigma = None
-    if state.position_sigma_m is not None:
+        squares = np.diag(np.square(state.position_sigma_m))
+        return SolutionRow(*place, squares, satellites, state.velocity_ned_mps)
+    covariance = None
+    if state.position_covariance_m2 is not None:
+        xx, xy, xz, yy, yz, zz = state.position_covariance_m2
         axes = ned_axes(*geodetic_position(np.array(r_ecef_m))[:2])
-        # Neglects correlations between the axes, which a decision does not hold.
-        north, east, down = np.sqrt(axes**2 @ np.square(state.position_sigma_m)).tolist()
-        sigma = north, east, down
+        covariance = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
     satellites = tuple(name for name in state.satellites if name not in state.excluded)
-    return SolutionRow(*place, sigma, satellites, hdop=state.hdop, vdop=state.vdop)
+    return SolutionRow(*place, covariance, satellites, hdop=state.hdop, vdop=state.vdop)

@@ -6,10 +6,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from analysis.detection.filter.range_noise import SigmaModel
 from analysis.detection.sky_geometry import RecordedSky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
@@ -43,6 +44,9 @@ from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import read_schedule
 from mavproxy_fault.wire.label import Label, latest_labels, read_labels
 
+if TYPE_CHECKING:
+    from analysis.detection.learn_noise import RecordedNoise
+
 PART_ROWS = 500  # rows of a recording between two checks for a stop request
 
 ResultSink = Callable[[list[Result]], None]
@@ -59,11 +63,12 @@ def main(args: argparse.Namespace) -> int:
         criteria = criteria if args.scenario else receiver_criteria(reference is not None)
     elif args.log is not None and Path(args.log).is_file() and is_autopilot_log(Path(args.log)):
         config = msgspec.structs.replace(config, link=False)
-    # On a link, the proxy is still writing the labels: they are read at the end.
+    # On a link, the proxy is still writing the labels: they are read again at the end.
     if args.link is None:
         read_optional_labels(args.labels)  # report a wrong name before the work
     # Read before the folder is made, since it may fail.
     recording = None if args.rinex is None else read_rinex_block(args)
+    config, learned = learn_from(recording, config)
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
     found: list[Result] = []  # for the requirements
@@ -90,7 +95,6 @@ def main(args: argparse.Namespace) -> int:
             monitor_recording(recording[0], monitor, deliver, stop)
         else:
             _monitor_source(args, monitor, deliver, stop, condition)
-    # Read again at the end: by now the proxy has written its labels.
     labels = read_optional_labels(args.labels) if injected is None else latest_labels(injected)
     if labels is None:  # without labels, no fault can count as missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
@@ -99,8 +103,8 @@ def main(args: argparse.Namespace) -> int:
     judge_log(summary, args.log, requirements, labels or [], found)
     if injected is not None:
         report_unmatched_faults(summary, read_schedule(args.schedule), injected)
-    if reference is not None:
-        summary["integrity"] = integrity.summary()
+    summary |= {"noise": learned.describe()} if learned is not None else {}
+    summary |= {"integrity": integrity.summary()} if reference is not None else {}
     if folder is not None:
         write_summary(folder, summary)
         if injected is not None:
@@ -147,7 +151,7 @@ def monitor_settings(
     if args.require and args.log is None:
         raise ConfigError("--require: needs a complete flight; give --log")
     if args.sigma is not None:
-        from analysis.detection.calibrate import read_sigma
+        from analysis.detection.learn_noise import read_sigma
 
         detector = msgspec.structs.replace(config.detector, sigma=read_sigma(Path(args.sigma)))
         config = msgspec.structs.replace(config, detector=detector)
@@ -159,19 +163,33 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     if args.link is not None:
         # The fit iterates over the samples.
         raise ConfigError("--calibrate: cannot use a live link; give --log or --rinex")
-    from analysis.detection.calibrate import (  # loads scipy's optimisers
-        calibrate_sigma,
-        write_sigma,
-    )
+    from analysis.detection.learn_noise import learn_noise, write_sigma  # loads scipy's optimisers
 
     samples = [sample for block in read_blocks(args) for sample in block.samples()]
-    found = calibrate_sigma(samples, config.detector)
+    found = learn_noise(samples, config.detector)
+    if found is None:
+        raise ConfigError(
+            "--calibrate: fewer than 20 epochs can be solved; give a longer recording"
+        )
     write_sigma(path, found)
-    print(
-        f"{path}: from {found.epochs} epochs, chi-square per degree of freedom "
-        f"{found.chi_square_per_dof:.2f}; use it with --sigma {path}"
-    )
+    print(f"{path}: {found.describe()}; use it with --sigma {path}")
     return 0
+
+
+def learn_from(
+    recording: tuple[Block, list[Label] | None] | None, config: MonitorConfig
+) -> tuple[MonitorConfig, "RecordedNoise | None"]:
+    """The settings with the noise that a RINEX recording shows, and what was learnt; as they are
+    where they name a noise."""
+    if recording is None or config.detector.sigma != SigmaModel():
+        return config, None
+    from analysis.detection.learn_noise import learn_noise
+
+    learned = learn_noise(recording[0].samples(), config.detector)
+    if learned is None:
+        return config, None
+    detector = msgspec.structs.replace(config.detector, sigma=learned.sigma)
+    return msgspec.structs.replace(config, detector=detector), learned
 
 
 def read_optional_labels(path: str | None) -> list[Label] | None:

@@ -12,14 +12,12 @@ import signal
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.processes import fork_context, spawn_context
 from analysis.results import Result
-from analysis.run import kernel_precompilation
 from analysis.scoring.criteria import Criteria
 from mavproxy_fault.ardupilot.child_process import describe_exit, die_with_parent
 from mavproxy_fault.wire.label import Label
@@ -57,11 +55,6 @@ class MonitorDiedError(RuntimeError):
     """The monitor's process ended early."""
 
 
-def _precompile(config: MonitorConfig, mark: Path) -> None:
-    die_with_parent()
-    kernel_precompilation.precompile_kernels(config, mark)
-
-
 @contextlib.contextmanager
 def _block_signals(*signals: signal.Signals) -> Iterator[None]:
     """Block signals in processes started here: the parent handles them, and needs the summary."""
@@ -88,13 +81,8 @@ class MonitorProcess:
         self._process = context.Process(
             target=_run_monitor, args=(self._requests, child_end, config, records), daemon=True
         )
-        # Only the first run after an installation compiles.
-        mark = kernel_precompilation.pending_marker()
-        with _block_signals(signal.SIGINT):
-            if mark is not None:
-                context.Process(target=_precompile, args=(config, mark), daemon=True).start()
-            with _block_signals(signal.SIGTERM):
-                self._process.start()
+        with _block_signals(signal.SIGINT, signal.SIGTERM):
+            self._process.start()
         # Only the child keeps it open, so that its death ends the pipe.
         child_end.close()
         self.pid = self._process.pid or 0

@@ -10,12 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from analysis.scoring.requirements import RequirementResult
+from analysis.scoring.run_remarks import run_remarks
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 
 # NO VERDICT is not a failure: there were no criteria, or the data were insufficient.
 EXIT_CODES = {"PASS": 0, "NO VERDICT": 0, "FAIL": 1}
 GOOD, BAD = ("PASS", "isolated"), ("FAIL", "wrong", "missed", "late")
-MANY_ALARMS_PER_HOUR = 20.0  # noise as assumed causes at most 1 at 1 Hz, and 8 at 10 Hz
 COLOURS = dict.fromkeys(GOOD, "green") | dict.fromkeys(BAD, "red")
 
 
@@ -46,17 +46,8 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         soft_wrap=True,
     )
     console.print(f"monitored       {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
-    for reason, count in summary["untestable_reasons"].items():
-        epochs = "1 epoch" if count == 1 else f"{count} epochs"
-        console.print(f"untestable      {epochs}: {reason}", soft_wrap=True)
-    if unexplained := summary.get("unexplained_epochs"):
-        console.print(
-            f"unexplained     {unexplained} of {summary['epochs']} epochs: more satellites"
-            " contradict each other than the monitor may leave out (left_out)",
-            soft_wrap=True,
-        )
-    for limit in _limits(summary):
-        console.print(f"not observable  {limit}", soft_wrap=True)
+    for kind, text in run_remarks(summary):
+        console.print(f"{kind:<15} {text}", soft_wrap=True)
     for row in summary["false_by_channel"] or ():
         isolated = ", ".join(row["blamed"]) or "none"
         console.print(
@@ -139,31 +130,6 @@ def _effect(row: Mapping[str, Any]) -> str:
         for key in units
         for name, extent in row.get(key, {}).items()
     )
-
-
-def _limits(summary: Mapping[str, Any]) -> list[str]:
-    """Describe the faults that the run could not observe."""
-    found, epochs = [], summary["epochs"]
-    if not {"gps-position", "satellites"} & set(summary["watched"]):
-        found.append("position and velocity: no GNSS data")
-    # Not the first seconds of a run with an IMU, in which its attitude is initialised.
-    if 2 * summary["epochs_without_imu"] > epochs:
-        found.append("coordinated spoofing of all satellites, as most epochs had no IMU")
-        # Without labels, a plain antenna on the ground gives a hundred alarms per hour.
-        if (
-            summary["false_alarms"] is None
-            and summary["alarms"] * 3600.0 > MANY_ALARMS_PER_HOUR * summary["sim_s"]
-        ):
-            found.append(
-                "faulty satellites from a receiver noisier than assumed:"
-                " fit the noise to a fault-free recording with --calibrate"
-            )
-    lost_s = summary.get("log", {}).get("lost_s", 0.0)
-    if lost_s:
-        found.append(f"dropouts during {lost_s:.1f} s in which the logger lost records")
-    if summary["unbounded_epochs"]:
-        found.append(f"{summary['unbounded_epochs']} of {epochs} positions: no protection level")
-    return found
 
 
 def _known(count: int | None) -> str:

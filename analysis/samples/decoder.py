@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.samples.block import Block, BlockPart, Indices, Stamps, join_parts
-from analysis.samples.message_readers import READERS
+from analysis.samples.message_readers import SAMPLE_LINES, read_samples
 from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import Sample
 from analysis.samples.wrapped_stamps import WRAPPED_MESSAGE, BootTime
@@ -19,8 +19,8 @@ from mavproxy_fault.wire.tlog import Columns, row_dtype
 
 Orders = dict[str, Indices]
 
-# The messages with a reader, and TUNNEL, which carries RTCM.
-MESSAGES = (*READERS, "TUNNEL")
+# The messages with samples, and TUNNEL, which carries RTCM.
+MESSAGES = (*SAMPLE_LINES, "TUNNEL")
 # Messages on the simulator's clock, by which TUNNEL frames (without a timestamp) are dated.
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
 _ROW_HEAD = struct.Struct("<qBBB")
@@ -64,8 +64,8 @@ class Decoder:
         parts = []
         stamps = _Stamps(self._stamps)
         for name, rows in columns.items():
-            # Messages without a reader or a measurement give no rows.
-            for read in READERS[name](rows) if name in READERS else ():
+            # Messages without a measurement give no rows.
+            for read in read_samples(name, rows):
                 place, t_us = orders[name][read.row], read.t_us
                 if name == WRAPPED_MESSAGE:
                     t_us = self._boot.unwrap(t_us, place, columns, orders)

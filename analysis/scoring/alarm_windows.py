@@ -60,7 +60,7 @@ def alarms_of(result: Result) -> list[Alarm]:
         alarms.append(Alarm(result.t_us, channel, "clock", True))
     elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # all its ranges together
         alarms.append(Alarm(result.t_us, channel, "GPS", True))
-    elif OR_SEPARATOR in result.hypothesis:
+    elif OR_SEPARATOR in result.hypothesis or result.hypothesis == "ephemeris":
         alarms.append(Alarm(result.t_us, channel, result.hypothesis, False))
     # An exclusion explains the alarm; without one the alarm has no name.
     elif not alarms or result.hypothesis == "multiple-unknown":

@@ -29,13 +29,26 @@ class FailsafeCriterion(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     within_s: float | None = None
 
 
-class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class VehicleCriteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Limits of what happens to the vehicle: `outcome` as "at most degraded"."""
+
+    outcome: str | None = None
+    failsafe: FailsafeCriterion | None = None
+    impact_mps: float | None = None
+    excursion_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.outcome is not None and worst_allowed(self.outcome) not in VEHICLE_OUTCOMES:
+            known = ", ".join(AT_MOST + word for word in VEHICLE_OUTCOMES)
+            raise ValueError(f"outcome = {self.outcome} is unknown; known: {known}")
+
+
+class Criteria(VehicleCriteria, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Limits; those that are not given are not checked. Faults are named by their schedule ids.
 
     `may_miss` allows missed faults by id, fault or preset; `may_blame` allows wrong isolations by
     channel or sensor. Shares are of all GNSS epochs, between 0 and 1; errors are those of the
-    detector's own position. `outcome` ("at most degraded"), `failsafe`, `impact_mps` and
-    `excursion_m` limit what happens to the vehicle.
+    detector's own position.
     """
 
     must_detect: tuple[str, ...] = ()
@@ -51,15 +64,6 @@ class Criteria(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     max_unexplained_share: float | None = None
     max_horizontal_95_m: float | None = None
     max_vertical_95_m: float | None = None
-    outcome: str | None = None
-    failsafe: FailsafeCriterion | None = None
-    impact_mps: float | None = None
-    excursion_m: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.outcome is not None and worst_allowed(self.outcome) not in VEHICLE_OUTCOMES:
-            known = ", ".join(AT_MOST + word for word in VEHICLE_OUTCOMES)
-            raise ValueError(f"outcome = {self.outcome} is unknown; known: {known}")
 
 
 def worst_allowed(outcome: str) -> str:
@@ -151,7 +155,11 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
 
 
 def check_vehicle(
-    criteria: Criteria, found: VehicleOutcome, onset_s: float | None, *, under_autopilot: bool
+    criteria: VehicleCriteria,
+    found: VehicleOutcome,
+    onset_s: float | None,
+    *,
+    under_autopilot: bool,
 ) -> list[CriterionCheck]:
     """Check what happened to the vehicle; `onset_s` is the start of the first fault.
 

@@ -95,6 +95,7 @@ LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     "sequence-gap",
 )
+LINK_UNITS = ("mavlink-", "datalink-")  # failures of the autopilot's own link
 HARMLESS_FAULTS = {  # no channel should react to these
     "command": "a command to the vehicle falsifies nothing",
     "duplicate": "a repeated frame is unchanged",
@@ -123,7 +124,7 @@ def _own_visibility(label: Label) -> FaultVisibility:
     if label.fault in HARMLESS_FAULTS:
         return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
     if not label.targets:
-        return _link_visibility(label.fault)
+        return _link_visibility(label)
     parts = [
         _lost_satellite(target)
         if label.fault in LOSS_FAULTS and _is_satellite(target)
@@ -146,10 +147,12 @@ def _own_visibility(label: Label) -> FaultVisibility:
     return merged
 
 
-def _link_visibility(fault: str) -> FaultVisibility:
+def _link_visibility(label: Label) -> FaultVisibility:
     """A fault of the entire link falsifies nothing, but any stream may fall silent."""
-    if fault not in LOSS_FAULTS:
-        return FaultVisibility(frozenset(), reason=f"{fault} on a link changes no value")
+    if label.by and not label.fault.startswith(LINK_UNITS):
+        return FaultVisibility(frozenset(), reason=f"no channel monitors {label.fault}")
+    if not label.by and label.fault not in LOSS_FAULTS:
+        return FaultVisibility(frozenset(), reason=f"{label.fault} on a link changes no value")
     any_name = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
     return FaultVisibility(frozenset({LINK}), (any_name,), any_name)
 

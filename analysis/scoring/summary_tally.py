@@ -44,6 +44,9 @@ class Tally:
         self._reference = reference
         self.positions = PositionScores()
         self.unexplained = 0
+        # Of each satellite without a usable ephemeris the first reason, and its epochs.
+        self._unused: dict[str, tuple[str, int]] = {}
+        self._wrong_ephemerides: list[str] = []
         self.without_imu = 0  # epochs of raw ranges that no IMU predicted
         self.unbounded = 0  # epochs with a position without an error bound
 
@@ -106,6 +109,11 @@ class Tally:
         if result.hypothesis == "untestable":
             self.untestable[result.reason] += 1
         self.unexplained += result.hypothesis == "multiple-unknown"
+        if result.hypothesis == "ephemeris":
+            self._wrong_ephemerides.append(result.reason)
+        for name, reason in result.unused.items():
+            first, count = self._unused.get(name, (reason, 0))
+            self._unused[name] = first, count + 1
         self.without_imu += result.mode in ("free", "start")
         located = result.position_ecef_m is not None
         self.unbounded += located and result.position_sigma_m is None
@@ -169,6 +177,11 @@ class Tally:
             "untestable_reasons": dict(self.untestable.most_common(SHOWN_REASONS)),
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
             "unexplained_epochs": self.unexplained,
+            "wrong_ephemerides": self._wrong_ephemerides,
+            "unused_satellites": [
+                {"satellite": name, "reason": reason, "epochs": count}
+                for name, (reason, count) in sorted(self._unused.items())
+            ],
             "epochs_without_imu": self.without_imu,
             "unbounded_epochs": self.unbounded,
             "position_rmse_m": self.positions.rmse_m(FILTER),

@@ -148,33 +148,46 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     """Return the outcome of a flight: the worst of its events."""
     motion = record.motion
     flown = flown_window(record)
-    said = [VehicleEvent(t_s, CRASHED, text) for t_s, text in record.texts if is_crash_text(text)]
+    said = [
+        VehicleEvent(round(t_s, 3), CRASHED, text)
+        for t_s, text in record.texts
+        if is_crash_text(text)
+    ]
     tested = motion is not None and record.armed != []
     end_tilt_deg, upset = _find_upset(record, motion) if motion and tested else (None, [])
+    # One that acts on the ground, before the take-off or behind a crash, is one too.
+    acting = (record.armed[0][0], record.armed[-1][1]) if record.armed else flown
+    failsafes = find_failsafes(record, acting) if acting else []
+    first = next(iter(failsafes), None)
+    named = {
+        "failsafe": "" if first is None else first.text.partition(": ")[0],
+        "failsafe_s": None if first is None else first.t_s,
+        "reason": "" if first is None else first.text.partition(": ")[2],
+    }
     if motion is None or flown is None:
-        events = sorted([*said, *upset], key=lambda event: event.t_s)
+        events = sorted([*said, *upset, *failsafes], key=lambda event: event.t_s)
         return VehicleOutcome(
-            outcome=CRASHED if events else NOT_JUDGED,
+            outcome=max((event.kind for event in events), key=outcome_rank, default=NOT_JUDGED),
             source="autopilot's estimate" if upset else "autopilot's messages",
             end_tilt_deg=end_tilt_deg,
             events=events,
+            **named,  # type: ignore[arg-type]
         )
     contact, ground = _find_impacts(record, motion, flown)
-    failsafes = find_failsafes(record, flown)
-    away_m, away_s, departed = _find_departure(record, motion, flown)
+    excursion_m, away_s, departed = _find_departure(record, motion, flown)
     error_deg = _largest(record.errors_deg, flown)
-    excursion_m = max(away_m, _largest(record.errors_m, flown))
+    error_m = max(excursion_m, _largest(record.errors_m, flown))
     events = [*said, *ground, *upset, *failsafes, *departed, *_find_tumble(record, motion, flown)]
-    events += _find_touchdown(record, motion, flown, failsafes)
+    crashed = bool(said or ground or upset)
+    events += _find_touchdown(record, motion, flown, explained=bool(failsafes) or crashed)
     alarms = [alarm for alarm in record.alarms if flown[0] <= alarm.t_s <= flown[1]]
-    events += [VehicleEvent(alarm.t_s, DETECTED, alarm.text) for alarm in alarms[:1]]
-    if excursion_m > DEGRADED_M or error_deg > DEGRADED_DEG:
-        events.append(_largest_excursion(record, flown, away_s, (excursion_m, error_deg)))
+    events += [VehicleEvent(round(alarm.t_s, 3), DETECTED, alarm.text) for alarm in alarms[:1]]
+    if error_m > DEGRADED_M or error_deg > DEGRADED_DEG:
+        events.append(_largest_excursion(record, flown, away_s, (error_m, error_deg)))
     events.append(VehicleEvent(round(flown[0], 3), "take-off"))
     events.sort(key=lambda event: event.t_s)
     landed = any(event.kind == "touchdown" for event in events)
     best = AS_COMMANDED if landed else UNAFFECTED
-    first = next((event for event in events if event.kind == FAILSAFE), None)
     return VehicleOutcome(
         outcome=max((event.kind for event in events), key=outcome_rank) if _is_eventful(events)
         else best,
@@ -184,10 +197,8 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
         end_tilt_deg=end_tilt_deg,
         excursion_m=round(excursion_m, 2),
         excursion_deg=round(error_deg, 2),
-        failsafe="" if first is None else first.text.partition(": ")[0],
-        failsafe_s=None if first is None else first.t_s,
-        reason="" if first is None else first.text.partition(": ")[2],
         events=events,
+        **named,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
@@ -331,13 +342,13 @@ def mode_at(record: VehicleRecord, t_s: float) -> str:
     return next((mode.text for mode in reversed(record.modes) if mode.t_s <= t_s), "")
 
 
-def find_failsafes(record: VehicleRecord, flown: tuple[float, float]) -> list[VehicleEvent]:
-    """Modes that the autopilot entered by itself in the air, each with its own words, and failsafes
-    that it reports without a change of mode."""
+def find_failsafes(record: VehicleRecord, acting: tuple[float, float]) -> list[VehicleEvent]:
+    """Modes that the autopilot entered by itself while armed, each with its own words, and
+    failsafes that it reports without a change of mode."""
     said = [text for text in record.texts if FAILSAFE_TEXT.search(text.text)]
     found = []
     for previous, mode in zip(record.modes, record.modes[1:], strict=False):
-        if not flown[0] <= mode.t_s <= flown[1] or mode.text == previous.text:
+        if not acting[0] <= mode.t_s <= acting[1] or mode.text == previous.text:
             continue
         if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
             continue
@@ -350,7 +361,7 @@ def find_failsafes(record: VehicleRecord, flown: tuple[float, float]) -> list[Ve
             found.append(VehicleEvent(round(mode.t_s, 3), FAILSAFE, f"{mode.text}: {words}"))
     marked = [TimedText(event.t_s, event.text) for event in found]
     for text in (*said, *record.expelled):
-        if flown[0] <= text.t_s <= flown[1] and not _is_near(text.t_s, marked, -60.0, REASON_S):
+        if acting[0] <= text.t_s <= acting[1] and not _is_near(text.t_s, marked, -60.0, REASON_S):
             mode_name = mode_at(record, text.t_s) or "no change of mode"
             found.append(VehicleEvent(round(text.t_s, 3), FAILSAFE, f"{mode_name}: {text.text}"))
             marked.append(text)
@@ -383,7 +394,14 @@ def _find_departure(
         left_s = min(left_s, *t_s[apart_m > DEGRADED_M][:1].tolist(), flown[1])
         events += _departure(t_s, apart_m, "left its place")
     if record.errors_m is not None:
-        events += _departure(*_within(record.errors_m, flown), "left its estimate")
+        t_s, error_m = _within(record.errors_m, flown)
+        # An estimate that jumps is no excursion of a vehicle that keeps its place.
+        begun = np.maximum.accumulate(np.where(error_m > REST_M, 0, np.arange(len(t_s))))
+        north_m, east_m = (np.interp(t_s, motion.t_s, m) for m in (motion.north_m, motion.east_m))
+        moved_m = np.hypot(north_m - north_m[begun], east_m - east_m[begun])
+        apart_m = np.minimum(error_m, moved_m)
+        farthest_m = max(farthest_m, float(np.nanmax(apart_m, initial=0.0)))
+        events += _departure(t_s, apart_m, "left its estimate")
     return farthest_m, left_s, events[:1]
 
 
@@ -428,9 +446,10 @@ def _find_touchdown(
     record: VehicleRecord,
     motion: VehicleMotion,
     flown: tuple[float, float],
-    failsafes: Sequence[VehicleEvent],
+    *,
+    explained: bool,
 ) -> list[VehicleEvent]:
-    """The touchdown, and whether it was uncommanded; a failsafe explains its landing."""
+    """The touchdown, and whether it was uncommanded; failsafes and crashes are `explained`."""
     end_s = float(motion.t_s[-1])
     # The last heartbeat comes up to a second before the end of a log.
     disarmed = bool(record.armed) and record.armed[-1][1] < end_s - REST_S  # type: ignore[index]
@@ -443,7 +462,7 @@ def _find_touchdown(
         command.text in LANDING_MODES or command.text == "mission" for command in record.commands
     )
     # Autonomous landings at the end of a mission are what the mission commands.
-    asked = commanded or mode_at(record, t_s) in ("AUTO", "MISSION") or bool(failsafes)
+    asked = commanded or mode_at(record, t_s) in ("AUTO", "MISSION") or explained
     touchdown = VehicleEvent(t_s, "touchdown")
     return [touchdown] if asked else [touchdown, VehicleEvent(t_s, UNCOMMANDED, "not commanded")]
 

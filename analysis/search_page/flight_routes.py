@@ -6,12 +6,19 @@ from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
 from analysis.search_page.flights import Flights
-from analysis.web.access_control import ASSET_FILES, AccessControl
+from analysis.web.access_control import (
+    ASSET_FILES,
+    AccessControl,
+    action_answer,
+    data_answer,
+    file_answer,
+)
 
 ASSETS = Path(__file__).parent / "assets"
 OWN_FILES = {path.name: path for path in ASSETS.iterdir() if path.suffix in (".js", ".css")}
@@ -21,7 +28,7 @@ class FlightPage:
     """The page's routes for the flights of a session."""
 
     def __init__(self, flights: Flights, access: AccessControl) -> None:
-        self._flights, self._access = flights, access
+        self._flights = flights
         self.app = Starlette(
             routes=[
                 Route("/", self._index),
@@ -32,6 +39,7 @@ class FlightPage:
                 Route("/api/save", self._save, methods=["POST"]),
             ],
             lifespan=self._lifespan,
+            middleware=[Middleware(access.guard)],
         )
 
     @contextlib.asynccontextmanager
@@ -41,24 +49,24 @@ class FlightPage:
         await run_in_threadpool(self._flights.close)
 
     async def _index(self, request: Request) -> Response:
-        return self._access.file(request, ASSETS / "flight.html")
+        return file_answer(ASSETS / "flight.html")
 
     async def _asset(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return self._access.file(request, OWN_FILES.get(name) or ASSET_FILES.get(name))
+        return file_answer(OWN_FILES.get(name) or ASSET_FILES.get(name))
 
     async def _state(self, request: Request) -> Response:
-        return await self._access.get_data(request, self._flights.state)
+        return await data_answer(self._flights.state)
 
     async def _flight(self, request: Request) -> Response:
-        return await self._access.get_data(request, self._flights.newest)
+        return await data_answer(self._flights.newest)
 
     async def _next(self, request: Request) -> Response:
         def act(_: bytes) -> dict[str, object]:
             self._flights.next()
             return {}
 
-        return await self._access.run_action(request, act)
+        return await action_answer(request, act)
 
     async def _save(self, request: Request) -> Response:
-        return await self._access.run_action(request, lambda _: {"files": self._flights.save()})
+        return await action_answer(request, lambda _: {"files": self._flights.save()})

@@ -1,9 +1,10 @@
-"""Access control of a page's routes, and their responses.
+"""Access control of a page, for all of its routes at once, and their responses.
 
 Reading is open to programs of the user who started the page, and to clients with the token in the
 address printed at the start; changes need the token.
 """
 
+import re
 import secrets
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from analysis.web.peer_user import HAS_TABLES, peer_user
 from mavproxy_fault.documents.errors import ConfigError
@@ -25,6 +27,7 @@ ASSET_FILES = {
         name: PLOT_ASSETS / name for name in ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")
     },
 }
+OWN_FILES = re.compile(r"/|/assets/[^/]*")
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -40,13 +43,19 @@ class AccessControl(NamedTuple):
     hosts: frozenset[str]
     users: frozenset[int]
 
-    def refusal(
-        self, call: HTTPConnection, *, changes: bool = False, public: bool = False
-    ) -> str | None:
-        """Why a call is refused; None if it is allowed.
+    def guard(self, app: ASGIApp) -> ASGIApp:
+        """Refuse a call before any route sees it."""
 
-        What is `public` needs no token where the system cannot identify the user of a connection.
-        """
+        async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
+            refusal = None
+            if scope["type"] in ("http", "websocket"):
+                refusal = self.refusal(HTTPConnection(scope))
+            await (refusal_answer(403, refusal) if refusal else app)(scope, receive, send)
+
+        return guarded
+
+    def refusal(self, call: HTTPConnection) -> str | None:
+        """Why a call is refused; None if it is allowed."""
         # DNS rebinding: another site could reach the port under its own name.
         if call.headers.get("host") not in self.hosts:
             return "unknown host name; open the page at the address printed at the start"
@@ -59,7 +68,10 @@ class AccessControl(NamedTuple):
         # Constant-time comparison: the delay must not reveal how much matched.
         if secrets.compare_digest(token_sent.encode(), self.token.encode()):
             return None
-        if not changes and (self._is_own(call) or (public and not HAS_TABLES)):
+        changes = call.scope.get("method", "GET") not in ("GET", "HEAD")
+        # Before a browser has the page's own files, it cannot send the token.
+        needs_none = not HAS_TABLES and OWN_FILES.fullmatch(call.url.path)
+        if not changes and (self._is_own(call) or needs_none):
             return None
         return "the token is wrong; open the address printed at the start"
 
@@ -70,35 +82,26 @@ class AccessControl(NamedTuple):
         host, port = call.scope["server"]
         return peer_user((call.client.host, call.client.port), (host, port)) in self.users
 
-    def file(self, request: Request, path: Path | None) -> Response:
-        """Return a file, 404 without one."""
-        refusal = self.refusal(request, public=True)
-        if refusal:
-            return refusal_answer(403, refusal)
-        if path is None:
-            return refusal_answer(404, "no such file")
-        return FileResponse(path, headers=HEADERS)
 
-    async def get_data(self, request: Request, data: Callable[[], bytes]) -> Response:
-        """Return JSON data, computed in a thread, also without the token."""
-        refusal = self.refusal(request)
-        if refusal:
-            return refusal_answer(403, refusal)
-        content = await run_in_threadpool(data)
-        return Response(content, media_type="application/json", headers=HEADERS)
+def file_answer(path: Path | None) -> Response:
+    """Return a file, 404 without one."""
+    if path is None:
+        return refusal_answer(404, "no such file")
+    return FileResponse(path, headers=HEADERS)
 
-    async def run_action(
-        self, request: Request, act: Callable[[bytes], dict[str, Any]]
-    ) -> Response:
-        """Return the result of `act` on the body, run in a thread; a ConfigError gives status
-        400."""
-        refusal = self.refusal(request, changes=True)
-        if refusal:
-            return refusal_answer(403, refusal)
-        try:
-            return JSONResponse(await run_in_threadpool(act, await read_body(request)))
-        except ConfigError as error:
-            return refusal_answer(400, str(error))
+
+async def data_answer(data: Callable[[], bytes]) -> Response:
+    """Return JSON data, computed in a thread."""
+    content = await run_in_threadpool(data)
+    return Response(content, media_type="application/json", headers=HEADERS)
+
+
+async def action_answer(request: Request, act: Callable[[bytes], dict[str, Any]]) -> Response:
+    """Return the result of `act` on the body, run in a thread; a ConfigError gives status 400."""
+    try:
+        return JSONResponse(await run_in_threadpool(act, await read_body(request)))
+    except ConfigError as error:
+        return refusal_answer(400, str(error))
 
 
 async def read_body(request: Request) -> bytes:

@@ -8,6 +8,7 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
@@ -18,6 +19,9 @@ from analysis.web.access_control import (
     ASSETS,
     HEADERS,
     AccessControl,
+    action_answer,
+    data_answer,
+    file_answer,
     read_body,
     refusal_answer,
 )
@@ -44,7 +48,7 @@ class LivePage:
         commands: bool,
     ) -> None:
         self._feed, self._source, self._sequences = feed, source, sequences
-        self._access, self._commands = access, commands
+        self._commands = commands
         self.app = Starlette(
             routes=[
                 Route("/", self._index),
@@ -61,6 +65,7 @@ class LivePage:
                 WebSocketRoute("/api/live", self._live),
             ],
             lifespan=self._lifespan,
+            middleware=[Middleware(access.guard)],
         )
 
     @contextlib.asynccontextmanager
@@ -79,22 +84,19 @@ class LivePage:
             await asyncio.sleep(TICK_S * (1 + self._feed.viewers // VIEWERS_PER_TICK))
 
     async def _index(self, request: Request) -> Response:
-        return self._access.file(request, ASSETS / "index.html")
+        return file_answer(ASSETS / "index.html")
 
     async def _asset(self, request: Request) -> Response:
-        return self._access.file(request, ASSET_FILES.get(request.path_params["name"]))
+        return file_answer(ASSET_FILES.get(request.path_params["name"]))
 
     async def _report(self, request: Request) -> Response:
-        return self._access.file(request, self._feed.report)
+        return file_answer(self._feed.report)
 
     async def _catalogue(self, request: Request) -> Response:
         # In a thread: the first call loads the faults, which takes longer than a tick.
-        return await self._access.get_data(request, load_catalogue)
+        return await data_answer(load_catalogue)
 
     async def _preview(self, request: Request) -> Response:
-        refusal = self._access.refusal(request, changes=True)
-        if refusal:
-            return refusal_answer(403, refusal)
         try:
             body = await read_body(request)
             return JSONResponse(await run_in_threadpool(load_preview, body))
@@ -106,33 +108,28 @@ class LivePage:
             self._source.choose(body.decode("utf-8", "replace"))
             return {}
 
-        return await self._access.run_action(request, act)
+        return await action_answer(request, act)
 
     async def _check(self, request: Request) -> Response:
-        return await self._access.run_action(request, check_body)
+        return await action_answer(request, check_body)
 
     async def _allowed(self, request: Request) -> Response:
         """What the token allows: commands to the vehicle, stored sequences."""
         known = {"commands": self._commands, "sequences": self._sequences.names()}
-        return await self._access.run_action(request, lambda _: known)
+        return await action_answer(request, lambda _: known)
 
     async def _read(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return await self._access.run_action(
-            request, lambda _: check_body(self._sequences.read(name))
-        )
+        return await action_answer(request, lambda _: check_body(self._sequences.read(name)))
 
     async def _write(self, request: Request) -> Response:
         def act(body: bytes) -> dict[str, Any]:
             self._sequences.write(request.path_params["name"], check_body(body)["yaml"])
             return {"sequences": self._sequences.names()}
 
-        return await self._access.run_action(request, act)
+        return await action_answer(request, act)
 
     async def _control(self, request: Request) -> Response:
-        refusal = self._access.refusal(request, changes=True)
-        if refusal:
-            return refusal_answer(403, refusal)
         what = request.path_params["what"]
         if CONTROL.fullmatch(what) is None:
             return refusal_answer(
@@ -149,10 +146,6 @@ class LivePage:
         return Response(reply, media_type="application/json")
 
     async def _live(self, socket: WebSocket) -> None:
-        if self._access.refusal(socket):
-            # 1008: policy violation.
-            await socket.close(1008)
-            return
         await socket.accept()
         try:
             viewer = self._feed.add_viewer()

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy.random  # noqa: F401  or the first draw of a fault would delay a frame
+
 from mavproxy_fault.api.proxy_observer import ProxyObserver
 from mavproxy_fault.app.proxy_command import link_roles, open_links
 from mavproxy_fault.app.recorder import Recorder

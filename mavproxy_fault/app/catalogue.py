@@ -20,7 +20,8 @@ from mavproxy_fault.faults.registry import (
 from mavproxy_fault.schedule.binding import TARGET_FIELDS
 from mavproxy_fault.schedule.entries import Entry, EntryKeys, parse_schedule, read_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
-from mavproxy_fault.wire.dialect import message_layout, message_names
+from mavproxy_fault.wire.dialect import built_in_messages, message_layout, message_names
+from mavproxy_fault.wire.dialect_files import dialect_paths
 
 TARGETS = {
     "fields": "MESSAGE.field, MESSAGE.field[3] or a list of them",
@@ -50,9 +51,13 @@ def main(args: argparse.Namespace) -> int:
 
 
 def list_messages() -> str:
-    """List the messages that may be targets, with their ids, one per line."""
+    """List the messages that may be targets, with their ids, one per line, after their sources."""
+    sources = [
+        "built in: " + " ".join(text for key, text in one.items() if key != "sha256")
+        for one in built_in_messages()["sources"]
+    ] + [f"dialect: {path}" for path in dialect_paths()]
     layouts = sorted((message_layout(name) for name in message_names()), key=lambda one: one.id)
-    return "\n".join(f"{layout.id:8}  {layout.name}" for layout in layouts)
+    return "\n".join([*sources, *(f"{layout.id:8}  {layout.name}" for layout in layouts)])
 
 
 def list_catalogue() -> str:

@@ -121,6 +121,8 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
     """Open live control over Zenoh and RflySim's port; imports numpy and all faults."""
     check_resources()
     # Imported here, in the background thread.
+    import numpy.random  # noqa: F401  or the first draw of a live fault would delay a frame
+
     import mavproxy_fault.compiled.plans  # noqa: F401  or a later frame would wait for it
     from mavproxy_fault.live.control import LiveControl
     from mavproxy_fault.live.edit_log import EditLog

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from mavproxy_fault.documents.atomic_file import PRIVATE, create_file, write_all, write_atomic
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
+from mavproxy_fault.wire.dialect_files import record_dialects
 
 if TYPE_CHECKING:
     from mavproxy_fault.live.edit_log import Edit
@@ -48,7 +49,7 @@ class Recorder:
         self.folder = folder
         self.lost = 0  # received records that were not written
         self.failing: str | None = None
-        self._session = session
+        self._session = session | record_dialects()
         self._files: dict[str, FileIO] = {}
         self._labels: list[Label] = []
         self._edits: list[Edit] = []

@@ -16,6 +16,7 @@ from mavproxy_fault.compiled.patches import draws_for, little, patch
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
 from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US
+from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the interpreted way, as machine code
@@ -55,11 +56,12 @@ def _note(place: int, shared: Shared) -> None:
 
 
 @kernel
-def _time(sender: int, stamp_us: int, now_us: int, shared: Shared) -> int:
+def _time(sender: int, number: int, stamp_us: int, now_us: int, shared: Shared) -> int:
     """Vehicle time of a frame; UNKNOWN where the interpreted way has something to say about it."""
     senders = shared.senders
     if stamp_us:
-        if senders[cells.T0] == cells.UNKNOWN:
+        simulator_begins = number == HIL_SENSOR and senders[cells.SIMULATED] == 0
+        if simulator_begins or senders[cells.T0] == cells.UNKNOWN:
             return i64(cells.UNKNOWN)
         clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
         _note(cells.CLOCK_OFFSET + clock, shared)
@@ -89,7 +91,7 @@ def _links_of_frame(at: int, head: int, number: int, link: int, now_us: int, sha
         return -1
     if not has_valid_checksum(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
         return -1
-    t_us = _time(sender, stamp(payload, size, number, shared), now_us, shared)
+    t_us = _time(sender, number, stamp(payload, size, number, shared), now_us, shared)
     if t_us == cells.UNKNOWN or (entry[k.KIND] != k.PASS and t_us >= loop[k.EDGE]):
         return -1
     if entry[k.KIND] == k.PLANNED:

@@ -3,7 +3,8 @@
 All of it runs in the thread of the proxy's loop and does no I/O. `LiveControl` intercepts one
 MAVLink command, MAV_CMD_INJECT_FAILURE. Where the proxy changes what the autopilot reads, it
 applies the failure and acknowledges it in the vehicle's name; otherwise the command is forwarded,
-and the autopilot's own acknowledgement is labelled.
+and the autopilot's own acknowledgement is labelled. An autopilot on a HIL link sends a single
+HEARTBEAT; it is repeated to ground stations, which need it to find the vehicle.
 """
 
 import logging
@@ -37,9 +38,15 @@ from mavproxy_fault.live.failure_command import (
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
 from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
+from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import NEVER_US
-from mavproxy_fault.proxy.senders import LINKS, VEHICLE_SYSTEM, new_senders
+from mavproxy_fault.proxy.senders import (
+    CLOCK_OFFSET,
+    LINKS,
+    NEWEST_STAMP,
+    new_senders,
+)
 from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -48,19 +55,25 @@ from mavproxy_fault.wire.label import Label
 
 INJECT_FAILURE = 420  # MAV_CMD
 ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5  # MAV_RESULT
+OWN_COMMAND = bytes((COMPONENT,)) + message_layout("COMMAND_LONG").id.to_bytes(3, "little")
 COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMAND_INT"))
 ACKNOWLEDGEMENT = message_layout("COMMAND_ACK").id
 PARAMETER = message_layout("PARAM_VALUE").id
+HEARTBEAT = message_layout("HEARTBEAT").id
+STATION = 6  # MAV_TYPE_GCS
+SILENT_US = 3_000_000  # chosen: three heartbeats missing
 FAILURE_PARAMETER = (
     b"SYS_FAILURE_EN"  # PX4's parameter; 0 has the same bytes in every parameter type
 )
 LINK_PART = UnitPart("")  # stands for every message
 LEARN_US = 2_000_000  # instances of a sensor all come within this time; GPS sends once a second
 LEARN_FRAMES = 50  # or so many frames; chosen: sensors in HIL_SENSOR have 5 Hz or more of its 250
+REPLY_US = 5_000_000  # chosen: ground stations give up after 3 s or less
 MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
 LARGEST = sys.float_info.max
 LOG = logging.getLogger(__name__)
+FIRST_STATION = 240  # ground stations have system ids from here on: MAVSDK 245, others 255
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1, the component in whose name a command is acknowledged
 
 
@@ -92,8 +105,10 @@ class LiveControl:
         self._frames: dict[int, int] = {}  # of each message, since its instances are noted
         # Messages whose instances are still noted, until this time of the vehicle.
         self._learning = dict.fromkeys((message_layout(name).id for name in PARTS), NEVER_US)
-        self._pending: list[tuple[Frame, FailureRequest]] = []  # forwarded, not yet acknowledged
+        # Forwarded commands that were not acknowledged yet, with their times.
+        self._pending: list[tuple[int, Frame, FailureRequest]] = []
         self._whole: dict[str, FailureRequest] = {}  # failures of all instances
+        self._heartbeats: dict[int, tuple[int, Frame]] = {}  # of autopilots: newest, and its time
         self._first_vehicle = 0
         self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
         self.wanted: frozenset[int] = frozenset()
@@ -110,8 +125,11 @@ class LiveControl:
         """
         if frame.id in self.view.ids:
             self.view.received(frame, t_us)
+        if frame.id == HEARTBEAT:
+            return self._answer_heartbeat(frame, t_us)
         if frame.id in COMMANDS:
-            return self._command(frame, t_us) if frame.number("command") == INJECT_FAILURE else None
+            failure = frame.number("command") == INJECT_FAILURE
+            return self._command(frame, t_us, sealed=sealed) if failure else None
         if frame.id == ACKNOWLEDGEMENT:
             self._acknowledged(frame, t_us)
         elif frame.id == PARAMETER and frame.read("param_id") == FAILURE_PARAMETER:
@@ -119,6 +137,24 @@ class LiveControl:
         elif frame.id in self._learning:
             self._learn(frame, direction, t_us, sealed=sealed)
         return None
+
+    def _answer_heartbeat(self, frame: Frame, t_us: int) -> list[Frame] | None:
+        """Answer a ground station's HEARTBEAT with those of autopilots that send none, but fly."""
+        if frame.component == AUTOPILOT:
+            self._heartbeats[frame.system] = t_us, frame
+        if frame.number("type") != STATION:
+            return None
+        return [
+            beat
+            for at_us, beat in self._heartbeats.values()
+            # It may have come on the wall clock, before the first timestamp.
+            if abs(t_us - at_us) > SILENT_US and t_us - self._last_stamp(beat) < SILENT_US
+        ]
+
+    def _last_stamp(self, frame: Frame) -> int:
+        """Vehicle time of the sender's newest timestamp since its boot."""
+        clock = (frame.system << 8 | frame.component) << 1
+        return self.senders[NEWEST_STAMP + clock] + self.senders[CLOCK_OFFSET + clock]
 
     def _learn(self, frame: Frame, direction: str, t_us: int, *, sealed: bool) -> None:
         """Note which units and instances a message carries to the autopilot."""
@@ -141,56 +177,66 @@ class LiveControl:
         elif until_us - t_us > LEARN_US:  # the first frame, or the clock has gone back
             self._learning[frame.id] = t_us + LEARN_US
 
-    def _command(self, frame: Frame, t_us: int) -> list[Frame] | None:
+    def _command(self, frame: Frame, t_us: int, *, sealed: bool) -> list[Frame] | None:
         """Carry out a failure command; None if it is left to the autopilot."""
         request = FailureRequest.read(frame)
-        system = self._vehicle(frame)
-        parts = [] if system is None else self._parts(request, system)
-        known = parts and self._knows(request, [part for part, _ in parts])
-        if system is None or not known or not self.allowed or not self._enabled:
+        parts = {system: self._parts(request, system) for system in self._vehicles(frame)}
+        known = parts and all(self._knows(request, found) for found in parts.values())
+        if not known or sealed or not self.allowed or not self._enabled:
             # Its module may know better, and its reply starts the label.
-            self._pending = [*self._pending[1 - MOST_PENDING :], (frame, request)]
-            # An instance that was not heard may exist by now.
-            for part, _ in parts:
+            self._await_reply(frame, request, t_us)
+            # A unit or an instance that was not heard may exist by now.
+            unit = FAILURE_UNITS.get(request.unit)
+            for part in unit.parts if unit else ():
                 self._learning[message_layout(part.message).id] = t_us + LEARN_US
                 self._frames.pop(message_layout(part.message).id, None)
             self._update_wanted()
             return None
         if request.instances is None:
-            return [acknowledge_command(frame, DENIED, system)]
+            return [acknowledge_command(frame, DENIED, system) for system in parts]
         self.engine.advance_time(t_us)
-        for instance in request.instances or (0,):
-            self._replace(system, request, instance, parts)
-        return [acknowledge_command(frame, ACCEPTED, system)]
+        for system, found in parts.items():
+            for instance in request.instances or (0,):
+                self._replace(system, request, instance, found)
+        return [acknowledge_command(frame, ACCEPTED, system) for system in parts]
 
-    def _vehicle(self, command: Frame) -> int | None:
-        """Return the system in whose name to reply; None if no autopilot was heard there."""
-        system = int(command.number("target_system")) or self.senders[VEHICLE_SYSTEM]
+    def _vehicles(self, command: Frame) -> list[int]:
+        """Return the systems in whose name to reply; none if an addressed one was not heard."""
+        system = int(command.number("target_system"))
         component = int(command.number("target_component")) or AUTOPILOT
-        heard = self.senders[LINKS + (system << 8 | AUTOPILOT)] != 0
-        return system if component == AUTOPILOT and heard else None
+        addressed = [system] if system else self._autopilots()
+        heard = all(self.senders[LINKS + (n << 8 | AUTOPILOT)] for n in addressed)
+        return addressed if heard and component == AUTOPILOT else []
+
+    def _autopilots(self) -> list[int]:
+        return [n for n in range(1, FIRST_STATION) if self.senders[LINKS + (n << 8 | AUTOPILOT)]]
 
     def _parts(self, request: FailureRequest, system: int) -> list[tuple[UnitPart, dict[str, Any]]]:
         """Return what carries a unit to the autopilot of a system, and which frames those are."""
-        others = {n for n in range(1, 256) if self.senders[LINKS + (n << 8 | AUTOPILOT)]} - {system}
-        sender = {"system": system} if others else {}
+        alone = set(self._autopilots()) <= {system}
+        sender = {} if alone else {"system": system}
+        if not request.kind:
+            return []
         if request.unit in LINK_UNITS and set(request.instances or ()) <= {1}:
             return [(LINK_PART, sender)]
-        if not request.kind or request.unit not in FAILURE_UNITS:
-            return []
         found = []
-        for part in FAILURE_UNITS[request.unit].parts:
-            # What other vehicles send is not this one's.
-            heard = {way for one, n, way in self._sources if one == part and n not in others}
-            if heard:
+        unit = FAILURE_UNITS.get(request.unit)
+        for part in unit.parts if unit else ():
+            # With several vehicles, what another system sends may be for any of them.
+            if any(one == part and (alone or n == system) for one, n, _ in self._sources):
                 # The telemetry of the same name is left alone.
                 way = {} if part.message in INPUTS else {"direction": "to-vehicle"}
                 found.append((part, {**sender, **way}))
         return found
 
-    def _knows(self, request: FailureRequest, parts: Sequence[UnitPart]) -> bool:
-        """Whether each addressed instance was heard in one of the parts."""
-        return all(any(self._carries(part, n) for part in parts) for n in request.instances or ())
+    def _knows(
+        self, request: FailureRequest, parts: Sequence[tuple[UnitPart, dict[str, Any]]]
+    ) -> bool:
+        """Whether there are parts, and each addressed instance was heard in one of them."""
+        addressed = request.instances or (0,)
+        return bool(parts) and all(
+            any(self._carries(part, n) for part, _ in parts) for n in addressed
+        )
 
     def _carries(self, part: UnitPart, instance: int) -> bool:
         if part == LINK_PART or not instance:
@@ -244,20 +290,35 @@ class LiveControl:
         for entry in failure_entries(id, request, instance, carried):
             self.engine.arm(entry)
 
+    def _await_reply(self, command: Frame, request: FailureRequest, t_us: int) -> None:
+        """Note a forwarded command; a repetition of it, as after a lost reply, is noted once."""
+        source = command.system, command.component
+        waiting = [one for one in self._pending if t_us - one[0] <= REPLY_US]
+        if all((c.system, c.component, asked) != (*source, request) for _, c, asked in waiting):
+            waiting = [*waiting[1 - MOST_PENDING :], (t_us, command, request)]
+        self._pending = waiting
+
     def _acknowledged(self, ack: Frame, t_us: int) -> None:
         """Begin or end the label of a failure that the autopilot itself has accepted."""
         if ack.number("command") != INJECT_FAILURE or ack.number("result") == IN_PROGRESS:
             return
         requester = ack.number("target_system"), ack.number("target_component")
-        for command, request in self._pending:
+        for place, (asked_us, command, request) in enumerate(self._pending):
             asked = command.system, command.component
-            if command.number("target_system") in (0, ack.system) and requester in (asked, (0, 0)):
-                self._pending = [one for one in self._pending if one[0] is not command]
+            if (
+                t_us - asked_us <= REPLY_US
+                and command.number("target_system") in (0, ack.system)
+                and requester in (asked, (0, 0))
+            ):
+                # Other vehicles reply to a broadcast too.
+                if command.number("target_system"):
+                    del self._pending[place]
                 if ack.number("result") == ACCEPTED:
-                    self._label(ack.system, request, t_us)
+                    self._label(ack.system, request, asked_us, t_us)
                 return
 
-    def _label(self, system: int, request: FailureRequest, t_us: int) -> None:
+    def _label(self, system: int, request: FailureRequest, asked_us: int, t_us: int) -> None:
+        """Begin the label of a failure when it was requested, or end it when `ok` was accepted."""
         base = f"autopilot{system}-{request.unit or 'unit'}"
         for instance in request.instances or (0,):
             id = f"{base}-{instance}" if instance else base
@@ -271,8 +332,8 @@ class LiveControl:
                     fault=request.name,
                     targets=telemetry_targets(chosen),
                     direction="to-vehicle",
-                    t0_us=t_us if self.engine.t0_us is None else self.engine.t0_us,
-                    start_us=t_us,
+                    t0_us=asked_us if self.engine.t0_us is None else self.engine.t0_us,
+                    start_us=asked_us,
                     seed=self.engine.seed,
                     by="autopilot",
                 )
@@ -303,9 +364,13 @@ class LiveControl:
     # -- viewers ---------------------------------------------------------------------------------
 
     def sent(self, raw: bytes, t_us: int) -> None:
-        """Sample a sent frame for viewers."""
+        """Sample a sent frame for viewers; note a failure command of the schedule."""
         if self.view.ids:
             self.view.sent(raw, t_us)
+        if raw[6:10] == OWN_COMMAND:
+            command = Frame(raw, message_layout("COMMAND_LONG"))
+            if command.number("command") == INJECT_FAILURE:
+                self._await_reply(command, FailureRequest.read(command), t_us)
 
     def watch(self, payload: bytes, now_s: float) -> Any:
         """Subscribe a viewer to the messages of a JSON list until the lease from `now_s` ends.
@@ -332,7 +397,9 @@ class LiveControl:
         return self.view.drain()
 
     def _update_wanted(self) -> None:
-        self.wanted = COMMANDS | {PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
+        self.wanted = (
+            COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
+        )
 
     # -- Zenoh -----------------------------------------------------------------------------------
 

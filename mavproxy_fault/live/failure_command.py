@@ -138,6 +138,7 @@ INPUTS = frozenset({
 TELEMETRY = {
     "HIL_SENSOR": "HIGHRES_IMU", "HIL_GPS": "GPS_RAW_INT", "HIL_OPTICAL_FLOW": "OPTICAL_FLOW_RAD"
 }  # fmt: skip
+FURTHER_IMUS = {2: "SCALED_IMU2", 3: "SCALED_IMU3"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +206,14 @@ def telemetry_targets(request: FailureRequest) -> tuple[str, ...]:
     if part.indexed:
         numbers = [f"[{instance - 1}]" for instance in request.instances or ()] or [""]
         return tuple(f"{part.message}.{name}{n}" for name, _ in part.fields for n in numbers)
-    message = TELEMETRY.get(part.message, part.message)
-    names = [name for name, _ in part.fields if name in message_layout(message).fields]
-    return tuple(f"{message}.{name}" for name in names) or (message,)
+    first = TELEMETRY.get(part.message, part.message)
+    found: list[str] = []
+    for instance in request.instances or (1,):
+        # PX4 and ArduPilot send the first IMU in several messages, and others in their own.
+        message = FURTHER_IMUS.get(instance, first) if part.message == "HIL_SENSOR" else first
+        names = [name for name, _ in part.fields if name in message_layout(message).fields]
+        found += [f"{message}.{name}" for name in names] or [message]
+    return tuple(found)
 
 
 def failure_entries(

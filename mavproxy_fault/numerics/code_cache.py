@@ -1,8 +1,9 @@
-"""The folders of compiled functions' machine code, one for each state of the sources.
+"""The folders of compiled functions' machine code, one for each state of a module's sources.
 
 numba checks only a function's own file for changes, but our functions are inlined into each other
 and contain constants of other files: after an update numba would use outdated code. So the folder
-is named after a digest of all files involved in compiled code. Nothing here imports numba.
+is named after a digest of the module and of all that it imports from this project. An edited file
+thus recompiles only what depends on it. Nothing here imports numba.
 """
 
 import ast
@@ -17,7 +18,6 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import runs_baseline
 
 try:
@@ -27,44 +27,61 @@ except ImportError:  # Windows
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
-COMPILED = re.compile(rb"^(?:from|import) (?:numba|mavproxy_fault\.numerics\.compile)\b", re.M)
-IMPORTED = re.compile(rb"^(?:from|import) ((?:%s)\.[\w.]+)" % "|".join(PACKAGES).encode(), re.M)
-SKIPPED = ("__pycache__", "machine_code")  # thousands of files, none of them a source
-STALE_S = 86_400.0  # a process that still runs with yesterday's sources may yet compile
+IMPORTED = re.compile(
+    rf"^(?:from|import) ((?:{'|'.join(PACKAGES)})[\w.]*)(?: import (\([^)]*|.*))?", re.MULTILINE
+)
+DIGESTS = "code.digest"  # of exact sources, and of their code
+STALE_S = 7 * 86_400.0  # unused for a week: an update's, or an edit's
 
 
 @cache
-def mark() -> str:
-    """Return the digest of the code in all compiled files, and in the files that those import."""
-    files = {path: path.read_bytes() for name in PACKAGES for path in _sources(ROOT / name)}
-    # Most contain neither word, which is a faster test.
-    candidates = {
-        path: text for path, text in files.items() if b"numba" in text or b".compile" in text
-    }
-    wanted = {path for path, text in candidates.items() if COMPILED.search(text)}
-    for path in list(wanted):
-        for name in IMPORTED.findall(files[path]):
-            wanted.add(ROOT / f"{name.decode().replace('.', '/')}.py")
-    return code_digest([files[path] for path in sorted(wanted & files.keys())])
+def source_digest(path: Path) -> str:
+    """Return the digest of the code in a file, and in all files of ours that it needs."""
+    found, waiting = set(), {path}
+    while waiting:
+        found.add(one := waiting.pop())
+        waiting |= _imports(one) - found
+    return code_digest([one.read_bytes() for one in sorted(found)])
+
+
+@cache
+def _imports(path: Path) -> frozenset[Path]:
+    """Files of ours that a file imports."""
+    found = set()
+    for module, names in IMPORTED.findall(path.read_text()):
+        place = ROOT / module.replace(".", "/")
+        inside = [place / name for name in ("__init__", *re.findall(r"\w+", names))]
+        found |= {one.with_suffix(".py") for one in (place, *inside)}
+    return frozenset(one for one in found if one.is_file())
 
 
 def code_digest(sources: Sequence[bytes]) -> str:
-    """Return a digest of sources that comments, docstrings and line numbers do not change.
+    """Return a digest of sources that comments, docstrings and line numbers do not change."""
+    return hashlib.sha256("".join(map(_code_of, sources)).encode()).hexdigest()[:16]
 
-    Parsing takes a third of a second for all kernels, so a file beside the kernels remembers it.
-    """
-    exact = hashlib.sha256(b"\0".join([sys.version.encode(), *sources])).hexdigest()[:16]
-    name = f"{exact}.digest"
-    for known in (installed() / name, place() / name):
+
+def _code_of(source: bytes) -> str:
+    """The digest of one source; parsing all takes a third of a second, so a file remembers it."""
+    exact = hashlib.sha256(sys.version.encode() + source).hexdigest()[:16]
+    known = _known_digests()
+    if exact not in known:
+        tree = ast.dump(_without_docstrings(ast.parse(source)))
+        known[exact] = hashlib.sha256(tree.encode()).hexdigest()[:16]
+        # Nowhere to write to: it is parsed again next time.
+        with suppress(OSError), (place() / DIGESTS).open("a") as file:
+            file.write(f"{exact} {known[exact]}\n")
+    return known[exact]
+
+
+@cache
+def _known_digests() -> dict[str, str]:
+    lines = []
+    for folder in (installed(), place()):
         with suppress(OSError):
-            return known.read_text()
-    digest = hashlib.sha256()
-    for source in sources:
-        digest.update(ast.dump(_without_docstrings(ast.parse(source))).encode())
-    found = digest.hexdigest()[:16]
-    with suppress(OSError):  # nowhere to write to: it is parsed again next time
-        write_atomic(place() / name, found)
-    return found
+            lines += re.findall(
+                r"^(\w{16}) (\w{16})$", (folder / DIGESTS).read_text(), re.MULTILINE
+            )
+    return dict(lines)
 
 
 def _without_docstrings(tree: ast.Module) -> ast.Module:
@@ -74,13 +91,6 @@ def _without_docstrings(tree: ast.Module) -> ast.Module:
                 case [ast.Expr(ast.Constant(str())), *rest]:
                     node.body = rest
     return tree
-
-
-def _sources(package: Path) -> Iterator[Path]:
-    """The Python files of a package."""
-    for root, folders, names in os.walk(package):
-        folders[:] = [name for name in folders if name not in SKIPPED]
-        yield from (Path(root, name) for name in names if name.endswith(".py"))
 
 
 def installed() -> Path:
@@ -126,21 +136,26 @@ def is_usable(path: Path) -> bool:
     return os.access(path, os.W_OK | os.X_OK) and owner == user_number()
 
 
-@cache
-def folder() -> Path:
-    """The cache folder of the present sources; old folders of other sources are removed."""
-    path = place() / f"kernels-{mark()}"
-    for old in path.parent.glob("kernels-*"):
+def kernels() -> Path:
+    """The folder of all modules' folders."""
+    return place() / "kernels"
+
+
+def module_folder(module: str, source: Path) -> Path:
+    """The folder of a module's functions; those of its old sources are removed."""
+    found = kernels() / f"{module}-{source_digest(source)}"
+    with suppress(OSError):  # it is not there yet, or not ours
+        os.utime(found)
+    for old in kernels().glob(f"{module}-*"):
         with suppress(OSError):  # another process may remove it too
-            if old != path and old.stat().st_mtime < time.time() - STALE_S:
+            if old.stat().st_mtime < time.time() - STALE_S:
                 shutil.rmtree(old, ignore_errors=True)
-    return path
+    return found
 
 
-@cache
-def installed_folder() -> Path | None:
-    """The present sources' cache folder in the installation, if this processor can run its code."""
-    path = installed() / f"kernels-{mark()}"
+def installed_folder(module: str, source: Path) -> Path | None:
+    """A module's folder in the installation, if this processor can run its code."""
+    path = installed() / "kernels" / f"{module}-{source_digest(source)}"
     return path if path.is_dir() and runs_baseline() else None
 
 

@@ -23,7 +23,13 @@ from numba.core.types import Dispatcher
 
 from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import BASELINE
-from mavproxy_fault.numerics.code_cache import alone, folder, installed_folder, mark
+from mavproxy_fault.numerics.code_cache import (
+    alone,
+    installed_folder,
+    kernels,
+    module_folder,
+    source_digest,
+)
 from mavproxy_fault.numerics.loaded_code import LoadedCode
 
 LOG = logging.getLogger(__name__)
@@ -39,21 +45,19 @@ _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 REPORT_PERIOD_S = 2.0  # most functions take less: no silence of more than 5 s
 IDLE_S = 60.0  # longer than any function takes
 
-MADE: list[Any] = []  # the dispatchers of all functions, as their modules are imported
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no types
-    """Where the machine code of one function is kept: a folder named after all sources."""
+    """Where the machine code of one function is kept: a folder named after its sources."""
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         self._py_file = source  # numba names it in a warning
-        self._path = self.folder() / function.__module__
+        self._path = self.folder(function.__module__, Path(source))
 
-    def folder(self) -> Path:
-        """The folder of all functions."""
-        return folder()
+    def folder(self, module: str, source: Path) -> Path | None:
+        """The folder of a module's functions."""
+        return module_folder(module, source)
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], source: str) -> "_Locator":
@@ -65,8 +69,8 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return str(self._path)
 
     def get_source_stamp(self) -> str:
-        """One stamp for all sources, as any of them may be inlined into the function."""
-        return mark()
+        """One stamp for all that may be inlined into the function."""
+        return source_digest(Path(self._py_file))
 
     def get_disambiguator(self) -> str:
         """Nothing: numba's index distinguishes functions of one name by their code."""
@@ -76,16 +80,10 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
 class _CacheImpl(LoadedCode):
     _locator_classes = (_Locator,)
 
-    def reduce(self, result: Any) -> Any:
-        """The data to cache, without the annotated listing, which contains paths and addresses."""
-        return super().reduce(result._replace(type_annotation=""))
-
 
 class _InstalledLocator(_Locator):
-    def folder(self) -> Path:
-        found = installed_folder()
-        assert found is not None
-        return found
+    def folder(self, module: str, source: Path) -> Path | None:
+        return installed_folder(module, source)
 
 
 class _InstalledImpl(LoadedCode):
@@ -125,7 +123,9 @@ class _Cache(_FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._installed = _InstalledCache(function) if installed_folder() else None
+        source = Path(function.__code__.co_filename)
+        found = installed_folder(function.__module__, source)
+        self._installed = _InstalledCache(function) if found else None
         self.lock = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
 
     def holds(self, signature: Any, codegen: Any) -> bool:
@@ -149,19 +149,22 @@ class _Cache(_FunctionCache):
 
 def _announce(name: str) -> None:
     """Report progress, one line for all processes that compile at the same time."""
-    shared = folder() / "progress"
+    shared = kernels() / "progress"
     now_s = time.time()
     with suppress(OSError):  # nowhere to write to: each process reports for itself
-        folder().mkdir(parents=True, exist_ok=True)
+        kernels().mkdir(parents=True, exist_ok=True)
         silent_s = now_s - shared.stat().st_mtime if shared.exists() else math.inf
         if silent_s < REPORT_PERIOD_S:
             return
         if silent_s > IDLE_S:  # the last compilation was that of another command
             write_atomic(shared, repr(now_s))
         os.utime(shared)
-        spent_s = now_s - float(shared.read_text())
-        done = sum(1 for _ in folder().glob("*/*.nbc"))
-        LOG.warning("compiling kernels (first use only): %d done, %.0f s, %s", done, spent_s, name)
+        begun_s = float(shared.read_text())
+        made_s = [path.stat().st_mtime for path in kernels().glob("*/*.nbc")]
+        done = sum(one_s > begun_s for one_s in made_s)
+        LOG.warning(
+            "compiling kernels (first use only): %d done, %.0f s, %s", done, now_s - begun_s, name
+        )
         return
     _announce_once()
 
@@ -198,7 +201,6 @@ def _jitted(function: Function, **options: bool) -> Function:
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile
-    MADE.append(dispatcher)
     return cast(Function, dispatcher)
 
 

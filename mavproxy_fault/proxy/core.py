@@ -42,6 +42,7 @@ from mavproxy_fault.proxy.senders import (
     new_senders,
 )
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock
+from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
@@ -49,6 +50,8 @@ from mavproxy_fault.wire.signing import Signing
 if TYPE_CHECKING:
     from mavproxy_fault.fault_parts.fault import Outgoing
     from mavproxy_fault.wire.label import Label
+
+HEARTBEAT = message_layout("HEARTBEAT").id
 
 
 @dataclass(slots=True)
@@ -277,7 +280,8 @@ class Core:
                 for reply in replies:
                     raw = self._numbering.number_frame(reply)
                     self._send_now(1 << arrival.link, raw, arrival.now_us, batch)
-                return
+                if frame.id != HEARTBEAT:  # which is for the vehicle too
+                    return
         mask = self._routes.select(frame, arrival.link)
         engine = self.engine
         # Fast path: most frames are not wanted by any fault.
@@ -335,14 +339,15 @@ class Core:
 
     def _time(self, frame: Frame, now_us: int, state: LinkState, batch: OutgoingBatch) -> int:
         senders = self.senders
+        first_us = senders[T0]
         t_us = self.clock.read(frame, now_us)
         if senders[UNCONFIRMED] != self._doubted:
             self._doubted = senders[UNCONFIRMED]
             state.unconfirmed += 1
         if senders[T0] == UNKNOWN:
             self._on_wall_clock = True
-        elif self._on_wall_clock:
-            # The first timestamp ever: restart the schedule, which began on the wall clock.
+        elif self._on_wall_clock or senders[T0] != first_us != UNKNOWN:
+            # The timeline begins, after the wall clock or another clock: restart the schedule.
             self._on_wall_clock = False
             if self.engine is not None:
                 senders[WALL_OFFSET] = now_us - t_us

@@ -74,6 +74,8 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
                 return senders[newest_at]
             if leap_us < 0:  # reboot: its time continues from the newest
                 shift = senders[NEWEST_TIME] - min(suspect, stamp_us)
+                if abs(shift) <= MAX_TIME_JUMP_US:  # it counts as the timeline does from now on
+                    shift = 0
                 senders[CLOCK_OFFSET + clock] = shift
     t_us = stamp_us + shift
     senders[NEWEST_STAMP + clock] = stamp_us

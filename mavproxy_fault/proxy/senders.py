@@ -24,7 +24,8 @@ NEWEST_TIME = T0 + 1  # newest vehicle time of all
 WALL_OFFSET = NEWEST_TIME + 1  # wall time minus vehicle time, at the newest frame
 VEHICLE_SYSTEM = WALL_OFFSET + 1  # the system id used in the proxy's own frames
 UNCONFIRMED = VEHICLE_SYSTEM + 1  # number of unconfirmed timestamps
-SIZE = UNCONFIRMED + 1
+SIMULATED = UNCONFIRMED + 1  # 1 from the first HIL_SENSOR: the timeline is the simulator's
+SIZE = SIMULATED + 1
 
 
 def new_senders() -> "array[int]":

@@ -4,17 +4,28 @@ The first timestamp starts the timeline. Each timestamp belongs to a clock of it
 component, counting from boot or from the Unix epoch. A clock that agrees with the timeline to
 within ten seconds is used unchanged, so that labels and frames show the same numbers; any other is
 shifted so that its first timestamp equals the newest time, and again after a reboot. The rule is in
-`sender_rules`.
+`sender_rules`. A simulator's first HIL_SENSOR restarts a timeline that counts otherwise: until
+lockstep begins, PX4 stamps with the uptime of its host.
 """
 
 from array import array
 from functools import cache
 
-from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, vehicle_time
-from mavproxy_fault.proxy.senders import NEWEST_TIME, T0, UNKNOWN, new_senders
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US, vehicle_time
+from mavproxy_fault.proxy.senders import (
+    CLOCK_OFFSET,
+    NEWEST_TIME,
+    SIMULATED,
+    SYSTEM_LINKS,
+    SYSTEM_TIME,
+    T0,
+    UNKNOWN,
+    new_senders,
+)
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 
+HIL_SENSOR = message_layout("HIL_SENSOR").id
 STAMP_FIELDS = {"time_usec": 1, "time_boot_ms": 1000, "usec": 1}  # microseconds per count
 
 
@@ -63,5 +74,14 @@ class VehicleClock:
 
     def read(self, frame: Frame, now_us: int) -> int:
         """Return the vehicle time of a frame received at wall time `now_us`."""
+        senders, stamp = self._senders, stamp_us(frame)
         sender = frame.system << 8 | frame.component
-        return vehicle_time(self._senders, sender, stamp_us(frame), now_us)
+        t_us = vehicle_time(senders, sender, stamp, now_us)
+        if frame.id == HIL_SENSOR and stamp and not senders[SIMULATED]:
+            senders[SIMULATED] = 1
+            if t_us != stamp < UNIX_TIME_FROM_US:
+                unknown = new_senders()
+                for start, end in ((CLOCK_OFFSET, SYSTEM_LINKS), (SYSTEM_TIME, NEWEST_TIME)):
+                    senders[start:end] = unknown[start:end]
+                t_us = vehicle_time(senders, sender, stamp, now_us)
+        return t_us

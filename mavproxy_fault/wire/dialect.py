@@ -1,8 +1,8 @@
 """Message layouts: the position, type and unit of every field in a MAVLink payload.
 
-The table is pymavlink's `all` dialect (see `generate_messages`) with those of the user's XML files
-(see `dialect_files`). On the wire, fields are sorted by
-size; extension fields follow in definition order and exist only in MAVLink 2 [1]_.
+The table has the messages of MAVLink and ArduPilot (see `generate_messages`) and those of the
+user's XML files (see `dialect_files`). On the wire, fields are sorted by size; extension fields
+follow in definition order and exist only in MAVLink 2 [1]_.
 
 References
 ----------
@@ -10,7 +10,6 @@ References
 """
 
 import json
-import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,10 +17,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.dialect_files import add_dialects, dialect_paths
+
 CODES = {
     "char": "c",
     "uint8_t": "B",
-    "uint8_t_mavlink_version": "B",  # pymavlink's name for the version in HEARTBEAT
     "int8_t": "b",
     "uint16_t": "H",
     "int16_t": "h",
@@ -32,9 +33,6 @@ CODES = {
     "float": "f",
     "double": "d",
 }
-# XML files of further dialects, separated as in PATH; a variable, so that every process of a
-# command knows them.
-DIALECT_VARIABLE = "MAVPROXY_FAULT_DIALECT"
 # MAVLink fields are little-endian and unpadded.
 PACKERS = {code: struct.Struct("<" + code) for code in CODES.values()}
 
@@ -84,18 +82,16 @@ class Layout:
     base_length: int
 
 
+def built_in_messages() -> dict[str, Any]:
+    """Return the built-in table: `messages` by name, and `sources`, the versions of their XML."""
+    table: dict[str, Any] = json.loads(Path(__file__).with_name("messages.json").read_bytes())
+    return table
+
+
 @cache
 def _message_table() -> dict[str, dict[str, Any]]:
-    table: dict[str, dict[str, Any]] = json.loads(
-        Path(__file__).with_name("messages.json").read_bytes()
-    )
-    files = [Path(name) for name in os.environ.get(DIALECT_VARIABLE, "").split(os.pathsep) if name]
-    if files:
-        # The generator is loaded only for them.
-        from mavproxy_fault.wire.dialect_files import add_dialects
-
-        table = add_dialects(table, files)
-    return table
+    table: dict[str, dict[str, Any]] = built_in_messages()["messages"]
+    return add_dialects(table, dialect_paths())
 
 
 @cache
@@ -152,10 +148,10 @@ def message_layout(key: str | int) -> Layout:
 
     Raises
     ------
-    KeyError
-        If the dialect has no such message.
+    ConfigError
+        If the dialect has no such message, which only a user's XML file can cause.
     """
     layout = find_layout(key)
     if layout is None:
-        raise KeyError(key)
+        raise ConfigError(f"--dialect: {key} is missing, another message has its id; change that")
     return layout

@@ -1,66 +1,50 @@
-"""Write `messages.json`, the table of message layouts, from pymavlink's `all` dialect.
+"""Write `messages.json`, the built-in table of message layouts, from MAVLink's XML files.
 
-Importing a pymavlink dialect takes half a second, most of it for enumerations the proxy never
-reads; the table loads in milliseconds. A test keeps the two equal. Run
-`python -m mavproxy_fault.wire.generate_messages` after a new pymavlink release.
+Reading the XML takes half a second; the table loads in milliseconds. After a new version of the
+messages:
+
+    git clone https://github.com/ArduPilot/mavlink ArduPilot
+    git clone https://github.com/mavlink/mavlink MAVLink
+    python -m mavproxy_fault.wire.generate_messages \\
+        {MAVLink,ArduPilot}/message_definitions/v1.0/all.xml
+
+ArduPilot's file comes last, since its senders of RAW_IMU give units that MAVLink leaves open; of
+forms with one checksum the longer is used. `sources` in the table has for each file its
+digest (with the includes) and, if it is in a clone, repository, commit and date.
 """
 
 import json
-import xml.etree.ElementTree as ET
-from importlib.resources import files
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
+
+from mavproxy_fault.wire.dialect_files import add_dialects, read_dialect
 
 TABLE_PATH = Path(__file__).with_name("messages.json")
 
 
-def extension_fields() -> dict[str, set[str]]:
-    """Return the extension fields of each message, which only the XML files identify."""
-    extensions: dict[str, set[str]] = {}
-    for path in files("pymavlink.dialects.v20").iterdir():
-        if not path.name.endswith(".xml"):
-            continue
-        for message in ET.fromstring(path.read_text()).iter("message"):
-            tags = list(message)
-            # Every field after the empty tag <extensions/> is an extension.
-            marks = [i for i, tag in enumerate(tags) if tag.tag == "extensions"]
-            names = (
-                {t.attrib["name"] for t in tags[marks[0] :] if t.tag == "field"} if marks else set()
-            )
-            extensions.setdefault(message.attrib["name"], names)
-    return extensions
+def describe_source(path: Path) -> dict[str, str]:
+    """Return name, digest, repository, commit and date of an XML file."""
+    described = {"file": path.name, "sha256": read_dialect(path)[1]}
+    for key, words in (
+        ("repository", ["remote", "get-url", "origin"]),
+        ("commit", ["log", "-1", "--format=%H"]),
+        ("date", ["log", "-1", "--format=%cs"]),
+    ):
+        done = subprocess.run(
+            ["git", "-C", str(path.parent), *words], capture_output=True, text=True, check=False
+        )
+        described |= {key: done.stdout.strip()} if done.returncode == 0 else {}
+    return described
 
 
-def build_message_table() -> dict[str, Any]:
-    """Return id, CRC extra and fields ([name, type, count, unit, extension]) by message name."""
-    from pymavlink.dialects.v20 import all as dialect
-
-    extensions = extension_fields()
-    messages = {}
-    for number, message in sorted(dialect.mavlink_map.items()):
-        types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
-        fields = [
-            [
-                name,
-                types[name],
-                count,
-                message.fieldunits_by_name.get(name, ""),
-                name in extensions.get(message.msgname, ()),
-            ]
-            for name, count in zip(message.ordered_fieldnames, message.array_lengths, strict=True)
-        ]
-        messages[message.msgname] = {
-            "id": number,
-            "crc_extra": message.crc_extra,
-            "instance": message.instance_field or "",
-            "fields": fields,
-        }
-    return messages
+def write_table(paths: list[Path], out: Path = TABLE_PATH) -> None:
+    """Write the table of XML files, one message per line so that its changes are readable."""
+    table = sorted(add_dialects({}, paths).items(), key=lambda item: item[1]["id"])
+    rows = ",\n".join(f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in table)
+    sources = ",\n".join(json.dumps(describe_source(path)) for path in paths)
+    out.write_text(f'{{"sources": [\n{sources}\n],\n"messages": {{\n{rows}\n}}}}\n')
 
 
 if __name__ == "__main__":
-    rows = (
-        f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in build_message_table().items()
-    )
-    # One message per line, so that the diff of a new pymavlink release is readable.
-    TABLE_PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n")
+    write_table([Path(name) for name in sys.argv[1:]])

@@ -8,6 +8,7 @@ controller follows.
 from collections.abc import Callable, Iterable
 
 from mavproxy_fault.wire.frame import Frame, build_frame
+from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.command_service import Commands
 from simvehicle.autopilot.enums import MavType
 from simvehicle.autopilot.flight_goals import CommandedFlight
@@ -119,7 +120,7 @@ class AutopilotLink:
         if name == "MISSION_SET_CURRENT":
             # SET_CURRENT has no acknowledgement: MISSION_CURRENT is the answer.
             self._flight.set_current(int(frame.number("seq")))
-            return [self._streams.make_stream_message("MISSION_CURRENT", snapshot)]
+            return [telemetry.mission_current(snapshot)]
         if name == "SET_MODE":
             self._commands.set_mode(frame)
         elif name == "REQUEST_DATA_STREAM":

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame as WireFrame
+from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.enums import BaseMode, Command, CommandResult, CoordinateFrame, FlightMode
 from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mode_list import available_modes
@@ -37,7 +38,8 @@ class CommandRequest:
     frame: int
 
 
-CommandAnswer = tuple[CommandResult, list[Message]]
+# Whether it is accepted (else denied), another result, or the messages of an accepted one
+CommandAnswer = bool | CommandResult | list[Message]
 
 
 class Commands:
@@ -57,27 +59,24 @@ class Commands:
         self._handlers: dict[int, Callable[[CommandRequest, Snapshot], CommandAnswer]] = {
             Command.ARM_DISARM: self._arm,
             Command.TAKEOFF: self._take_off,
-            Command.LAND: lambda request, snapshot: self._mode(FlightMode.LAND),
-            Command.RETURN_TO_LAUNCH: lambda request, snapshot: self._mode(FlightMode.RETURN),
+            Command.LAND: lambda request, snapshot: flight.set_mode(FlightMode.LAND),
+            Command.RETURN_TO_LAUNCH: lambda request, snapshot: flight.set_mode(FlightMode.RETURN),
             Command.MISSION_START: self._start_mission,
             Command.SET_MODE: self._set_mode,
             Command.REPOSITION: self._reposition,
             Command.PAUSE_CONTINUE: self._pause,
             Command.CHANGE_SPEED: self._speed,
             Command.SET_MISSION_CURRENT: self._set_current,
-            Command.GET_HOME_POSITION: lambda request, snapshot: self._send(
-                "HOME_POSITION", snapshot
-            ),
+            Command.GET_HOME_POSITION: lambda request, snapshot: [
+                telemetry.home_position(snapshot)
+            ],
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
-            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: (
-                CommandResult.ACCEPTED,
-                [protocol_version()],
-            ),
-            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: self._send(
-                "AUTOPILOT_VERSION", snapshot
-            ),
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [protocol_version()],
+            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: [
+                telemetry.autopilot_version(snapshot)
+            ],
             Command.INJECT_FAILURE: self._inject,
         }
 
@@ -86,13 +85,14 @@ class Commands:
         request = read_command_request(frame)
         handler = self._handlers.get(request.command)
         # Unknown commands are answered too, as a ground station repeats unanswered ones.
-        result, messages = (
-            handler(request, snapshot) if handler else (CommandResult.UNSUPPORTED, [])
-        )
+        answer = handler(request, snapshot) if handler else CommandResult.UNSUPPORTED
+        messages = answer if isinstance(answer, list) else []
+        if isinstance(answer, list | bool):
+            answer = CommandResult.DENIED if answer is False else CommandResult.ACCEPTED
         ack = make_message(
             "COMMAND_ACK",
             command=request.command,
-            result=result,
+            result=answer,
             target_system=frame.system,
             target_component=frame.component,
         )
@@ -106,40 +106,34 @@ class Commands:
     def _arm(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         if request.params[0] == 1:
             self._flight.arm()
-            return CommandResult.ACCEPTED, []
-        if request.params[0] == 0 and self._flight.disarm(request.params[1] == FORCE_ARMING):
-            return CommandResult.ACCEPTED, []
-        return CommandResult.DENIED, []
+            return True
+        return request.params[0] == 0 and self._flight.disarm(request.params[1] == FORCE_ARMING)
 
     def _take_off(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         self._flight.take_off(self._amsl(request))
-        return CommandResult.ACCEPTED, []
+        return True
 
     def _start_mission(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         first = request.params[0]
         # NaN: without an item number the mission continues at the current item.
         if math.isfinite(first) and not self._flight.set_current(integer_parameter(first)):
-            return CommandResult.DENIED, []
+            return False
         if not self._flight.set_mode(FlightMode.MISSION):
-            return CommandResult.DENIED, []
+            return False
         self._flight.arm()
-        return CommandResult.ACCEPTED, []
+        return True
 
     def _set_mode(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         base, main, sub, _ = (max(integer_parameter(v), 0) for v in request.params)
         # PX4's modes are custom modes.
         if not base & BaseMode.CUSTOM:
-            return CommandResult.UNSUPPORTED, []
+            return CommandResult.UNSUPPORTED
         # PX4's custom_mode: sub-mode in the top byte, main mode in the one below.
         return self._custom_mode(sub << 24 | main << 16)
 
     def _custom_mode(self, custom_mode: int) -> CommandAnswer:
-        if custom_mode not in set(FlightMode):
-            return CommandResult.DENIED, []
-        return self._mode(FlightMode(custom_mode))
-
-    def _mode(self, mode: FlightMode) -> CommandAnswer:
-        return (CommandResult.ACCEPTED if self._flight.set_mode(mode) else CommandResult.DENIED), []
+        known = custom_mode in set(FlightMode)
+        return known and self._flight.set_mode(FlightMode(custom_mode))
 
     def _reposition(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         speed = request.params[0]
@@ -147,48 +141,39 @@ class Commands:
         if math.isfinite(speed) and speed > 0:
             self._flight.set_speed(speed)
         yaw = request.params[3]
-        accepted = self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
-        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
+        return self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
 
     def _pause(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        return self._mode(FlightMode.MISSION if request.params[0] == 1 else FlightMode.HOLD)
+        resumed = request.params[0] == 1
+        return self._flight.set_mode(FlightMode.MISSION if resumed else FlightMode.HOLD)
 
     def _speed(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        accepted = self._flight.set_speed(request.params[1])
-        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
+        return self._flight.set_speed(request.params[1])
 
     def _set_current(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        accepted = self._flight.set_current(integer_parameter(request.params[0]))
-        return (CommandResult.ACCEPTED if accepted else CommandResult.DENIED), []
+        return self._flight.set_current(integer_parameter(request.params[0]))
 
     def _get_interval(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number = integer_parameter(request.params[0])
         interval = self._streams.interval_us(number)
         # An unknown message is answered too, with interval 0.
-        return CommandResult.ACCEPTED, [
-            make_message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)
-        ]
+        return [make_message("MESSAGE_INTERVAL", message_id=max(number, 0), interval_us=interval)]
 
     def _set_interval(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, interval = request.params[:2]
         if not math.isfinite(interval):
-            return CommandResult.DENIED, []
+            return False
         known = self._streams.set_interval(integer_parameter(number), interval)
-        return (CommandResult.ACCEPTED if known else CommandResult.UNSUPPORTED), []
+        return known or CommandResult.UNSUPPORTED
 
     def _request_message(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, index = integer_parameter(request.params[0]), integer_parameter(request.params[1])
         if number == PROTOCOL_VERSION.id:
-            messages = [protocol_version()]
+            return [protocol_version()]
         # The modes are listed by index and not streamed.
-        elif number == AVAILABLE_MODES:
-            messages = available_modes(max(index, 0))
-        else:
-            messages = self._streams.make_requested(number, snapshot)
-        return (CommandResult.ACCEPTED if messages else CommandResult.UNSUPPORTED), messages
-
-    def _send(self, name: str, snapshot: Snapshot) -> CommandAnswer:
-        return CommandResult.ACCEPTED, [self._streams.make_stream_message(name, snapshot)]
+        if number == AVAILABLE_MODES:
+            return available_modes(max(index, 0)) or CommandResult.UNSUPPORTED
+        return self._streams.make_requested(number, snapshot) or CommandResult.UNSUPPORTED
 
     def _inject(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         """Stop or start motors; a proxy on the link injects all other failures.
@@ -196,12 +181,15 @@ class Commands:
         As in PX4, failures are denied while SYS_FAILURE_EN is 0.
         """
         if self._parameters["SYS_FAILURE_EN"] != 1:
-            return CommandResult.DENIED, []
-        unit, kind, instance = (integer_parameter(value) for value in request.params[:3])
+            return False
+        unit, kind, instance, mask = (integer_parameter(value) for value in request.params[:4])
         if unit != FAILURE_MOTOR or kind not in (FAILURE_OK, FAILURE_OFF):
-            return CommandResult.UNSUPPORTED, []
-        exists = self._fail_motor(instance, kind == FAILURE_OFF)
-        return (CommandResult.ACCEPTED if exists else CommandResult.DENIED), []
+            return CommandResult.UNSUPPORTED
+        # Param 4 is a bitmask of instances, used if param 3 is NaN.
+        chosen = (
+            [n for n in range(1, 17) if max(mask, 0) >> n - 1 & 1] if instance < 0 else [instance]
+        )
+        return any([self._fail_motor(number, kind == FAILURE_OFF) for number in chosen])
 
     def _amsl(self, request: CommandRequest) -> float:
         relative = request.frame in (

@@ -91,10 +91,6 @@ class Streams:
         source = MESSAGE_SOURCES.get(layout.name) if layout else None
         return [source[0](snapshot)] if source else []
 
-    def make_stream_message(self, name: str, snapshot: Snapshot) -> Message:
-        """Build a supported message by its name."""
-        return MESSAGE_SOURCES[name][0](snapshot)
-
     def set_data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
         """Apply the deprecated REQUEST_DATA_STREAM, which has no answer."""
         for name in DATA_STREAMS.get(stream, ()):

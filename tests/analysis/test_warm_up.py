@@ -29,22 +29,6 @@ def test_every_flight_and_search_is_a_right_file(tmp_path: Path) -> None:
             read_test(words[-1])
 
 
-@pytest.mark.parametrize("epoch", [None, "0"])
-def test_only_builds_that_are_to_be_alike_compile_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epoch: str | None
-) -> None:
-    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
-    if epoch is not None:
-        monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
-    aims, again = [], []
-    monkeypatch.setattr(warm_up, "_aim_at_baseline", aims.append)
-    monkeypatch.setattr(warm_up, "_warm_up", lambda: None)
-    monkeypatch.setattr(warm_up, "_again", lambda draft, folder: again.append((draft, folder)))
-    assert warm_up.main(argparse.Namespace(portable=str(tmp_path))) == 0
-    assert again == ([] if epoch is None else [(aims[0], str(tmp_path))])
-    assert (aims == [str(tmp_path)]) == (epoch is None)
-
-
 def test_a_command_that_fails_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"none\.yaml"):
         warm_up._carry_out(["run", "--out", str(tmp_path / "out"), str(tmp_path / "none.yaml")])

@@ -94,6 +94,7 @@ def run_job(job: Job) -> JobAnswer:
             verdict=flight.verdict.word,
             blamed=flight.verdict.blamed,
             verdict_s=flight.verdict.delay_s,
+            failed=flight.failed,
             wall_s=flight.wall_s,
             requirements=flight.requirements.get(cell.subject, []),
         )
@@ -131,7 +132,9 @@ def run_cell_flight(job: FlightJob, start: dict[str, Any]) -> CampaignFlight:
             folder, kept = Path(job.keep or scratch), job.keep is not None
             run = [*campaign.scenario_arguments(cell.scenario), *autopilot.options(campaign.folder)]
             run += requirement_arguments(parse_requirements(campaign.requirements))
-            return run_autopilot_cell(autopilot.name, run, schedule, folder, kept=kept)
+            return run_autopilot_cell(
+                autopilot.name, run, schedule, folder, campaign.criteria, kept=kept
+            )
     subjects = [cell.subject for cell in job.cells]
     setup = setup_by_name(campaign, cell.scenario, cell.seed, subjects)
     faults = parse_schedule(schedule, campaign.name)

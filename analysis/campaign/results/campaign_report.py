@@ -148,7 +148,7 @@ def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -
             ElementTree.SubElement(case, "error", message=result.note)
         elif campaign.fails(msgspec.structs.replace(result, requirements=[])):
             failures += 1
-            text = f"{result.outcome}; {describe_excursions(result)}"
+            text = f"{result.outcome}; {result.failed or describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)
         for one in result.requirements:
             case = ElementTree.SubElement(

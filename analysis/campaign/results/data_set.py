@@ -86,14 +86,14 @@ def write_flight(folder: Path, out: Path) -> None:
             _write_table(table, out / f"{message}.{Path(side).stem}.parquet")
     labels = [msgspec.to_builtins(label) for label in read_labels(folder / LABELS)]
     # Fixed keys, so that the columns are the same for every fault.
-    keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude")
+    keys = ("id", "fault", "targets", "start_us", "end_us", "frames", "magnitude", "by")
     applied = [{key: label.get(key) for key in keys} for label in labels]
     # An explicit schema, since a flight without faults has no rows to infer it from.
     pa = _arrow()
     schema = pa.schema(
         [("id", pa.string()), ("fault", pa.string()), ("targets", pa.list_(pa.string())),
          ("start_us", pa.int64()), ("end_us", pa.int64()), ("frames", pa.int64()),
-         ("magnitude", pa.float64())]
+         ("magnitude", pa.float64()), ("by", pa.string())]
     )  # fmt: skip
     _write_table(pa.Table.from_pylist(applied, schema), out / "labels.parquet")
 

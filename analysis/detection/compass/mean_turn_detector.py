@@ -1,4 +1,4 @@
-"""Compares the mean turns of compass and gyro, compiled; works for slowly logged gyros too.
+"""Compares the mean turns of compass and gyro, works for slowly logged gyros too.
 
 A field of direction u that does not turn itself moves in the body by du = -w x u dt, w the rates.
 Between two compass samples the gyro turns the body by a small angle a, so that
@@ -7,33 +7,26 @@ Between two compass samples the gyro turns the body by a small angle a, so that
 
 is noise if both are healthy. Vibration cancels in its sum, however sparsely it was sampled; a gyro
 bias does not. The sum of five seconds, as a rate, is compared with its own past. A compass that is
-falsified at once makes a single large r that persists. `turn_kernel` detects what it can within a
+falsified at once makes a single large r that persists. `turn_detector` detects what it can within a
 second or two, but has to integrate, which fails for a slowly logged gyro under vibration.
 """
 
-from math import sqrt
-from typing import ClassVar, NamedTuple
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from analysis.detection.compass.turn_detector import turn_alarm
-from analysis.detection.compass.turn_kernel import (
-    EITHER,
-    FIELD,
-    GYRO_RAD,
+from analysis.detection.compass.compass_samples import ZERO, Axis, add, compass_samples, cross, dot
+from analysis.detection.compass.turn_detector import (
     JUMP_RAD,
     JUMP_SHARE,
-    NO_HYPOTHESIS,
-    RATES,
     SIZE_SHARE,
     STEP_US,
+    turn_alarm,
 )
 from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import IMU, IMU_ID, MAG, NEVER_US, Block
-from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
+from analysis.samples.block import IMU, MAG, NEVER_US, Block
 
 BIN_US, BIN_COUNT = 1_000_000, 5
 GAP_US = 1_000_000  # between two different fields
@@ -50,163 +43,38 @@ MEMORY = 0.05  # weight of a window in the usual rate: 20 windows
 PEAK_FACTOR, PEAK_S, LEARNED_S = 4.0, 30.0, 10.0
 JUMP_CONFIRM_US, JUMP_REPORTED_US = 500_000, 4_000_000  # until and while it is reported, chosen
 
-# Stamps; the last two of a jump and of a confirmed one.
-GYRO, FIELD_US, BIN_BEGIN_US, JUMPED, CONFIRMED = range(5)
-RATE, WINDOWS, PEAK, KNOWN_S, INTERVAL_US = range(5)  # of `usual`
-R, A, TIME, NORM, WIDE = 0, 3, 6, 7, 8  # columns of a bin: sums of r, a and time; the newest size
+
+@dataclass(slots=True)
+class _TurnBin:
+    """Sums of r and of the gyro's angle over a second, and the newest size of the field."""
+
+    r: Axis = ZERO
+    angle: Axis = ZERO
+    seconds: float = 0.0
+    size: float = 0.0
 
 
-class MeanTurnState(NamedTuple):
-    """`stamps` (5,); `rates` (3,) the newest, `angle` (3,) turned since the newest changed `field`
-    (3,), whose direction is `u` (3,); `bins` (BIN_COUNT, WIDE), the newest last; `usual` (5,): the
-    rate and the number of windows, the largest recent r and for how long it is known, the gyro's
-    interval; `jump` (2, 3): r of a jump, and the sum of r since."""
+@dataclass(slots=True)
+class MeanTurnState:
+    """The newest samples, the bins, the newest last, and what is usual."""
 
-    stamps: NDArray[np.int64]
-    rates: Vector
-    angle: Vector
-    field: Vector
-    u: Vector
-    bins: Vector
-    usual: Vector
-    jump: Vector
-
-
-def new_mean_turns() -> MeanTurnState:
-    """No sample has come yet."""
-    return MeanTurnState(
-        np.full(5, NEVER_US),
-        np.zeros(3),
-        np.zeros(3),
-        np.zeros(3),
-        np.zeros(3),
-        np.zeros((BIN_COUNT, WIDE)),
-        np.zeros(5),
-        np.zeros((2, 3)),
-    )
-
-
-@compiled
-def track_mean_turns(
-    kind: NDArray[np.int64], t_us: NDArray[np.int64], values: Vector, state: MeanTurnState
-) -> tuple[NDArray[np.int64], Vector]:
-    """The faulty sensor (n,) where a result is due, and the difference in rad (n,)."""
-    faulty, turned_rad = np.zeros(len(kind), np.int64), np.zeros(len(kind))
-    for i in range(len(kind)):
-        if kind[i] == IMU and values[i, IMU_ID] < 0.5:
-            _add_gyro(t_us[i], values[i, :3], state)
-        elif kind[i] == MAG:
-            faulty[i], turned_rad[i] = _add_field(t_us[i], values[i, :3], state)
-    return faulty, turned_rad
-
-
-@compiled
-def _add_gyro(t_us: int, rates: Vector, state: MeanTurnState) -> None:
-    """Add a gyro sample to the angle."""
-    elapsed_us, usual = t_us - state.stamps[GYRO], state.usual
-    most_us = min(INTERVALS * usual[INTERVAL_US], LONGEST_US)
-    if 0 <= elapsed_us <= LONGEST_US:
-        share = MEMORY if usual[INTERVAL_US] > 0.0 else 1.0
-        usual[INTERVAL_US] += share * (elapsed_us - usual[INTERVAL_US])
-    if not np.isfinite(rates).all() or not 0 <= elapsed_us <= most_us:
-        state.stamps[FIELD_US] = NEVER_US
-    else:
-        state.angle[:] += 0.5e-6 * elapsed_us * (rates + state.rates)
-    state.stamps[GYRO] = t_us
-    state.rates[:] = rates
-
-
-@compiled
-def _add_field(t_us: int, field: Vector, state: MeanTurnState) -> tuple[int, float]:
-    """Add a field sample; the faulty sensor, and the difference in rad."""
-    size = sqrt(_square(field))
-    repeated = (field == state.field).all()
-    state.field[:] = field
-    # A repeated field does not show that the vehicle is at rest.
-    if not 0.0 < size < np.inf or repeated:
-        return NO_HYPOTHESIS, 0.0
-    u, faulty, turned_rad = field / size, NO_HYPOTHESIS, 0.0
-    since_us, bins, angle, stamps = (
-        t_us - state.stamps[FIELD_US],
-        state.bins,
-        state.angle,
-        state.stamps,
-    )
-    if stamps[FIELD_US] == NEVER_US or not 0 < since_us <= GAP_US or _square(angle) > MOST_RAD**2:
-        bins[:], stamps[BIN_BEGIN_US], stamps[JUMPED] = 0.0, t_us, NEVER_US
-    else:
-        if t_us - stamps[BIN_BEGIN_US] >= BIN_US:
-            turned_rad = _test_bins(state)
-            if turned_rad > 0.0:
-                faulty = RATES if turned_rad > GYRO_RAD else EITHER
-            bins[:-1] = bins[1:].copy()
-            bins[-1], stamps[BIN_BEGIN_US] = 0.0, t_us
-        mean, r = 0.5 * (u + state.u), u - state.u
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            r[i] += angle[j] * mean[k] - angle[k] * mean[j]
-        newest = bins[-1]
-        newest[R : R + 3] += r
-        newest[A : A + 3] += angle
-        newest[TIME] += 1e-6 * since_us
-        newest[NORM] = size
-        if _field_jumped(t_us, r, 1e-6 * since_us, state):
-            faulty, turned_rad = FIELD, sqrt(_square(state.jump[0]))
-    state.u[:], state.angle[:], stamps[FIELD_US] = u, 0.0, t_us
-    return faulty, turned_rad
-
-
-@compiled
-def _square(vector: Vector) -> float:
-    square: float = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    return square
-
-
-@compiled
-def _field_jumped(t_us: int, r: Vector, since_s: float, state: MeanTurnState) -> bool:
-    """Whether a confirmed jump of the field is to be reported."""
-    usual, jump, stamps, size = state.usual, state.jump, state.stamps, sqrt(_square(r))
-    if stamps[JUMPED] != NEVER_US:
-        jump[1] += r
-        if t_us - stamps[JUMPED] < JUMP_CONFIRM_US:
-            return False
-        confirmed: bool = jump[0] @ jump[1] >= JUMP_SHARE * _square(jump[0])
-        stamps[CONFIRMED], stamps[JUMPED] = t_us if confirmed else NEVER_US, NEVER_US
-        return confirmed
-    limit = max(JUMP_RAD, PEAK_FACTOR * usual[PEAK], sqrt(_square(state.angle)))
-    if usual[KNOWN_S] > LEARNED_S and size > limit and since_s <= STEP_US * 1e-6:
-        jump[0], jump[1], stamps[JUMPED] = r, r, t_us
-        return False
-    usual[KNOWN_S] += since_s
-    usual[PEAK] = max(min(size, JUMP_RAD), usual[PEAK] * (1.0 - since_s / PEAK_S))
-    continues: bool = stamps[BIN_BEGIN_US] == t_us and t_us - stamps[CONFIRMED] < JUMP_REPORTED_US
-    return continues
-
-
-@compiled
-def _test_bins(state: MeanTurnState) -> float:
-    """The difference of the turns in the bins in rad, if it exceeds the limit, else 0."""
-    bins, usual = state.bins, state.usual
-    if bins[0, TIME] == 0.0:
-        return 0.0
-    seconds, turned_sq, turn_sq = bins[:, TIME].sum(), 0.0, 0.0
-    r = np.zeros(3)
-    for i in range(3):
-        r[i] = bins[:, R + i].sum()
-        turned_sq += r[i] ** 2
-        turn_sq += bins[:, A + i].sum() ** 2
-    turned_rad, turn = sqrt(turned_sq), sqrt(turn_sq)
-    rate = turned_rad / seconds
-    steady = abs(bins[-1, NORM] - bins[0, NORM]) <= SIZE_SHARE * bins[0, NORM]
-    for cell in bins:
-        along = cell[R] * r[0] + cell[R + 1] * r[1] + cell[R + 2] * r[2]
-        steady &= along / max(turned_rad, 1e-9) >= BIN_SHARE * rate * cell[TIME]
-    limit = max(LEAST_RPS, USUAL_FACTOR * usual[RATE]) + TURN_SHARE * turn / seconds
-    if steady and rate > limit and usual[WINDOWS] >= LEARNED_BINS:
-        return turned_rad
-    usual[WINDOWS] += 1.0
-    usual[RATE] += max(MEMORY, 1.0 / usual[WINDOWS]) * (min(rate, LEAST_RPS) - usual[RATE])
-    return 0.0
+    gyro_us: int = NEVER_US
+    rates: Axis = ZERO
+    interval_us: float = 0.0  # of the gyro
+    angle: Axis = ZERO  # turned since the newest changed field
+    newest: Axis = ZERO
+    field_us: int = NEVER_US
+    u: Axis = ZERO  # its direction
+    bin_begin_us: int = NEVER_US
+    bins: deque[_TurnBin] = field(default_factory=lambda: deque(maxlen=BIN_COUNT))
+    rate: float = 0.0  # the usual one, and of so many windows
+    windows: int = 0
+    peak: float = 0.0  # the largest recent r, and for how long it is known
+    known_s: float = 0.0
+    jump: Axis = ZERO  # r of a jump, and the sum of r since
+    jump_sum: Axis = ZERO
+    jumped_us: int = NEVER_US
+    confirmed_us: int = NEVER_US
 
 
 class MeanTurnDetector(BlockDetector, frozen=True):
@@ -216,21 +84,103 @@ class MeanTurnDetector(BlockDetector, frozen=True):
 
     def new_state(self) -> MeanTurnState:
         """No sample has come yet."""
-        return new_mean_turns()
+        return MeanTurnState()
 
     def step(
         self, block: Block, state: MeanTurnState
     ) -> tuple[list[tuple[int, SensorDecision]], MeanTurnState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
-        faulty, turned_rad = track_mean_turns(block.kind, block.t_us, block.values, state)
-        return [
-            (row, _result(int(block.t_us[row]), int(faulty[row]), float(turned_rad[row])))
-            for row in np.flatnonzero(faulty).tolist()
-        ], state
+        found = []
+        for row, kind, t_us, (x, y, z, *_) in compass_samples(block):
+            if kind == IMU:
+                _add_gyro(t_us, (x, y, z), state)
+            elif kind == MAG and (alarm := _add_field(t_us, (x, y, z), state)):
+                found.append((row, alarm))
+        return found, state
 
 
-def _result(t_us: int, faulty: int, off_rad: float) -> SensorDecision:
-    if faulty == FIELD:
-        reason = f"the field jumped by {np.degrees(off_rad):.0f} degrees, the gyro did not turn"
-        return pattern_alarm(t_us, "mag", reason)
-    return turn_alarm(t_us, faulty, off_rad, BIN_COUNT)
+def _add_gyro(t_us: int, rates: Axis, state: MeanTurnState) -> None:
+    """Add a gyro sample to the angle."""
+    elapsed_us = t_us - state.gyro_us
+    most_us = min(INTERVALS * state.interval_us, LONGEST_US)
+    if 0 <= elapsed_us <= LONGEST_US:
+        share = MEMORY if state.interval_us > 0.0 else 1.0
+        state.interval_us += share * (elapsed_us - state.interval_us)
+    if not all(map(math.isfinite, rates)) or not 0 <= elapsed_us <= most_us:
+        state.field_us = NEVER_US
+    else:
+        state.angle = add(state.angle, add(rates, state.rates), 0.5e-6 * elapsed_us)
+    state.gyro_us, state.rates = t_us, rates
+
+
+def _add_field(t_us: int, m: Axis, state: MeanTurnState) -> SensorDecision | None:
+    """Add a field sample; the alarm that it raises."""
+    size = math.hypot(*m)
+    repeated, state.newest = m == state.newest, m
+    # A repeated field does not show that the vehicle is at rest.
+    if not 0.0 < size < math.inf or repeated:
+        return None
+    u, alarm, since_us = add(ZERO, m, 1.0 / size), None, t_us - state.field_us
+    if not 0 < since_us <= GAP_US or math.hypot(*state.angle) > MOST_RAD:
+        state.bins.clear()
+        state.bins.append(_TurnBin())
+        state.bin_begin_us, state.jumped_us = t_us, NEVER_US
+    else:
+        if t_us - state.bin_begin_us >= BIN_US:
+            turned_rad = _test_bins(state)
+            if turned_rad > 0.0:
+                alarm = turn_alarm(t_us, turned_rad, BIN_COUNT)
+            state.bins.append(_TurnBin())
+            state.bin_begin_us = t_us
+        r = add(add(u, state.u, -1.0), cross(state.angle, add(u, state.u)), 0.5)
+        newest = state.bins[-1]
+        newest.r, newest.angle = add(newest.r, r), add(newest.angle, state.angle)
+        newest.seconds += 1e-6 * since_us
+        newest.size = size
+        if _field_jumped(t_us, r, 1e-6 * since_us, state):
+            jumped_deg = math.degrees(math.hypot(*state.jump))
+            reason = f"the field jumped by {jumped_deg:.0f} degrees, the gyro did not turn"
+            alarm = pattern_alarm(t_us, "mag", reason)
+    state.u, state.angle, state.field_us = u, ZERO, t_us
+    return alarm
+
+
+def _field_jumped(t_us: int, r: Axis, since_s: float, state: MeanTurnState) -> bool:
+    """Whether a confirmed jump of the field is to be reported."""
+    if state.jumped_us != NEVER_US:
+        state.jump_sum = add(state.jump_sum, r)
+        if t_us - state.jumped_us < JUMP_CONFIRM_US:
+            return False
+        confirmed = dot(state.jump, state.jump_sum) >= JUMP_SHARE * dot(state.jump, state.jump)
+        state.confirmed_us, state.jumped_us = t_us if confirmed else NEVER_US, NEVER_US
+        return confirmed
+    size = math.hypot(*r)
+    limit = max(JUMP_RAD, PEAK_FACTOR * state.peak, math.hypot(*state.angle))
+    if state.known_s > LEARNED_S and size > limit and since_s <= STEP_US * 1e-6:
+        state.jump, state.jump_sum, state.jumped_us = r, r, t_us
+        return False
+    state.known_s += since_s
+    state.peak = max(min(size, JUMP_RAD), state.peak * (1.0 - since_s / PEAK_S))
+    return state.bin_begin_us == t_us and t_us - state.confirmed_us < JUMP_REPORTED_US
+
+
+def _test_bins(state: MeanTurnState) -> float:
+    """The difference of the turns in the bins in rad, if it exceeds the limit, else 0."""
+    bins = state.bins
+    if len(bins) < BIN_COUNT or bins[0].seconds == 0.0:
+        return 0.0
+    seconds = sum(cell.seconds for cell in bins)
+    r, angle = ZERO, ZERO
+    for cell in bins:
+        r, angle = add(r, cell.r), add(angle, cell.angle)
+    turned_rad = math.hypot(*r)
+    rate = turned_rad / seconds
+    steady = abs(bins[-1].size - bins[0].size) <= SIZE_SHARE * bins[0].size and all(
+        dot(cell.r, r) / max(turned_rad, 1e-9) >= BIN_SHARE * rate * cell.seconds for cell in bins
+    )
+    limit = max(LEAST_RPS, USUAL_FACTOR * state.rate) + TURN_SHARE * math.hypot(*angle) / seconds
+    if steady and rate > limit and state.windows >= LEARNED_BINS:
+        return turned_rad
+    state.windows += 1
+    state.rate += max(MEMORY, 1.0 / state.windows) * (min(rate, LEAST_RPS) - state.rate)
+    return 0.0

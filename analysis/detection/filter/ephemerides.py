@@ -1,6 +1,13 @@
-"""The broadcast data that a receiver hands on, and which ephemeris each satellite is used with."""
+"""The broadcast data that a receiver hands on, and which ephemeris each satellite is used with.
 
+References
+----------
+.. [1] IS-GPS-200N, 20.3.4.4; Galileo OS SDD 1.3, 2.4.2; BDS-SIS-ICD-B1I 3.0, 5.2.4.9.
+"""
+
+import math
 from bisect import bisect_left
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,40 +29,49 @@ from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 Indices = NDArray[np.int64]
 StoredOrbit = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
-RESELECT_S = 300.0  # a selection is renewed at least this often, whatever the fit intervals
+RESELECT_S = 60.0  # a selection holds for one such part of the week
 MOST_EPHEMERIDES = 512  # per satellite: three days of Galileo ephemerides
+# Galileo and BeiDou transmit an ephemeris from its time on, GPS and QZSS around it [1]_. An hour
+# early it is off by 0.9 and 0.2 m (benchmarks/fdi.md): a file need not begin with the newest one.
+EARLY_S = {"E": 3600.0, "C": 3600.0}
+EARLY_COST = 2.0  # of the age before its time: errors grow four times as fast as after it
 
 
 @dataclass(frozen=True, slots=True)
 class EphemerisSelection:
-    """The ephemerides of a set of satellites, valid from `from_us` until `until_us`: indices of the
-    satellites that have one (None: all have), and their packed rows (n, 25)."""
+    """The ephemerides of a set of satellites in one part of a week: indices of the satellites that
+    have one (None: all have), their packed rows (n, 25), and the ephemerides `used`.
+
+    `unused` says of the others, of the systems in use, why they have none.
+    """
 
     satellites: tuple[str, ...]
     week: int
-    from_us: int
-    until_us: int
+    part: float
     keep: Indices | None
     names: tuple[str, ...]
     packed: Vector
     system: Indices
+    used: tuple[Ephemeris | StateVector, ...]
+    unused: dict[str, str]
 
     def is_valid_for(self, epoch: Epoch) -> bool:
         """Whether the selection still holds for an epoch."""
         same = self.satellites == epoch.satellites and self.week == epoch.week
-        return same and self.from_us <= epoch.t_us <= self.until_us
+        return same and self.part == epoch.tow_s // RESELECT_S
 
 
 class BroadcastData(Value, frozen=True):
     """Orbits by satellite, the selection made of them, and the ionosphere.
 
     `ionosphere` (9,) are Klobuchar's coefficients and the factor by which their error exceeds that
-    of broadcast ones.
+    of broadcast ones. The ephemerides `wrong` contradict the ranges and another ephemeris.
     """
 
     ephemerides: StoredOrbits
     ionosphere: Vector
     selection: EphemerisSelection | None = None
+    wrong: frozenset[Ephemeris | StateVector] = frozenset()
 
     def add_ephemeris(self, ephemeris: Ephemeris | StateVector) -> "BroadcastData":
         """The data with one more ephemeris, which replaces a known ephemeris of the same time."""
@@ -78,51 +94,70 @@ def _time_of(ephemeris: Ephemeris | StateVector) -> tuple[int, float]:
 
 
 def select_ephemerides(
-    epoch: Epoch, ephemerides: StoredOrbits, systems: str = SYSTEMS
+    epoch: Epoch,
+    ephemerides: StoredOrbits,
+    systems: str = SYSTEMS,
+    wrong: Collection[Ephemeris | StateVector] = (),
 ) -> EphemerisSelection:
     """Select the healthy ephemeris nearest in time for each satellite of an epoch that has one.
 
-    `systems` are the first letters of the systems in use.
+    `systems` are the first letters of the systems in use; the ephemerides `wrong` are not used.
     """
-    keep, rows, valid_s = [], [], RESELECT_S
-    carriers = [L1_HZ] * len(epoch.satellites)
-    if epoch.carrier_hz is not None:
-        carriers = epoch.carrier_hz.tolist()
+    keep, used, rows, unused = [], [], [], {}
+    part = epoch.tow_s // RESELECT_S
     for i, name in enumerate(epoch.satellites):
-        packed, unchanged_s = _nearest(ephemerides.get(name, ()), epoch)
-        valid_s = min(valid_s, unchanged_s)
-        if packed is not None and name[0] in systems:
-            keep.append(i)
-            rows.append(packed if carriers[i] == L1_HZ else packed_for_carrier(packed, carriers[i]))
+        if name[0] not in systems:
+            continue
+        stored = [known for known in ephemerides.get(name, ()) if known[0] not in wrong]
+        nearest = _nearest(stored, epoch.week, part * RESELECT_S)
+        if nearest is None:
+            unused[name] = _why_unused(stored, epoch)
+            continue
+        keep.append(i)
+        ephemeris, packed = nearest
+        used.append(ephemeris)
+        carrier_hz = L1_HZ if epoch.carrier_hz is None else epoch.carrier_hz.item(i)
+        rows.append(packed if carrier_hz == L1_HZ else packed_for_carrier(packed, carrier_hz))
     names = tuple(epoch.satellites[i] for i in keep)
     return EphemerisSelection(
         epoch.satellites,
         epoch.week,
-        epoch.t_us,
-        epoch.t_us + int(valid_s * 1e6),
+        part,
         np.array(keep, dtype=np.int64) if len(keep) < len(epoch.satellites) else None,
         names,
         np.array(rows).reshape(len(rows), PACKED),
         np.array([CLOCK_OF[name[0]] for name in names], dtype=np.int64),
+        tuple(used),
+        unused,
     )
 
 
-def _nearest(stored: tuple[StoredOrbit, ...], epoch: Epoch) -> tuple[Vector | None, float]:
-    """The packed ephemeris nearest in time, if one is healthy and valid, and for how many seconds
-    that stays so."""
-    best, age, ahead_s, changes_s = None, float("inf"), 0.0, [float("inf")]
-    healthy = []
-    for ephemeris, packed in stored:
-        to_come_s = (ephemeris.week - epoch.week) * WEEK_S + ephemeris.toe_s - epoch.tow_s
-        if ephemeris.health != 0:
-            continue
-        healthy.append(to_come_s)
-        changes_s += [to_come_s - ephemeris.fit_half_s, to_come_s + ephemeris.fit_half_s]
-        if abs(to_come_s) < age and abs(to_come_s) <= ephemeris.fit_half_s:
-            best, age, ahead_s = packed, abs(to_come_s), to_come_s
-    # The next one is nearer from half the way to it.
-    changes_s += [0.5 * (to_come_s + ahead_s) for to_come_s in healthy]
-    return best, min(change_s for change_s in changes_s if change_s >= 0.0)
+def _nearest(stored: Sequence[StoredOrbit], week: int, tow_s: float) -> StoredOrbit | None:
+    """The ephemeris nearest in time, if one is healthy and valid."""
+    best, least_s = None, math.inf
+    for known in stored:
+        ephemeris = known[0]
+        age_s = (week - ephemeris.week) * WEEK_S + tow_s - ephemeris.toe_s
+        system = ephemeris.satellite[0]
+        early_s = EARLY_S.get(system, ephemeris.fit_half_s)
+        is_valid = -early_s <= age_s <= ephemeris.fit_half_s and ephemeris.health == 0
+        cost_s = max(age_s, -age_s * (EARLY_COST if system in EARLY_S else 1.0))
+        if is_valid and cost_s < least_s:
+            best, least_s = known, cost_s
+    return best
+
+
+def _why_unused(stored: Sequence[StoredOrbit], epoch: Epoch) -> str:
+    """Why a satellite without a usable ephemeris has none."""
+    if not stored:
+        return "no ephemeris"
+    if any(ephemeris.health == 0 for ephemeris, _ in stored):
+        stored = [known for known in stored if known[0].health == 0]
+    ages_s = [(epoch.week - e.week) * WEEK_S + epoch.tow_s - e.toe_s for e, _ in stored]
+    hours = min(ages_s, key=abs) / 3600.0
+    if stored[0][0].health != 0:
+        return "its ephemeris says that it is unhealthy"
+    return f"its ephemeris is {abs(hours):.1f} h {'old' if hours > 0.0 else 'early'}"
 
 
 def unusable_reason(epoch: Epoch, ephemerides: StoredOrbits) -> str:

@@ -120,23 +120,26 @@ def lasting_variance(used: Innovations, factor: float) -> Vector:
 
 
 @compiled
-def lasting_position_variance(
+def lasting_position_covariance(
     used: Innovations, lines: RangeGeometry, axes: Vector, factor: float
 ) -> Vector:
-    """The diagonal (3,) of S L S' in ECEF, m^2, of a geometry along the rows of `axes` (3, 3)."""
+    """S L S' (3, 3) in ECEF, m^2, of a geometry along the rows of `axes` (3, 3)."""
     lasts, weight = lasting_variance(used, factor), 1.0 / used.variance
     normal = normal_matrix(lines, weight)
     for k in range(lines.unknowns):
         normal[k, k] += VAGUE_INFORMATION  # unobserved directions must not make it singular
-    cofactor, out, response = invert_positive_definite(normal), np.zeros(AXES), np.empty(AXES)
+    cofactor, out = invert_positive_definite(normal), np.zeros((AXES, AXES))
+    response, moved = np.empty(AXES), np.empty(AXES)
     for i in range(weight.shape[0]):
         for k in range(AXES):
             response[k] = cofactor[k, lines.clock[i]]
             for j in range(AXES):
                 response[k] += cofactor[k, j] * lines.line_of_sight[i, j]
         for k in range(AXES):
-            moved = 0.0
+            moved[k] = weight[i] * (
+                axes[0, k] * response[0] + axes[1, k] * response[1] + axes[2, k] * response[2]
+            )
+        for k in range(AXES):
             for j in range(AXES):
-                moved += axes[j, k] * response[j]
-            out[k] += moved * moved * lasts[i] * weight[i] * weight[i]
+                out[k, j] += moved[k] * moved[j] * lasts[i]
     return out

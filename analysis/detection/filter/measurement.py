@@ -24,6 +24,8 @@ from analysis.orbits.broadcast import (
     LINE_OF_SIGHT,
     RANGE,
     RATE,
+    TOE,
+    WEEK,
     WEEK_S,
     predict_ranges,
     satellite_states,
@@ -35,9 +37,9 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 # Klobuchar's; the element behind them is the factor by which their error exceeds broadcast ones'
 KLOBUCHAR_COEFFICIENTS = 8
-# Of the variance, by clock: GLONASS's channels have delays of their own (RTKLIB's factor), BeiDou's
-# B3I wanders as much more on a recorded walk (benchmarks/fdi_walk.py).
-SYSTEM_VARIANCE_FACTOR = (1.0, 1.0, 1.5**2, 1.5**2)
+# Error of an ephemeris in m, times the square of its age in h, before its time and after it, by
+# clock: measured against later ephemerides (benchmarks/fdi.md). GPS's is flat as long as it holds.
+EARLY_ERROR_M, LATE_ERROR_M = (0.0, 1.0, 7.5, 0.3), (0.0, 0.25, 7.5, 0.3)
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium and geosynchronous orbits as seen from near the Earth
 
 
@@ -177,7 +179,7 @@ def innovations_kernel(
     """`predict_innovations` for kernels, with the satellites (n, 9) of `transmitting_states`."""
     predicted = predict_ranges(states, x[0:3], x[3:6], measurements.tow_s, ionosphere)
     count, elevation = states.shape[0], predicted[:, ELEVATION].copy()
-    systems = measurements.system
+    systems, packed = measurements.system, measurements.packed
     range_m, rate_mps = measurements.pseudorange_m, measurements.doppler_mps
     v, v_rate, rate_variance = np.empty(count), np.empty(count), np.empty(count)
     variance = range_variance(elevation, measurements.cn0_dbhz, sigma)
@@ -187,7 +189,10 @@ def innovations_kernel(
         isb = x[X_ISB - 1 + system] if system > 0 else 0.0
         v[i] = range_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
         v_rate[i] = rate_mps[i] - predicted[i, RATE] - x[X_DRIFT]
-        variance[i] *= SYSTEM_VARIANCE_FACTOR[system]
+        age_s = (measurements.week - packed[i, WEEK]) * WEEK_S + measurements.tow_s - packed[i, TOE]
+        growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
+        variance[i] *= sigma.systems[system] ** 2
+        variance[i] += (growth_m * (age_s / 3600.0) ** 2) ** 2
         rate_variance[i] = sigma.rate_mps**2 / math.sin(max(elevation[i], 0.1))
         for k in range(3):
             h[i, k] = -predicted[i, LINE_OF_SIGHT + k]

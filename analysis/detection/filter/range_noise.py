@@ -12,6 +12,8 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 NotNegative = Annotated[float, Meta(ge=0)]
+Positive = Annotated[float, Meta(gt=0)]
+SystemFactors = tuple[float, float, float, float]
 
 
 class SigmaNumbers(NamedTuple):
@@ -22,6 +24,7 @@ class SigmaNumbers(NamedTuple):
     zenith_m: float
     thermal_m: float
     rate_mps: float
+    systems: SystemFactors
 
 
 class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -32,6 +35,9 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     Errors that last for minutes (multipath, ephemeris and atmosphere residuals) must not trip the
     tests with memory: those allow an offset of `slow` times sigma with a correlation time of
     `slow_s`, and a slope of `slow_mps`. `rate_mps` is one sigma of a Doppler rate in the zenith.
+    `systems` are factors by clock: GPS with QZSS, Galileo, GLONASS, whose channels have delays of
+    their own (RTKLIB's factor), and BeiDou, whose B3I wanders as much on a recorded walk
+    (benchmarks/fdi_walk.py).
     """
 
     scale: Annotated[float, Meta(gt=0)] = 1.0
@@ -42,6 +48,7 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     slow_s: Annotated[float, Meta(gt=0)] = 300.0
     slow_mps: NotNegative = 0.02
     rate_mps: Annotated[float, Meta(gt=0)] = 0.15
+    systems: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.5, 1.5)
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; C/N0 counts as 45 dBHz where it is unknown."""
@@ -51,8 +58,15 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def numbers(self) -> SigmaNumbers:
         """The terms that the kernels need."""
-        values = (self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps)
-        return SigmaNumbers(*map(float, values))
+        gps, galileo, glonass, beidou = map(float, self.systems)
+        return SigmaNumbers(
+            float(self.scale),
+            float(self.floor_m),
+            float(self.zenith_m),
+            float(self.thermal_m),
+            float(self.rate_mps),
+            (gps, galileo, glonass, beidou),
+        )
 
 
 @compiled

@@ -2,86 +2,111 @@
 
 - The size of the magnetic field, whichever way the vehicle points.
 - Whether a receiver reports a fix.
+
+A short mean is compared with a long one, relative to the usual deviation of the two. The long mean
+is frozen while they differ, so that a step stays visible; after a while the new level becomes the
+usual one. A return to the previous level does not count as a new step.
 """
 
+import math
+from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numpy as np
-
+from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples
 from analysis.detection.detector_registry import BlockDetector
-from analysis.detection.sensors.level_kernel import (
-    FIELD,
-    HAS_FIX,
-    NEWEST,
-    LevelState,
-    new_levels,
-    track_levels,
-)
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import FIX, FIX_3D, FIX_TYPE, IMU, IMU_ID, KINDS, MAG, Block, Indices
-from analysis.samples.sample import Vector
+from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block
 
 # A compass averages since its last sample, at most so long; a turn of 0.5 rad reduces it by 1 %
 MEAN_US, TURN_RAD = 200_000, 0.5
-SENSOR_OF = {FIELD: "mag", HAS_FIX: "gps-position"}
-REASONS = {FIELD: "the field's size is off by {:.3f} gauss", HAS_FIX: "reports no fix"}
-IN_LEVELS = np.isin(np.arange(len(KINDS)), (MAG, FIX))
-Quantities = tuple[int, Indices, Vector]  # of a level: its number, rows of the block, values
+CHANGE_SIGMAS = 8.0  # of the short mean about the long one, chosen
+SHORT_S, LONG_S, LEARNED_S, USUAL_S = 0.3, 30.0, 4.0, 20.0  # chosen
+CONFIRM_US, REPEAT_US = 300_000, 500_000
+GAP_US = 1_000_000  # gap after which a level is learned again
+
+
+@dataclass(slots=True)
+class SensorLevel:
+    """The means of a quantity, the level before, and the smallest changes of it up and down."""
+
+    up: float
+    down: float
+    short: float = 0.0
+    long: float = 0.0
+    square: float = 0.0
+    previous: float = math.nan
+    began_us: int = NEVER_US
+    newest_us: int = NEVER_US
+    off_since_us: int = NEVER_US
+    reported_us: int = NEVER_US
+
+    def change(self, t_us: int, value: float) -> float:
+        """Add a value; the change if it is to be reported, else 0."""
+        elapsed_s, self.newest_us = (t_us - self.newest_us) * 1e-6, t_us
+        if not 0.0 <= elapsed_s <= GAP_US * 1e-6:
+            self.short, self.long, self.square, self.previous = value, value, 0.0, math.nan
+            self.began_us, self.off_since_us, self.reported_us = t_us, NEVER_US, NEVER_US
+            return 0.0
+        self.short += min(1.0, elapsed_s / SHORT_S) * (value - self.short)
+        change, age_s = self.short - self.long, (t_us - self.began_us) * 1e-6
+        least = self.up if change > 0.0 else self.down
+        limit = max(least, CHANGE_SIGMAS * math.sqrt(self.square))
+        if not (age_s > LEARNED_S and abs(change) > limit):
+            self.off_since_us = NEVER_US
+            # A young stream's long mean is over its age, as its first value alone is noise.
+            share = min(1.0, elapsed_s / min(LONG_S, max(age_s, SHORT_S)))
+            self.long += share * (value - self.long)
+            self.square += share * (change * change - self.square)
+        elif abs(self.short - self.previous) < limit:
+            self.long, self.previous, self.off_since_us = self.previous, math.nan, NEVER_US
+        else:
+            self.off_since_us = t_us if self.off_since_us == NEVER_US else self.off_since_us
+            since_us = t_us - self.off_since_us
+            if since_us > USUAL_S * 1e6:  # a lasting change is the new level
+                self.previous, self.long, self.off_since_us = self.long, self.short, NEVER_US
+            elif since_us >= CONFIRM_US and t_us - self.reported_us >= REPEAT_US:
+                self.reported_us = t_us
+                return change
+        return 0.0
+
+
+@dataclass(slots=True)
+class LevelState:
+    """The levels, the newest rates of turn, and the newest stamp of the compass."""
+
+    # 0.05 gauss is 10 % of the Earth's field; a fix that returns is no fault.
+    size: SensorLevel = field(default_factory=lambda: SensorLevel(0.05, 0.05))
+    has_fix: SensorLevel = field(default_factory=lambda: SensorLevel(math.inf, 0.5))
+    rates: Axis = ZERO
+    field_us: int = NEVER_US
 
 
 class LevelDetector(BlockDetector, frozen=True):
     """Tests the field's size and the fix type."""
 
-    channels: ClassVar = frozenset(SENSOR_OF.values())
+    channels: ClassVar = frozenset({"mag", "gps-position"})
 
     def new_state(self) -> LevelState:
         """No sample has come yet."""
-        return new_levels()
+        return LevelState()
 
     def step(
         self, block: Block, state: LevelState
     ) -> tuple[list[tuple[int, SensorDecision]], LevelState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
-        if not IN_LEVELS[block.kind].any():
-            return [], state
-        quantities = [_field(block, state), _has_fix(block)]
-        row = np.concatenate([rows for _, rows, _ in quantities])
-        # By row: the kernel takes the quantities in the order of the samples.
-        order = np.argsort(row, kind="stable")
-        level = np.concatenate([np.full(len(rows), number) for number, rows, _ in quantities])
-        value = np.concatenate([values for *_, values in quantities])
-        row, level = row[order], level[order]
-        change = track_levels(level, block.t_us[row], value[order], state)
-        return [
-            (int(row[i]), _result(int(block.t_us[row[i]]), int(level[i]), float(change[i])))
-            for i in np.flatnonzero(change)
-        ], state
-
-
-def _field(block: Block, state: LevelState) -> Quantities:
-    rows = block.rows(MAG)
-    size = np.linalg.norm(block.values[rows, :3], axis=1)
-    before_us = np.concatenate([state.stamps[FIELD, [NEWEST]], block.t_us[rows]])[:-1]
-    mean_us = np.minimum(block.t_us[rows] - before_us, MEAN_US)
-    turned_rad = _rates(block, rows, state) * mean_us * 1e-6
-    known = np.isfinite(size) & ~(turned_rad > TURN_RAD)
-    return FIELD, rows[known], size[known]
-
-
-def _rates(block: Block, rows: Indices, state: LevelState) -> Vector:
-    """Rates of turn (n,) at some rows, by the newest IMU sample; rad/s."""
-    imu = block.rows(IMU)
-    imu = imu[block.values[imu, IMU_ID] < 0.5]
-    rates = np.linalg.norm(block.values[imu, :3], axis=1)
-    known = np.concatenate([state.rate, rates])
-    state.rate[0] = known[-1]
-    return known[np.searchsorted(imu, rows)]
-
-
-def _has_fix(block: Block) -> Quantities:
-    rows = block.rows(FIX)
-    return HAS_FIX, rows, (block.values[rows, FIX_TYPE] >= FIX_3D).astype(float)
-
-
-def _result(t_us: int, level: int, change: float) -> SensorDecision:
-    return pattern_alarm(t_us, SENSOR_OF[level], REASONS[level].format(abs(change)))
+        found = []
+        for row, kind, t_us, values in compass_samples(block):
+            x, y, z, *_ = values
+            if kind == IMU:
+                state.rates = x, y, z
+            elif kind == MAG:
+                mean_us = min(t_us - state.field_us, MEAN_US)
+                state.field_us = t_us
+                size, turned_rad = math.hypot(x, y, z), math.hypot(*state.rates) * mean_us * 1e-6
+                usable = math.isfinite(size) and not turned_rad > TURN_RAD
+                if usable and (change := state.size.change(t_us, size)):
+                    reason = f"the field's size is off by {abs(change):.3f} gauss"
+                    found.append((row, pattern_alarm(t_us, "mag", reason)))
+            elif state.has_fix.change(t_us, float(values[FIX_TYPE] >= FIX_3D)):
+                found.append((row, pattern_alarm(t_us, "gps-position", "reports no fix")))
+        return found, state

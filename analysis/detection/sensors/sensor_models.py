@@ -1,25 +1,23 @@
-"""Measurement models of the sensors, compiled: one function computes the innovation of each.
+"""Measurement models of the sensors: one function computes the innovation of each.
 
-Each takes the numbers z (WIDTH,) of the newest sample (see `analysis.samples.block`), the filter's
-view `at` (VIEW,) (see `sensor_kernel.filter_view`), the sensor's slow states b (3,) if they are
-known, and one sigma of its noise. It fills in the rows of `out` (7, 3) for a test: the innovation v
-(m,), its sensitivity h (m, k) to the slow states, and the rest r (m, m) of its variance; or the
-first slow states (k,) as v and their covariance as r. It returns STARTED, TESTED or the number of a
-reason why it cannot be tested, and m or k.
-
-Numbers are in flat arrays because numba takes seconds to compile functions of many arguments.
+Each takes the numbers z of the newest sample (see `analysis.samples.block`), the filter's view at
+the epoch, the sensor's slow states b if they are known, how much older the sample is in s, and one
+sigma of its noise. It returns an innovation, the first slow states, or why it cannot be tested.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.samples.block import FIX_3D, FIX_TYPE, FIX_VELOCITY
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
-from mavproxy_fault.numerics.earth_kernel import ecef_of
+from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588
@@ -29,31 +27,44 @@ UNKNOWN_SLANT = 0.1  # of the distance: the error of an unknown tilt of up to 25
 SLOW_AIR_MPS = 6.0  # below it a pitot tube is inaccurate
 WIND_MPS = 6.0  # one sigma of the unknown wind
 
-MAG, BARO, AIRSPEED, RANGE, VISION, GPS_POSITION, GPS_VELOCITY = range(7)
-SENSORS = ("mag", "baro", "airspeed", "range", "vision", "gps-position", "gps-velocity")
-SLOW_STATES = (3, 1, 2, 1, 3, 3, 0)
 
-NOTHING, STARTED, TESTED = 0, 1, 2
-NO_ATTITUDE, NO_FIELD, NO_PRESSURE, NO_AIR_DATA, SLOW_AIR, NO_RANGE, TILTED = range(3, 10)
-NO_POSITION, NO_FIX, NO_VELOCITY, NO_REFERENCE = range(10, 14)
-REASONS = {
-    NO_ATTITUDE: "attitude not known",
-    NO_FIELD: "the field is not finite",
-    NO_PRESSURE: "the pressure is not positive",
-    NO_AIR_DATA: "the pressure is not finite",
-    SLOW_AIR: f"airspeed below {SLOW_AIR_MPS:.0f} m/s",
-    NO_RANGE: "the distance is not finite",
-    TILTED: "tilted by more than 45 degrees",
-    NO_POSITION: "the position is not finite",
-    NO_FIX: "fix type {fix_type:.0f}",
-    NO_VELOCITY: "no velocity",
-    NO_REFERENCE: "no healthy reference",
-}
-# The view: position in ECEF, height, velocity NED, age of the sample in s, axes NED in ECEF,
-# rotation body to NED (known or not), covariances of position, velocity, attitude; turn in rad/s.
-R, HEIGHT, V_NED, LATE_S, AXES, ROT, UPRIGHT = 0, 3, 4, 7, 8, 17, 53
-P_POSITION, P_VELOCITY, P_ATTITUDE, TURNING, VIEW = 26, 35, 44, 54, 55
-V, H, S = 0, 1, 4  # rows of `out`
+class FilterView(NamedTuple):
+    """The filter at an epoch as the models see it.
+
+    `r_m` (3,) in ECEF, `v_mps` (3,) and the covariances (3, 3) of position, velocity and attitude
+    in NED; `axes` (3, 3) has the rows north, east, down in ECEF; `rot` (3, 3) is body to NED, None
+    if the attitude is unknown; `turning_rps` is the largest rate of turn since the last epoch.
+    """
+
+    r_m: Vector
+    height_m: float
+    v_mps: Vector
+    axes: Vector
+    rot: Vector | None
+    p_position: Vector
+    p_velocity: Vector
+    p_attitude: Vector
+    turning_rps: float
+
+
+class Innovation(NamedTuple):
+    """The innovation v (m,), the variance r (m, m) of all but the slow states, and its sensitivity
+    h (m, k) to these."""
+
+    v: Vector
+    r: Vector
+    h: Vector
+
+
+class SlowStates(NamedTuple):
+    """A sensor's slow states b (k,) and their covariance p (k, k)."""
+
+    b: Vector
+    p: Vector
+
+
+Outcome = Innovation | SlowStates | str
+Model = Callable[[Vector, FilterView, Vector | None, float, float], Outcome]
 
 
 class SensorNoise(NamedTuple):
@@ -78,195 +89,153 @@ class SensorNoise(NamedTuple):
     gps_walk_m: float = 0.1
     gps_mps: float = 0.4
 
-    def sigmas(self) -> Vector:
-        """One sigma of each sensor (s,)."""
-        return np.array(
-            [
-                *(self.mag_gauss, self.baro_m, self.airspeed_mps, self.range_m),
-                *(self.vision_m, self.gps_m, self.gps_mps),
-            ]
-        )
-
-    def quiet(self) -> Vector:
-        """One sigma of each sensor that proves to be at its best (s,)."""
-        sigmas = self.sigmas()
-        sigmas[MAG] = self.mag_quiet_gauss
-        return sigmas
-
-    def walks(self) -> Vector:
-        """Variance per second of each sensor's slow states (s,)."""
-        walks = (self.field_walk_gauss, self.baro_walk_m, self.wind_walk_mps, self.terrain_walk_m)
-        return np.array([*walks, self.vision_walk_m, self.gps_walk_m, 0.0]) ** 2
+    def of_sensors(self) -> dict[str, tuple[float, float, float]]:
+        """One sigma, one that it may prove to have, and the walk of the slow states, by sensor."""
+        return {
+            "mag": (self.mag_gauss, self.mag_quiet_gauss, self.field_walk_gauss),
+            "baro": (self.baro_m, self.baro_m, self.baro_walk_m),
+            "airspeed": (self.airspeed_mps, self.airspeed_mps, self.wind_walk_mps),
+            "range": (self.range_m, self.range_m, self.terrain_walk_m),
+            "vision": (self.vision_m, self.vision_m, self.vision_walk_m),
+            "gps-position": (self.gps_m, self.gps_m, self.gps_walk_m),
+            "gps-velocity": (self.gps_mps, self.gps_mps, 0.0),
+        }
 
 
-@compiled
+def view_filter(motion: MotionEstimate, turning_rps: float) -> FilterView:
+    """The filter as the models see it."""
+    lat, lon, height = geodetic_position(motion.x[:3])
+    axes = ned_axes(lat, lon)
+    rot = axes @ rotation_matrix(motion.x[6:10]) if motion.inertial else None
+    of_position, of_velocity, of_attitude = (
+        axes @ motion.p[i : i + 3, i : i + 3] @ axes.T for i in (0, 3, 6)
+    )
+    return FilterView(
+        r_m=motion.x[:3],
+        height_m=height,
+        v_mps=axes @ motion.x[3:6],
+        axes=axes,
+        rot=rot,
+        p_position=of_position,
+        p_velocity=of_velocity,
+        p_attitude=of_attitude,
+        turning_rps=turning_rps,
+    )
+
+
 def pressure_altitude_m(pressure_pa: float) -> float:
     """Altitude in the standard atmosphere below 11 km."""
     ratio = math.pow(pressure_pa / SEA_LEVEL_PA, 1.0 / ISA_EXPONENT)
     return ISA_KELVIN / ISA_LAPSE * (1.0 - ratio)
 
 
-@compiled
 def density_kgpm3(altitude_m: float) -> float:
     """Density in the standard atmosphere below 11 km."""
     share = max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1)
     return SEA_LEVEL_DENSITY_KGPM3 * math.pow(share, DENSITY_EXPONENT)
 
 
-@compiled
-def _offset_innovation(out: Vector, b: Vector, known: bool, count: int) -> tuple[int, int]:
+def _offset_innovation(v: Vector, r: Vector, b: Vector | None) -> Innovation | SlowStates:
     """The innovation of a sensor of its own slow states: less these, or these initially."""
-    if not known:
-        return STARTED, count
-    for i in range(count):
-        out[V, i] -= b[i]
-        out[H + i, i] = 1.0
-    return TESTED, count
+    return SlowStates(v, r) if b is None else Innovation(v - b, r, np.eye(len(v)))
 
 
-@compiled
-def _finite(z: Vector) -> bool:
-    """Whether the first three numbers are."""
-    return bool(np.isfinite(z[0] + z[1] + z[2]))
-
-
-@compiled
-def mag_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _mag(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float) -> Outcome:
     """The field in NED is constant."""
-    if at[UPRIGHT] == 0.0:
-        return NO_ATTITUDE, 0
-    if not _finite(z):
-        return NO_FIELD, 0
-    for i in range(3):
-        for j in range(3):
-            out[V, i] += at[ROT + 3 * i + j] * z[j]
-    x, y, z_ = out[V, 0], out[V, 1], out[V, 2]
+    if at.rot is None:
+        return "attitude not known"
+    if not np.isfinite(z[:3]).all():
+        return "the field is not finite"
+    v = at.rot @ z[:3]
     # A small rotation moves the field by its cross product: the attitude's uncertainty.
-    cross = np.array([0.0, -z_, y, z_, 0.0, -x, -y, x, 0.0])
-    turned_sq = (at[LATE_S] * at[TURNING]) ** 2
-    for i in range(3):
-        for j in range(3):
-            for k in range(9):
-                part = cross[3 * i + k // 3] * at[P_ATTITUDE + k] * cross[3 * j + k % 3]
-                out[S + i, j] += part
-        # The turn between the sample and the state, about any axis.
-        out[S + i, i] += sigma**2 + turned_sq * (x * x + y * y + z_ * z_)
-    return _offset_innovation(out, b, known, 3)
+    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    # The turn between the sample and the state, about any axis.
+    turned_sq = (late_s * at.turning_rps) ** 2 * (v @ v)
+    r = cross @ at.p_attitude @ cross.T + (sigma**2 + turned_sq) * np.eye(3)
+    return _offset_innovation(v, r, b)
 
 
-@compiled
-def baro_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _baro(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float) -> Outcome:
     """Pressure altitude less height is constant."""
     if not z[0] > 0.0:
-        return NO_PRESSURE, 0
-    out[V, 0] = pressure_altitude_m(z[0]) - at[HEIGHT]
-    out[S, 0] = sigma**2 + at[P_POSITION + 8]
-    return _offset_innovation(out, b, known, 1)
+        return "the pressure is not positive"
+    v = np.array([pressure_altitude_m(z[0]) - at.height_m])
+    return _offset_innovation(v, sigma**2 + at.p_position[2:, 2:], b)
 
 
-@compiled
-def airspeed_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _airspeed(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float) -> Outcome:
     """Dynamic pressure is that of the velocity less a horizontal wind."""
     if not np.isfinite(z[0]):
-        return NO_AIR_DATA, 0
-    speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at[HEIGHT]))
-    if not known:
-        if speed < SLOW_AIR_MPS:
-            return SLOW_AIR, 0
-        out[S, 0] = out[S + 1, 1] = WIND_MPS**2
-        return STARTED, 2
-    air = np.array([at[V_NED] - b[0], at[V_NED + 1] - b[1], at[V_NED + 2]])
-    predicted = math.sqrt(air[0] * air[0] + air[1] * air[1] + air[2] * air[2])
+        return "the pressure is not finite"
+    speed = math.sqrt(2.0 * max(z[0], 0.0) / density_kgpm3(at.height_m))
+    air = at.v_mps if b is None else at.v_mps - (*b, 0.0)
+    predicted = speed if b is None else math.hypot(*air)
     if predicted < SLOW_AIR_MPS:
-        return SLOW_AIR, 0
-    out[V, 0] = speed - predicted
-    out[H, 0], out[H, 1] = -air[0] / predicted, -air[1] / predicted
-    out[S, 0] = sigma**2
-    for k in range(9):
-        out[S, 0] += air[k // 3] * at[P_VELOCITY + k] * air[k % 3] / (predicted * predicted)
-    return TESTED, 1
+        return f"airspeed below {SLOW_AIR_MPS:.0f} m/s"
+    if b is None:
+        return SlowStates(np.zeros(2), WIND_MPS**2 * np.eye(2))
+    along = air / predicted
+    r = np.array([[sigma**2 + along @ at.p_velocity @ along]])
+    return Innovation(np.array([speed - predicted]), r, -along[None, :2])
 
 
-@compiled
-def range_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _range(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float) -> Outcome:
     """Height less the vertical part of the distance is that of the terrain."""
     if not np.isfinite(z[0]):
-        return NO_RANGE, 0
-    known_upright = at[UPRIGHT] != 0.0
-    upright = at[ROT + 8] if known_upright else 1.0
+        return "the distance is not finite"
+    upright = 1.0 if at.rot is None else at.rot[2, 2]
     if upright < LEAST_UPRIGHT:
-        return TILTED, 0
-    level = z[0] * math.sqrt(1.0 - min(upright, 1.0) ** 2)
-    tilt = (at[P_ATTITUDE] + at[P_ATTITUDE + 4] + at[P_ATTITUDE + 8]) / 3.0
-    out[V, 0] = at[HEIGHT] - z[0] * upright
+        return "tilted by more than 45 degrees"
     # An attitude error moves the height of the beam's foot by its horizontal part times the angle.
-    slant = level**2 * tilt if known_upright else (UNKNOWN_SLANT * z[0]) ** 2
-    out[S, 0] = sigma**2 + at[P_POSITION + 8] + slant
-    return _offset_innovation(out, b, known, 1)
+    level_sq = z[0] ** 2 * (1.0 - min(upright, 1.0) ** 2)
+    known = at.rot is not None
+    slant = level_sq * np.trace(at.p_attitude) / 3.0 if known else (UNKNOWN_SLANT * z[0]) ** 2
+    r = sigma**2 + at.p_position[2:, 2:] + slant
+    return _offset_innovation(np.array([at.height_m - z[0] * upright]), r, b)
 
 
-@compiled
-def vision_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _vision(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float) -> Outcome:
     """The origin of a local position, in ECEF, is constant."""
-    if not _finite(z):
-        return NO_POSITION, 0
-    trace = at[P_POSITION] + at[P_POSITION + 4] + at[P_POSITION + 8]
-    for i in range(3):
-        origin = at[R + i]
-        for j in range(3):
-            origin -= at[AXES + 3 * j + i] * z[j]
-        if known:
-            for j in range(3):
-                out[V, j] += at[AXES + 3 * j + i] * (origin - b[i])
-                out[H + i, j] = at[AXES + 3 * i + j]
-                out[S + i, j] = at[P_POSITION + 3 * i + j]
-            out[S + i, i] += sigma**2
-        else:
-            out[V, i], out[S + i, i] = origin, sigma**2 + trace / 3.0
-    return (TESTED if known else STARTED), 3
+    if not np.isfinite(z[:3]).all():
+        return "the position is not finite"
+    origin = at.r_m - at.axes.T @ z[:3]
+    if b is None:
+        return SlowStates(origin, (sigma**2 + np.trace(at.p_position) / 3.0) * np.eye(3))
+    r = at.p_position + sigma**2 * np.eye(3)
+    return Innovation(at.axes @ (origin - b), r, at.axes)
 
 
-@compiled
-def gps_position_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _gps_position(
+    z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float
+) -> Outcome:
     """The receiver's position, moved to the epoch by the velocity, has a small constant offset."""
     if z[FIX_TYPE] < FIX_3D:
-        return NO_FIX, 0
-    x, y, z_ = ecef_of(math.radians(z[0]), math.radians(z[1]), z[2])
-    off = np.array([x - at[R], y - at[R + 1], z_ - at[R + 2]])
-    for i in range(3):
-        out[V, i] = at[V_NED + i] * at[LATE_S]
-        for j in range(3):
-            out[V, i] += at[AXES + 3 * i + j] * off[j]
-            out[S + i, j] = at[P_POSITION + 3 * i + j]
-        out[S + i, i] += sigma**2
-    return _offset_innovation(out, b, known, 3)
+        return f"fix type {z[FIX_TYPE]:.0f}"
+    off = ecef_from_geodetic(math.radians(z[0]), math.radians(z[1]), z[2]) - at.r_m
+    v = late_s * at.v_mps + at.axes @ off
+    return _offset_innovation(v, at.p_position + sigma**2 * np.eye(3), b)
 
 
-@compiled
-def gps_velocity_innovation(
-    z: Vector, at: Vector, b: Vector, known: bool, sigma: float, out: Vector
-) -> tuple[int, int]:
+def _gps_velocity(
+    z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: float
+) -> Outcome:
     """The receiver's velocity is the filter's; its vertical part may be missing."""
     if z[FIX_TYPE] < FIX_3D or not np.isfinite(z[FIX_VELOCITY]):
-        return NO_VELOCITY, 0
-    if not known:
-        return STARTED, 0
+        return "no velocity"
+    if b is None:
+        return SlowStates(np.zeros(0), np.zeros((0, 0)))
     count = 3 if np.isfinite(z[FIX_TYPE - 1]) else 2
-    for i in range(count):
-        out[V, i] = z[FIX_VELOCITY + i] - at[V_NED + i]
-        for j in range(count):
-            out[S + i, j] = at[P_VELOCITY + 3 * i + j]
-        out[S + i, i] += sigma**2
-    return TESTED, count
+    v = z[FIX_VELOCITY : FIX_VELOCITY + count] - at.v_mps[:count]
+    r = at.p_velocity[:count, :count] + sigma**2 * np.eye(count)
+    return Innovation(v, r, np.zeros((count, 0)))
+
+
+MODELS: dict[str, Model] = {
+    "mag": _mag,
+    "baro": _baro,
+    "airspeed": _airspeed,
+    "range": _range,
+    "vision": _vision,
+    "gps-position": _gps_position,
+    "gps-velocity": _gps_velocity,
+}

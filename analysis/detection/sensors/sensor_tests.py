@@ -17,7 +17,7 @@ sensor's prediction is in `sensor_models`.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import itemgetter
 
@@ -27,40 +27,97 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE
-from analysis.detection.sensors.sensor_kernel import (
-    CODE,
-    DECIDED_US,
-    DOF,
-    FAULTY,
-    FIX_OF,
-    HEALTHY_US,
-    IS_OUT,
-    OF_ROW,
-    SENSOR,
-    SENSOR_OF,
-    SLOW_US,
-    SOUND,
-    STALE_US,
-    STATISTIC,
-    UNTESTED,
-    BlockRows,
-    EpochDecisions,
-    SensorLimits,
-    SensorStates,
-    run_sensor_tests,
+from analysis.detection.sensors.sensor_models import (
+    MODELS,
+    FilterView,
+    SensorNoise,
+    SlowStates,
+    view_filter,
 )
-from analysis.detection.sensors.sensor_models import REASONS, SENSORS, TESTED, SensorNoise
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.results import Decision, Result, SensorDecision
-from analysis.samples.block import NEVER_US, WIDTH, Block, BlockSlice, block_of, split_at_events
+from analysis.samples.block import (
+    AIRSPEED,
+    BARO,
+    FIX,
+    IMU,
+    KINDS,
+    MAG,
+    NEVER_US,
+    RANGE,
+    VISION,
+    Block,
+    BlockSlice,
+    block_of,
+    split_at_events,
+)
 from analysis.samples.sample import Sample, Vector
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
-STALE_S = STALE_US * 1e-6  # older samples are not tested
+FAILS_TO_ISOLATE = 3  # failures in a row, chosen: one outlier isolates no sensor
+SIZE_SIGMAS = 4.0  # error of the field's size above which the magnetometer is at fault: p 6e-5
+STALE_S = 0.5  # older samples are not tested
+SAME_US = 10_000  # a fix this close to an epoch belongs to it: receivers send it after the ranges
+NOISE_MEMORY_S = 30.0  # memory of a sensor's noise
 # hypotheses under which the filter is healthy
 SOUND_FILTER = ("none", "satellites", "clock", "gps")
+OF_RECEIVER = ("gps-position", "gps-velocity")
+SENSORS_OF = {
+    MAG: ("mag",),
+    BARO: ("baro",),
+    AIRSPEED: ("airspeed",),
+    RANGE: ("range",),
+    VISION: ("vision",),
+    FIX: OF_RECEIVER,
+}
 # A block's row, the decision there, and the filter.
 EpochReference = tuple[int, Decision, MotionEstimate | None]
+
+
+@dataclass(slots=True)
+class SensorState:
+    """The newest sample since the newest decision, and what is known of the sensor."""
+
+    variance: float  # of its innovations
+    stamp_us: int = NEVER_US  # NEVER_US: there is no sample
+    z: Vector = field(default_factory=lambda: np.empty(0))
+    slow: SlowStates | None = None
+    slow_us: int = NEVER_US
+    fails: int = 0
+    isolated: bool = False
+    healthy_us: int = NEVER_US
+
+    def count_failure(self, failed: bool, own: bool, t_us: int, readmit_us: float) -> None:
+        """Isolate after some failures of the sensor's own in a row, readmit after health."""
+        since_us, self.healthy_us = self.healthy_us, NEVER_US
+        if failed:
+            self.fails += 1
+            self.isolated |= own and self.fails >= FAILS_TO_ISOLATE
+            return
+        self.fails = 0
+        if self.isolated:
+            self.healthy_us = t_us if since_us == NEVER_US else since_us
+            if t_us - self.healthy_us >= readmit_us:
+                self.isolated, self.healthy_us = False, NEVER_US
+
+
+@dataclass(slots=True)
+class SensorStates:
+    """The sensors by name, the newest decided epoch, and the largest rate of turn since."""
+
+    sensors: dict[str, SensorState]
+    epoch_us: int = NEVER_US
+    view: FilterView | None = None  # of the filter then, if it is a reference
+    by_fix: bool = False
+    turning_rps: float = 0.0
+
+    def add_rates(self, rates_rps: Vector) -> None:
+        """Add rates of turn, of which those of lost samples are NaN."""
+        self.turning_rps = float(np.fmax.reduce(rates_rps, initial=self.turning_rps))
+
+    def copy(self) -> "SensorStates":
+        """A copy, to be changed."""
+        return replace(self, sensors={name: replace(one) for name, one in self.sensors.items()})
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,31 +141,17 @@ class NavigationDetector:
         return Detector(self.config)
 
     @cached_property
-    def _thresholds(self) -> Vector:
-        return np.array(
-            [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
-        )
+    def _noise(self) -> dict[str, tuple[float, float, float]]:
+        return self.sensors.of_sensors()
 
     @cached_property
-    def _limits(self) -> SensorLimits:
-        noise = np.array([self.sensors.sigmas(), self.sensors.walks(), self.sensors.quiet()])
-        return SensorLimits(noise, self._thresholds, self.config.readmit_s * 1e6)
+    def _thresholds(self) -> list[float]:
+        return [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
 
     def new_state(self) -> NavigationState:
         """No sample has come yet."""
-        count = len(SENSORS)
-        counts = np.zeros((count, 4), np.int64)
-        counts[:, [SLOW_US, HEALTHY_US]] = NEVER_US
-        states = SensorStates(
-            np.full(count, NEVER_US),
-            np.zeros((count, WIDTH)),
-            counts,
-            np.zeros((count, 12)),
-            self.sensors.sigmas() ** 2,
-            np.full(4, UNTESTED),
-            np.zeros(1),
-        )
-        return NavigationState(self.detector.new_state(), states)
+        sensors = {name: SensorState(sigma**2) for name, (sigma, _, _) in self._noise.items()}
+        return NavigationState(self.detector.new_state(), SensorStates(sensors))
 
     def step(
         self, samples: Sample | Block, state: NavigationState
@@ -124,7 +167,7 @@ class NavigationDetector:
         """Results, each with its row of the block: the detector's first, then the sensors'."""
         found: list[tuple[int, Result]] = []
         decided: list[EpochReference] = []
-        before, detector = state.detector.core.motion, state.detector
+        detector = state.detector
 
         def wanted(t_us: int) -> bool:
             return self.detector.wants_fix(detector.core, t_us)
@@ -133,7 +176,7 @@ class NavigationDetector:
             results, detector = self.detector.step_piece(piece, detector)
             found += [(piece.last, result) for result in results]
             decided += _epoch_reference(piece.last, results, detector)
-        tested, states = self._judged(block, decided, before, state.states)
+        tested, states = self._judged(block, decided, state.states)
         return found + tested, NavigationState(detector, states)
 
     def step_piece(
@@ -143,36 +186,117 @@ class NavigationDetector:
         results, detector = self.detector.step_piece(piece, state.detector)
         rows = piece.block.between(piece.first, piece.last + 1)
         decided = _epoch_reference(piece.last - piece.first, results, detector)
-        tested, states = self._judged(rows, decided, detector.core.motion, state.states)
+        tested, states = self._judged(rows, decided, state.states)
         return [*results, *(result for _, result in tested)], NavigationState(detector, states)
 
     def _judged(
         self,
         block: Block,
         decided: Sequence[EpochReference],
-        before: MotionEstimate | None,
         states: SensorStates,
-    ) -> tuple[list[tuple[int, Result]], SensorStates]:
-        """The sensors' tests at some decisions; `before` is the filter until the first."""
-        if not decided and not _OF_SENSORS[block.kind].any():
+    ) -> tuple[list[tuple[int, SensorDecision]], SensorStates]:
+        """The sensors' tests at some decisions."""
+        called = {row: (decision, after) for row, decision, after in decided}
+        rows = sorted({*np.flatnonzero(_OF_SENSORS[block.kind]).tolist(), *called})
+        imu = block.rows(IMU)
+        if not rows and not len(imu):
             return [], states
-        # The kernel changes a copy in place; the given state is not changed.
+        # A copy is changed in place; the given state is not.
         states = states.copy()
-        motions = [_START if m is None else m for m in (before, *(m for _, _, m in decided))]
-        decisions = EpochDecisions(
-            np.array([_kernel_row(*row) for row in decided], np.int64).reshape(-1, 4),
-            np.array([motion.x for motion in motions]),
-            np.array([motion.p for motion in motions]),
-            np.array([motion.inertial for motion in motions], np.int64),
+        found: list[tuple[int, SensorDecision]] = []
+        rates_rps, begin = np.linalg.norm(block.values[imu, :3], axis=1), 0
+        for row in rows:
+            kind, t_us = int(block.kind[row]), int(block.t_us[row])
+            names: Sequence[str] = SENSORS_OF.get(kind, ())
+            for name in names:
+                state = states.sensors[name]
+                state.stamp_us, state.z = t_us, block.values[row].copy()
+            if row in called:
+                decision, motion = called[row]
+                if decision.mode == "":  # an untestable epoch has no prediction
+                    continue
+                states.epoch_us, states.by_fix = decision.t_us, decision.mode.startswith("position")
+                names = tuple(states.sensors)
+            elif kind != FIX or abs(t_us - states.epoch_us) > SAME_US:
+                # A late fix comes when other sensors' newest samples belong to the next epoch.
+                continue
+            if states.by_fix:  # the fix is the filter's input
+                for name in OF_RECEIVER:
+                    states.sensors[name].stamp_us = NEVER_US
+            if all(one.stamp_us == NEVER_US for one in states.sensors.values()):
+                continue
+            if row in called:
+                end = int(np.searchsorted(imu, row))
+                states.add_rates(rates_rps[begin:end])
+                states.view = _view_reference(decision, motion, states.turning_rps)
+                begin, states.turning_rps = end, 0.0
+            found += [(row, result) for result in self._outcomes(names, states)]
+        states.add_rates(rates_rps[begin:])
+        return found, states
+
+    def _outcomes(self, names: Sequence[str], states: SensorStates) -> list[SensorDecision]:
+        """The tests of some sensors by the newest decision; each sample is tested once."""
+        found, view = [], states.view
+        for name in names:
+            state = states.sensors[name]
+            stamp_us, state.stamp_us = state.stamp_us, NEVER_US
+            late_us = abs(states.epoch_us - stamp_us)
+            if stamp_us == NEVER_US or (view and late_us > STALE_S * 1e6):
+                continue
+            if view is None:
+                t_us = max(states.epoch_us, stamp_us)
+                found.append(_untested(t_us, name, state, "no healthy reference"))
+            elif result := self._test(name, state, view, states.epoch_us, stamp_us):
+                found.append(result)
+        return found
+
+    def _test(
+        self, name: str, state: SensorState, view: FilterView, epoch_us: int, stamp_us: int
+    ) -> SensorDecision | None:
+        """One sensor's test; None if it only started its slow states."""
+        sigma, least_sigma, walk = self._noise[name]
+        sigma = min(sigma, max(least_sigma, math.sqrt(state.variance)))
+        slow, late_s = state.slow, (epoch_us - stamp_us) * 1e-6
+        # A fix comes later than its stamp; a result is not older than its sample.
+        t_us = max(epoch_us, stamp_us)
+        outcome = MODELS[name](state.z, view, None if slow is None else slow.b, late_s, sigma)
+        if isinstance(outcome, str):
+            return _untested(t_us, name, state, outcome)
+        elapsed_s = max((epoch_us - state.slow_us) * 1e-6, 0.0)
+        state.slow_us = epoch_us
+        if slow is None or isinstance(outcome, SlowStates):
+            assert isinstance(outcome, SlowStates)
+            state.slow = outcome
+            return None
+        v, r, h = outcome
+        p = slow.p + walk**2 * elapsed_s * np.eye(len(slow.b))
+        ph = p @ h.T
+        inverse = invert_positive_definite(h @ ph + r)
+        statistic, threshold = float(v @ inverse @ v), self._thresholds[len(v)]
+        failed = not statistic <= threshold
+        # A field of the right size in the wrong direction may be due to the attitude, which is the
+        # IMU's fault. Written so that NaN is the sensor's own.
+        resized = abs(math.hypot(*state.z[:3]) - math.hypot(*slow.b))
+        own = name != "mag" or not resized <= SIZE_SIGMAS * sigma
+        state.count_failure(failed, own, epoch_us, self.config.readmit_s * 1e6)
+        if not failed and not state.isolated:  # else the slow states are frozen
+            gain = ph @ inverse
+            state.slow = SlowStates(slow.b + gain @ v, p - gain @ ph.T)
+            share = min(elapsed_s / NOISE_MEMORY_S, 1.0) / len(v)
+            for one in v.tolist():
+                state.variance += share * (one**2 - state.variance)
+        return SensorDecision(
+            t_us=t_us,
+            sensor=name,
+            statistic=statistic if math.isfinite(statistic) else None,
+            threshold=threshold,
+            dof=len(v),
+            alarm=failed,
+            isolated=state.isolated,
         )
-        rows = BlockRows(block.kind, block.t_us, block.values)
-        return _results(
-            run_sensor_tests(rows, decisions, states, self._limits), self._thresholds
-        ), states
 
 
-_OF_SENSORS = np.array(SENSOR_OF) >= 0  # by kind of sample
-_START = MotionEstimate(0, np.zeros(X_SIZE), np.zeros((ERROR_SIZE, ERROR_SIZE)))
+_OF_SENSORS = np.isin(np.arange(len(KINDS)), list(SENSORS_OF))  # by kind of sample
 
 
 def _epoch_reference(
@@ -182,55 +306,24 @@ def _epoch_reference(
     return [(row, r, detector.core.motion) for r in results if isinstance(r, Decision)][:1]
 
 
-def _kernel_row(
-    row: int, decision: Decision, motion: MotionEstimate | None
-) -> tuple[int, int, int, bool]:
-    """A decision in the form of the kernel."""
+def _view_reference(
+    decision: Decision, motion: MotionEstimate | None, turning_rps: float
+) -> FilterView | None:
+    """The filter as the models see it, if it is healthy."""
     bounded = decision.position_sigma_m is not None
-    how = (
-        SOUND if motion is not None and decision.hypothesis in SOUND_FILTER and bounded else FAULTY
-    )
-    # An untestable epoch has no prediction.
-    if decision.mode == "":
-        how = UNTESTED
-    return row, decision.t_us, how, decision.mode.startswith("position")
+    if motion is None or decision.hypothesis not in SOUND_FILTER or not bounded:
+        return None
+    return view_filter(motion, turning_rps)
 
 
-def _results(outcomes: Vector, thresholds: Vector) -> list[tuple[int, Result]]:
-    """The kernel's outcomes (k, OUTCOME) as results, by row of the block."""
-    if not len(outcomes):
-        return []
-    whole = [OF_ROW, SENSOR, CODE, DOF, DECIDED_US]
-    row, sensor, code, dof, t_us = outcomes[:, whole].astype(np.int64).T
-    statistics, limits = outcomes[:, STATISTIC], thresholds[dof]
-    failed = ~(statistics <= limits)
-    columns = (
-        row,
-        t_us,
-        sensor,
-        code,
-        dof,
-        statistics,
-        limits,
-        failed,
-        outcomes[:, IS_OUT] != 0.0,
-        outcomes[:, FIX_OF],
+def _untested(t_us: int, name: str, state: SensorState, reason: str) -> SensorDecision:
+    return SensorDecision(
+        t_us=t_us,
+        sensor=name,
+        statistic=None,
+        threshold=None,
+        dof=0,
+        alarm=False,
+        isolated=state.isolated,
+        reason=reason,
     )
-    return [
-        (
-            at,
-            SensorDecision(
-                t_us=stamp_us,
-                sensor=SENSORS[number],
-                statistic=statistic if why == TESTED and math.isfinite(statistic) else None,
-                threshold=limit if why == TESTED else None,
-                dof=freedom,
-                alarm=why == TESTED and bad,
-                isolated=isolated,
-                reason="" if why == TESTED else REASONS[why].format(fix_type=seventh),
-            ),
-        )
-        for at, stamp_us, number, why, freedom, statistic, limit, bad, isolated, seventh in zip(
-            *(column.tolist() for column in columns), strict=True
-        )
-    ]

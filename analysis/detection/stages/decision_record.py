@@ -43,6 +43,7 @@ def build_decision(
         alarm=tested.alarm or late,
         hypothesis=hypothesis,
         excluded=tuple(sorted(core.trust.excluded)),
+        unused=_unused(core),
         satellites=names + excluded.names,
         residual_m=(*assessment.innovations.range_m.tolist(), *excluded.range_m.tolist()),
         normalised=(*statistics.normalised.tolist(), *excluded.normalised.tolist()),
@@ -50,7 +51,7 @@ def build_decision(
         onset_us=max(onsets, default=None),
         probabilities=dict(ranges.probabilities),
         position_ecef_m=_position(motion) if motion is not None else None,
-        position_sigma_m=_sigma(motion, bounds) if motion and not tested.unbounded else None,
+        **_uncertainty(None if tested.unbounded else motion, bounds),
         **_levels(bounds, used),
         reason=tested.unbounded,
         mode="inertial" if motion is not None and motion.inertial else "free",
@@ -82,9 +83,10 @@ def build_start_decision(
         alarm=bool(fix.faulty),
         hypothesis=reported_hypothesis(trust, core.imu, "none", False, False),
         excluded=tuple(sorted(trust.excluded)),
+        unused=_unused(core),
         satellites=observation.satellites,
         position_ecef_m=_position(motion),
-        position_sigma_m=None if unbounded else _sigma(motion, bounds),
+        **_uncertainty(None if unbounded else motion, bounds),
         **_levels(bounds, observation.satellites),
         mode="start",
         reason=unbounded,
@@ -146,20 +148,28 @@ def _rate_decision(
     )
 
 
+def _unused(core: DetectorCore) -> dict[str, str]:
+    """Satellites in view without a usable ephemeris, and why."""
+    return core.broadcast.selection.unused if core.broadcast.selection is not None else {}
+
+
 def _position(motion: MotionEstimate) -> tuple[float, float, float]:
     x = motion.x
     return x.item(0), x.item(1), x.item(2)
 
 
-def _sigma(motion: MotionEstimate, bounds: PositionBounds | None) -> tuple[float, float, float]:
-    """One sigma of white and lasting errors together."""
-    p, (x, y, z) = motion.p, bounds.lasting_m2 if bounds is not None else (0.0, 0.0, 0.0)
-    f = bounds.factor if bounds is not None else 1.0
-    return (
-        math.sqrt(f * p.item(0, 0) + x),
-        math.sqrt(f * p.item(1, 1) + y),
-        math.sqrt(f * p.item(2, 2) + z),
-    )
+def _uncertainty(motion: MotionEstimate | None, bounds: PositionBounds | None) -> dict[str, Any]:
+    """Sigma and covariance of white and lasting errors together; none without a filter."""
+    if motion is None:
+        return {}
+    covariance = motion.p[:3, :3]
+    if bounds is not None:
+        covariance = bounds.factor * covariance + bounds.lasting_m2
+    xx, xy, xz, _, yy, yz, _, _, zz = covariance.ravel().tolist()
+    return {
+        "position_sigma_m": (math.sqrt(xx), math.sqrt(yy), math.sqrt(zz)),
+        "position_covariance_m2": (xx, xy, xz, yy, yz, zz),
+    }
 
 
 def _levels(bounds: PositionBounds | None, names: Iterable[str]) -> dict[str, Any]:

@@ -90,7 +90,7 @@ def repair(
     core = core._replace(
         trust=core.trust._replace(excluded=excluded),
         history=tuple(replayed),
-        broadcast=core.broadcast._replace(selection=outcome.core.broadcast.selection),
+        broadcast=outcome.core.broadcast,
     )
     tested = outcome.tested
     if tested is not None:

@@ -69,12 +69,12 @@ def solve_initial_fix(
     `ionosphere` (8,) are Klobuchar's coefficients.
     """
     # First all satellites, since the mask needs a position to compute elevations.
-    x = _solve(observation, np.zeros(X_SIZE), config, ionosphere)
+    x = solve_snapshot(observation, np.zeros(X_SIZE), config, ionosphere)
     if x is None:
         return InitialFix(None, _too_few(observation))
     above = predict_innovations(observation, x, config.sigma, ionosphere).elevation_rad
     observation = observation.select(above >= np.radians(config.mask_deg))
-    x = _solve(observation, x, config, ionosphere)
+    x = solve_snapshot(observation, x, config, ionosphere)
     if x is None:
         return InitialFix(None, _too_few(observation))
     innovations = predict_innovations(observation, x, config.sigma, ionosphere)
@@ -153,7 +153,7 @@ def _repaired(
     keep[list(found.subset)] = False
     faulty = tuple(observation.satellites[i] for i in found.subset)
     observation = observation.select(keep)
-    solved = _solve(observation, x, config, ionosphere)
+    solved = solve_snapshot(observation, x, config, ionosphere)
     if solved is None:
         return InitialFix(None, _too_few(observation))
     innovations = predict_innovations(observation, solved, config.sigma, ionosphere)
@@ -176,7 +176,7 @@ def _too_few(observation: EpochObservation) -> str:
     return f"{len(observation.satellites)} satellites with an ephemeris give no position"
 
 
-def _solve(
+def solve_snapshot(
     observation: EpochObservation, x: Vector, config: DetectorConfig, ionosphere: Vector
 ) -> Vector | None:
     """Position, clock and system offsets by Gauss-Newton from x; None where it fails."""

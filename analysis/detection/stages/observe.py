@@ -13,8 +13,7 @@ def observe(
     `systems` are the first letters of the systems in use.
     """
     selection = broadcast.selection
-    # A selection is valid for a while; it is renewed when the satellites in view change.
     if selection is None or not selection.is_valid_for(epoch):
-        selection = select_ephemerides(epoch, broadcast.ephemerides, systems)
+        selection = select_ephemerides(epoch, broadcast.ephemerides, systems, broadcast.wrong)
         broadcast = broadcast._replace(selection=selection)
     return observe_epoch(epoch, selection), broadcast

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.detection.streams.stream_kernel import STREAM_OF
+from analysis.detection.streams.stream_detector import SHOWS_TIME
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import NEVER_US, Block, Stamps
 
@@ -15,8 +15,6 @@ AFTER_PAUSE_US = 1_500_000  # after a pause: until the next epoch, at 1 Hz
 IMU_SILENT = "no IMU samples for"  # prefix of the reason of such a result
 ABSENCE_REASONS = ("silent for", "rate is", IMU_SILENT)  # prefixes of the reasons of absent samples
 R = TypeVar("R", bound=Result)
-# By kind of sample: broadcasts and samples with a time of their own do not show the time.
-_SHOWS_TIME = np.array(STREAM_OF) != -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ def drop_log_gaps(
 
 def _pause_ends(block: Block, state: PauseState) -> tuple[Stamps, PauseState]:
     """When the last pause ended, by row (n,)."""
-    shows_time = _SHOWS_TIME[block.kind] & (block.t_us > 0)
+    shows_time = SHOWS_TIME[block.kind] & (block.t_us > 0)
     stamps = np.where(shows_time, block.t_us, NEVER_US)
     newest = np.maximum.accumulate(np.append(state.newest_us, stamps))
     ends = np.where(np.diff(newest) > PAUSE_US, newest[1:], NEVER_US)

@@ -1,9 +1,7 @@
 """Read ArduPilot dataflash logs (.bin) as columns.
 
 A message's columns are its fields as the log's own FMT messages name them, scaled as pymavlink
-scales them, with `TimeUS` in microseconds since boot. In old logs it is computed from `TimeMS`; a
-message without a time gets that of the message before it. A second boot in one file continues the
-time of the first.
+scales them, with `TimeUS` in microseconds (`log_time`), in old logs from `TimeMS`.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -21,15 +19,14 @@ from analysis.recordings.flight_logs.dataflash_blocks import (
     walk_blocks,
 )
 from analysis.recordings.flight_logs.dataflash_formats import FIRST, MAGIC, TYPES, MessageFormat
-from analysis.recordings.flight_logs.misdated_stamps import find_misdated, find_restarts
+from analysis.recordings.flight_logs.log_time import RowStamps, RowTimes, place_rows
+from analysis.recordings.flight_logs.misdated_stamps import find_misdated
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
 Topic = dict[str, NDArray[Any]]
 Rows = NDArray[np.void]
 HEAD = 4096  # bytes of a file that show its kind: text may stand in front of a log
-LATEST_US = 10**15  # 31 years after boot
-PAUSE_US = 1_000_000  # between two boots in one file, whose real pause is not logged
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # old logs: IMU2 is instance 1
 RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
 # Fields with the number of the sensor or core.
@@ -47,8 +44,8 @@ class DataflashFile:
         Columns, with `TimeUS`, by message name and instance (from 0).
     start_us, end_us : int
         First and last time.
-    restarts : int
-        Boots after the first one.
+    times : RowTimes
+        What was found out about the stamps.
     corrupted : bool
         Whether bytes or messages with an impossible time were skipped.
     cut : bool
@@ -58,7 +55,7 @@ class DataflashFile:
     topics: Mapping[tuple[str, int], Topic]
     start_us: int
     end_us: int
-    restarts: int
+    times: RowTimes
     corrupted: bool
     cut: bool
 
@@ -92,35 +89,30 @@ def read_dataflash(
     try:
         size = written_bytes(path)
         walk = BlockWalk(forms=read_formats(path, size))
-        raw, times = _read_messages(path, size, walk, only, thin)
+        raw = _read_messages(path, size, walk, only, thin)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a .bin file") from error
-    if len(times[0]) == 0:
+    columns = {name: _columns(rows, form) for name, (rows, form) in raw.items()}
+    times = place_rows(
+        {name: RowStamps(rows["at"], *_own_times(name, columns[name]))
+         for name, (rows, _) in raw.items()},
+        walk.boots[1:],
+    )  # fmt: skip
+    if not any(some.any() for some in times.times.values()):
         raise ConfigError(f"{path}: holds no message with a time; give a dataflash log of a flight")
-    wrong = find_misdated(times[1])
-    places, corrupted = times[0][wrong], walk.skipped_bytes > 0 or bool(wrong.any())
-    times = times[0][~wrong], times[1][~wrong].astype(np.int64)
-    boots, shifts = _boots(times)
-    times = times[0], times[1] + shifts[np.searchsorted(boots, times[0], "right")]
+    corrupted = walk.skipped_bytes > 0 or times.misdated
     topics: dict[tuple[str, int], Topic] = {}
-    for name, (rows, form) in raw.items():
-        rows = rows[~np.isin(rows["at"], places)]
-        columns = _columns(rows, form)
-        own = _own_time(name, columns)
-        if own is None:
-            own = times[1][np.maximum(np.searchsorted(times[0], rows["at"]) - 1, 0)]
-        else:
-            own = own + shifts[np.searchsorted(boots, rows["at"], "right")]
-        columns["TimeUS"] = own
-        for key, some in _instances(name, columns) if len(own) else ():
-            topic = {column: values[some] for column, values in columns.items()}
+    for name, keep in times.keep.items():
+        every = columns[name] | {"TimeUS": times.times[name]}
+        every = {column: values[keep] for column, values in every.items()}
+        for key, some in _instances(name, every) if keep.any() else ():
+            topic = {column: values[some] for column, values in every.items()}
             topics[key], some_wrong = _in_order(topic)
             corrupted = corrupted or some_wrong
     _rates_in_degrees(topics)
-    stamps = times[1]
-    return DataflashFile(
-        topics, int(stamps.min()), int(stamps.max()), len(boots), corrupted, walk.cut
-    )
+    ends = [(topic["TimeUS"][0], topic["TimeUS"][-1]) for topic in topics.values()]
+    start_us, end_us = min(first for first, _ in ends), max(last for _, last in ends)
+    return DataflashFile(topics, int(start_us), int(end_us), times, corrupted, walk.cut)
 
 
 def _in_order(topic: Topic) -> tuple[Topic, bool]:
@@ -140,25 +132,19 @@ def _read_messages(
     walk: BlockWalk,
     only: Collection[str] | None,
     thin: Callable[[Rows], Rows],
-) -> tuple[dict[str, tuple[Rows, MessageFormat]], tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Rows and format by message name; offsets and times of all kept messages with a time."""
+) -> dict[str, tuple[Rows, MessageFormat]]:
+    """Rows and format by message name."""
     parts: dict[int, list[Rows]] = {}
     for at, data, starts in walk_blocks(path, size, walk):
         for form, rows in rows_by_type(data, at, starts, walk.forms):
             if only is None or form.name.rstrip("0123456789") in only or form.name in only:
                 parts.setdefault(form.type, []).append(thin(rows))
     found: dict[str, tuple[Rows, MessageFormat]] = {}
-    stamps = [(np.empty(0, np.int64), np.empty(0, np.int64))]
     for number, some in parts.items():
         form, rows = walk.forms[number], some[0] if len(some) == 1 else np.concatenate(some)
         name = form.name if form.name not in found else f"{form.name}_{number}"
         found[name] = rows, form
-        own = _own_time(name, {key: rows[key] for key in form.columns})
-        if own is not None:
-            stamps.append((rows["at"], own))
-    place, time = (np.concatenate(columns) for columns in zip(*stamps, strict=True))
-    order = np.argsort(place, kind="stable")
-    return found, (place[order], time[order])
+    return found
 
 
 def _columns(rows: Rows, form: MessageFormat) -> Topic:
@@ -171,29 +157,18 @@ def _columns(rows: Rows, form: MessageFormat) -> Topic:
     }
 
 
-def _boots(
-    times: tuple[NDArray[np.int64], NDArray[np.int64]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Offsets (k,) of the first messages of later boots; shifts (k + 1,) of each boot's times that
-    place the boots one after another."""
-    again = find_restarts(times[1])
-    shifts = [0]
-    begins = [0, *again.tolist(), len(times[1])]
-    for begin, end, after in zip(begins, begins[1:], begins[2:], strict=False):
-        newest = int(times[1][begin:end].max()) + shifts[-1]
-        shifts.append(newest + PAUSE_US - int(times[1][end:after].min()))
-    return times[0][again], np.array(shifts, np.int64)
-
-
-def _own_time(name: str, columns: Topic) -> NDArray[np.int64] | None:
-    """The time since boot in the messages, in microseconds; None if they have none."""
+def _own_times(
+    name: str, columns: Topic
+) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
+    """The time since boot in the messages and that of the receiver, in us; None without one."""
     # Old logs: TimeMS of a GPS message is the time of week, T the time since boot.
     old = "T" if name.startswith("GPS") else "TimeMS"
-    key, scale = ("TimeUS", 1) if "TimeUS" in columns else (old, 1000)
-    if key not in columns or columns[key].dtype.kind not in "iu":
-        return None
-    # Clipped: sums and differences of wrong times must not overflow.
-    return np.clip(columns[key].astype(np.int64), -1, LATEST_US // scale) * scale
+    times = {
+        key: columns[key].astype(np.int64) * scale
+        for key, scale in (("TimeUS", 1), (old, 1000), ("GMS", 1000))
+        if key in columns and columns[key].dtype.kind in "iu"
+    }
+    return times.get("TimeUS", times.get(old)), times.get("GMS")
 
 
 def _rates_in_degrees(topics: Mapping[tuple[str, int], Topic]) -> None:

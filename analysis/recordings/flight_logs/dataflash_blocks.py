@@ -39,10 +39,13 @@ class BlockWalk:
         Bytes that belong to no message found.
     cut : bool
         Whether the file ends within a message.
+    boots : list of int
+        Where the logger began: offsets of the format of the formats.
     """
 
     skipped_bytes: int = 0
     cut: bool = False
+    boots: list[int] = field(default_factory=list)
     forms: dict[int, MessageFormat] = field(default_factory=dict)
 
 
@@ -78,6 +81,8 @@ def walk_blocks(path: Path, size: int, walk: BlockWalk) -> Iterator[tuple[int, B
         data = np.concatenate([carry, fresh])
         starts, end = find_messages(data, lengths, last)
         known = int(lengths[data[starts + 2]].sum())
+        formats = starts[data[starts + 2] == FORMATS]
+        walk.boots += (formats[data[formats + HEAD] == FORMATS] + at).tolist()
         walk.skipped_bytes += end - known
         if last and len(data) > end:
             rest = data[end:]

@@ -1,11 +1,11 @@
-"""Read PX4 ULog files as columns, with pyulog.
+"""Read PX4 ULog files as columns.
 
-A topic's columns are its fields as pyulog names them (`q[0]`), with `timestamp` in microseconds on
-the vehicle's clock. Fields that PX4 1.14 renamed have their new names.
+A topic's columns are its fields, elements of arrays each (`q[0]`), with `timestamp` in microseconds
+(`log_time`). Fields that PX4 1.14 renamed have their new names.
 """
 
-import contextlib
-import io
+import re
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.misdated_stamps import find_misdated
-from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_texts
+from analysis.recordings.flight_logs.log_time import RowStamps, RowTimes, place_rows
+from analysis.recordings.flight_logs.ulog_messages import (
+    MAGIC,
+    NUMBERS,
+    ULogMessages,
+    ULogTopic,
+    read_messages,
+)
+from analysis.recordings.flight_logs.ulog_texts import LoggedTexts, logged_texts, printed_texts
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
-NUMBER = (int, float)  # valid types of a parameter; a corrupted definition gives others
 Topic = dict[str, NDArray[Any]]
-MAGIC = b"ULog\x01\x12\x35"
-PROGRESS_STEP_BYTES = 1 << 20  # between two progress reports
-MAX_READ_FACTOR = 100  # limit on bytes read, in file sizes, against endless reading
-STALE_US = 1_000_000  # chosen: sensors are sampled more often
+Rows = NDArray[np.void]
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
+KEY = re.compile(r"(\w+)(?:\[(\d+)\])? (.+)", re.ASCII)
+OTHER_CLOCKS = ("timestamp_sample", "time_utc_usec")
+PARAMETERS = ("int32_t", "float")
+PLACED = {"L": 1, "C": 3}  # kinds of messages with a stamp, and where it stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,19 +53,21 @@ class ULogFile:
         Default values by name, if the log has them.
     info : dict
         The file's information messages (version, hardware).
+    start_us : int
+        The time at which the log begins.
     dropouts : list of (t_us, duration_s)
     printed : dict
         Console output, processes and performance counters by title.
+    times : RowTimes
+        What was found out about the stamps.
     corrupted : bool
         Whether parts of the file could not be read.
     cut : bool
         Whether the file ends within a message.
-    stale : int
-        First samples of topics from before the log, which count as of its beginning.
     """
 
     topics: Mapping[tuple[str, int], Topic]
-    messages: list[tuple[int, int, str]]
+    messages: LoggedTexts
     parameters: dict[str, float]
     changes: list[tuple[int, str, float]]
     defaults: dict[str, float]
@@ -66,37 +75,9 @@ class ULogFile:
     start_us: int
     dropouts: list[tuple[int, float]]
     printed: dict[str, str]
+    times: RowTimes
     corrupted: bool
     cut: bool
-    stale: int
-
-
-class _BoundedFile(io.FileIO):
-    """A file that stops pyulog from reading the same corrupted bytes endlessly.
-
-    It ends where the written part of the file ends, and reports the reading progress.
-    """
-
-    def __init__(self, path: str | Path, progress: Callable[[float], None]) -> None:
-        super().__init__(path, "rb")
-        self.cut = False  # whether a read reached the end too early
-        self._written = written_bytes(Path(path))
-        self._remaining_reads = MAX_READ_FACTOR * self._written + 10_000_000
-        self._progress, self._report_at = progress, 0
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Read as from any file; RuntimeError once too much has been read."""
-        at = self.tell()
-        left = max(self._written - at, 0)
-        data = super().read(left if size is None or size < 0 else min(size, left)) or b""
-        self.cut |= size is not None and 0 < len(data) < size
-        self._remaining_reads -= len(data) + 1
-        if self._remaining_reads < 0:
-            raise RuntimeError("corrupted beyond reading")
-        if at >= self._report_at:
-            self._report_at = at + PROGRESS_STEP_BYTES
-            self._progress(at / self._written)
-        return data
 
 
 def is_ulog(head: bytes) -> bool:
@@ -104,87 +85,174 @@ def is_ulog(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read_ulog(path: str | Path, progress: Callable[[float], None] = lambda _: None) -> ULogFile:
+def read_ulog(
+    path: str | Path,
+    progress: Callable[[float], None] = lambda _: None,
+    thin: Callable[[Rows], Rows] = lambda rows: rows,
+) -> ULogFile:
     """Read a ULog; of a corrupted file the readable part, with `corrupted` set.
 
-    `progress` is called with the share that is read, from 0 to 1.
+    `progress` is called with the share that is read, from 0 to 1; `thin` chooses the rows (k,) to
+    keep of those (n,) of one topic in a block.
 
     Raises
     ------
     ConfigError
         If nothing can be read.
     """
-    from pyulog import ULog
-
-    complaints = io.StringIO()  # pyulog prints what it cannot read
+    path = Path(path)
     try:
-        file = _BoundedFile(path, progress)
+        found = read_messages(path, written_bytes(path), thin, progress)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
-    try:
-        with file, contextlib.redirect_stdout(complaints):
-            log = ULog(file)
-    except Exception as error:  # pyulog raises any type of error on corrupted input
-        raise ConfigError(f"{path}: not a readable ULog ({error}); give a complete file") from error
-    topics = {
-        (data.name, data.multi_id): _with_newer_names(data.data)
-        for data in log.data_list
-        if len(data.data.get("timestamp", ()))  # some topics are declared and never logged
-    }
-    stale = _clip_stale(topics, int(log.start_timestamp))
-    wrong = remove_misdated(topics)
+    raw = _joined_rows(found)
+    if not found.formats:
+        raise ConfigError(f"{path}: not a readable ULog; give a complete file")
+    stamps = {key: RowStamps(rows["at"], *_own_times(rows)) for key, rows in raw.items()}
+    others = {kind: [row for row in found.others if row[1] == kind] for kind in "LCPOQIM"}
+    placed: dict[Any, RowStamps] = {kind: _placed(kind, rows) for kind, rows in others.items()}
+    times = place_rows(placed | stamps, begin_us=found.begin_us)
+    if not any(times.times[key].any() for key in raw):
+        raise ConfigError(f"{path}: holds no message with a time; give a log of a flight")
+    topics = {}
+    for key, rows in raw.items():
+        keep, t_us = times.keep[key], times.times[key]
+        columns = {n: rows[n][keep] for n in rows.dtype.names or () if n != "at"}
+        topics[key] = _with_newer_names(columns | {"timestamp": t_us[keep]})
+    texts = _texts(others, times)
+    info, several = _infos(others["I"]), _several_infos(others["M"])
+    parameters, changes = _parameters(found, raw, others["P"], times)
     return ULogFile(
         topics,
-        logged_texts(log),
-        {name: float(v) for name, v in log.initial_parameters.items() if isinstance(v, NUMBER)},
+        logged_texts(texts, topics.get(("event", 0), {}), info, several),
+        parameters,
+        changes,
+        _defaults(others["Q"], parameters),
+        info,
+        times.begin_us,
         [
-            (t_us, name, float(v))
-            for t_us, name, v in log.changed_parameters
-            if isinstance(v, NUMBER)
+            (int(t_us), int.from_bytes(payload[:2], "little") * 1e-3)
+            for t_us, (_, _, payload) in zip(times.times["O"], others["O"], strict=True)
         ],
-        _defaults(log),
-        dict(log.msg_info_dict),
-        int(log.start_timestamp),
-        [(drop.timestamp, drop.duration * 1e-3) for drop in log.dropouts],
-        printed_texts(log),
-        bool(log.file_corruption or complaints.getvalue() or wrong),
-        file.cut,
-        stale,
+        printed_texts(several),
+        times,
+        found.skipped_bytes > 0 or times.misdated,
+        found.cut,
     )
 
 
-def _clip_stale(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
-    """Move samples published before the log began to its beginning; returns how many they are.
+def _joined_rows(found: ULogMessages) -> dict[tuple[str, int], Rows]:
+    """The rows of all topics with any, by name and instance."""
+    by_name: dict[tuple[str, int], list[ULogTopic]] = {}
+    for topic in found.topics.values():
+        # A topic that is subscribed again has another number.
+        by_name.setdefault((topic.name, topic.instance), []).append(topic)
+    return {
+        key: np.concatenate([rows for topic in some for rows in topic.rows])
+        for key, some in by_name.items()
+        if any(topic.rows for topic in some) and len({topic.dtype for topic in some}) == 1
+    }
 
-    The logger writes the newest sample of every topic first, which may be minutes old.
-    """
-    count = 0
-    for topic in topics.values():
-        old = topic["timestamp"] < start_us - STALE_US
-        if old.any():
-            count += int(old.sum())
-            topic["timestamp"] = np.where(old, np.uint64(start_us), topic["timestamp"])
-    return count
+
+def _own_times(rows: Rows) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
+    """The stamps of a topic's rows, and another clock's."""
+    names = rows.dtype.names or ()
+    other = next((name for name in OTHER_CLOCKS if name in names), None)
+    own = rows["timestamp"].astype(np.int64) if "timestamp" in names else None
+    return own, None if other is None else rows[other].astype(np.int64)
 
 
-def remove_misdated(topics: dict[tuple[str, int], Topic]) -> bool:
-    """Remove rows with a wrong timestamp; returns whether there were any."""
-    found = False
-    for topic in topics.values():
-        wrong = find_misdated(topic["timestamp"].astype(np.int64))
-        if wrong.any():
-            found = True
-            topic.update({name: values[~wrong] for name, values in topic.items()})
+def _placed(kind: str, rows: list[tuple[int, str, bytes]]) -> RowStamps:
+    """Places and stamps of other messages."""
+    at = np.array([row[0] for row in rows], np.int64)
+    if kind not in PLACED:
+        return RowStamps(at, None)
+    stamps = [struct.unpack_from("<Q", row[2], PLACED[kind])[0] for row in rows]
+    return RowStamps(at, np.array(stamps, np.uint64).astype(np.int64))
+
+
+def _texts(others: Mapping[str, list[tuple[int, str, bytes]]], times: RowTimes) -> LoggedTexts:
+    """Logged messages; the level is an ASCII digit, `& 7` makes a corrupted one valid."""
+    return [
+        (int(t_us), (payload[0] - ord("0")) & 7, _decoded(payload[PLACED[kind] + 8 :]).strip())
+        for kind in PLACED
+        for t_us, (_, _, payload) in zip(times.times[kind], others[kind], strict=True)
+    ]
+
+
+def _decoded(text: bytes) -> str:
+    return text.split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+def _keyed(payload: bytes) -> tuple[str, Any]:
+    """Key and value of an information message; a value of another type as bytes."""
+    length = payload[0]
+    key = KEY.match(payload[1 : 1 + length].decode("latin-1"))
+    value = payload[1 + length :]
+    if key is None:
+        return "", value
+    if key[1] == "char":
+        return key[3], _decoded(value)
+    kind = np.dtype(NUMBERS.get(key[1], "V1"))
+    if not key[2] and len(value) == kind.itemsize:
+        return key[3], np.frombuffer(value, kind)[0].item()
+    return key[3], value
+
+
+def _infos(rows: list[tuple[int, str, bytes]]) -> dict[str, Any]:
+    return dict(_keyed(payload) for _, _, payload in rows)
+
+
+def _several_infos(rows: list[tuple[int, str, bytes]]) -> dict[str, list[list[Any]]]:
+    """Information in several parts: the continued parts of each message."""
+    found: dict[str, list[list[Any]]] = {}
+    for _, _, payload in rows:
+        key, value = _keyed(payload[1:])
+        parts = found.setdefault(key, [])
+        if payload[0] and parts:
+            parts[-1].append(value)
+        else:
+            parts.append([value])
     return found
 
 
-def _defaults(log: Any) -> dict[str, float]:
+def _parameters(
+    found: ULogMessages,
+    raw: Mapping[tuple[str, int], Rows],
+    rows: list[tuple[int, str, bytes]],
+    times: RowTimes,
+) -> tuple[dict[str, float], list[tuple[int, str, float]]]:
+    """Parameters before the first sample, and those that change after it."""
+    begin = min((int(some["at"][0]) for some in raw.values()), default=1 << 62)
+    initial, changes = {}, []
+    for t_us, (at, _, payload) in zip(times.times["P"].tolist(), rows, strict=True):
+        name, value = _keyed(payload)
+        # A corrupted definition gives another type.
+        if isinstance(value, (int, float)):
+            if at < begin:
+                initial[name] = float(value)
+            else:
+                changes.append((t_us, name, float(value)))
+    return initial, changes
+
+
+def _defaults(
+    rows: list[tuple[int, str, bytes]], parameters: Mapping[str, float]
+) -> dict[str, float]:
     """Default of every parameter; the log lists only defaults that differ from the value in use."""
-    if not log.has_default_parameters:
+    if not rows:
         return {}
-    # The defaults of the firmware and the airframe override the values in use.
-    every = log.initial_parameters | log.get_default_parameters(0) | log.get_default_parameters(1)
-    return {name: float(value) for name, value in every.items() if isinstance(value, NUMBER)}
+    # The defaults of the firmware (bit 0) and the airframe (bit 1) override the values in use.
+    found = dict(parameters)
+    for bit in (1, 2):
+        found |= {
+            name: float(value)
+            for _, _, payload in rows
+            if payload[0] & bit
+            for name, value in [_keyed(payload[1:])]
+            if isinstance(value, (int, float))
+        }
+    return found
 
 
 def _with_newer_names(columns: Mapping[str, NDArray[Any]]) -> Topic:

@@ -8,7 +8,12 @@ definitions in the log [1]_. A log without definitions gives no event texts.
 
 import contextlib
 import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
+
+from numpy.typing import NDArray
 
 LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
 
@@ -25,12 +30,18 @@ PRINTED_TITLES = {
 MAX_CHARACTERS = 100_000  # kept of one printed text
 
 
-def logged_texts(log: Any) -> LoggedTexts:
-    """Texts and events of a `pyulog.ULog` in order of time, without duplicates."""
-    # The level is an ASCII digit; `& 7` makes a corrupted one a valid severity.
-    texts = [
-        (m.timestamp, (m.log_level - ord("0")) & 7, m.message.strip()) for m in log.logged_messages
-    ]
+def logged_texts(
+    texts: LoggedTexts,
+    events: Mapping[str, NDArray[Any]],
+    info: Mapping[str, Any],
+    several: Mapping[str, list[list[Any]]],
+) -> LoggedTexts:
+    """Texts and events of a log in order of time, without duplicates.
+
+    `events` are the columns of the topic `event`; `info` and `several` the information messages,
+    with the definitions of the events.
+    """
+    log = _EventLog(SimpleNamespace(data=events), several, info)
     new = [
         (t_us, severity, text)
         for t_us, severity, text in _events(log)
@@ -41,11 +52,24 @@ def logged_texts(log: Any) -> LoggedTexts:
     return sorted(texts + new, key=lambda row: row[0])
 
 
-def printed_texts(log: Any) -> dict[str, str]:
+@dataclass(frozen=True, slots=True)
+class _EventLog:
+    """What pyulog needs to read events."""
+
+    topic: SimpleNamespace
+    msg_info_multiple_dict: Mapping[str, list[list[Any]]]
+    msg_info_dict: Mapping[str, Any]
+
+    def get_dataset(self, _: str) -> SimpleNamespace:
+        """The topic of events."""
+        return self.topic
+
+
+def printed_texts(several: Mapping[str, list[list[Any]]]) -> dict[str, str]:
     """Console and diagnostic output by title."""
     found = {}
     for key, title in PRINTED_TITLES.items():
-        lines = [line for part in log.msg_info_multiple_dict.get(key, ()) for line in part]
+        lines = [line for part in several.get(key, ()) for line in part]
         # The console output is split anywhere, everything else at line ends.
         between = "" if key == "boot_console_output" else "\n"
         text = between.join(line for line in lines if isinstance(line, str))
@@ -54,7 +78,7 @@ def printed_texts(log: Any) -> dict[str, str]:
     return found
 
 
-def _events(log: Any) -> LoggedTexts:
+def _events(log: _EventLog) -> LoggedTexts:
     from pyulog.px4_events import PX4Events
 
     reader = PX4Events()

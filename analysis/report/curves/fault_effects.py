@@ -1,7 +1,8 @@
 """Effects of faults: truth and estimates of a run compared with its fault-free reference flight.
 
-Both ran the same scenario with the same seed, so the deviations are zero before the first fault. A
-fault's effect is evaluated until the next fault, or until `RECOVERY_S` after its end.
+Both ran the same scenario with the same seed, so the deviations are zero before the first fault,
+but for those of an autopilot, whose flights differ a little without a fault too. A fault's effect
+is evaluated until the next fault, or until `RECOVERY_S` after its end.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,10 +33,11 @@ class StampedValues(NamedTuple):
     values: Vector
 
 
-def deviation_curves(folder: Path, reference: Path, t0_us: int) -> list[Signal]:
-    """Deviation of truth and estimates of a run folder from those of the reference flight."""
+def deviation_curves(folder: Path, reference: Path, t0_us: int, later_us: int = 0) -> list[Signal]:
+    """Deviation of truth and estimates of a run folder from those of the reference flight, which
+    took off `later_us` earlier."""
     found = []
-    own, clean = _truth(folder), _truth(reference)
+    own, clean = _truth(folder), _truth(reference, later_us)
     if own is not None and clean is not None:
         t_s, ours, theirs = _common(own, clean, t0_us)
         apart = ours - theirs
@@ -47,7 +49,7 @@ def deviation_curves(folder: Path, reference: Path, t0_us: int) -> list[Signal]:
             Signal("twin-speed", "truth", t_s, np.linalg.norm(apart[:, 3:6], axis=1)),
             Signal("twin-attitude", "truth", t_s, angle),
         ]
-    ours_, theirs_ = _estimates(folder), _estimates(reference)
+    ours_, theirs_ = _estimates(folder), _estimates(reference, later_us)
     for panel, track in ours_.items():
         if panel in theirs_:
             t_s, values, clean_values = _common(track, theirs_[panel], t0_us)
@@ -85,12 +87,13 @@ def _extent(curve: Signal, inside: np.typing.NDArray[np.bool_]) -> Mapping[str, 
 
 def _common(own: StampedValues, clean: StampedValues, t0_us: int) -> tuple[Vector, Vector, Vector]:
     """Times on the report's axis with both values, and the values of both."""
-    # Timestamps are equal in both, so no interpolation is needed.
-    stamps, ours, theirs = np.intersect1d(own.t_us, clean.t_us, return_indices=True)
-    return (stamps - t0_us) * 1e-6, own.values[ours], clean.values[theirs]
+    both = (own.t_us >= clean.t_us[0]) & (own.t_us <= clean.t_us[-1])
+    stamps = own.t_us[both]
+    theirs = [np.interp(stamps, clean.t_us, column) for column in clean.values.T]
+    return (stamps - t0_us) * 1e-6, own.values[both], np.stack(theirs, axis=1)
 
 
-def _truth(folder: Path) -> StampedValues | None:
+def _truth(folder: Path, later_us: int = 0) -> StampedValues | None:
     """True ECEF position, velocity and attitude, from the log before fault injection."""
     # The truth in `sent.tlog` may be modified by faults.
     rows = read_columns(folder / "received.tlog", only={TRUTH}).get(TRUTH)
@@ -100,21 +103,21 @@ def _truth(folder: Path) -> StampedValues | None:
     place = ecef_from_geodetic(lat, lon, rows["alt"] * 1e-3)
     v_ned = np.stack([rows[name] * 1e-2 for name in ("vx", "vy", "vz")], axis=1)
     values = np.hstack([place, v_ned, rows["attitude_quaternion"]])
-    return StampedValues(rows["time_usec"].astype(np.int64), values)
+    return StampedValues(rows["time_usec"].astype(np.float64) + later_us, values)
 
 
-def _estimates(folder: Path) -> dict[str, StampedValues]:
+def _estimates(folder: Path, later_us: int = 0) -> dict[str, StampedValues]:
     """The monitor's position, and attitude errors of the first estimator, by panel."""
     places: list[tuple[int, tuple[float, ...]]] = []
     angles: list[tuple[int, tuple[float, ...]]] = []
     first = ""
     for result in read_results(folder / "results.jsonl"):
         if isinstance(result, Decision) and result.position_ecef_m is not None:
-            places.append((result.t_us, result.position_ecef_m))
+            places.append((result.t_us + later_us, result.position_ecef_m))
         elif isinstance(result, AttitudeError):
             first = first or result.estimator
             if result.estimator == first:
-                angles.append((result.t_us, (result.angle,)))
+                angles.append((result.t_us + later_us, (result.angle,)))
     found = {"twin-position": _track(places), "twin-attitude": _track(angles)}
     # Without results there is no curve.
     return {panel: track for panel, track in found.items() if len(track.t_us)}

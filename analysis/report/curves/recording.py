@@ -128,6 +128,8 @@ class FlightData:
         Console output, processes and performance counters by title.
     vehicle : str
         Class of the vehicle (`vehicle_phase.CLASSES`), "" if unknown.
+    identity : dict
+        Firmware, board, UUID and frame, as far as the log says.
     """
 
     name: str
@@ -149,6 +151,7 @@ class FlightData:
     defaults: dict[str, float] = field(default_factory=dict)
     printed: dict[str, str] = field(default_factory=dict)
     vehicle: str = ""
+    identity: dict[str, str] = field(default_factory=dict)
 
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
@@ -162,7 +165,7 @@ def join_recordings(first: FlightData, second: FlightData) -> FlightData:
         for part in fields(FlightData)
         if isinstance(getattr(first, part.name), (list, tuple))
     }
-    for name in ("parameters", "messages", "defaults", "printed"):
+    for name in ("parameters", "messages", "defaults", "printed", "identity"):
         together[name] = getattr(first, name) | getattr(second, name)
     return replace(
         first,

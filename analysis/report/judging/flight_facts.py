@@ -6,6 +6,8 @@ from analysis.report.curves.derived_curves import OWN_ATTITUDE
 from analysis.report.curves.recording import FlightData, Signal
 from analysis.report.curves.vehicle_phase import armed_windows
 
+AXES = ("roll", "pitch", "yaw")
+
 
 def flight_facts(recording: FlightData) -> list[tuple[str, str]]:
     """Name and value of each key figure, from the autopilot's own estimate while armed."""
@@ -23,9 +25,21 @@ def flight_facts(recording: FlightData) -> list[tuple[str, str]]:
     if height is not None:
         span_m = float(np.nanmax(height.value) - np.nanmin(height.value))
         found.append(("height range", _metres(span_m)))
+    climb = _inside(recording, "climb", ("estimate", "CTUN", "VFR_HUD"), armed)
+    if climb is not None:
+        fastest = np.nanmax(climb.value), -np.nanmin(climb.value)
+        found.append(("fastest climb and sink", "{:.1f} and {:.1f} m/s".format(*fastest)))
     tilt = _inside(recording, "tilt", OWN_ATTITUDE, armed)
     if tilt is not None:
         found.append(("largest tilt", f"{np.nanmax(tilt.value):.0f}°"))
+    rates = [_inside(recording, f"rate-{axis}", ("actual",), armed) for axis in AXES]
+    turned = [np.nanmax(np.abs(rate.value)) for rate in rates if rate is not None]
+    if turned:
+        found.append(("fastest rotation", f"{max(turned):.0f}°/s"))
+    current = _inside(recording, "battery-current", ("battery", "SYS_STATUS"), armed)
+    if current is not None:
+        drawn = np.nanmean(current.value), np.nanmax(current.value)
+        found.append(("current, mean and largest", "{:.1f} and {:.1f} A".format(*drawn)))
     return found
 
 

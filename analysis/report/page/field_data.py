@@ -57,8 +57,12 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
     if most_mb == 0:
         return FieldData()
     # Sorted, so that message numbers are reproducible.
-    tables = [(name, m.t_s, dict(_columns(m.columns))) for name, m in sorted(messages.items())]
-    tables = [table for table in tables if table[2] and len(table[1])]
+    tables = [
+        # A message of texts only shows when it came.
+        (name, m.t_s, dict(_columns(m.columns)) or {"count": np.arange(1.0, len(m.t_s) + 1)})
+        for name, m in sorted(messages.items())
+        if len(m.t_s)
+    ]
     # + 1: the times are a column too.
     sizes = [(len(t_s), len(columns) + 1) for _, t_s, columns in tables]
     most_rows = None if most_mb is None else _rows(sizes, most_mb * 1e6 / BYTES_OF_A_CELL)

@@ -1,6 +1,7 @@
 """Compose the report page of a log: verdict, checks, injected faults and tables."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
 from analysis.report.curves.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
 from analysis.report.flight_verdict import FlightAssessment
@@ -20,6 +21,7 @@ from analysis.report.page.report_tables import (
     run_tables,
 )
 
+LATEST_UTC_US = 1 << 52  # the year 2112
 # Names as spelled by the projects.
 AUTOPILOTS = {"px4": "PX4", "ardupilot": "ArduPilot"}
 # Facts that need monitor results; without, they would all be zero.
@@ -53,10 +55,9 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
         every += [("Parameters", table) for table in parameters_table(recording)]
     shown = [("outcome", str(summary["outcome"]["outcome"]))]
     shown += [("flight", f"{recording.duration_s:.0f} s"), *_counts(outcome.checks)]
-    if recording.autopilot:
-        shown.append(("autopilot", AUTOPILOTS[recording.autopilot]))
-    if recording.vehicle:
-        shown.append(("vehicle", recording.vehicle))
+    kind = recording.vehicle or AUTOPILOTS.get(recording.autopilot, "")
+    known = {"vehicle": kind, **recording.identity, "date": _date(recording.utc0_us)}
+    shown += [(name, text) for name, text in known.items() if text]
     if order := chain_text(outcome.checks):
         shown.append(("in order", order))
     shown += flight_facts(recording) + _run_facts(outcome)
@@ -69,6 +70,13 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
         check_reasons(outcome.checks),
         [(GPS, *picture) for picture in sky_pictures(recording)],
     )
+
+
+def _date(utc_us: int) -> str:
+    """The date and time at which the log begins; empty if unknown."""
+    if not 0 < utc_us < LATEST_UTC_US:
+        return ""
+    return datetime.fromtimestamp(utc_us * 1e-6, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _counts(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:

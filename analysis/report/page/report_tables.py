@@ -10,6 +10,7 @@ from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, FlightC
 from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.results import Result
+from analysis.scoring.run_remarks import run_remarks
 from mavproxy_fault.wire.label import Label
 
 EFFECTS = {"position_m": "position, m", "speed_mps": "speed, m/s", "attitude_deg": "attitude, °"}
@@ -38,6 +39,8 @@ def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         facts.append(("GNSS epochs", str(summary["epochs"])))
     if summary.get("untestable_epochs") is not None:
         facts.append(("epochs untestable", str(summary["untestable_epochs"])))
+    if summary.get("unexplained_epochs"):
+        facts.append(("epochs unexplained", str(summary["unexplained_epochs"])))
     if attitude:
         facts.append(("attitude RMSE, worst axis", f"{attitude['max']:.2f}°"))
     if summary.get("position_rmse_m") is not None:
@@ -80,6 +83,9 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
     false = summary.get("false_by_channel") or []
     if false:
         tables.append((TIMELINE, _false_table(false)))
+    remarks = run_remarks(summary) if "untestable_reasons" in summary else []
+    if remarks:
+        tables.append((CHECKS, ReportTable("Remarks", ("kind", "what"), remarks)))
     effects = summary.get("effects") or []
     if effects:
         tables.append((FAULT_EFFECTS, _effect_table(effects)))

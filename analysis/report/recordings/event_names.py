@@ -1,7 +1,4 @@
-"""Names of estimator flags, errors and events, as the autopilots define them.
-
-Flags: MAVLink's ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS.
-"""
+"""Names of errors and events, as the autopilots define them."""
 
 # ArduPilot's LogErrorSubsystem and some of its LogEvent.
 ERRORS = {
@@ -25,7 +22,3 @@ EVENTS = {
     54: "motors emergency stopped",
 }  # fmt: skip
 STATES = {5: "CRITICAL", 6: "EMERGENCY"}
-
-# Bits of ESTIMATOR_STATUS_FLAGS.
-ESTIMATOR_FLAGS = {10: "GPS glitch", 11: "accelerometer error"}
-EKF_ARDUPILOT_GLITCH = 15  # bit of EKF_STATUS_FLAGS: EKF_GPS_GLITCHING

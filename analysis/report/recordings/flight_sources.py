@@ -17,7 +17,7 @@ from analysis.report.recordings.from_results import axis_start, recording_of_res
 from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
 from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.reading_bar import reading_bar
-from analysis.report.recordings.thinning import WHOLE_BYTES, dataflash_thinning, read_contents
+from analysis.report.recordings.thinning import WHOLE_BYTES, block_thinning, read_contents
 from analysis.results import Result, decode, read_results
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
@@ -94,15 +94,15 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
     name = paths[0].stem
     if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
         return _results_alone(paths[0], labels)
-    if is_ulog(head):
-        with reading_bar(paths[0]) as progress:
-            log = read_ulog(paths[0], progress)
-        recording = recording_of_ulog(log, name, t0_us)
-    elif is_dataflash(head):
+    if is_ulog(head) or is_dataflash(head):
         size = written_bytes(paths[0])
-        recording = recording_of_dataflash(
-            read_dataflash(paths[0], thin=dataflash_thinning(size)), name, t0_us
-        )
+        thin = block_thinning(size)
+        if is_ulog(head):
+            with reading_bar(paths[0]) as progress:
+                log = read_ulog(paths[0], progress, thin)
+            recording = recording_of_ulog(log, name, t0_us)
+        else:
+            recording = recording_of_dataflash(read_dataflash(paths[0], thin=thin), name, t0_us)
         recording.notes.extend([THINNED.format(name, size / 1e6)] if size > WHOLE_BYTES else [])
     else:
         recording = _tlogs(paths, t0_us)

@@ -8,27 +8,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.field_maps.dataflash_map import DATAFLASH
 from analysis.recordings.flight_logs.dataflash import DataflashFile, Topic
-from analysis.report.curves.dataflash_curves import CURVES
-from analysis.report.curves.field_values import values_of
 from analysis.report.curves.recording import (
-    REJECTED_S,
     UNGRADED,
     Event,
     FlightData,
-    GroundTrack,
     Message,
-    Signal,
     Span,
     Vector,
-    active_spans,
-    flag_events,
     value_spans,
 )
 from analysis.report.curves.vehicle_phase import ARDUPILOT, BUILDS, class_by_texts, mode_name
 from analysis.report.recordings.event_names import ERRORS, EVENTS, FAILSAFE_REASONS
+from analysis.report.recordings.mapped_message import add_message
+from analysis.report.recordings.vehicle_identity import identity_by_messages
 
 ARMED, DISARMED = 10, 11  # EV.Id
 # EV.Id of events that occur once per flight and only while armed.
@@ -43,14 +38,6 @@ STATES = (
 )
 FIRST_TEXTS = 40  # chosen: the firmware names itself among the first texts of a log
 ERROR_SEVERITY = 3  # severity of an error
-# Bits of the field TS.
-TIMEOUTS = {0: "position timeout", 1: "velocity timeout", 2: "height timeout", 3: "compass timeout"}
-SOLUTION = {14: "GPS glitch"}  # bits of the field SS, nav_filter_status in AP_Nav_Common.h
-# Innovation test ratios: from 1 on a measurement is rejected.
-REJECTED = {
-    "SV": "velocity rejected", "SP": "position rejected", "SH": "height rejected",
-    "SM": "compass rejected", "SVT": "airspeed rejected",
-}  # fmt: skip
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
 LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
@@ -66,16 +53,11 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
         t_s = _seconds(topic, start_us)
         suffix = f" {instance + 1}" if instance else ""
         # Names in the page's expressions cannot contain spaces.
-        found.messages[f"{kind}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
-        for curve in CURVES:
-            if curve.message == kind and (curve.every or instance == 0):
-                y = values_of(curve, topic)
-                if y is not None:
-                    found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
-        found.tracks.extend(_tracks(kind, suffix, topic, t_s))
+        message = found.messages[f"{kind}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
+        lines = [line for line in DATAFLASH.get(kind, ()) if not (line.first and instance)]
+        add_message(found, lines, message, suffix)
     _add_modes(found, log, start_us)
     _add_armed(found, log, start_us)
-    _add_flags(found, log, start_us)
     _add_core(found, log, start_us)
     _add_texts(found, log, start_us)
     _add_parameters(found, log, start_us)
@@ -84,12 +66,9 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
         found.notes.append("the file ends within a message: the log is truncated")
     if log.corrupted:
         found.notes.append("parts of the file are corrupted and were skipped")
-    if log.restarts:
-        found.notes.append(
-            f"the vehicle restarted {log.restarts} time(s) in this log: each boot is drawn after "
-            "the one before, one second later"
-        )
-    return replace(found, utc0_us=_utc0_us(log, start_us))
+    found.notes.extend(log.times.notes())
+    identity = identity_by_messages(found)
+    return replace(found, utc0_us=_utc0_us(log, start_us), identity=identity)
 
 
 def _topic(
@@ -108,18 +87,6 @@ def _seconds(topic: Topic, start_us: int) -> Vector:
 
 def _text(value: object) -> str:
     return value.decode("utf-8", "replace").strip() if isinstance(value, bytes) else str(value)
-
-
-def _tracks(kind: str, suffix: str, topic: Topic, t_s: Vector) -> list[GroundTrack]:
-    label = {"GPS": "GPS", "POS": "estimate", "SIM": "truth"}.get(kind)
-    if label is None or not {"Lat", "Lng", "Alt"} <= topic.keys():
-        return []
-    # A latitude of zero means no fix yet.
-    keep = topic["Lat"] != 0
-    if keep.sum() < 2:
-        return []
-    columns = [topic[key][keep].astype(float) for key in ("Lat", "Lng", "Alt")]
-    return [GroundTrack(label + suffix, t_s[keep], *columns)]
 
 
 def _vehicle_class(log: DataflashFile) -> str:
@@ -198,29 +165,6 @@ def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
 def _lasting(lane: str, t_s: Vector, words: list[str], end_s: float) -> list[Span]:
     """Spans of equal words, the last one until the end of the log."""
     return value_spans(lane, np.append(t_s, end_s), [*words, words[-1]]) if words else []
-
-
-def _add_flags(found: FlightData, log: DataflashFile, start_us: int) -> None:
-    """Add estimator flags: timeouts, rejected measurements, GPS glitches."""
-    # The newest type of filter in the log.
-    topic = next((t for k in ESTIMATORS if (t := log.topics.get((k, 0))) and "TS" in t), None)
-    if topic is None:
-        return
-    t_s = _seconds(topic, start_us)
-    spans: list[Span] = []
-    for field, texts in (("TS", TIMEOUTS), ("SS", SOLUTION)):
-        if field not in topic:
-            continue
-        flags: NDArray[np.int64] = topic[field].astype(np.int64)
-        for bit, text in texts.items():
-            lane = f"estimator: {text}"
-            spans += active_spans(lane, t_s, flags >> bit & 1 == 1, text, "flag")
-    for field, text in REJECTED.items():
-        if field in topic:
-            rejected = topic[field] >= 1.0  # innovation over its gate
-            spans += active_spans(f"estimator: {text}", t_s, rejected, text, "flag", REJECTED_S)
-    found.spans.extend(spans)
-    found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
 def _add_core(found: FlightData, log: DataflashFile, start_us: int) -> None:

@@ -1,26 +1,15 @@
 """Convert the MAVLink messages of one or more tlogs of one flight to `FlightData`."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.curves.field_values import values_of
-from analysis.report.curves.recording import (
-    Event,
-    FlightData,
-    GroundTrack,
-    Message,
-    Signal,
-    active_spans,
-    flag_events,
-    local_track,
-    value_spans,
-)
-from analysis.report.curves.tlog_curves import CURVES
+from analysis.field_maps.tlog_map import TLOG
+from analysis.report.curves.recording import Event, FlightData, Message, local_track, value_spans
 from analysis.report.curves.vehicle_phase import ARDUPILOT, CLASSES, PX4, mode_name
-from analysis.report.recordings.event_names import EKF_ARDUPILOT_GLITCH, ESTIMATOR_FLAGS, STATES
+from analysis.report.recordings.event_names import STATES
 from analysis.report.recordings.link_quality import link_quality
 from analysis.report.recordings.log_clock import (
     GROUND_STATION,
@@ -30,25 +19,23 @@ from analysis.report.recordings.log_clock import (
     autopilot_component,
     clock_of,
 )
+from analysis.report.recordings.mapped_message import add_message
 from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
+from analysis.report.recordings.vehicle_identity import identity_by_messages
 from mavproxy_fault.wire.tlog import Columns
 
 LANDED_STATES = {1: "landed", 2: "flying", 3: "flying", 4: "flying"}  # MAV_LANDED_STATE
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
 TRUTH = "HIL_STATE_QUATERNION"
+# Messages from which a report has curves.
+SHOWN = {name for name, lines in TLOG.items() if any(line.is_curve for line in lines)}
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 SET_MODE = 176  # MAV_CMD_DO_SET_MODE
 MODE_COMMANDS = {
     20: "RTL", 21: "LAND", 22: "TAKEOFF", 84: "TAKEOFF", 85: "LAND", 192: "reposition",
     193: "pause", 300: "mission",
 }  # MAV_CMD_  # fmt: skip
-TRACKS = (
-    ("HIL_STATE_QUATERNION", "truth", 1e-3),
-    ("HIL_GPS", "HIL_GPS", 1e-3),
-    ("GPS_RAW_INT", "GPS", 1e-3),
-    ("GLOBAL_POSITION_INT", "estimate", 1e-3),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +112,13 @@ def recording_of_tlog(
     autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
     ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
     found.events.sort(key=lambda event: event.t_s)
-    return FlightData(
+    flight = FlightData(
         name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
         found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
         found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
         messages=found.messages, vehicle=vehicles[0].kind,
     )  # fmt: skip
+    return replace(flight, identity=identity_by_messages(flight))
 
 
 def _by_component(columns: Columns) -> tuple[Columns, Columns]:
@@ -174,7 +162,7 @@ def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:
 def vehicle_systems(columns: Columns) -> list[int]:
     """System ids of vehicles: senders of plotted messages, except ground stations and radios."""
     systems: set[int] = set()
-    for message in {curve.message for curve in CURVES} & columns.keys():
+    for message in SHOWN & columns.keys():
         systems.update(np.unique(columns[message]["system"]).tolist())
     if "HEARTBEAT" in columns:
         beats = columns["HEARTBEAT"]
@@ -210,15 +198,12 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
         for component in np.unique(rows["component"]).tolist():
             some = _message(vehicle, rows[rows["component"] == component])
             found.messages[f"{name}{ending}_component_{component}"] = some
-    for curve in CURVES:
-        message = messages.get(curve.message)
-        if message is not None and (y := values_of(curve, message.columns)) is not None:
-            name = curve.name + vehicle.suffix
-            found.signals.append(Signal(curve.panel, name, message.t_s, y))
-    _add_tracks(found, vehicle)
+    for name, lines in TLOG.items():
+        if name in messages:
+            add_message(found, lines, messages[name], vehicle.suffix)
+    _add_local_track(found, vehicle, messages.get("LOCAL_POSITION_NED"))
     _add_modes(found, vehicle)
     _add_landed(found, vehicle)
-    _add_flags(found, vehicle)
     _add_texts(found, vehicle)
     _add_parameters(found, vehicle)
 
@@ -265,32 +250,11 @@ def _commanded_mode(row: np.void, vehicle: _Vehicle) -> str:
     return mode_name(vehicle.autopilot, vehicle.kind, custom)
 
 
-def _in_order(
-    t_s: NDArray[np.float64], *values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ...]:
-    if np.all(np.diff(t_s) >= 0):
-        return (t_s, *values)
-    order = np.argsort(t_s, kind="stable")
-    return (t_s[order], *(value[order] for value in values))
-
-
-def _add_tracks(found: FlightData, vehicle: _Vehicle) -> None:
-    for message, label, scale in TRACKS:
-        rows = vehicle.columns.get(message)
-        if rows is None:
-            continue
-        # 0, 0 means no position.
-        rows = rows[(rows["lat"] != 0) | (rows["lon"] != 0)]
-        if len(rows) < 2:
-            continue
-        lat, lon = rows["lat"] * 1e-7, rows["lon"] * 1e-7
-        t_s, lat, lon, alt = _in_order(vehicle.clock.seconds(rows), lat, lon, rows["alt"] * scale)
-        found.tracks.append(GroundTrack(label + vehicle.suffix, t_s, lat, lon, alt))
-    rows = vehicle.columns.get("LOCAL_POSITION_NED")
-    # Only without a global position, as indoors.
-    if rows is not None and len(rows) > 1 and not found.tracks:
-        t_s, *ned = _in_order(vehicle.clock.seconds(rows), rows["x"], rows["y"], rows["z"])
-        found.tracks.append(local_track("local estimate" + vehicle.suffix, t_s, *ned))
+def _add_local_track(found: FlightData, vehicle: _Vehicle, message: Message | None) -> None:
+    """Add the local position as a track, only without a global one, as indoors."""
+    if message is not None and len(message.t_s) > 1 and not found.tracks:
+        ned = (message.columns[axis] for axis in "xyz")
+        found.tracks.append(local_track("local estimate" + vehicle.suffix, message.t_s, *ned))
 
 
 def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
@@ -324,25 +288,6 @@ def _add_landed(found: FlightData, vehicle: _Vehicle) -> None:
         texts = [LANDED_STATES.get(state, "") for state in rows["landed_state"].tolist()]
         t_s = vehicle.clock.seconds(rows)
         found.spans.extend(value_spans("flying" + vehicle.suffix, t_s, texts))
-
-
-def _add_flags(found: FlightData, vehicle: _Vehicle) -> None:
-    """Add estimator flags as spans and events."""
-    tables = (
-        ("ESTIMATOR_STATUS", ESTIMATOR_FLAGS),
-        ("EKF_STATUS_REPORT", {EKF_ARDUPILOT_GLITCH: "GPS glitch"}),
-    )
-    for message, bits in tables:
-        rows = vehicle.columns.get(message)
-        if rows is None:
-            continue
-        t_s, flags = _in_order(vehicle.clock.seconds(rows), rows["flags"].astype(float))
-        for bit, text in bits.items():
-            raised = flags.astype(np.int64) >> bit & 1 == 1
-            lane = f"estimator: {text}{vehicle.suffix}"
-            spans = active_spans(lane, t_s, raised, text, "flag")
-            found.spans.extend(spans)
-            found.events.extend(flag_events(spans, float(t_s[-1])))
 
 
 def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:

@@ -5,24 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.field_maps.ulog_map import GATES, ULOG
 from analysis.recordings.flight_logs.ulog import Topic, ULogFile
-from analysis.report.curves.field_values import values_of
 from analysis.report.curves.recording import (
     Event,
     FlightData,
     GroundTrack,
     Message,
-    Signal,
     Span,
     active_spans,
     flag_events,
     local_track,
     value_spans,
 )
-from analysis.report.curves.ulog_curves import CURVES
-from analysis.report.curves.ulog_innovations import innovation_signals
 from analysis.report.curves.vehicle_phase import CLASSES, PX4_TYPES, VTOL
-from analysis.report.recordings.ulog_flags import flag_spans
+from analysis.report.recordings.mapped_message import add_flag, add_message
+from analysis.report.recordings.vehicle_identity import identity_by_info
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 Values = NDArray[np.float64]
@@ -41,25 +39,29 @@ SATURATED = 0.99  # share of a motor's range taken as saturated
 def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> FlightData:
     """Convert a ULog; the time axis starts at `t0_us` or the log's start."""
     start_us = log.start_us if t0_us is None else t0_us
-    found = FlightData(name)
+    found = FlightData(name, "px4")
+    # Older versions have no field `connected`.
+    constants = GATES | log.parameters | {"connected": 1.0}
     log_lacks: list[str] = []
     for (topic_name, instance), topic in sorted(log.topics.items()):
         t_s: Values = (topic["timestamp"].astype(np.float64) - start_us) * 1e-6
         suffix = f" {instance + 1}" if instance else ""
-        found.messages[f"{topic_name}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
-        for curve in CURVES:
-            if curve.message == topic_name and (y := values_of(curve, topic)) is not None:
-                found.signals.append(Signal(curve.panel, curve.name + suffix, t_s, y))
+        message = found.messages[f"{topic_name}{suffix.replace(' ', '_')}"] = Message(t_s, topic)
+        lines = [line for line in ULOG.get(topic_name, ()) if not (line.first and instance)]
+        add_message(found, lines, message, suffix, constants)
+        for field in topic if topic_name == "estimator_status_flags" else ():
+            # Faults and rejected measurements.
+            if field.startswith(("fs_", "reject_")):
+                add_flag(found, "flag", field.replace("_", " "), message, topic[field] > 0, suffix)
         try:
-            found.tracks.extend(_tracks(topic_name, suffix, topic, t_s))
+            if topic_name == "vehicle_local_position" and "ref_lat" in topic:
+                found.tracks.extend(_local_track(topic, t_s))
             found.events.extend(_commanded_modes(topic_name, topic, t_s))
             spans = _spans(topic_name, suffix, topic, t_s)
-            spans += flag_spans(topic_name, suffix, topic, t_s)
             found.spans.extend(spans)
             found.events.extend(flag_events(spans, float(t_s[-1])))
         except KeyError:  # a corrupted definition, or another version of PX4
             log_lacks.append(topic_name)
-    found.signals.extend(innovation_signals(log.topics, log.parameters, start_us))
     found.spans.extend(
         Span(
             "log dropout", at_s := (t_us - start_us) * 1e-6, at_s + for_s, f"{for_s:.2f} s", "warn"
@@ -81,6 +83,7 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,
         _notes(log, log_lacks), utc0_us=_utc0_us(log.topics, start_us), messages=found.messages,
         defaults=log.defaults, printed=log.printed, vehicle=_vehicle_class(log),
+        identity=identity_by_info(log.info, log.parameters),
     )  # fmt: skip
 
 
@@ -101,26 +104,6 @@ def _utc0_us(topics: Mapping[tuple[str, int], Topic], start_us: int) -> int:
     # The last one, as receivers correct their clock after the first fixes.
     last = int(np.flatnonzero(topic["time_utc_usec"])[-1])
     return int(topic["time_utc_usec"][last]) - int(topic["timestamp"][last]) + start_us
-
-
-def _tracks(name: str, suffix: str, topic: Topic, t_s: Values) -> list[GroundTrack]:
-    labels = {
-        "vehicle_gps_position": "GPS",
-        "vehicle_global_position": "estimate",
-        "vehicle_global_position_groundtruth": "truth",
-    }
-    if name == "vehicle_local_position" and "ref_lat" in topic:
-        return _local_track(topic, t_s)
-    if name not in labels or "latitude_deg" not in topic:
-        return []
-    # Before the first fix positions are zero.
-    keep = np.isfinite(topic["latitude_deg"]) & (topic["latitude_deg"] != 0)
-    if keep.sum() < 2:
-        return []
-    columns = [topic[key][keep] for key in ("latitude_deg", "longitude_deg", "altitude_msl_m")]
-    return [
-        GroundTrack(labels[name] + suffix, t_s[keep], *(column.astype(float) for column in columns))
-    ]
 
 
 def _local_track(topic: Topic, t_s: Values) -> list[GroundTrack]:
@@ -208,14 +191,11 @@ def _mode_events(spans: Sequence[Span]) -> list[Event]:
 
 
 def _notes(log: ULogFile, lacking: Sequence[str]) -> list[str]:
-    # The branch of the build if there is one, else the beginning of the version hash.
-    version = str(log.info.get("ver_sw_branch", "")) or str(log.info.get("ver_sw", ""))[:10]
-    notes = [f"PX4 {version} on {log.info.get('ver_hw', 'unknown hardware')}"]
+    notes = []
     if log.dropouts:
         total = sum(duration for _, duration in log.dropouts)
         notes.append(f"{len(log.dropouts)} dropouts in the log, {total:.2f} s in all")
-    if log.stale:
-        notes.append(f"{log.stale} samples from before the log are drawn at its beginning")
+    notes.extend(log.times.notes())
     if lacking:
         notes.append(f"fields missing in {', '.join(lacking)}: no spans or tracks from it")
     if log.cut:

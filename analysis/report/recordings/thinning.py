@@ -24,10 +24,10 @@ from mavproxy_fault.wire.written import written_bytes
 WHOLE_BYTES = 128_000_000  # larger logs are thinned; chosen to limit memory use
 ROWS = 300_000  # kept per message of a thinned log, at most
 LEAST_RECORD = 32  # bytes; the average record is longer
-SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS")
+SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS", "timestamp")
 LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes
 HEAD = 11  # bytes of a row with its time and sender
-OFFSET_AND_TIME = 16  # bytes of a row of a dataflash log
+OFFSET_AND_TIME = 16  # bytes of a row of another log
 
 Rows = NDArray[np.void]
 
@@ -93,8 +93,8 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     )
 
 
-def dataflash_thinning(size: int) -> Callable[[Rows], Rows]:
-    """Thins the rows of a message in one block of a dataflash log of `size` bytes."""
+def block_thinning(size: int) -> Callable[[Rows], Rows]:
+    """Thins the rows of a message in one block of a ULog or dataflash log of `size` bytes."""
     if size <= WHOLE_BYTES:
         return lambda rows: rows
     budget = max(60, ROWS * BLOCK_BYTES // size)

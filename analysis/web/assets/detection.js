@@ -145,7 +145,8 @@ function showEvent(one) {
 
 function showLabel(label) {
   const at_us = label.end_us ?? label.changed_us ?? label.start_us;
-  const what = label.end_us != null ? `fault ended after ${label.frames || 0} frame${label.frames === 1 ? "" : "s"}`
+  const what = label.by ? `${label.fault} by the ${label.by} ${label.end_us == null ? "starts" : "ended"}`
+    : label.end_us != null ? `fault ended after ${label.frames || 0} frame${label.frames === 1 ? "" : "s"}`
     : label.changed_us != null ? `value set to ${+label.value.toPrecision(6)}` : `fault starts on ${shorten(targetsOf(label))}`;
   const begin = store.seconds(label.start_us);
   faultIntervals.set(`${label.id} ${label.start_us}`, [begin, label.end_us == null ? null : store.seconds(label.end_us)]);

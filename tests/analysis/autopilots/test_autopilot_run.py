@@ -19,9 +19,10 @@ from queue import Queue
 
 import pytest
 
-from analysis.autopilots.autopilot_run import real_time_priority
+from analysis.autopilots.autopilot_run import keep_telemetry, real_time_priority
 from analysis.recordings.flight_logs.ulog import read_ulog
 from mavproxy_fault.links.bus import choose_free_port, open_bus
+from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.label import read_labels
 from mavproxy_fault.wire.tlog import read_columns
 
@@ -350,11 +351,14 @@ def test_without_permission_for_a_real_time_priority_the_flight_continues(
     assert gc.get_freeze_count() == 0
 
 
-def test_a_reference_flight_under_an_autopilot_is_refused(run):
-    process = run("--against-clean")
-    output, _ = process.communicate()
-    assert process.returncode == 2
-    assert (
-        "--against-clean: cannot be used with --autopilot, since two flights of ardupilot differ"
-        in output
-    )
+def test_a_preset_of_a_sensor_leaves_the_autopilot_s_own_telemetry_alone() -> None:
+    def direction(**entry):
+        (found,) = parse_schedule({"faults": [{"at_s": 1, **entry}]}).faults
+        kept = keep_telemetry(found)
+        assert parse_entry(dict(kept.written), "saved")[0].where == kept.where
+        return kept.where.direction
+
+    assert direction(preset="gps-jump") == "to-vehicle"
+    assert direction(preset="motor-failure") is None
+    assert direction(preset="communication-interrupted") is None
+    assert direction(fault="bias", target="GLOBAL_POSITION_INT.lat", value=9) is None

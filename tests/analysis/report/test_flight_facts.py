@@ -7,9 +7,14 @@ import pytest
 
 from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.curves.derived_curves import add_derived_curves, derive_curves
-from analysis.report.curves.recording import FlightData, Signal, Span
+from analysis.report.curves.recording import FlightData, Message, Signal, Span
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.vehicle_identity import (
+    identity_by_info,
+    identity_by_messages,
+    identity_by_texts,
+)
 
 T = np.arange(0.0, 100.0, 0.1)
 
@@ -60,3 +65,34 @@ def test_intervals_show_gaps_but_not_those_of_a_thinned_log() -> None:
     assert found.value.max() == pytest.approx(44.0)
     thinned = np.sort(np.random.default_rng(0).choice(t_s, 200, replace=False))
     assert derive_curves(FlightData("", signals=[Signal("gyro", "x", thinned, thinned)]))[0] == []
+
+
+def test_a_vehicle_is_known_by_what_it_says_of_itself() -> None:
+    texts = (
+        "ArduCopter V4.5.7 (2a3dc4b7)",
+        "CubeOrange 003E0037 3236510A 31333035",
+        "Frame: QUAD/X",
+    )
+    assert identity_by_texts(texts) == {
+        "firmware": "ArduCopter V4.5.7 (2a3dc4b7)",
+        "board": "CubeOrange",
+        "UUID": "003E00373236510A31333035",
+        "frame": "QUAD/X",
+    }
+    info = {"sys_name": "PX4", "ver_sw_release": 0x011003C0, "ver_sw": "eae80c15abc", "ver_hw": "X"}
+    found = identity_by_info(info, {"MAV_TYPE": 2.0, "SYS_AUTOSTART": 4001.0})
+    assert found["firmware"] == "PX4 1.16.3 rc (eae80c15)"
+    assert found["frame"] == "quadrotor, airframe 4001"
+
+
+def test_a_vehicle_is_known_by_the_version_that_it_sends() -> None:
+    columns = {
+        "flight_sw_version": np.array([0x040507FF]), "uid": np.array([0xAB]),
+        "flight_custom_version": np.array([list(b"2a3dc4b7")]),
+    }  # fmt: skip
+    message = Message(np.zeros(1), columns)
+    flown = FlightData("r", "ardupilot", messages={"AUTOPILOT_VERSION": message})
+    assert identity_by_messages(flown) == {
+        "firmware": "ArduPilot 4.5.7 (2a3dc4b7)",
+        "UUID": "00000000000000AB",
+    }

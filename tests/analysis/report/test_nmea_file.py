@@ -4,6 +4,7 @@ from dataclasses import replace
 from datetime import UTC, date, datetime, time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pynmeagps import ERR_RAISE, NMEAMessage, NMEAReader
 
@@ -15,7 +16,7 @@ ROW = SolutionRow(
     -33.8571234,
     -151.2151234,
     62.1234,
-    (1.5, 2.5, 4.0),
+    np.array([[2.25, -1.2, 0.3], [-1.2, 6.25, 0.0], [0.3, 0.0, 16.0]]),
     ("G01", "G32", "E05", "R07", "S20", "J02"),
     (-3.0, -4.0, 0.5),
     0.8,
@@ -72,7 +73,7 @@ def test_satellites_beyond_the_limit_are_in_a_second_sentence(tmp_path: Path) ->
 
 
 def test_a_position_without_a_sigma_is_no_fix(tmp_path: Path) -> None:
-    found = sentences(replace(ROW, sigma_ned_m=None), tmp_path)
+    found = sentences(replace(ROW, covariance_ned_m2=None), tmp_path)
     assert found["GGA"][0].quality == 0
     assert (found["RMC"][0].status, found["RMC"][0].posMode) == ("V", "N")
     assert found["GST"][0].stdLat == ""

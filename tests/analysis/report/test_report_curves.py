@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from analysis.field_maps.dataflash_map import DATAFLASH
+from analysis.field_maps.ulog_map import ULOG
 from analysis.report.curves.derived_curves import derive_curves
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Message, Signal
 from analysis.report.curves.spectra import frequency_marks, spectrum_panels
-from analysis.report.curves.ulog_innovations import innovation_signals
+from analysis.report.recordings.mapped_message import add_message
 
 T_S = np.arange(0, 20, 0.004)
 
@@ -69,15 +71,14 @@ def test_filters_and_motors_are_marked_and_a_notch_that_is_off_is_not() -> None:
 
 
 def test_an_innovation_comes_with_the_gate_of_its_parameter_both_ways() -> None:
-    stamps = np.array([1_000_000, 2_000_000])
-    topics = {
-        ("estimator_innovations", 0): {"timestamp": stamps, "baro_vpos": np.array([0.5, -0.5])},
-        ("estimator_innovation_variances", 0): {
-            "timestamp": stamps,
-            "baro_vpos": np.array([0.04, 0.09]),
-        },
-    }
-    found = {s.name: s for s in innovation_signals(topics, {"EKF2_BARO_GATE": 3.0}, 1_000_000)}
+    flight, t_s = FlightData("r"), np.array([0.0, 1.0])
+    for name, values in (
+        ("estimator_innovations", [0.5, -0.5]),
+        ("estimator_innovation_variances", [0.04, 0.09]),
+    ):
+        message = Message(t_s, {"baro_vpos": np.array(values)})
+        add_message(flight, ULOG[name], message, constants={"EKF2_BARO_GATE": 3.0})
+    found = {s.name: s for s in flight.signals}
     assert found["gate baro"].value == pytest.approx([0.6, 0.9])
     assert found["gate baro, below"].value == pytest.approx([-0.6, -0.9])
     assert found["baro"].t_s == pytest.approx([0, 1])
@@ -120,3 +121,11 @@ def test_estimators_that_are_both_upside_down_agree() -> None:
         s for s in derive_curves(FlightData("r", signals=signals))[0] if s.panel == "divergence"
     ]
     assert apart.value.max() == pytest.approx(2.0 * np.cos(np.radians(10.0)), abs=0.01)
+
+
+def test_a_simulated_heading_of_ardupilot_is_in_degrees() -> None:
+    message = Message(np.array([0.0, 1.0]), {"Yaw": np.array([350.0, 10.0])})
+    data = FlightData("r")
+    add_message(data, DATAFLASH["SIM"], message)
+    (heading,) = (one for one in data.signals if one.panel == "yaw")
+    assert heading.value == pytest.approx([-10.0, 10.0])

@@ -184,16 +184,22 @@ def test_a_ulog_header_without_content_is_a_config_error(tmp_path: Path) -> None
         read_flight([path], ())
 
 
-def test_reading_of_a_ulog_that_makes_pyulog_loop_is_stopped(tmp_path: Path) -> None:
-    info = b"char[3] a" + b"xyz"
-    good = struct.pack("<HBB", len(info) + 1, ord("I"), 9) + info
-    path = tmp_path / "a.ulg"
-    # A message of kind 0, longer than the file: pyulog seeks back as far as it says, to the last
-    # good message, and begins again.
-    cut = struct.pack("<HB", 6 + len(good), 0) + bytes(5)
-    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + 3 * good + cut)
-    with pytest.raises(ConfigError, match="corrupted beyond reading"):
-        read_ulog(path)
+def test_a_wrong_byte_in_a_ulog_loses_at_most_two_messages(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    whole = bytearray((shared_data / "ulog" / "gps_interference.ulg").read_bytes()[:1_500_000])
+    path, rng = tmp_path / "a.ulg", np.random.default_rng(1)
+
+    def rows() -> int:
+        path.write_bytes(whole)
+        return sum(len(topic["timestamp"]) for topic in read_ulog(path).topics.values())
+
+    # Behind the definitions.
+    complete = rows()
+    for at in rng.integers(150_000, len(whole), 25).tolist():
+        whole[at] ^= 0x55
+        assert complete - rows() <= 2, at
+        whole[at] ^= 0x55
 
 
 def test_a_gps_glitch_of_ardupilots_estimator_is_a_flag(tmp_path: Path) -> None:

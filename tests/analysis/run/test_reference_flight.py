@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.report.curves.fault_effects import measure_effects
+from analysis.report.curves.fault_effects import deviation_curves, measure_effects
 from analysis.report.curves.recording import Signal
 from analysis.run.reference_flight import ReferenceRun, run_reference_flight
 from analysis.run.run_command import main
 from analysis.run.run_setup import read_setup
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 from mavproxy_fault.wire.label import Label
 
 SHORT = Path(__file__).with_name("short.yaml")
@@ -44,6 +46,23 @@ def test_the_reference_flight_shows_the_effect_of_a_gust(tmp_path: Path) -> None
     assert set(row["attitude_deg"]) == {"truth", "error of the estimate"}
     assert (out / "clean" / "sent.tlog").stat().st_size > 100_000
     assert "Effects of the faults" in (out / "report.html").read_text()
+
+
+def test_flights_of_an_autopilot_are_compared_by_the_time_since_take_off(tmp_path: Path) -> None:
+    layout = message_layout("HIL_STATE_QUATERNION")
+    for name, since_us in (("flight", 2_000_000), ("reference", 1_500_000)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "results.jsonl").write_text("")
+        with (tmp_path / name / "received.tlog").open("wb") as log:
+            for n in range(100):
+                # North at about a metre per step of 0.1 s
+                values = {"time_usec": since_us + 100_000 * n, "lat": 90 * n, "vx": 1000}
+                log.write((since_us + 100_000 * n).to_bytes(8, "big"))
+                log.write(build_frame(layout, values, system=1, component=51))
+    folders = tmp_path / "flight", tmp_path / "reference"
+    position, speed, _ = deviation_curves(*folders, 2_000_000, later_us=500_000)
+    assert (len(position.t_s), position.value.max(), speed.value.max()) == (100, 0.0, 0.0)
+    assert deviation_curves(*folders, 2_000_000)[0].value.min() > 4.9
 
 
 def test_the_reference_flight_ends_where_the_run_was_stopped(

@@ -351,3 +351,25 @@ def test_an_exclusion_is_one_alarm_at_any_rate(epoch_s: float) -> None:
 def test_another_sensors_alarms_are_not_merged_over_the_epochs_of_a_receiver() -> None:
     alarms = [alarm for t in (10.0, 40.0) for alarm in alarms_of(sensor(t, "mag"))]
     assert len(windows_of(alarms, 30_000_000)) == 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "targets", "channels"),
+    [
+        ("gyro-off", "SCALED_IMU2.xgyro", {"imu", "satellites", "gps-position"}),
+        ("gps-off", "GPS_RAW_INT.lat", {"gps-position", "gps-velocity"}),
+        ("motor-off", "HIL_ACTUATOR_CONTROLS.controls[1]", {"actuators"}),
+        ("mavlink-off", "", {"link"}),
+        ("esc-off", "", set()),
+    ],
+)
+def test_a_failure_of_the_autopilot_itself_is_scored_by_its_telemetry(
+    fault: str, targets: str, channels: set[str]
+) -> None:
+    native = msgspec.structs.replace(label("f", targets), fault=fault, by="autopilot", frames=0)
+    native = native if targets else msgspec.structs.replace(native, targets=())
+    assert fault_visibility(native).channels == channels
+    (row,) = fault_outcomes([native], [], {"imu", "gps-position", "actuators", "link"}, 200_000)
+    assert row.target == f"{fault} by the autopilot"
+    expected = ("missed", "") if channels else ("not judged", "no channel monitors esc-off")
+    assert (row.verdict, row.reason) == expected

@@ -99,6 +99,21 @@ def test_a_mode_that_nobody_commanded_is_a_failsafe_with_its_reason() -> None:
     assert flight(modes=modes, commands=None, texts=texts).outcome == "failsafe"
 
 
+def test_a_failsafe_on_the_ground_is_named_too() -> None:
+    modes = [TimedText(0.0, "GUIDED"), TimedText(3.5, "LAND")]
+    texts = [TimedText(3.6, "EKF Failsafe: changed to LAND Mode")]
+    record = {"modes": modes, "commands": [TimedText(0.4, "GUIDED")], "texts": texts}
+    lifted_off = flight(**record)
+    assert (lifted_off.outcome, lifted_off.failsafe_s) == ("failsafe", 3.5)
+    grounded = judge_vehicle(VehicleRecord(None, [(3.0, 5.0)], modes, record["commands"], texts))
+    assert (grounded.outcome, grounded.failsafe) == ("failsafe", "LAND")
+    behind_a_crash = flight(
+        sink_mps=8.0, modes=[TimedText(0.0, "GUIDED"), TimedText(52.0, "LAND")], commands=[]
+    )
+    assert (behind_a_crash.outcome, behind_a_crash.failsafe) == ("crashed", "LAND")
+    assert "landed uncommanded" not in kinds(behind_a_crash)
+
+
 def test_the_end_of_a_take_off_or_a_mission_is_no_failsafe() -> None:
     names = ("TAKEOFF", "LOITER", "MISSION", "LOITER", "LAND")
     modes = [TimedText(4.0 + 8.0 * n, name) for n, name in enumerate(names)]
@@ -112,11 +127,15 @@ def test_a_landing_that_nobody_commanded_is_named() -> None:
     assert found.outcome == "landed uncommanded"
 
 
-def test_a_wrong_estimate_degrades_and_a_far_one_is_a_fly_away() -> None:
-    def off(metres):
-        return flight(errors_m=(T_S, np.where(T_S > 20.0, metres, 0.0))).outcome
+def test_a_wrong_estimate_degrades_and_a_vehicle_that_follows_a_far_one_flew_away() -> None:
+    def off(metres, **motion):
+        return flight(errors_m=(T_S, np.where(T_S > 20.0, metres, 0.0)), hovers=False, **motion)
 
-    assert [off(9.0), off(11.0), off(201.0)] == ["landed as commanded", "degraded", "flew away"]
+    outcomes = [off(metres).outcome for metres in (9.0, 11.0, 400.0)]
+    assert outcomes == ["landed as commanded", "degraded", "degraded"]
+    assert off(400.0).excursion_m == 0.0, "its estimate has jumped, and the vehicle stayed"
+    assert off(201.0, east_mps=15.0).outcome == "flew away"
+    assert off(9.0, east_mps=15.0).excursion_m == 9.0
     assert flight(errors_deg=(T_S, np.full_like(T_S, 6.0))).outcome == "degraded"
 
 

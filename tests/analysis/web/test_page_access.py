@@ -1,20 +1,31 @@
 """Who may look at the page, and who may change something by it."""
 
+import asyncio
 import os
+import re
 import socket
 import urllib.error
 import urllib.request
 from collections.abc import Callable
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, cast
 
 import pytest
+from starlette.applications import Starlette
+from starlette.routing import WebSocketRoute
 from websockets import Origin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from analysis.search_page.flight_routes import FlightPage
 from analysis.web import access_control
+from analysis.web.access_control import AccessControl
+from analysis.web.feed import Feed
 from analysis.web.page_server import open_socket
 from analysis.web.peer_user import HAS_TABLES, peer_user
+from analysis.web.routes import LivePage
+from analysis.web.run_source import RunSource
+from analysis.web.sequence_folder import SequenceFolder
 
 
 @pytest.mark.browser
@@ -97,32 +108,77 @@ def test_another_run_is_chosen_with_the_token_only(address: str) -> None:
     assert status_of(address, {}, "run") == 403
 
 
-ROUTES = ["", "assets/page.js", "api/catalogue", "api/live", "api/preview", "api/run",
-          "api/allowed", "api/sequence/check", "api/sequence/read/a", "api/sequence/write/a",
-          "api/ctl/schedule/stop"]  # fmt: skip
+HOST = "127.0.0.1:8350"
+METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS")
+
+
+def pages(access: AccessControl) -> list[Starlette]:
+    """Every page that this program serves."""
+    feed = Feed()
+    live = LivePage(feed, RunSource(feed, None, ""), access, SequenceFolder(None), True)
+    return [live.app, FlightPage(cast(Any, None), access).app]
+
+
+def status_without_server(app: Starlette, kind: str, path: str, method: str, token: str) -> int:
+    """The status of one call from an unknown user, as the server passes it to the page."""
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "websocket.connect" if kind == "websocket" else "http.disconnect"}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": kind, "method": method, "path": path, "root_path": "", "scheme": "http",
+        "query_string": f"token={token}".encode(), "headers": [(b"host", HOST.encode())],
+        "client": ("127.0.0.1", 50_000), "server": ("127.0.0.1", 8350),
+        "extensions": {"websocket.http.response": {}},
+    }  # fmt: skip
+    with ThreadPoolExecutor(1) as thread:  # another test's browser has a loop in this one
+        thread.submit(asyncio.run, app(scope, receive, send)).result()
+    return int(sent[0].get("status", 101))
+
+
+def test_a_stranger_is_refused_on_every_route_of_every_page() -> None:
+    tried = 0
+    for app in pages(AccessControl("secret", frozenset({HOST}), frozenset())):
+        for route in app.routes:
+            path = re.sub(r"{\w+(:\w+)?}", "x", cast(Any, route).path)
+            kind = "websocket" if isinstance(route, WebSocketRoute) else "http"
+            for token in ("", "guessed"):
+                for method in METHODS:
+                    assert status_without_server(app, kind, path, method, token) == 403, path
+                    tried += 1
+            if path == "/":
+                assert status_without_server(app, kind, path, "GET", "secret") == 200
+        assert status_without_server(app, "http", "/no/such/route", "GET", "") == 403
+    assert tried > 200
+
+
+def test_where_users_are_unknown_only_the_page_s_own_files_need_no_token(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(access_control, "HAS_TABLES", False)
+    monkeypatch.setattr(access_control, "peer_user", lambda *_: None)
+    for app in pages(AccessControl("secret", frozenset({HOST}), frozenset())):
+        assert status_without_server(app, "http", "/", "GET", "") == 200
+        assert status_without_server(app, "http", "/assets/uPlot.min.css", "GET", "") == 200
+        for path in ("/api/report", "/api/catalogue", "/api/state", "/api/live", "/assets/../api"):
+            assert status_without_server(app, "http", path, "GET", "") == 403
 
 
 @pytest.mark.skipif(not HAS_TABLES, reason="the system does not identify the user of a connection")
-def test_another_user_without_the_token_is_refused_on_every_route(
+def test_another_user_hears_nothing_without_the_token(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    origin, token = address.split("/#token=")
-    posts = [route for route in ROUTES if route.startswith("api/") and "catalogue" not in route]
+    live = f"{address.partition('/#')[0].replace('http', 'ws')}/api/live"
     # To the server every caller is now another user.
     monkeypatch.setattr(access_control, "peer_user", lambda *_: 12345)
-    for route in ROUTES:
-        if route == "api/live":
-            with (
-                pytest.raises(InvalidStatus, match="403"),
-                connect(f"{origin.replace('http', 'ws')}/api/live"),
-            ):
-                pass
-            continue
-        data = b"" if route in posts else None
-        with pytest.raises(urllib.error.HTTPError, match="403"):
-            urllib.request.urlopen(urllib.request.Request(f"{origin}/{route}", data), timeout=10)
-    with connect(f"{origin.replace('http', 'ws')}/api/live?token={token}") as live:
-        assert live.recv(timeout=10)
+    with pytest.raises(InvalidStatus, match="403"), connect(live):
+        pass
+    with connect(f"{live}?token={address.partition('token=')[2]}") as heard:
+        assert heard.recv(timeout=10)
 
 
 @pytest.mark.skipif(not HAS_TABLES, reason="the system does not identify the user of a connection")

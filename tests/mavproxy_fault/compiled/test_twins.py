@@ -265,6 +265,22 @@ def test_clocks_that_leap_within_a_datagram_are_followed_alike() -> None:
     check(traffic, [{"fault": "drift", "target": "ATTITUDE.roll", "value": 0.1}])
 
 
+def test_the_first_simulated_sample_restarts_the_timeline_in_both_ways() -> None:
+    uptimes = [
+        build_frame(message_layout("ATTITUDE"), {"time_boot_ms": 11_000_000 + n}, seq=n)
+        for n in range(3)
+    ]
+    simulated = [
+        build_frame(
+            message_layout("HIL_SENSOR"), {"time_usec": 10_000 * n, "xgyro": 1}, seq=n, component=51
+        )
+        for n in range(1, 40)
+    ]
+    known = build_frame(message_layout("HEARTBEAT"), {"type": 2}, component=51)
+    faults = [{"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1, "at_s": 0.1}]
+    check([*uptimes, known, *simulated], faults)
+
+
 def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
     """The count came between a datagram that was handed over and the rest of its batch."""
     links = [UdpServer("127.0.0.1", 0), UdpClient("127.0.0.1", 9)]

@@ -268,6 +268,76 @@ def test_a_failure_of_one_vehicle_leaves_the_other_alone() -> None:
     assert result(it, failure(0, 1, target_system=2)) is None  # its sensors do not pass here
 
 
+def test_what_a_simulator_sends_under_another_system_may_be_for_any_of_several_vehicles() -> None:
+    for vehicles, expected in (((1,), ACCEPTED), ((1, 2), None)):
+        it = control(vehicles=vehicles)
+        raw = build_frame(message_layout("HIL_SENSOR"), {"fields_updated": 63}, system=42)
+        it.consume(Frame(raw, message_layout("HIL_SENSOR")), "to-vehicle", 1_000_000)
+        assert result(it, failure(0, 1)) == expected
+
+
+def test_a_broadcast_fails_every_vehicle_or_is_left_to_them() -> None:
+    it = control("HIL_SENSOR", vehicles=(1, 2))
+    everyone = failure(0, 1, target_system=0)
+    assert it.consume(everyone, "to-vehicle", 1_500_000) is None  # nothing for vehicle 2 was heard
+    raw = build_frame(message_layout("HIL_SENSOR"), {"fields_updated": 63}, system=2)
+    other = Frame(raw, message_layout("HIL_SENSOR"))
+    it.consume(other, "to-vehicle", 1_600_000)
+    replies = it.consume(everyone, "to-vehicle", 1_700_000)
+    assert replies is not None
+    assert [(ack.system, ack.number("result")) for ack in replies] == [(1, 0), (2, 0)]
+    assert it.engine.ids() == ["mav-gyro.1", "mav2-gyro.1"]
+    assert [out.frame for out in through(it, other, 2_100_000)] != [other]
+
+
+def test_a_station_is_not_another_vehicle() -> None:
+    it = control(vehicles=(1, 255))
+    raw = build_frame(message_layout("HIL_SENSOR"), {"fields_updated": 63}, system=42)
+    it.consume(Frame(raw, message_layout("HIL_SENSOR")), "to-vehicle", 1_000_000)
+    assert result(it, failure(0, 1)) == ACCEPTED
+
+
+def test_a_signed_command_of_an_unknown_key_is_left_to_the_autopilot() -> None:
+    it = control("HIL_SENSOR")
+    assert it.consume(failure(0, 1), "to-vehicle", 1_000_000, sealed=True) is None
+    assert it.engine.ids() == []
+
+
+@pytest.mark.parametrize("kind", [9, 77, NAN, -1])
+@pytest.mark.parametrize("unit", [0, 101, 105, 108])
+def test_an_unknown_type_is_left_to_the_autopilot(unit: int, kind: float) -> None:
+    assert result(control(*PARTS), failure(unit, kind)) is None
+
+
+def test_a_unit_that_was_not_heard_is_looked_for_after_a_command() -> None:
+    it = control()
+    it.consume(frame("HIL_SENSOR", fields_updated=0x3F), "to-vehicle", 1_000_000)
+    it.consume(frame("HIL_SENSOR", fields_updated=0x3F), "to-vehicle", 4_000_000)  # the last one
+    assert message_layout("HIL_SENSOR").id not in it.wanted
+    assert result(it, failure(2, 1), 5_000_000) is None
+    slower = frame("HIL_SENSOR", fields_updated=0x1C0)
+    it.consume(slower, "to-vehicle", 5_500_000)
+    assert result(it, failure(2, 1), 6_000_000) == ACCEPTED
+
+
+def test_a_command_by_mavlink_1_is_read_and_answered() -> None:
+    from pymavlink.dialects.v20 import all as judge
+
+    sender = judge.MAVLink(None, 255, 190)
+    command = judge.MAVLink_command_long_message(1, 1, 420, 0, 0, 1, NAN, 2, 0, 0, 0)
+    raw = bytes(command.pack(sender, force_mavlink1=True))
+    it = control("HIL_SENSOR")
+    assert result(it, Frame(raw, message_layout("COMMAND_LONG"))) == ACCEPTED
+    assert affected(it, "HIL_SENSOR") == {2}
+
+
+def test_a_command_int_may_leave_out_its_coordinates() -> None:
+    it = control("HIL_SENSOR")
+    command = failure(0, 1, 2, NAN, "COMMAND_INT", x=0x7FFFFFFF, y=0x7FFFFFFF, z=NAN)
+    assert result(it, command) == ACCEPTED
+    assert affected(it, "HIL_SENSOR") == {2}
+
+
 def test_ok_ends_the_failures_of_its_unit_only() -> None:
     it = control("HIL_SENSOR")
     for unit in (0, 1):
@@ -300,14 +370,55 @@ def test_a_failure_that_the_autopilot_accepts_is_labelled_as_its_own() -> None:
     acknowledge(it, ACCEPTED, 2_100_000)
     (label,) = it.engine.drain_labels()
     assert (label.id, label.fault, label.by) == ("autopilot1-gyro-2", "gyro-off", "autopilot")
-    assert (label.start_us, label.end_us) == (2_100_000, None)
-    assert label.targets == ("HIGHRES_IMU.xgyro", "HIGHRES_IMU.ygyro", "HIGHRES_IMU.zgyro")
+    assert (label.start_us, label.end_us) == (2_000_000, None)
+    assert label.targets == ("SCALED_IMU2.xgyro", "SCALED_IMU2.ygyro", "SCALED_IMU2.zgyro")
     acknowledge(it, ACCEPTED, 2_200_000)  # repeated
     assert it.engine.drain_labels() == []
     result(it, failure(0, 0), 5_000_000)
     acknowledge(it, ACCEPTED, 5_100_000)
     (label,) = it.engine.drain_labels()
     assert (label.id, label.end_us) == ("autopilot1-gyro-2", 5_100_000)
+
+
+def test_a_repeated_command_is_labelled_once() -> None:
+    it = control()
+    for i in range(3):  # the reply is late, and the station asks again
+        result(it, failure(0, 1, 2, confirmation=i), 2_000_000 + i * 500_000)
+    acknowledge(it, ACCEPTED, 3_100_000)
+    assert len(it.engine.drain_labels()) == 1
+    acknowledge(it, ACCEPTED, 3_200_000)
+    assert it.engine.drain_labels() == []
+
+
+def test_a_reply_that_never_came_is_not_that_of_a_later_command() -> None:
+    it = control()
+    result(it, failure(0, 1), 2_000_000)
+    result(it, failure(2, 2), 9_000_000)
+    acknowledge(it, ACCEPTED, 9_100_000)
+    assert [label.fault for label in it.engine.drain_labels()] == ["mag-stuck"]
+
+
+def test_two_stations_have_their_own_replies() -> None:
+    it = control()
+    other = failure(1, 2)
+    raw = bytearray(other.raw)
+    raw[5], raw[6] = 254, 190
+    it.consume(Frame(bytes(raw), other.layout), "to-vehicle", 2_000_000)
+    result(it, failure(0, 1), 2_010_000)
+    acknowledge(it, ACCEPTED, 2_100_000)
+    assert [label.fault for label in it.engine.drain_labels()] == ["gyro-off"]
+
+
+def test_every_vehicle_of_a_broadcast_has_its_label() -> None:
+    it = control(vehicles=(1, 2))
+    assert it.consume(failure(0, 1, target_system=0), "to-vehicle", 2_000_000) is None
+    layout = message_layout("COMMAND_ACK")
+    for system in (1, 2):
+        values = {"command": 420, "result": ACCEPTED, "target_system": 255, "target_component": 190}
+        ack = Frame(build_frame(layout, values, system=system), layout)
+        it.consume(ack, "from-vehicle", 2_100_000)
+    ids = [label.id for label in it.engine.drain_labels()]
+    assert ids == ["autopilot1-gyro", "autopilot2-gyro"]
 
 
 def test_a_failure_that_the_autopilot_refuses_has_no_label() -> None:

@@ -1,4 +1,4 @@
-"""The folder of machine code follows the sources that went into it."""
+"""The folder of a module's machine code follows the sources that went into it."""
 
 from pathlib import Path
 
@@ -6,29 +6,32 @@ import pytest
 
 from mavproxy_fault.numerics import code_cache as kernels
 
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(kernels, "ROOT", tmp_path)
-    for name in kernels.PACKAGES:
-        (tmp_path / name).mkdir()
-    package = tmp_path / "analysis"
-    (package / "fast.py").write_text("from numba import njit\nfrom analysis.sizes import N\n")
-    (package / "sizes.py").write_text("N = 1\n")
-    (package / "plain.py").write_text("N = 1\n")
-    return package
+SOURCES = {
+    "analysis/fast.py": "import numba\nfrom analysis.sizes import (  # it\n    N,\n)\n",
+    "analysis/sizes.py": "from simvehicle import units\nN = units.K\n",
+    "simvehicle/units.py": "import mavproxy_fault.metre\nK = 1\n",
+    "mavproxy_fault/metre.py": "L = 1\n",
+    "simvehicle/__init__.py": "",
+    "analysis/plain.py": "import analysis.fast\n",
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "renewed"), [("fast.py", True), ("sizes.py", True), ("plain.py", False)]
-)
-def test_what_was_compiled_or_imported_by_it_renews_the_code(
-    package: Path, name: str, renewed: bool
+@pytest.mark.parametrize("name", SOURCES)
+def test_an_edit_renews_the_code_of_what_imports_it_and_of_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    before = kernels.mark.__wrapped__()
-    with (package / name).open("a") as file:
-        file.write("M = 2\n")
-    assert (kernels.mark.__wrapped__() != before) is renewed
+    monkeypatch.setattr(kernels, "ROOT", tmp_path)
+    for file, text in SOURCES.items():
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+    digests = []
+    for _ in range(2):
+        kernels.source_digest.cache_clear()
+        kernels._imports.cache_clear()
+        digests.append(kernels.source_digest(tmp_path / "analysis/fast.py"))
+        with (tmp_path / name).open("a") as edited:
+            edited.write("M = 2\n")
+    assert (digests[0] != digests[1]) is (name != "analysis/plain.py")
 
 
 @pytest.mark.parametrize(
@@ -45,11 +48,16 @@ def test_only_an_edit_of_the_code_renews_it(
     before = kernels.code_digest([b"def half(x):\n    return x / 2\n"])
     for _ in range(2):  # parsed, and remembered
         assert (kernels.code_digest([edited.encode()]) != before) is renewed
-    assert len(list(tmp_path.glob("*.digest"))) == 2
 
 
-def test_the_folder_bears_the_mark() -> None:
-    assert kernels.folder().name == f"kernels-{kernels.mark()}"
+def test_a_digest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAVPROXY_FAULT_CACHE", str(tmp_path))
+    source = b"N = 1\n"
+    kernels._known_digests.cache_clear()
+    found = kernels.code_digest([source])
+    kernels._known_digests.cache_clear()
+    monkeypatch.setattr(kernels.ast, "parse", None)  # it is not parsed again
+    assert kernels.code_digest([source]) == found
 
 
 @pytest.mark.parametrize("home", [None, "/", "{file}"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.numerics import code_cache, compile
+from mavproxy_fault.numerics import code_cache
 from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
 from mavproxy_fault.numerics.compile import compiled
 
@@ -71,7 +71,7 @@ def test_where_nothing_can_be_written_functions_still_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").touch()
-    monkeypatch.setattr(compile, "folder", lambda: tmp_path / "file" / "kernels")
+    monkeypatch.setattr(code_cache, "place", lambda: tmp_path / "file")
     with caplog.at_level(logging.CRITICAL):
 
         @compiled

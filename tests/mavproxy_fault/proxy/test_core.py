@@ -4,12 +4,13 @@ from fastcrc.crc16 import mcrf4xx
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.resync_deadline import MAX_BLOCKING_US, MAX_FRAME_US
 from mavproxy_fault.proxy.statistics import format_endpoints, link_statistics
-from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
@@ -290,6 +291,52 @@ def test_a_schedule_begun_on_the_wall_clock_restarts_with_the_first_stamp() -> N
     core.received(SIM, sensor(9.5), WALL_US + 5_000_000)
     core.received(SIM, heartbeat(), WALL_US + 6_000_000)
     assert [label.t0_us for label in core.drain_labels()] == [WALL_US, WALL_US, 7_000_000]
+
+
+def test_a_schedule_begun_on_the_uptime_of_a_waiting_autopilot_restarts_with_the_simulator() -> (
+    None
+):
+    schedule = "faults: [{id: d, fault: drop, target: HEARTBEAT, at_s: 2, for_s: 1}]"
+    core = core_with(schedule)
+    layout = message_layout("ATTITUDE")
+    waiting = build_frame(layout, {"time_boot_ms": 11_000_000}, system=1, component=2)
+    core.received(AUTOPILOT, waiting, WALL_US)
+    core.received(SIM, sensor(0.004), WALL_US + 5_000_000)
+    core.received(SIM, sensor(2.5), WALL_US + 8_000_000)
+    core.received(SIM, heartbeat(), WALL_US + 8_000_000)
+    core.received(SIM, sensor(4.0), WALL_US + 9_000_000)
+    core.received(SIM, heartbeat(), WALL_US + 9_000_000)
+    begun, ended = core.drain_labels()
+    assert (begun.start_us, ended.end_us, ended.frames) == (2_500_000, 3_004_000, 1)
+
+
+def test_a_station_s_heartbeat_is_answered_for_an_autopilot_that_sends_hil_frames_alone() -> None:
+    engine = Engine(Schedule(0, ()))
+    core = Core(ROLES, engine, control=LiveControl(engine))
+    controls = message_layout("HIL_ACTUATOR_CONTROLS")
+
+    def autopilot(t_s: float) -> None:
+        raw = build_frame(controls, {"time_usec": round(t_s * 1e6)})
+        core.received(AUTOPILOT, raw, WALL_US + round(t_s * 1e6))
+
+    def answers(t_s: float) -> list[int]:
+        beat = build_frame(message_layout("HEARTBEAT"), {"type": 6}, system=255, component=190)
+        sends = core.received(GCS, beat, WALL_US + round(t_s * 1e6))
+        assert {send.link for send in sends} >= {SIM, AUTOPILOT}, "it is forwarded too"
+        found = [Parser().push(send.data)[0] for send in sends if send.link == GCS]
+        return [int(one.number("autopilot")) for one in found if isinstance(one, Frame)]
+
+    single = build_frame(message_layout("HEARTBEAT"), {"type": 2, "autopilot": 12})
+    core.received(AUTOPILOT, single, WALL_US)
+    autopilot(5.0)
+    assert answers(5.0) == [12]
+    core.received(AUTOPILOT, single, WALL_US + 5_000_000)
+    autopilot(6.0)
+    assert answers(6.0) == [], "it sends its own"
+    autopilot(10.0)
+    assert answers(10.0) == [12]
+    core.received(SIM, sensor(14.0), WALL_US + 14_000_000)
+    assert answers(14.0) == [], "the autopilot has gone"
 
 
 def test_a_signed_frame_stays_sealed_without_its_key_and_is_signed_again_with_it() -> None:

@@ -96,3 +96,23 @@ def test_microseconds_in_32_bits_are_not_a_clock() -> None:
     for n in range(1, 5):
         assert clock.read(outputs, n) == (hours + n - 1) * 1000
         assert clock.read(frame("ATTITUDE", time_boot_ms=hours + n), n) == (hours + n) * 1000
+
+
+def test_the_simulator_s_clock_becomes_the_timeline_whoever_stamped_before() -> None:
+    clock = VehicleClock()
+    uptime_ms = 11_000_000
+    clock.read(frame("ATTITUDE", time_boot_ms=uptime_ms), 0)
+    assert clock.read(frame("HIL_SENSOR", component=51, time_usec=4_000), 0) == 4_000
+    assert clock.t0_us == 4_000
+    clock.read(frame("ATTITUDE", time_boot_ms=uptime_ms + 20), 20_000)
+    clock.read(frame("HIL_SENSOR", component=51, time_usec=1_500_000), 1_500_000)
+    # PX4 takes the simulator's time over: two stamps later it counts unshifted.
+    clock.read(frame("ATTITUDE", time_boot_ms=1_480), 1_500_000)
+    assert clock.read(frame("ATTITUDE", time_boot_ms=1_490), 1_510_000) == 1_490_000
+    assert clock.read(frame("HIL_SENSOR", 2, component=51, time_usec=900_000_000), 1) == 1_490_000
+
+
+def test_a_simulator_on_unix_time_leaves_the_timeline_as_it_is() -> None:
+    clock = VehicleClock()
+    clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
+    assert clock.read(frame("HIL_SENSOR", component=51, time_usec=UNIX_US), 0) == 60_000_000

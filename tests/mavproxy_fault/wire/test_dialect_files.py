@@ -1,19 +1,24 @@
 """Dialects of the user, and what a fresh process makes of them."""
 
+import json
 import logging
 import os
 import subprocess
 import sys
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 from fastcrc.crc16 import mcrf4xx
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.wire.dialect import DIALECT_VARIABLE
-from mavproxy_fault.wire.dialect_files import add_dialects
-from mavproxy_fault.wire.generate_messages import build_message_table
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.dialect_files import (
+    DIALECT_VARIABLE,
+    add_dialects,
+    find_recorded,
+    read_dialect,
+)
+from mavproxy_fault.wire.generate_messages import write_table
 
 OWN = """<?xml version="1.0"?><mavlink><include>base.xml</include><messages>
 <message id="60001" name="MY_MESSAGE"><description>own</description>
@@ -46,15 +51,52 @@ def test_a_file_and_its_includes_are_added(own: Path) -> None:
     ]
 
 
-def test_the_files_of_pymavlink_give_its_own_table() -> None:
-    path = Path(str(files("pymavlink.dialects.v20") / "common.xml"))
-    table, built_in = add_dialects({}, [path]), build_message_table()
-    assert len(table) > 200
-    for name, entry in table.items():
-        assert {**entry, "fields": None} == {**built_in[name], "fields": None}
-        typed = [[field.replace("_mavlink_version", "") if isinstance(field, str) else field
-                  for field in row] for row in built_in[name]["fields"]]  # fmt: skip
-        assert entry["fields"] == typed, name
+def test_pymavlink_knows_no_message_that_the_built_in_table_lacks() -> None:
+    from pymavlink.dialects.v20 import all as judge
+
+    for number, message in judge.mavlink_map.items():
+        layout = message_layout(message.msgname)
+        assert (layout.id, layout.crc_extra) == (number, message.crc_extra)
+        assert layout.instance == (message.instance_field or "")
+        types = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+        theirs = [(name, types[name].replace("_mavlink_version", ""), count) for name, count in
+                  zip(message.ordered_fieldnames, message.array_lengths, strict=True)]  # fmt: skip
+        # MAVLink's own extension fields may be newer than pymavlink's.
+        ours = [(one.name, one.type, one.count) for one in layout.fields.values()]
+        assert ours[: len(theirs)] == theirs
+        assert all(one.extension for one in list(layout.fields.values())[len(theirs) :])
+
+
+def test_a_table_is_generated_from_files_and_names_them(own: Path, tmp_path: Path) -> None:
+    write_table([own], tmp_path / "table.json")
+    table = json.loads((tmp_path / "table.json").read_text())
+    assert table["messages"] == add_dialects({}, [own])
+    (source,) = table["sources"]
+    assert source == {"file": "own.xml", "sha256": read_dialect(own)[1]}
+    own.with_name("base.xml").write_text(BASE.replace('name="a"', 'name="b"'))
+    assert read_dialect(own)[1] != source["sha256"]  # an include counts
+
+
+def test_the_longer_of_two_forms_with_one_checksum_is_used(own: Path) -> None:
+    table = add_dialects({}, [own])
+    short = own.with_name("short.xml")
+    short.write_text(OWN.replace("<include>base.xml</include>", "").replace(
+        '<extensions/>\n<field type="int16_t[3]" name="y">more</field>', ""))  # fmt: skip
+    assert add_dialects(table, [short]) == table
+
+
+def test_another_form_of_a_message_is_reported_and_needs_its_fields(
+    own: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    table = add_dialects({}, [own])
+    other = own.with_name("other.xml")
+    more = 'a</field><field type="float" name="b">b</field>'
+    other.write_text(BASE.replace("<include>own.xml</include>", "").replace("a</field>", more))
+    assert len(add_dialects(table, [other])["BASE_ONE"]["fields"]) == 2
+    assert "frames of the former BASE_ONE (id 52950" in caplog.text
+    other.write_text(other.read_text().replace('name="a"', 'name="c"'))
+    with pytest.raises(ConfigError, match="BASE_ONE lacks a of the message of that name"):
+        add_dialects(table, [other])
 
 
 def test_two_messages_with_one_id_are_reported(own: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -93,6 +135,46 @@ def test_every_command_takes_dialects_by_option_and_variable(own: Path) -> None:
         assert "   60001  MY_MESSAGE" in listed
         assert "   52950  BASE_ONE" in listed
     assert command("faults", "list", "--dialect").returncode == 2
+
+
+def test_every_message_of_a_file_is_a_target_and_is_in_the_report(own: Path) -> None:
+    script = Path(__file__).with_name("every_message.py")
+    own.with_name("base.xml").write_text(BASE.replace("<include>own.xml</include>", ""))
+    done = subprocess.run(
+        [sys.executable, str(script), str(own)], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "own.xml: 2 messages, 0 wrong\n", done.stdout + done.stderr
+
+
+def test_a_recording_knows_the_dialect_it_was_made_with(own: Path, tmp_path: Path) -> None:
+    recorder = "from pathlib import Path; from mavproxy_fault.app.recorder import Recorder; "
+    recorder += f"Recorder(Path({str(tmp_path / 'run')!r}), {{}}).close(None, 0)"
+    environment = {**os.environ, DIALECT_VARIABLE: str(own)}
+    subprocess.run([sys.executable, "-c", recorder], env=environment, check=True)
+    digest = read_dialect(own)[1]
+    session = json.loads((tmp_path / "run" / "session.json").read_text())
+    assert session["dialects"] == [{"file": str(own), "sha256": digest}]
+    log = str(tmp_path / "run" / "received.tlog")
+    assert find_recorded(["--out", log], []) == [str(own)]
+    assert find_recorded([str(tmp_path / "run"), log], [str(own)]) == []
+
+
+def test_a_changed_dialect_of_a_recording_is_named(
+    own: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    digest = read_dialect(own)[1]
+    session = {"dialects": [{"file": str(own), "sha256": digest}]}
+    (tmp_path / "session.json").write_text(json.dumps(session))
+    moved = tmp_path / "elsewhere" / "moved.xml"
+    moved.parent.mkdir()
+    for name in ("own.xml", "base.xml"):
+        (moved.parent / name).write_text((tmp_path / name).read_text())
+    moved = moved.with_name("own.xml")
+    own.write_text(OWN.replace("60001", "60002"))
+    assert find_recorded([str(tmp_path)], [str(moved)]) == []
+    assert not caplog.records
+    assert find_recorded([str(tmp_path)], []) == []
+    assert f"recorded with {own}, which is missing or has changed" in caplog.text
 
 
 def test_a_message_of_the_user_is_a_target_and_is_reported(own: Path, tmp_path: Path) -> None:

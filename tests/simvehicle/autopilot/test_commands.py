@@ -95,6 +95,10 @@ def test_motor_failures_are_injected_and_others_refused(station: Any) -> None:
     assert station.command(420, 101, 1, 2)[0].result == ACCEPTED
     assert station.command(420, 101, 0, 0)[0].result == ACCEPTED
     assert station.failed == [(2, True), (0, False)]
+    assert station.command(420, 101, 1, math.nan, 0b1001)[0].result == ACCEPTED
+    assert station.failed[2:] == [(1, True), (4, True)]
+    for nothing in (0, math.nan, -1):
+        assert station.command(420, 101, 1, math.nan, nothing)[0].result == DENIED
     assert station.command(420, 101, 1, 9)[0].result == DENIED
     assert station.command(420, 0, 1, 0)[0].result == UNSUPPORTED
     assert station.command(420, 101, 5, 1)[0].result == UNSUPPORTED

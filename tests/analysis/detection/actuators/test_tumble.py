@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.detection.actuators.alarm_precedence import TUMBLING, apply_precedence
-from analysis.detection.actuators.tumble_kernel import new_tumble, track_tumble
+from analysis.detection.actuators.tumble import TumbleState, track_tumble
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample
@@ -35,7 +35,7 @@ def flight(*, turns: bool = True, jumps: bool = False, blow_s: float = np.inf) -
 
 
 def lost_s(block: Block) -> np.ndarray:
-    lost = track_tumble(block.kind, block.t_us, block.values, new_tumble())
+    lost = track_tumble(block, TumbleState())
     return block.t_us[lost] * 1e-6
 
 
@@ -55,12 +55,9 @@ def test_a_saturated_gyro_without_a_turn_of_the_compass_is_faulty() -> None:
 
 def test_how_the_stream_is_cut_changes_nothing() -> None:
     block = flight(blow_s=4.0)
-    whole = track_tumble(block.kind, block.t_us, block.values, new_tumble())
-    kept, edges = new_tumble(), [0, 1, 450, 451, 3000, len(block.kind)]
-    parts = [
-        track_tumble(block.kind[a:b], block.t_us[a:b], block.values[a:b], kept)
-        for a, b in pairwise(edges)
-    ]
+    whole = track_tumble(block, TumbleState())
+    kept, edges = TumbleState(), [0, 1, 450, 451, 3000, len(block.kind)]
+    parts = [track_tumble(block.between(a, b), kept) for a, b in pairwise(edges)]
     assert (np.concatenate(parts) == whole).all()
 
 

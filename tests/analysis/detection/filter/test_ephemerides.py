@@ -58,10 +58,33 @@ def test_a_valid_selection_equals_a_new_one(
 
 def test_an_ephemeris_is_used_to_the_end_of_its_fit_interval() -> None:
     orbits = stored([("G05", 100_000.0, 0)])
-    chosen = select_ephemerides(epoch_at(107_000.0), orbits)
+    chosen = select_ephemerides(epoch_at(107_179.0), orbits)
     assert chosen.names == ("G05",)
-    assert chosen.is_valid_for(epoch_at(107_200.0))
-    assert not chosen.is_valid_for(epoch_at(107_200.1))
-    at_the_end = select_ephemerides(epoch_at(107_200.0), orbits)
-    assert at_the_end.names == ("G05",)
-    assert not at_the_end.is_valid_for(epoch_at(107_200.1))
+    assert chosen.unused == {"E11": "no ephemeris"}
+    assert not chosen.is_valid_for(epoch_at(107_220.0))  # the part of the week after its end
+    too_old = select_ephemerides(epoch_at(107_220.0), orbits)
+    assert too_old.names == ()
+    assert too_old.unused["G05"] == "its ephemeris is 2.0 h old"
+
+
+@given(age_s=st.integers(-15_000, 15_000).map(lambda minutes: 60.0 * (minutes // 60)))
+def test_galileo_is_valid_from_its_time_on_and_gps_around_it(age_s: float) -> None:
+    at_s = 300_000.0
+    orbits = stored([("G05", at_s - age_s, 0), ("E11", at_s - age_s, 0)])
+    names = select_ephemerides(epoch_at(at_s), orbits).names
+    assert ("G05" in names) == (-7200.0 <= age_s <= 7200.0)
+    assert ("E11" in names) == (-3600.0 <= age_s <= 14_400.0)
+
+
+def test_a_galileo_ephemeris_from_before_is_preferred_to_one_of_later() -> None:
+    orbits = stored([("E11", 98_400.0, 0), ("E11", 101_160.0, 0)])  # 1,600 s old, 1,160 s early
+    chosen = select_ephemerides(epoch_at(100_000.0), orbits)
+    assert [ephemeris.toe_s for ephemeris in chosen.used] == [98_400.0]
+
+
+def test_an_unhealthy_and_a_wrong_ephemeris_are_not_used_and_it_says_why() -> None:
+    orbits = stored([("G05", 100_000.0, 1), ("E11", 98_400.0, 0), ("E11", 99_000.0, 0)])
+    chosen = select_ephemerides(epoch_at(100_020.0), orbits)
+    assert chosen.unused == {"G05": "its ephemeris says that it is unhealthy"}
+    other = select_ephemerides(epoch_at(100_020.0), orbits, wrong=chosen.used)
+    assert [ephemeris.toe_s for ephemeris in other.used] == [98_400.0]

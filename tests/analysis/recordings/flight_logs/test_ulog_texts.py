@@ -1,38 +1,41 @@
 """Texts and events of a ULog in one list, and what the system printed."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from analysis.recordings.flight_logs.ulog import read_ulog
-from analysis.recordings.flight_logs.ulog_texts import MAX_CHARACTERS, logged_texts, printed_texts
+from analysis.recordings.flight_logs.ulog_texts import (
+    MAX_CHARACTERS,
+    LoggedTexts,
+    logged_texts,
+    printed_texts,
+)
 
 
-def log(texts: list[tuple[int, str]], events: list[tuple[int, str, str]], monkeypatch: Any) -> Any:
-    """A log with these texts, whose events pyulog reads as given."""
+def texts(
+    said: list[tuple[int, int, str]], events: list[tuple[int, str, str]], monkeypatch: Any
+) -> LoggedTexts:
+    """The texts of a log whose events pyulog reads as given."""
     from pyulog.px4_events import PX4Events
 
     monkeypatch.setattr(PX4Events, "get_logged_events", lambda self, log: events)
-    said = [SimpleNamespace(timestamp=t, log_level=ord("4"), message=text) for t, text in texts]
-    return SimpleNamespace(logged_messages=said)
+    return logged_texts(said, {}, {}, {})
 
 
 def test_a_message_logged_as_text_and_event_is_kept_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = logged_texts(
-        log(
-            [(5_000_000, "[commander] Takeoff detected"), (9_000_000, "[x] bye")],
-            [
-                (5_400_000, "INFO", "Takeoff detected"),
-                (7_000_000, "EMERGENCY", "Accelerometer sensor #0 failure: Timeout"),
-                (7_100_000, "WARNING", "Failsafe warning:\t"),
-                (8_000_000, "INFO", "Takeoff detected"),
-                (8_100_000, "INFO", "[Unknown event with ID 7]"),
-                (8_200_000, "UNKNOWN", "?"),
-            ],
-            monkeypatch,
-        )
+    found = texts(
+        [(5_000_000, 4, "[commander] Takeoff detected"), (9_000_000, 4, "[x] bye")],
+        [
+            (5_400_000, "INFO", "Takeoff detected"),
+            (7_000_000, "EMERGENCY", "Accelerometer sensor #0 failure: Timeout"),
+            (7_100_000, "WARNING", "Failsafe warning:\t"),
+            (8_000_000, "INFO", "Takeoff detected"),
+            (8_100_000, "INFO", "[Unknown event with ID 7]"),
+            (8_200_000, "UNKNOWN", "?"),
+        ],
+        monkeypatch,
     )
     assert found == [
         (5_000_000, 4, "[commander] Takeoff detected"),
@@ -49,16 +52,15 @@ def test_a_corrupted_log_keeps_its_texts(monkeypatch: pytest.MonkeyPatch) -> Non
     def broken(self: PX4Events, log: Any) -> None:
         raise TypeError("damaged")
 
-    text = log([(1, "[x] a")], [], monkeypatch)
     monkeypatch.setattr(PX4Events, "get_logged_events", broken)
-    assert logged_texts(text) == [(1, 4, "[x] a")]
+    assert logged_texts([(1, 4, "[x] a")], {}, {}, {}) == [(1, 4, "[x] a")]
 
 
 def test_printed_texts_are_cut_and_joined() -> None:
     parts = {"boot_console_output": [["HW ar", "ch: X\n"]], "perf_top_preflight": [["a", "b"]],
              "perf_top_postflight": [[" "]], "hardfault_plain": [["x" * 10**6]],
              "metadata_events": [[b"\xfd"]]}  # fmt: skip
-    found = printed_texts(SimpleNamespace(msg_info_multiple_dict=parts))
+    found = printed_texts(parts)
     assert found["Console"] == "HW arch: X\n"
     assert found["Processes before the flight"] == "a\nb"
     assert len(found["Hard fault"]) == MAX_CHARACTERS

@@ -1,0 +1,68 @@
+"""Detects a tumble that is faster than the gyro's range.
+
+A gyro at the end of its range repeats its value while the body turns on. The tumble is real if the
+compass turns too; a faulty gyro repeats its value as well, but nothing else moves. After a tumble
+the attitude is lost, which voids the tests; after an impact, for the rest of the flight.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples, dot
+from analysis.samples.block import IMU, MAG, NEVER_US, Block
+
+# The smallest range of common gyros is 250 degrees/s (4.36 rad/s), a little less if calibrated.
+GYRO_RANGE_RPS = 4.0
+# Largest relative change of a saturated rate, and samples in a row that confirm it; chosen.
+SATURATED_SHARE, SATURATED_SAMPLES = 0.005, 5
+TURNED_COSINE = 0.87758  # cosine of 0.5 rad, the turn of the field since a mark
+MARK_US = 500_000  # between marks of the field
+LOST_US = 20_000_000  # hold time of a sensor and the time to find the attitude again
+IMPACT_MPS2 = 100.0  # specific force of 10 g, as in actuator_response
+FOREVER_US = 1 << 62
+
+
+@dataclass(slots=True)
+class TumbleState:
+    """The newest rates, saturated samples in a row, two marks of the field in the body, the older
+    one 0.5 to 1 s old, and until when the attitude is lost."""
+
+    rates: Axis = ZERO
+    count: int = 0
+    older: Axis = ZERO
+    younger: Axis = ZERO
+    marked_us: int = NEVER_US
+    until_us: int = NEVER_US
+
+
+def track_tumble(block: Block, state: TumbleState) -> NDArray[np.bool_]:
+    """Whether the attitude is lost at each row (n,); the state is changed in place."""
+    until = np.full(len(block.kind), NEVER_US)
+    if len(until):
+        until[0] = state.until_us
+    for row, kind, t_us, values in compass_samples(block):
+        x, y, z, *force = values
+        if kind == IMU:
+            saturated = any(
+                abs(rate) > GYRO_RANGE_RPS and abs(rate - before) <= SATURATED_SHARE * abs(rate)
+                for rate, before in zip((x, y, z), state.rates, strict=True)
+            )
+            state.rates, state.count = (x, y, z), state.count + 1 if saturated else 0
+            if t_us < state.until_us and math.hypot(*force[:3]) > IMPACT_MPS2:
+                until[row] = state.until_us = FOREVER_US
+        elif kind == MAG:
+            if state.count >= SATURATED_SAMPLES and _field_turned((x, y, z), state.older):
+                until[row] = state.until_us = max(state.until_us, t_us + LOST_US)
+            if not 0 <= t_us - state.marked_us < MARK_US:
+                state.older, state.younger, state.marked_us = state.younger, (x, y, z), t_us
+    lost: NDArray[np.bool_] = block.t_us < np.maximum.accumulate(until)
+    return lost
+
+
+def _field_turned(field: Axis, before: Axis) -> bool:
+    """Whether the field points in another direction in the body than before."""
+    size_sq = dot(field, field) * dot(before, before)
+    return dot(before, before) > 0.0 and dot(field, before) < TURNED_COSINE * math.sqrt(size_sq)

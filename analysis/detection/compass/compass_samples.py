@@ -1,0 +1,44 @@
+"""Samples of the compass and the first IMU, and vectors as tuples of floats.
+
+These detectors take a few hundred samples a second, one by one: tuples are ten times as fast as
+arrays of three numbers.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from analysis.samples.block import FIX, IMU, IMU_ID, MAG, Block
+
+Axis = tuple[float, float, float]
+ZERO: Axis = (0.0, 0.0, 0.0)
+
+
+def compass_samples(block: Block) -> Iterator[tuple[int, int, int, tuple[float, ...]]]:
+    """Row, kind, stamp and the first seven numbers of compass, first IMU and fixes."""
+    of_imu = (block.kind == IMU) & (block.values[:, IMU_ID] < 0.5)
+    rows = np.flatnonzero(of_imu | (block.kind == MAG) | (block.kind == FIX))
+    columns = rows.tolist(), block.kind[rows].tolist(), block.t_us[rows].tolist()
+    values = zip(*block.values[rows, : IMU_ID + 1].T.tolist(), strict=True)
+    return zip(*columns, values, strict=True)
+
+
+def add(a: Axis, b: Axis, share: float = 1.0) -> Axis:
+    """Return a plus a share of b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+def dot(a: Axis, b: Axis) -> float:
+    """Return the scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Axis, b: Axis) -> Axis:
+    """Return the vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def angle_of(a: Axis, b: Axis) -> float:
+    """Return the angle between two directions [rad]."""
+    return math.atan2(math.hypot(*cross(a, b)), dot(a, b))

@@ -1,0 +1,80 @@
+"""A wrong ephemeris as a hypothesis: where another one fits, the satellite is healthy.
+
+An isolated satellite whose ephemerides contradict each other is tested once more with the next best
+of them. If its range fits then, the ephemeris is not used again, and the satellite is not excluded.
+"""
+
+import numpy as np
+
+from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.measurement import EpochObservation, predict_innovations
+from analysis.detection.stages.epoch_outcome import EpochOutcome
+from analysis.detection.stages.epoch_stages import run_stages
+from analysis.detection.stages.observe import observe
+from analysis.samples.sample import Epoch
+
+CONTRADICTING_SIGMAS = 3.0  # of a range: two ephemerides that differ by less explain no fault
+EXPLAINED = ("none", "satellites")
+
+
+def try_other_ephemerides(
+    epoch: Epoch,
+    record: EpochRecord,
+    outcome: EpochOutcome,
+    history: tuple[EpochRecord, ...],
+    config: DetectorConfig,
+) -> tuple[EpochRecord, EpochOutcome, str]:
+    """The epoch's record and outcome with other ephemerides, where these clear an isolated
+    satellite, and what was wrong; both unchanged and "" where they do not."""
+    known, faulty = record.core.broadcast, _isolated(outcome)
+    if not faulty or known.selection is None:
+        return record, outcome, ""
+    used = zip(known.selection.names, known.selection.used, strict=True)
+    wrong = {name: ephemeris for name, ephemeris in used if name in faulty}
+    broadcast = known._replace(wrong=known.wrong.union(wrong.values()), selection=None)
+    observation, broadcast = observe(epoch, broadcast, config.systems)
+    if observation is None:
+        return record, outcome, ""
+    ours, theirs = (_ranges_m(o, record.core, config) for o in (record.observation, observation))
+    doubtful = {
+        name
+        for name in faulty & theirs.keys()
+        if abs(ours[name][0] - theirs[name][0]) > CONTRADICTING_SIGMAS * ours[name][1]
+    }
+    if not doubtful:
+        return record, outcome, ""
+    again = record._replace(core=record.core._replace(broadcast=broadcast), observation=observation)
+    other = run_stages(epoch.t_us, observation, record.run, again.core, history, config)
+    cleared = sorted(doubtful - _isolated(other))
+    explained = other.tested is not None and other.tested.verdict.ranges.hypothesis in EXPLAINED
+    if not cleared or not explained:
+        return record, outcome, ""
+    toes = {name: round(wrong[name].toe_s / 60.0) for name in cleared}
+    return (
+        again,
+        other,
+        "; ".join(
+            f"ephemeris of {name} of {toe // 60 % 24:02d}:{toe % 60:02d} is wrong: another fits"
+            for name, toe in toes.items()
+        ),
+    )
+
+
+def _isolated(outcome: EpochOutcome) -> set[str]:
+    """The satellites that the ranges of the epoch isolate."""
+    if outcome.tested is None:
+        return set()
+    names = outcome.tested.assessment.satellites
+    return {names[i] for i in outcome.tested.verdict.ranges.faulty}
+
+
+def _ranges_m(
+    observation: EpochObservation, core: DetectorCore, config: DetectorConfig
+) -> dict[str, tuple[float, float]]:
+    """Each satellite's innovation and its sigma at the filter's newest state."""
+    assert core.motion is not None
+    ionosphere = core.broadcast.ionosphere
+    found = predict_innovations(observation, core.motion.x, config.sigma, ionosphere)
+    columns = found.range_m.tolist(), np.sqrt(found.variance).tolist()
+    return dict(zip(observation.satellites, zip(*columns, strict=True), strict=True))

@@ -1,0 +1,146 @@
+"""What is usual for a stream, and the time that all streams of a clock show.
+
+A stream is the samples of one kind, and of one instance for an IMU. Its own past defines what is
+usual: the interval of samples, their lateness, how often a value repeats. Clocks that count from
+boot and from 1970 are tracked separately.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from analysis.detection.streams.stream_rate import StreamRate
+from analysis.samples.block import FIX_VELOCITY, NEVER_US, SOURCES
+
+OWN_SOURCE = SOURCES.index("HIL_GPS")
+FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: position and level velocity together, while it moves
+
+# samples after which a stream and its values are known, chosen
+LEARNED_SAMPLES, LEARNED_VALUES = 20, 200
+SHARE = 0.05  # weight of an interval in the usual one: 20 intervals
+SILENT_US = 500_000  # shortest silence, chosen
+RHYTHM_SAMPLES = 5  # samples after which a stream's interval is roughly known
+INTERVALS = 5.0  # least length of a silence in usual intervals, chosen
+PAUSE_FACTOR, FORGOTTEN_US = 1.5, 60e6  # of the longest recent pause: lossy logs and links; memory
+LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness, and in its usual spread; chosen
+FROZEN_STAMPS = 5  # equal stamps in a row, chosen
+# A repetition beyond the sensor's past: factor, samples more, and duration; chosen.
+RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
+STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
+REPEAT_US = 500_000  # between two results about the same anomaly
+
+
+@dataclass(slots=True, eq=False)
+class Clock:
+    """The time that the streams of a clock show, and a jump of it that is not yet resolved."""
+
+    newest_us: int = NEVER_US
+    none_silent_us: int = NEVER_US  # before it no stream can be silent
+    from_us: int = NEVER_US
+    to_us: int = NEVER_US  # NEVER_US without a jump
+    jumped: set["Stream | None"] = field(default_factory=set)  # None: what only shows the time
+    elapsed_us: int = NEVER_US  # without pauses of all streams
+
+
+@dataclass(slots=True)
+class _Number:
+    """One of the numbers that a sensor measures: when it took its value, and its repetitions."""
+
+    value: float = math.nan  # equals nothing: the first value is no repetition
+    since_us: int = 0
+    run: int = 0
+    longest: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class Stream:
+    """The newest stamps of a stream, and its usual times in us."""
+
+    name: str
+    count: int = 0
+    clock: Clock | None = None
+    last_us: int = 0
+    received_us: int = 0
+    due_us: int = 0  # silent from then on
+    waited_us: int = 0  # the newest stamp while a jump is unresolved
+    reported_us: int = NEVER_US
+    elapsed_at_us: int = 0
+    same_stamps: int = 0
+    interval_us: float = 0.0
+    lateness_us: float = 0.0
+    spread_us: float = 0.0  # of the lateness
+    pause_us: float = 0.0  # the longest
+    limit_us: int = SILENT_US  # for how long it may be silent
+    rate: StreamRate = field(default_factory=StreamRate)
+    numbers: list[_Number] = field(default_factory=lambda: [_Number() for _ in range(6)])
+    source: float = math.nan  # of a fix
+
+    def may_report(self, t_us: int) -> bool:
+        """Whether the last report is old enough; the new one then counts as the last."""
+        if t_us - self.reported_us < REPEAT_US:
+            return False
+        self.reported_us = t_us
+        return True
+
+    def is_late(self, late_us: int) -> bool:
+        """Whether a sample is later than usual."""
+        most_us = self.lateness_us + max(LATE_US, SPREAD_FACTOR * self.spread_us)
+        return self.count >= LEARNED_SAMPLES and late_us > most_us
+
+    def learn_times(self, gap_us: int, late_us: int) -> None:
+        """Update interval and lateness from a regular sample."""
+        share = max(SHARE, 1.0 / (1.0 + self.count))
+        if self.count < LEARNED_SAMPLES or gap_us < INTERVALS * self.interval_us:
+            self.interval_us += share * (gap_us - self.interval_us)
+        self.spread_us += share * (abs(late_us - self.lateness_us) - self.spread_us)
+        self.lateness_us += share * (late_us - self.lateness_us)
+        self._update_limit()
+        if self.count >= RHYTHM_SAMPLES and gap_us < self.limit_us:
+            self.pause_us = max(gap_us, self.pause_us * (1.0 - gap_us / FORGOTTEN_US))
+            self._update_limit()
+
+    def _update_limit(self) -> None:
+        own_us = max(INTERVALS * self.interval_us, PAUSE_FACTOR * self.pause_us)
+        self.limit_us = max(SILENT_US, int(own_us))
+
+    def is_from_receiver(self, source: float) -> bool:
+        """Whether a fix is the receiver's own: those that an autopilot forwards are late."""
+        if source == self.source:
+            return True
+        if source != OWN_SOURCE and not math.isnan(self.source):
+            return False
+        self.source, self.count = source, 0
+        return True
+
+    def repetition_us(self, values: Sequence[float], t_us: int) -> int:
+        """For how long one of the sensor's numbers has repeated beyond its own past."""
+        worst_us, known = 0, self.count >= LEARNED_VALUES
+        for number, value in zip(self.numbers, values, strict=False):
+            if value != number.value:
+                number.value, number.since_us = value, t_us
+                if number.run:
+                    if number.run <= RUN_FACTOR * number.longest + RUN_MORE:
+                        number.longest = max(number.longest, number.run)
+                    number.run = 0
+                continue
+            number.run += 1
+            for_us, most = t_us - number.since_us, RUN_FACTOR * number.longest + RUN_MORE
+            if not known:
+                number.longest = max(number.longest, number.run)
+            elif number.longest <= STILL_SAMPLES and number.run > most and for_us >= RUN_US:
+                worst_us = max(worst_us, for_us)
+        return worst_us
+
+    def fix_repetition_us(self, values: Sequence[float], t_us: int) -> int:
+        """Repetition of a fix, whose numbers repeat together, tested only while it moves."""
+        same = True
+        for number, value in zip(self.numbers, values[:FIX_NUMBERS], strict=False):
+            same &= value == number.value
+            number.value = value
+        run = self.numbers[0]
+        if not same or not math.hypot(*values[FIX_VELOCITY:FIX_NUMBERS]) > MOVING_MPS:
+            run.since_us, run.run = t_us, 0
+            return 0
+        run.run += 1
+        for_us = t_us - run.since_us
+        return for_us if run.run >= FROZEN_STAMPS and for_us >= RUN_US else 0

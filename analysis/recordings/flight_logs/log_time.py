@@ -1,0 +1,225 @@
+"""The time of every row of a flight log, whatever became of its stamps.
+
+Rows stand in the order in which they were logged. Stamps place them by the vehicle's clock as long
+as it runs on; where it is set back or forward, the log goes on all the same. Where stamps are
+missing or zero, another time in the messages counts (that of the receiver), else the place in the
+file. Only where the vehicle evidently started anew, boots are placed one after another.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.recordings.flight_logs.misdated_stamps import (
+    FREQUENT_US,
+    find_misdated,
+    find_restarts,
+)
+
+Stamps = NDArray[np.int64]
+
+PAUSE_US = 1_000_000  # between two boots in one file, whose real pause is not logged
+STEP_US = 1_000  # chosen: between two messages in a row
+STALE_US = 1_000_000  # chosen: sensors are sampled more often
+LONGEST_GAP_US = 86_400_000_000  # one day; chosen: no log pauses longer
+MOST_STALE = 5  # chosen: first rows of a topic that may be from before the log
+EVEN_SHARE, EVEN_FACTOR = 0.9, 5.0  # chosen: nine of ten steps are within this of the usual one
+FEWEST_EVEN = 20  # chosen: rows of a topic that show the clock
+FARTHEST_BEHIND_US = 10_000_000  # chosen: a row this far behind the others has a wrong stamp
+FARTHEST_US = 1 << 60  # sums and differences of wrong stamps must not overflow
+
+
+class RowStamps(NamedTuple):
+    """Places in the file (n,) of a message's rows, their stamps, and another clock's, in us."""
+
+    at: Stamps
+    stamp_us: Stamps | None
+    other_us: Stamps | None = None
+
+
+@dataclass(slots=True)
+class RowTimes:
+    """The times of rows by message, which of them count, and what was found.
+
+    Attributes
+    ----------
+    times, keep : dict
+        Times in us, shape (n,), and rows with a credible stamp.
+    restarts, settings : int
+        Boots after the first one; settings of the clock.
+    stale, begin_us : int
+        Rows from before the log, which count as of its beginning, and when that was.
+    unstamped, misdated : bool
+        Whether rows have no stamp, or a wrong one.
+    """
+
+    times: dict[Any, Stamps]
+    keep: dict[Any, NDArray[np.bool_]]
+    restarts: int = 0
+    settings: int = 0
+    stale: int = 0
+    begin_us: int = 0
+    unstamped: bool = False
+    misdated: bool = False
+
+    def notes(self) -> list[str]:
+        """Notes for readers of the report."""
+        found = []
+        if self.restarts:
+            found.append(
+                f"the vehicle restarted {self.restarts} time(s) in this log: each boot is drawn "
+                "after the one before, one second later"
+            )
+        if self.settings:
+            found.append(f"the log's clock was set {self.settings} time(s); its rows run on")
+        if self.unstamped:
+            found.append("rows have no timestamps: they are placed between those that have a time")
+        if self.stale:
+            found.append(f"{self.stale} samples from before the log are drawn at its beginning")
+        return found
+
+
+def place_rows(
+    messages: Mapping[Any, RowStamps], boots: Sequence[int] = (), begin_us: int | None = None
+) -> RowTimes:
+    """Find the time of every row of a log.
+
+    Parameters
+    ----------
+    messages : dict of RowStamps
+        By message (and instance).
+    boots : sequence of int
+        Places in the file at which the logger began anew.
+    begin_us : int, optional
+        When the log began, where rows have the stamps of their publication, which may be long
+        before they are logged: the newest sample of every topic is logged first.
+    """
+    found = RowTimes({}, {})
+    topics = begin_us is not None
+    stamps = {key: _signed(rows.stamp_us) for key, rows in messages.items()}
+    # By topics that are logged evenly the clock of the others is known.
+    even = [key for key, some in stamps.items() if not topics or _is_even(some)] or list(messages)
+    parts = []
+    for key in even:
+        found.unstamped |= bool((stamps[key] == 0).any())
+        known = stamps[key] != 0
+        known[: _stale_rows(stamps[key]) if topics else 0] = False
+        parts.append((messages[key].at[: len(known)][known], stamps[key][known]))
+    at, t_us = _in_file_order(parts)
+    wrong = find_misdated(t_us)
+    at, t_us, wrong_places = at[~wrong], t_us[~wrong], at[wrong]
+    edges, shifts = _join_clocks(at, t_us, np.sort(np.array(boots, np.int64)), found)
+    at, t_us = _with_other_clock(
+        at, t_us + shifts[np.searchsorted(edges, at, "right")], list(messages.values())
+    )
+    first, last = (int(t_us.min()), int(t_us.max())) if len(t_us) else (0, 0)
+    found.begin_us = first
+    if begin_us is not None and abs(first - begin_us) < STALE_US:
+        found.begin_us = begin_us
+    for key, rows in messages.items():
+        own, place = stamps[key], _between if found.unstamped else _newest_before
+        placed = place(rows.at, at, t_us)
+        if len(own):
+            placed = _between(rows.at, at, t_us)
+            clock = own + shifts[np.searchsorted(edges, rows.at, "right")]
+            placed = np.where(own != 0, clock, placed)
+        keep = ~np.isin(rows.at, wrong_places)
+        if topics and len(at):
+            keep &= (key in even) | ~find_misdated(placed, topic=True)
+            stale = keep & (placed < found.begin_us - STALE_US)
+            found.stale += int(stale.sum())
+            far = (placed > last + FARTHEST_BEHIND_US) & (own != 0 if len(own) else False)
+            keep &= ~far | (key in even)
+            placed = np.where(stale, found.begin_us, placed)
+        found.times[key], found.keep[key] = placed, keep
+        found.misdated |= not keep.all()
+    return found
+
+
+def _stale_rows(stamps: Stamps) -> int:
+    """How many first rows are from long before the others."""
+    steps = np.flatnonzero(np.diff(stamps[:MOST_STALE]) > STALE_US)
+    return int(steps[-1]) + 1 if len(steps) else 0
+
+
+def _is_even(stamps: Stamps) -> bool:
+    """Whether a topic is logged at even intervals, and often."""
+    if len(stamps) < FEWEST_EVEN:
+        return False
+    steps = np.abs(np.diff(stamps))
+    # Events come in bursts.
+    usual = float(np.median(steps))
+    return bool(np.quantile(steps, EVEN_SHARE) / EVEN_FACTOR < usual < FREQUENT_US)
+
+
+def _signed(stamps: Stamps | None) -> Stamps:
+    """Stamps as signed numbers: a clock set back before its zero wraps around."""
+    if stamps is None:
+        return np.empty(0, np.int64)
+    return np.clip(stamps.astype(np.int64), -FARTHEST_US, FARTHEST_US)
+
+
+def _in_file_order(parts: Sequence[tuple[Stamps, Stamps]]) -> tuple[Stamps, Stamps]:
+    empty = np.empty(0, np.int64)
+    at, t_us = (np.concatenate([empty, *some]) for some in zip(*parts, (empty, empty), strict=True))
+    order = np.argsort(at, kind="stable")
+    return at[order], t_us[order]
+
+
+def _join_clocks(at: Stamps, t_us: Stamps, boots: Stamps, found: RowTimes) -> tuple[Stamps, Stamps]:
+    """Places (k,) from which another clock counts, and shifts (k + 1,) that join the clocks."""
+    jumps = np.union1d(find_restarts(t_us), np.flatnonzero(np.diff(t_us) > LONGEST_GAP_US) + 1)
+    begins = [0, *jumps.tolist(), len(t_us)]
+    shifts = [0]
+    for begin, end, after in zip(begins, begins[1:], begins[2:], strict=False):
+        newest = int(t_us[begin:end].max()) + shifts[-1]
+        between = np.searchsorted(boots, (at[end - 1], at[end]))
+        restarted = between[1] > between[0]
+        found.restarts += int(restarted)
+        found.settings += int(not restarted)
+        pause = PAUSE_US if restarted else STEP_US
+        shifts.append(newest + pause - int(t_us[end:after].min()))
+    return at[jumps], np.array(shifts, np.int64)
+
+
+def _with_other_clock(
+    at: Stamps, t_us: Stamps, messages: Sequence[RowStamps]
+) -> tuple[Stamps, Stamps]:
+    """Add the times of another clock, where a log has no stamps for more than `STALE_US` of it."""
+    others = [(rows.at, rows.other_us) for rows in messages if rows.other_us is not None]
+    other_at, other_us = _in_file_order([(a[o > 0], o[o > 0]) for a, o in others])
+    if not len(other_at):
+        return at, t_us
+    order = np.maximum.accumulate(other_us)
+    if not len(at):
+        return other_at, order - order[0]
+    # The stretches without a stamp: gaps between the places that have one.
+    inside = (other_at >= at[0]) & (other_at <= at[-1])
+    offset = t_us[-1] - np.interp(at[-1], other_at, order) if inside.any() else 0
+    behind, before = other_at > at[-1], other_at < at[0]
+    lead = t_us[0] - np.interp(at[0], other_at, order)
+    return (
+        np.concatenate([other_at[before], at, other_at[behind]]),
+        np.concatenate([(order[before] + lead), t_us, (order[behind] + offset)]).astype(np.int64),
+    )
+
+
+def _newest_before(places: Stamps, at: Stamps, t_us: Stamps) -> Stamps:
+    """The time of the row before each of some places (n,) of a file."""
+    if not len(t_us):
+        return np.zeros(len(places), np.int64)
+    return t_us[np.maximum(np.searchsorted(at, places) - 1, 0)]
+
+
+def _between(places: Stamps, at: Stamps, t_us: Stamps) -> Stamps:
+    """Times (n,) at `places` of a file from known ones; beyond them at the mean rate."""
+    if len(at) < 2 or at[-1] == at[0]:
+        return np.full(len(places), t_us[0] if len(t_us) else 0, np.int64)
+    newest = np.maximum.accumulate(t_us)
+    inside = np.interp(places, at, newest)
+    rate = (newest[-1] - newest[0]) / (at[-1] - at[0])
+    beyond = np.minimum(places - at[0], 0) + np.maximum(places - at[-1], 0)
+    return np.asarray(inside + rate * beyond, np.int64)

@@ -1,0 +1,139 @@
+"""Read logs of Android telephones (GnssLogger, GPSTest: text, rows `Raw`): pseudoranges on L1.
+
+A telephone reports when a signal was sent, within its week, day or code period, and its own clock;
+the pseudorange is the difference times the speed of light [1]_. The clock's first bias is kept
+until the hardware clock is set, so that the receiver clock stays continuous. Ephemerides must come
+from navigation files.
+
+References
+----------
+.. [1] European GNSS Agency, Using GNSS raw measurements on Android devices, 2017, 2.4.
+.. [2] Android API reference, `GnssMeasurement` (states, constellations), `GnssClock`.
+"""
+
+import csv
+import math
+from collections.abc import Iterator, Mapping
+from datetime import date, timedelta
+from pathlib import Path
+
+from analysis.orbits.broadcast import B1I_HZ, BEIDOU_TIME_OFFSET_S
+from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
+from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
+from analysis.samples.sample import Epoch
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
+from mavproxy_fault.rinex.gps_clock import leap_seconds
+
+# By constellation [2]_: letter, number of the first satellite less one, carrier, signal.
+SYSTEMS = {
+    "1": ("G", 0, L1_HZ, "1C"),
+    "3": ("R", 0, CENTRE_HZ, "1C"),
+    "4": ("J", 192, L1_HZ, "1C"),
+    "5": ("C", 0, B1I_HZ, "2I"),
+    "6": ("E", 0, L1_HZ, "1C"),
+}
+DAY_NS, WEEK_NS, SECOND_CODE_NS = 86_400 * 10**9, 604_800 * 10**9, 100 * 10**6
+# States [2]_: the code is locked, Galileo's secondary code too, the time of week or day is known.
+CODE, GALILEO_CODE, SECOND_CODE = 1 << 0, 1 << 10, 1 << 11
+TIME_KNOWN, DAY_KNOWN = 1 << 3 | 1 << 14, 1 << 7 | 1 << 15
+MOSCOW_NS = 3 * 3600 * 10**9  # GLONASS days begin at midnight in Moscow
+MOST_SENT_ERROR_NS = 500.0  # of the time of transmission: above it the code is barely locked
+LAST_GLONASS = 24  # larger numbers are channels of satellites that are not identified
+SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1
+GPS_DAY_ZERO = date(1980, 1, 6)
+
+
+def is_gnss_logger(path: Path) -> bool:
+    """Whether a file is a telephone's log: RINEX files are texts too."""
+    if not path.name.lower().endswith(".txt") or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b"RINEX VERSION" not in file.readline()
+
+
+def read_gnss_logger(path: Path) -> list[Epoch]:
+    """All epochs of a telephone's log.
+
+    Raises
+    ------
+    ConfigError
+        If the log cannot be read or holds no pseudoranges.
+    """
+    try:
+        lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    found = list(_epochs(lines))
+    if not found:
+        raise ConfigError(f"{path}: no row `Raw` with a pseudorange; give a log of GnssLogger")
+    return found
+
+
+def _epochs(lines: list[str]) -> Iterator[Epoch]:
+    names = next((line[1:] for line in lines if line[1:].lstrip().startswith("Raw,")), "")
+    columns = [name.strip() for name in names.split(",")]
+    clock, discontinuities, bias_ns = "", "", 0
+    rows: dict[str, CodeObservation] = {}
+    channels: dict[str, int] = {}
+    at_ns = 0
+    for fields in csv.reader(line for line in lines if line.startswith("Raw,")):
+        row = dict(zip(columns, fields, strict=False))
+        try:
+            if row["TimeNanos"] != clock:
+                yield from _epoch(at_ns, rows, channels)
+                clock, rows = row["TimeNanos"], {}
+                if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
+                    discontinuities = row["HardwareClockDiscontinuityCount"]
+                    bias_ns = int(row["FullBiasNanos"])
+                at_ns = int(clock) - bias_ns
+            found = _observation(row, at_ns)
+        except (KeyError, ValueError):
+            continue  # a damaged row
+        if found is not None:
+            rows.setdefault(found[0], found)
+            if found[0][0] == "R":
+                offset_hz = float(row["CarrierFrequencyHz"] or CENTRE_HZ) - CENTRE_HZ
+                channels[found[0]] = round(offset_hz / CHANNEL_HZ)
+    yield from _epoch(at_ns, rows, channels)
+
+
+def _epoch(
+    at_ns: int, rows: dict[str, CodeObservation], channels: dict[str, int]
+) -> Iterator[Epoch]:
+    week, tow_ns = divmod(at_ns, WEEK_NS)
+    epoch = epoch_of(week, tow_ns * 1e-9, list(rows.values()), channels)
+    if epoch is not None:
+        yield epoch
+
+
+def _observation(row: Mapping[str, str], at_ns: int) -> CodeObservation | None:
+    """The code observation of a row received at `at_ns` of GPS time; None where it has no range."""
+    if row["ConstellationType"] not in SYSTEMS:
+        return None
+    system, first, carrier_hz, signal = SYSTEMS[row["ConstellationType"]]
+    number, state = int(row["Svid"]) - first, int(row["State"])
+    received_hz = float(row.get("CarrierFrequencyHz") or carrier_hz)
+    sent_error_ns = float(row["ReceivedSvTimeUncertaintyNanos"])
+    if abs(received_hz / carrier_hz - 1.0) > SAME_CARRIER or sent_error_ns > MOST_SENT_ERROR_NS:
+        return None
+    # The period within which the time of transmission is known, and the system's clock.
+    offset_ns, period_ns, known = 0, WEEK_NS, bool(state & TIME_KNOWN and state & CODE)
+    if system == "R":
+        today = GPS_DAY_ZERO + timedelta(days=at_ns // DAY_NS)
+        offset_ns, period_ns = MOSCOW_NS - leap_seconds(today) * 10**9, DAY_NS
+        known = bool(state & DAY_KNOWN and state & CODE) and number <= LAST_GLONASS
+    elif system == "C":
+        offset_ns = round(BEIDOU_TIME_OFFSET_S * -1e9)
+    elif system == "E":
+        known = bool(state & TIME_KNOWN and state & (CODE | GALILEO_CODE))
+        if not known and state & SECOND_CODE:
+            period_ns, known = SECOND_CODE_NS, True
+    if not known:
+        return None
+    travel_ns = float((at_ns + offset_ns - int(row["ReceivedSvTimeNanos"])) % period_ns)
+    travel_ns += float(row["TimeOffsetNanos"] or 0.0)
+    rate_mps = float(row["PseudorangeRateMetersPerSecond"] or math.nan)
+    doppler_hz = -rate_mps * received_hz / SPEED_OF_LIGHT_MPS
+    values = travel_ns * 1e-9 * SPEED_OF_LIGHT_MPS, doppler_hz, float(row["Cn0DbHz"])
+    return f"{system}{number:02d}", values, carrier_hz, signal

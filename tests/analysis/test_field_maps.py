@@ -1,0 +1,43 @@
+"""Field maps: the form of the tables, and what becomes of fields that a version lacks."""
+
+import numpy as np
+import pytest
+
+from analysis.field_maps.dataflash_map import DATAFLASH
+from analysis.field_maps.field_map import FLAGS, TRACK, read_map, rows_of, values_of
+from analysis.field_maps.tlog_map import TLOG
+from analysis.field_maps.ulog_map import ULOG
+from analysis.recordings.flight_logs.autopilot_logs import KINDS
+from analysis.report.curves.panels import BY_KEY
+
+
+def test_words_in_braces_stand_for_one_line_each() -> None:
+    (lines,) = read_map("M first\n  accel  {x,y}  a{1..2} * 2\n").values()
+    assert [(line.target, line.name, line.first) for line in lines] == [
+        ("accel", "x", True), ("accel", "y", True),
+    ]  # fmt: skip
+    assert values_of(lines[1], {"a2": np.array([3, 4])}) == pytest.approx([6, 8])
+
+
+def test_a_line_whose_field_is_missing_or_a_text_gives_nothing() -> None:
+    ((line,),) = read_map("M\n  load  processor  Load * 0.1\n").values()
+    assert values_of(line, {"Other": np.array([1.0])}) is None
+    assert values_of(line, {"Load": np.array([b"x"])}) is None
+    assert values_of(line, {"Load": np.array([np.nan])}) is None
+
+
+def test_arrays_of_all_formats_have_the_element_as_the_first_axis() -> None:
+    ((line,),) = read_map("M\n  MAG  all  q[1], q, 7\n").values()
+    flat = {"q[0]": np.array([1.0, 2.0]), "q[1]": np.array([3.0, 4.0])}
+    wide = {"q": np.array([[1.0, 3.0], [2.0, 4.0]])}
+    for columns in (flat, wide):
+        found = rows_of(line, columns)
+        assert found is not None
+        assert found.tolist() == [[3, 1, 3, 7], [4, 2, 4, 7]]
+
+
+@pytest.mark.parametrize("table", [TLOG, ULOG, DATAFLASH])
+def test_every_line_is_of_a_panel_or_of_another_known_kind(table) -> None:
+    for line in (line for lines in table.values() for line in lines):
+        kind = line.target.partition("#")[0]
+        assert kind in (*BY_KEY, *FLAGS, TRACK, *KINDS, "VISION", "TRUTH"), line
