@@ -8,7 +8,6 @@ References
 .. [1] Zeller and Hildebrandt, IEEE Transactions on Software Engineering 28(2), 2002.
 """
 
-import csv
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,11 +16,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from analysis.report.curves.derived_curves import add_derived_curves
-from analysis.report.judging.flight_signals import collect_signals
-from analysis.report.recordings.from_tlog import recording_of_tlog
-from analysis.results import read_results
-from analysis.scoring.requirements import TRUE, FlightSignals
+from analysis.report.flight_verdict import assess_flight
+from analysis.report.judging.check_limits import Thresholds
+from analysis.report.log_report import write_report
+from analysis.report.recordings.flight_sources import read_flight
 from analysis.search.archive import Case
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.evaluation.violation import fly_violation
@@ -31,10 +29,8 @@ from analysis.search.space.fault_picks import expand_picks
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.app.recorder import LABELS, SENT
-from mavproxy_fault.documents.extras import has_extra
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.wire.label import read_labels
-from mavproxy_fault.wire.tlog import read_columns
 
 HALVINGS = 3  # chosen: to an eighth of a magnitude and of a duration, three flights each
 Values = dict[str, float]
@@ -98,7 +94,7 @@ def reduce_case(test: TestFile, case: Case, folder: Path) -> Counterexample:
     found, flight = fly_violation(test, document, folder / "with")
     calm = {**document, "schedule": {**document["schedule"], "faults": []}}
     fly_violation(test, calm, folder / "without")
-    write_curves(test, folder, document["start"]["alt_m"])
+    write_curves(test, folder)
     return Counterexample(
         violation=f"{found.name}: {found.describe()}", faults=document["schedule"]["faults"],
         flown=len(numbers), failed=failed, behaviour=flight.behaviour,
@@ -162,41 +158,10 @@ def write_scenario(test: TestFile, document: Mapping[str, Any], folder: Path) ->
     return shlex.join(words)
 
 
-def write_curves(test: TestFile, folder: Path, ground_m: float) -> None:
-    """Write `curves.csv`, and `curves.png` with matplotlib: the requirement's signals with and
-    without the faults."""
-    flown = {name: _signals(test, folder / name, ground_m) for name in ("with", "without")}
-    names = sorted(name for name in test.requirement.signals if name in flown["with"].values)
-    with (folder / "curves.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["faults", "t_s", *names])
-        for side, signals in flown.items():
-            columns = [signals.t_s, *(_shown(signals.values[name]) for name in names)]
-            writer.writerows([side, *map(float, row)] for row in np.round(np.array(columns).T, 3))
-    if not names or not has_extra("matplotlib"):
-        return
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 2.6 * len(names)), layout="constrained")
-    for axes, name in zip(np.ravel([figure.subplots(len(names))]), names, strict=True):
-        for side, signals in flown.items():
-            axes.plot(signals.t_s, _shown(signals.values[name]), label=f"{side} the faults")
-        axes.set(ylabel=name, xlabel="s")
-        axes.legend()
-    figure.savefig(folder / "curves.png", dpi=110)
-
-
-def _signals(test: TestFile, folder: Path, ground_m: float) -> FlightSignals:
-    log = next(folder.rglob(SENT))
-    labels = read_labels(log.parent / LABELS)
-    t0_us = labels[0].t0_us if labels else None
-    recording = add_derived_curves(recording_of_tlog(read_columns(log), t0_us=t0_us))
-    results = read_results(log.parent / "results.jsonl")
-    signals = collect_signals(recording, labels, results, ground_m, test.estimator)
-    assert signals is not None
-    return signals
-
-
-def _shown(values: Any) -> Any:
-    """True and false as 1 and 0."""
-    return np.where(np.abs(values) == TRUE, values > 0.0, values)
+def write_curves(test: TestFile, folder: Path) -> None:
+    """Write `report.html` of the flight with the faults, with the curves of that without them."""
+    logs = [next((folder / side).rglob(SENT)) for side in ("with", "without")]
+    labels = read_labels(logs[0].parent / LABELS)
+    thresholds = Thresholds(requirements=[msgspec.to_builtins(test.requirement)])
+    flown = assess_flight(read_flight(logs[:1], labels), thresholds)
+    write_report(folder, flown, [assess_flight(read_flight(logs[1:], ()), thresholds)])

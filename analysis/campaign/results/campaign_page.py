@@ -22,7 +22,6 @@ from analysis.campaign.results.outcome_grid import (
     GridCell,
     GridRow,
     failsafe_share,
-    find_interactions,
     outcome_grid,
     severity_key,
 )
@@ -87,7 +86,6 @@ def render_campaign_page(
             _reactions_html(grid),
             _pareto_html(grid, plan.campaign.limits),
             _worst_html(listed[:WORST_ROWS], units),
-            _interactions_html(plan.campaign, results),
             f'</main><script type="application/json" id="model">{text}</script>',
             f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
             f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
@@ -242,19 +240,6 @@ def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) 
         "note", "monitor",
     )  # fmt: skip
     return "<h2>Worst cells</h2>" + _table("Worst cells", head, rows)
-
-
-def _interactions_html(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
-    """Return the table of pairs that fail where neither fault alone does; empty without pairs."""
-    if not campaign.combine:
-        return ""
-    head = ("subject", "pair", "scenario", "onset", "seed", "outcome", "requirements")
-    rows = [
-        (r.cell.subject, r.cell.fault, r.cell.scenario, f"{r.cell.onset}", f"{r.cell.seed}",
-         r.outcome, ", ".join(one.name for one in r.requirements if one.met is False))
-        for r in find_interactions(campaign, results)
-    ]  # fmt: skip
-    return "<h2>Pairs that fail where neither fault alone does</h2>" + _table("Pairs", head, rows)
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
