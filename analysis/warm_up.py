@@ -128,7 +128,7 @@ def _chains(folder: Path) -> list[list[Step]]:
     other = [_step("multirotor", folder, "run", "--zenoh", "off")]
     proxied = [
         Step("the proxy's machine code", _make_object_file),
-        Step("plain steps", partial(_make_plain_steps, folder / "multirotor.yaml")),
+        Step("stretches", partial(_make_stretches, folder / "multirotor.yaml")),
     ]
     return [longest, searches, other, proxied]
 
@@ -145,8 +145,8 @@ def _make_object_file() -> None:
     object_file.make()
 
 
-def _make_plain_steps(scenario: Path) -> None:
-    from analysis.autopilots.plain_flight import plain_flight
+def _make_stretches(scenario: Path) -> None:
+    from analysis.autopilots.stretches import open_stretches
     from analysis.run.proxied_flight import ProxiedFlight
     from mavproxy_fault.compiled.passage import new_passage
     from mavproxy_fault.schedule.entries import Schedule
@@ -155,7 +155,9 @@ def _make_plain_steps(scenario: Path) -> None:
 
     flight = ProxiedFlight(read_scenario(scenario), Schedule(0, ()))
     # Made, not flown: for that an autopilot would have to answer.
-    plain_flight(flight.simulation, HilPacker(), new_passage(flight.core, flight.capture))
+    simulation = flight.simulation
+    passage = new_passage(flight.core, flight.capture)
+    open_stretches(simulation, HilPacker(simulation.board), passage)
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:

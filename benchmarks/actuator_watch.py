@@ -23,7 +23,8 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.sensors.readings import AirspeedReading, ImuReading
+from simvehicle.sensors.compiled_sensor import IMU as IMU_SENSOR
+from simvehicle.sensors.compiled_sensor import PITOT
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.body import Controls
@@ -107,12 +108,13 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
                 simulation.plant(fault.plant, fault.value)
             else:
                 values[fault.number] = held[fault.number] if fault.does == "stuck" else fault.does
-        t_us, _, readings = simulation.step(Controls(values))
-        for reading in readings:
-            if isinstance(reading, ImuReading):
-                rows.append((IMU, t_us, [*reading.gyro_b_rps, *reading.accel_b_mps2]))
-            elif isinstance(reading, AirspeedReading):
-                rows.append((AIRSPEED, t_us, [reading.diff_pressure_pa]))
+        t_us, _, _ = simulation.step(Controls(values))
+        for sensor in simulation.board.sensors:
+            seen = sensor["values"].tolist()
+            if sensor["fresh"] and sensor["kind"] == IMU_SENSOR:
+                rows.append((IMU, t_us, [*seen[3:], *seen[:3]]))
+            elif sensor["fresh"] and sensor["kind"] == PITOT:
+                rows.append((AIRSPEED, t_us, seen[:1]))
     table = np.zeros((len(rows), WIDTH))
     for at, (_, _, numbers) in enumerate(rows):
         table[at, : len(numbers)] = numbers

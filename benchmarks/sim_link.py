@@ -65,12 +65,12 @@ def times_real(seconds: float, step: Callable[[], object]) -> float:
 def measure(text: str, seconds: float, port: int) -> tuple[float, float, float]:
     """Multiples of real time of the steps only, with frames packed, and with frames sent."""
     flight = simulation(text)
-    hil = HilPacker()
+    hil = HilPacker(flight.board)
     link = open_link(f"udpout:127.0.0.1:{port}")
 
     def pack() -> list[bytes]:
-        t_us, truth, readings = flight.step()
-        return hil.frames(t_us, truth, readings)
+        _, _, readings = flight.step()
+        return hil.frames(readings)
 
     def send() -> None:
         for chunk in join_datagrams(pack()):

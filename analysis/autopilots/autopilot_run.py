@@ -19,7 +19,12 @@ import msgspec
 
 from analysis.autopilots.ardupilot import ardupilot_process
 from analysis.autopilots.bus_session import AutopilotBusSession
-from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, AutopilotCommands, Operator
+from analysis.autopilots.flight_operator import (
+    IGNORED_STREAMS,
+    OPERATOR_PERIOD_US,
+    AutopilotCommands,
+    Operator,
+)
 from analysis.autopilots.flight_plan import DEFAULT_HEIGHTS_M, flight_plan
 from analysis.autopilots.flight_process import run_flight_process
 from analysis.autopilots.hil_exchange import (
@@ -28,10 +33,9 @@ from analysis.autopilots.hil_exchange import (
     ConnectionDeadline,
     is_lockstep_traffic,
 )
-from analysis.autopilots.plain_flight import plain_flight
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
-from analysis.autopilots.user_parameters import read_parameters
+from analysis.autopilots.stretches import open_stretches
 from analysis.report.curves.fault_effects import deviation_curves, measure_effects
 from analysis.report.curves.recording import Signal
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
@@ -48,6 +52,7 @@ from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
 from mavproxy_fault.proxy.interfaces import Send
@@ -55,7 +60,7 @@ from mavproxy_fault.schedule.entries import Entry, Schedule
 from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.parser import Parser, walk_frames
 from mavproxy_fault.wire.tlog import read_columns
 from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.pace import parse_speed
@@ -286,8 +291,8 @@ class AutopilotRun:
         self._autopilot_commands = commands
         self._operator = Operator(flight_plan(simulation), commands)
         mav_type, mix = mav_type_and_mix(simulation)
-        hil = HilPacker(mav_type=mav_type)
-        plain = plain_flight(simulation, hil, self._passage)
+        hil = HilPacker(simulation.board, mav_type=mav_type)
+        stretches = open_stretches(simulation, hil, self._passage)
         with launch as running:
             self._startup_pacer = StartupPacer(running)
             deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
@@ -310,7 +315,7 @@ class AutopilotRun:
                 speed,
                 self._progress,
                 lockstep,
-                plain if plain and plain.join(sender, receiver, lockstep) else None,
+                stretches if stretches and stretches.join(sender, receiver, lockstep) else None,
             )
             reason = ""
             try:
@@ -351,7 +356,12 @@ class AutopilotRun:
     def _deliver(self, sends: list[Send]) -> None:
         for send in sends:
             if send.link == GROUND and not is_lockstep_traffic(send.data):
-                for item in self._parser.push(send.data, datagram=True):
+                wanted = [
+                    send.data[start:end]
+                    for start, end, number in walk_frames(send.data)
+                    if number not in IGNORED_STREAMS
+                ]
+                for item in self._parser.push(b"".join(wanted), datagram=True):
                     if isinstance(item, Frame):
                         self._operator.receive(item)
 

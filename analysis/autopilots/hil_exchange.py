@@ -11,20 +11,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
-from analysis.autopilots.flight_operator import IGNORED_STREAMS
 from analysis.run.proxied_flight import GROUND, SIMULATOR, VEHICLE, ProxiedFlight, is_hil_frame
-from mavproxy_fault.compiled.passage import CRC_LENGTH, Passage, Passed, split
+from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.dialect import find_layout, message_layout
 from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
-from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.parser import CRC_LENGTH, Parser, walk_frames
 from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading
-from simvehicle.vehicles.body import Truth
 
 SendListener = Callable[[list[Send]], None]  # receives the frames for monitor and ground station
 STAMP_BYTES = slice(10, 18)  # time_usec in every message that steps the autopilot
@@ -55,8 +53,13 @@ def is_single_step_reply(data: bytes) -> bool:
 
 
 def is_lockstep_traffic(data: bytes) -> bool:
-    """Whether a frame belongs to the HIL lockstep, which no ground station needs."""
-    return is_hil_frame(data) or is_step_reply(data)
+    """Whether frames belong to the HIL lockstep, which no ground station needs."""
+    return is_hil_frame(data) or is_single_step_reply(data)
+
+
+def split_frames(data: bytes) -> list[bytes]:
+    """Return the complete frames that bytes begin with."""
+    return [data[start:end] for start, end, _ in walk_frames(data)]
 
 
 class AutopilotSender:
@@ -108,38 +111,27 @@ class AutopilotSender:
         self._pending_commands: list[bytes] = []  # of a ground station, for the next step
         self._step_sent = False  # whether a step has left since the last call of `commands`
 
-    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
+    def frames(self, readings: Sequence[Reading]) -> list[bytes]:
         """Return the frames of a step after the faults."""
         out: list[bytes] = []
         self._step_sent = True
         # The operator first: its commands belong to the state before this step.
         if self._proxy_answers or self._pending_commands:
             self._send_pending(out)
-        data = b"".join(self._packer.frames(t_us, truth, readings))
-        return self.send_packed(data, self._packer.step_us, out)
+        self.step_us = None
+        self._route_all(self.receive(SIMULATOR, b"".join(self._packer.frames(readings))), out)
+        return out
 
-    def send_packed(
-        self, data: bytes, step_us: int | None, out: list[bytes] | None = None
-    ) -> list[bytes]:
-        """Pass a step's frames through the proxy, appended to the frames that precede them."""
-        out = [] if out is None else out
-        now_us, self.step_us = self.flight.now_us, None
-        if (passed := self.pass_compiled(SIMULATOR, data, now_us)) is not None:
-            if passed.links >> VEHICLE & 1:
-                out.append(passed.data)
-                if passed.data == data:
-                    self.step_us = step_us
-                else:
-                    self._note_step(passed.data)
-            return out
-        for raw in split(data):
-            self._route_all(
-                self.flight.core.received_frame(SIMULATOR, trusted_frame(raw), now_us), out
-            )
+    def finish_packed(self, data: bytes) -> list[bytes]:
+        """Finish what a stretch has begun with a step's frames."""
+        assert self._passage is not None
+        out: list[bytes] = []
+        self.step_us = None
+        self._route_all(self._passage.finish(SIMULATOR, data, self.flight.now_us), out)
         return out
 
     def note_step(self, step_us: int) -> None:
-        """Note that plain steps have sent a step with this timestamp."""
+        """Note that a stretch has sent a step with this timestamp."""
         self.step_us, self._step_sent = step_us, True
 
     @property
@@ -164,18 +156,14 @@ class AutopilotSender:
             self._step_sent = False
             self._pending_commands = self._commands()
 
-    def pass_frame(self, frame: Frame) -> list[Send]:
-        """Pass the autopilot's frame through the interpreted core."""
-        self._flush_passage()
-        return self.flight.core.received_frame(VEHICLE, frame, self.flight.now_us)
+    def receive(self, link: int, data: bytes) -> list[Send]:
+        """Pass complete frames through the proxy."""
+        core = self.flight.core if self._passage is None else self._passage
+        return core.received(link, data, self.flight.now_us)
 
     def _flush_passage(self) -> None:
         if self._passage is not None:
             self._passage.settle()
-
-    def pass_compiled(self, link: int, data: bytes, now_us: int) -> Passed | None:
-        """Pass complete frames through compiled code; None if only the core can handle them."""
-        return None if self._passage is None else self._passage.passed(link, data, now_us)
 
     def _route_all(self, sends: list[Send], out: list[bytes]) -> None:
         for send in sends:
@@ -184,20 +172,22 @@ class AutopilotSender:
             else:
                 self.route_send(send, self.returned)
 
-    def route_send(self, send: Send, returned: list[Frame], origin: Frame | None = None) -> None:
+    def route_send(self, send: Send, returned: list[Frame], origin: bytes = b"") -> None:
         """Route a send: to the simulator at once, to the autopilot with the next step, to others
         later.
 
-        `origin` is the received frame, which usually leaves unchanged.
+        `origin` are the received frames, which usually leave unchanged.
         """
         if send.link == VEHICLE:
             self._proxy_answers.append(send.data)
         elif send.link != SIMULATOR:
-            self.undelivered.append(send)
-        elif origin is None or send.data is not origin.raw:
+            if not is_single_step_reply(send.data):
+                self.undelivered.append(send)
+        elif send.data != origin:
             returned += self._decoded(send)
-        elif origin.id in SIMULATOR_MESSAGES:
-            returned.append(origin)
+        else:
+            frames = map(trusted_frame, split_frames(send.data))
+            returned += [frame for frame in frames if frame.id in SIMULATOR_MESSAGES]
 
     def deliver_all(self) -> None:
         """Record the sends and deliver them to the listener."""
@@ -293,7 +283,7 @@ class AutopilotReceiver:
         self.link = links[0]
         self._sender, self._connection_deadline, self._lockstep = sender, deadline, lockstep
         self._inboxes = [Inbox(link) for link in links]
-        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by plain steps
+        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by a stretch
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """Return received frames that have left the proxy for the simulator."""
@@ -313,7 +303,7 @@ class AutopilotReceiver:
         return found
 
     def push_bytes(self, stream: int, data: bytes) -> None:
-        """Take bytes of the HIL link that plain steps have read."""
+        """Take bytes of the HIL link that a stretch has read."""
         self._pushed_chunks.append((stream, data))
 
     def incomplete(self, stream: int) -> bool:
@@ -326,39 +316,20 @@ class AutopilotReceiver:
             self._read(inbox, inbox.link.read(), self._sender.returned)
 
     def _read(self, inbox: Inbox, chunks: Sequence[Chunk], found: list[Frame]) -> None:
-        sender = self._sender
         for stream, data in chunks:
-            passed = None
-            if data and not inbox.incomplete(stream):
-                passed = sender.pass_compiled(VEHICLE, data, sender.flight.now_us)
-            if passed is not None:
-                self._handle_passed(data, passed, found)
-                continue
-            for frame in inbox.parsed(stream, data):
-                self._note_answer(frame)
-                for send in sender.pass_frame(frame):
-                    sender.route_send(send, found, frame)
+            raws = [] if inbox.incomplete(stream) else split_frames(data)
+            # Bytes that are not just whole frames need the parser.
+            if sum(map(len, raws)) < len(data) or not data:
+                raws = [frame.raw for frame in inbox.parsed(stream, data)]
+            whole = b"".join(raws)
+            if whole:
+                self.route_received(whole, self._sender.receive(VEHICLE, whole), found)
 
-    def _handle_passed(self, data: bytes, passed: Passed, found: list[Frame]) -> None:
-        """Handle frames that left together; `data` are the same frames before the faults."""
-        if data == passed.data and passed.links >> SIMULATOR & 1 and is_single_step_reply(data):
-            found.append(Frame(data, STEP_REPLY))  # the loop releases the step on receipt
-            return
-        at, now_us = 0, self._sender.flight.now_us
-        for raw in split(passed.data):
-            if is_step_reply(raw):
-                # As received: a fault may have changed the timestamp.
-                self._note_answer(trusted_frame(data[at : at + len(raw)]))
-            at += len(raw)
-            if passed.links >> SIMULATOR & 1 and frame_message_id(raw) in SIMULATOR_MESSAGES:
-                found.append(trusted_frame(raw))
-            if (
-                passed.links >> GROUND & 1
-                and frame_message_id(raw) not in IGNORED_STREAMS
-                and not is_lockstep_traffic(raw)
-            ):
-                self._sender.undelivered.append(Send(GROUND, raw, now_us))
-
-    def _note_answer(self, frame: Frame) -> None:
-        if frame.layout is STEP_REPLY:
-            self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
+    def route_received(self, data: bytes, sends: Sequence[Send], found: list[Frame]) -> None:
+        """Note the answers among the autopilot's frames, and route what leaves of them."""
+        for raw in split_frames(data):
+            if is_step_reply(raw):  # as received: a fault may change the timestamp
+                frame = Frame(raw, STEP_REPLY)
+                self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
+        for send in sends:
+            self._sender.route_send(send, found, data)

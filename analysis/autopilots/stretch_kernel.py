@@ -1,32 +1,42 @@
-"""A stretch of plain steps with its system calls and the proxy's passage, compiled.
+"""A stretch of steps with its system calls and the proxy's passage, compiled.
 
 An answer is waited for, passes the proxy, is flown, and the frames of the step pass the proxy and
-leave: over and over, until something needs the interpreter. Structures are those of 64-bit Linux,
-as in `compiled.sockets`.
+leave: over and over, until something needs the interpreter. Structures are those of 64-bit Linux.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from mavproxy_fault.compiled import layout as c
 from mavproxy_fault.numerics.compile import compiled, inlined, unlocked
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import STX_V2
-from simvehicle.plain import plain_arrays as k
-from simvehicle.plain.plain_arrays import Integers, Octets, Plain
-from simvehicle.plain.step_kernel import command, look_ahead, step
-from simvehicle.vehicles.actuators import ARMED_FLAG, CHANNEL_COUNT
+from simvehicle.hil.frame_kernel import pack_sensors, pack_truth
+from simvehicle.sensors.flight_record import Records
+from simvehicle.simulation.step_kernel import prepare, step
+from simvehicle.vehicles.actuators import (
+    ARMED_FLAG,
+    CHANNEL_COUNT,
+    MODE,
+    PAYLOAD_SIZE,
+    STAMP,
+    mix_channels,
+    read_channels,
+)
 
-# Entries of `words`; the last two are numbers of links
-(FD, UNTIL_US, LEFT, STEP_US, START_US, FORWARD, ADDRESSES, GOT, WENT, STEPS, BYTES_IN,
- BYTES_OUT, ANSWERED_US, SIMULATOR, VEHICLE, WORDS) = range(16)  # fmt: skip
+Integers = NDArray[np.int64]
+Octets = NDArray[np.uint8]
+Doubles = NDArray[np.float64]
+
 # Why a stretch ends: its time, bytes that the inbox has to take, frames that the core has to take,
-# bytes that have not left, no answer, a state beyond the numbers
-OVER, CAME, KEPT, STAYED, SILENT, DIVERGED = range(6)
+# bytes that have not left, no answer, a state that has diverged, an answer that the core has to
+# finish
+OVER, CAME, KEPT, STAYED, SILENT, DIVERGED, ANSWERED = range(7)
 WAIT_MS = 50  # for an answer, before the loop has a look at its time-outs
 ROOM = 32_768
 DONTWAIT, NOSIGNAL, POLLIN = 0x40, 0x4000, 1
@@ -34,21 +44,33 @@ DONTWAIT, NOSIGNAL, POLLIN = 0x40, 0x4000, 1
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 _ANSWER = HIL_ACTUATOR_CONTROLS.id
 _HEAD, _CRC = 10, 2
-_STAMP, _CHANNELS, _MODE, _SIZE = 0, 16, 80, 81  # places in its payload
+
+STRETCH = np.dtype(
+    [
+        ("fd", "i8"),  # of the HIL link
+        ("poll", "i8", (1,)),  # its `pollfd`
+        ("simulator", "i8"),  # numbers of links
+        ("vehicle", "i8"),
+        ("forward", "i8"),  # addresses of the proxy's function and of its argument
+        ("addresses", "i8"),
+        ("unix_us", "i8"),  # the proxy's time at the flight's t_us = 0
+        ("until_us", "i8"),  # only earlier steps are flown
+        ("step_us", "i8"),  # timestamp of the last step, and of the last answer
+        ("answered_us", "i8"),
+        ("steps", "i8"),  # how many were flown
+        ("bytes_in", "i8"),
+        ("bytes_out", "i8"),
+        ("got", "i8"),  # length of the newest bytes of the autopilot
+        ("went", "i8"),  # how much of the last step has left
+        ("came", "u1", ROOM),  # the newest bytes of the autopilot
+        ("channels", "f8", CHANNEL_COUNT),
+    ],
+    align=True,
+)
 
 _poll = types.ExternalFunction("poll", types.intc(types.intp, types.uintp, types.intc))
 _recv = types.ExternalFunction("recv", types.intp(types.intc, types.intp, types.uintp, types.intc))
 _send = types.ExternalFunction("send", types.intp(types.intc, types.intp, types.uintp, types.intc))
-
-
-class Stretch(NamedTuple):
-    """The arrays of a stretch besides those of `Plain`."""
-
-    words: Integers  # (WORDS,)
-    poll: Integers  # (1,) `pollfd` of the HIL link
-    came: Octets  # (ROOM,) the newest bytes of the autopilot
-    loop: Integers  # the compiled proxy's own
-    data: Octets  # and its room for a datagram
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -64,89 +86,105 @@ def _called(_: Any, function: Any, argument: Any) -> Any:
 
 
 @inlined
-def _passed(s: Stretch, link: int, length: int, now_us: int) -> int:
-    """The links that a datagram in `data` leaves on, changed there; -1 if the core has to take it;
-    as `Passage.passed`."""
-    loop, words = s.loop, s.words
-    loop[c.LENT], loop[c.LINK], loop[c.CAME] = length, link, now_us
-    _called(words[FORWARD], words[ADDRESSES])
+def _passed(s: Any, loop: Integers, link: int, length: int, t_us: int) -> int:
+    """The links that a datagram in the proxy's room leaves on, changed there; UNTOUCHED or BEGUN if
+    the core has to finish it."""
+    loop[c.LENT], loop[c.LINK], loop[c.CAME] = length, link, 1000 * (t_us + s.unix_us)
+    _called(s.forward, s.addresses)
     return int(loop[c.MASK])
 
 
 @compiled
-def _await(s: Stretch) -> int:
+def _await(stretch: Records) -> int:
     """Wait for the autopilot; CAME, or why nothing was received."""
-    words = s.words
-    s.poll[0] = words[FD] | POLLIN << 32
+    s = stretch[0]
+    s.poll[0] = s.fd | POLLIN << 32
     if _poll(s.poll.ctypes.data, 1, WAIT_MS) <= 0:
         return SILENT
-    words[GOT] = _recv(words[FD], s.came.ctypes.data, ROOM, DONTWAIT)
-    if words[GOT] <= 0:
+    s.got = _recv(s.fd, s.came.ctypes.data, ROOM, DONTWAIT)
+    if s.got <= 0:
         return SILENT
-    words[BYTES_IN] += words[GOT]
+    s.bytes_in += s.got
     return CAME
 
 
 @inlined
-def _answers(s: Stretch) -> bool:
+def _answers(s: Any) -> bool:
     """Whether the received bytes are exactly one complete answer to the last step."""
-    came, words = s.came, s.words
-    if words[GOT] != _HEAD + _SIZE + _CRC or came[0] != STX_V2 or came[1] != _SIZE:
+    came = s.came
+    if s.got != _HEAD + PAYLOAD_SIZE + _CRC or came[0] != STX_V2 or came[1] != PAYLOAD_SIZE:
         return False
     number = np.int64(came[7]) | np.int64(came[8]) << 8 | np.int64(came[9]) << 16
-    stamp_us = came[_HEAD + _STAMP : _HEAD + _STAMP + 8].view(np.int64)[0]
-    return bool(number == _ANSWER and came[2] == 0 and stamp_us == words[STEP_US])
+    stamp_us = came[_HEAD + STAMP : _HEAD + STAMP + 8].view(np.int64)[0]
+    return bool(number == _ANSWER and came[2] == 0 and stamp_us == s.step_us)
 
 
 @compiled
-def _obey(p: Plain, payload: Octets) -> None:
-    """Apply the commands in an answer's payload (81,)."""
-    p.words[k.ARMED] = payload[_MODE] & ARMED_FLAG
-    command(p, payload[_CHANNELS : _CHANNELS + 4 * CHANNEL_COUNT].view(np.float32))
+def _obey(flight: Records, stretch: Records, payload: Octets) -> None:
+    """Apply the commands in an answer's payload (81,); without arming all are 0."""
+    f, s = flight[0], stretch[0]
+    f.armed = payload[MODE] & ARMED_FLAG
+    read_channels(payload, s.channels)
+    mix_channels(s.channels, f.wing, f.controls[: f.actuators])
+    if not f.armed:
+        for i in range(f.actuators):
+            f.controls[i] = 0.0
 
 
 @compiled
-def _leave(p: Plain, s: Stretch) -> int:
+def _leave(flight: Records, packer: Records, stretch: Records, loop: Integers, data: Octets) -> int:
     """Send the frames of a step through the proxy; OVER, or why some were not sent."""
-    words, length = s.words, p.words[k.LENGTH]
-    s.data[:length] = p.out[:length]
-    mask = _passed(s, words[SIMULATOR], length, p.words[k.T_US] + words[START_US])
-    if mask < 0 or not mask >> words[VEHICLE] & 1:
+    f, w, s = flight[0], packer[0], stretch[0]
+    for i in range(w.length):
+        data[i] = w.out[i]
+    mask = _passed(s, loop, s.simulator, w.length, f.t_us)
+    if mask < 0 or not mask >> s.vehicle & 1:
         return KEPT
-    words[STEP_US] = p.words[k.T_US] + p.words[k.START_US]
-    words[WENT] = _send(words[FD], s.data.ctypes.data, length, DONTWAIT | NOSIGNAL)
-    if words[WENT] > 0:
-        words[BYTES_OUT] += words[WENT]
-    return OVER if words[WENT] == length else STAYED
+    s.step_us = f.t_us + w.start_us
+    s.went = _send(s.fd, data.ctypes.data, w.length, DONTWAIT | NOSIGNAL)
+    if s.went > 0:
+        s.bytes_out += s.went
+    return OVER if s.went == w.length else STAYED
 
 
 @unlocked
-def stretch(p: Plain, s: Stretch) -> int:
-    """Fly plain steps as their answers arrive; return why it ended.
+def fly_stretch(
+    flight: Records,
+    sensors: Records,
+    packed: Doubles,
+    packer: Records,
+    stretch: Records,
+    loop: Integers,
+    data: Octets,
+) -> int:
+    """Fly steps as their answers arrive; return why it ended.
 
-    The step after the last one is looked ahead to; LEFT steps and those before UNTIL_US are plain.
+    `loop` and `data` are the proxy's own, and its room for a datagram. The step after the last one
+    is prepared, unless random numbers are used up.
     """
-    words = s.words
-    while words[LEFT] > 0 and p.words[k.NEXT_US] < words[UNTIL_US]:
-        reason = _await(s)
+    f, s = flight[0], stretch[0]
+    while f.prepared and not f.used_up and f.next_us < s.until_us:
+        reason = _await(stretch)
         if reason != CAME:
             return reason
         if not _answers(s):
             return CAME
-        length = words[GOT]
-        s.data[:length] = s.came[:length]
-        mask = _passed(s, words[VEHICLE], length, p.words[k.T_US] + words[START_US])
+        for i in range(s.got):
+            data[i] = s.came[i]
+        mask = _passed(s, loop, s.vehicle, s.got, f.t_us)
         if mask < 0:
-            return CAME
-        words[ANSWERED_US] = words[STEP_US]
-        if mask >> words[SIMULATOR] & 1:
-            _obey(p, s.data[_HEAD : _HEAD + _SIZE])
-        if not step(p):
+            return CAME if mask == c.UNTOUCHED else ANSWERED
+        s.answered_us = s.step_us
+        if mask >> s.simulator & 1:
+            _obey(flight, stretch, data[_HEAD : _HEAD + PAYLOAD_SIZE])
+        if not step(flight, sensors, packed):
             return DIVERGED
-        words[STEPS] += 1
-        words[LEFT] -= 1
-        reason = _leave(p, s)
-        look_ahead(p)
+        pack_sensors(flight, sensors, packer)
+        pack_truth(flight, packer)
+        s.steps += 1
+        reason = _leave(flight, packer, stretch, loop, data)
+        if not f.used_up:
+            prepare(flight)
         if reason != OVER:
             return reason
     return OVER

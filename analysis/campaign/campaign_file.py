@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import msgspec
 
-from analysis.autopilots.user_parameters import read_parameters
 from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
@@ -21,6 +20,7 @@ from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry

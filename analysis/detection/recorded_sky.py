@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.ephemerides import StoredOrbit, select_ephemerides
+from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.sky_geometry import NO_IONOSPHERE, orbits_of
+from analysis.detection.stages.initial_fix import solve_snapshot
 from analysis.orbits.broadcast import POSITION, VELOCITY
-from analysis.orbits.snapshot import solve_position
 from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.block import EPOCH
 from analysis.samples.sample import Epoch, Vector
@@ -65,8 +67,8 @@ def recorded_sky(
 def locate_receiver(epoch: Epoch, orbits: dict[str, tuple[StoredOrbit, ...]]) -> Vector | None:
     """The receiver (3,), ECEF [m], by one epoch alone."""
     selection = select_ephemerides(epoch, orbits)
-    kept = epoch if selection.keep is None else epoch.select(selection.keep.tolist())
-    if len(selection.names) < LEAST_SATELLITES:
+    observation = observe_epoch(epoch, selection)
+    if observation is None or len(observation.satellites) < LEAST_SATELLITES:
         return None
-    fix = solve_position(kept, selection.packed, NO_IONOSPHERE, np.ones(len(selection.names)))
-    return None if fix is None else fix.r_ecef_m
+    x = solve_snapshot(observation, np.zeros(X_SIZE), DetectorConfig(), NO_IONOSPHERE)
+    return None if x is None else x[:3]

@@ -17,11 +17,11 @@ from analysis.detection.sensors.sensor_tests import NavigationDetector, Navigati
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState
-from analysis.fusion.local_frame import quaternion_of_matrix
 from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import ImuSample, Sample, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
 PRIOR_SIGMA_RAD = 0.05  # sigma of the first attitude, as in `Ekf.start_sigma`
@@ -91,7 +91,7 @@ class FusedAttitude:
         """Initialise the attitude of the detector's filter with that of this estimator."""
         x, p = motion.x.copy(), motion.p.copy()
         lat, lon, _ = geodetic_position(x[R : R + 3])
-        x[X_Q : X_Q + 4] = quaternion_of_matrix(ned_axes(lat, lon).T @ rotation_matrix(state.q_nb))
+        x[X_Q : X_Q + 4] = quat_from_matrix(ned_axes(lat, lon).T @ rotation_matrix(state.q_nb))
         # The prior attitude is not correlated with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_SIGMA_RAD**2 * np.eye(3)

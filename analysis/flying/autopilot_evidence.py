@@ -17,20 +17,13 @@ from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
-from analysis.scoring.vehicle_outcome import (
-    CRASHED,
-    DEGRADED,
-    FLEW_AWAY,
-    LOST_CONTROL,
-    outcome_rank,
-)
+from analysis.scoring.vehicle_outcome import BAD_ENDS, DEGRADED, outcome_rank
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 from mavproxy_fault.wire.tlog import Columns, read_columns
 
 WARNING = 4  # MAV_SEVERITY
 TRACK_HZ = 10.0
-BAD_ENDS = frozenset(("lost", FLEW_AWAY, LOST_CONTROL, CRASHED))
 LogRows = NDArray[Any]
 
 
@@ -63,7 +56,7 @@ def belongs_to_flight(mark: FlightMark, landing_s: float) -> bool:
 
     Modes and flags during the landing depend on the touchdown, whose time varies between flights.
     """
-    return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in BAD_ENDS)
+    return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", *BAD_ENDS))
 
 
 def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve]:

@@ -22,21 +22,13 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.graph import Graph
 from analysis.results import Decision, FusedState
-from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import (
-    invert_positive_definite,
-    multiply_matrices,
-    multiply_vector,
-    transpose_matrix,
-)
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
 P_CONTRADICTION = 1e-4  # fault-free flights and walks reach 17; the threshold of 3 dof is 21
 MAX_SIGMA_RATIO = (
     2.0  # of the graph's `correlation`, by which its initial sigma exceeds the filter's
 )
 POSE_SHIFT = 3  # offset of the translation in a pose's errors
-DISTANCE_M, STATISTIC, SIGMA_RATIO = 0, 1, 2
 # Of the filter's sigma, which includes lasting errors.
 USE_FILTER_BELOW, USE_GRAPH_ABOVE = 0.25, 0.5
 FILTER = "filter"  # the source's name among the weights
@@ -47,14 +39,13 @@ def filter_contradiction(graph: Graph, motion: MotionEstimate | None, correlatio
     if motion is None:
         return ""
     frame = graph.frame
-    compared = _compare(
-        graph.node.pose.matrix(),
-        graph.covariance,
-        frame.local(motion.x[R : R + 3]),
-        motion.p[R : R + 3, R : R + 3],
-        frame.axes,
-    )
-    distance_m, q, ratio = compared.tolist()
+    pose, shift = graph.node.pose.matrix(), slice(POSE_SHIFT, POSE_SHIFT + 3)
+    rot, off = pose[:3, :3], pose[:3, 3] - frame.local(motion.x[R : R + 3])
+    # The graph's covariance is in body axes, the filter's in ECEF.
+    own = rot @ graph.covariance[shift, shift] @ rot.T
+    known = frame.axes @ motion.p[R : R + 3, R : R + 3] @ frame.axes.T
+    q = off @ invert_positive_definite(own + known) @ off
+    distance_m, ratio = math.hypot(*off), math.sqrt(np.trace(own) / np.trace(known))
     # Written so that NaN counts as a contradiction, here and below.
     if not q <= chi_square_threshold(3, P_CONTRADICTION):
         return f"the graph was {distance_m:.1f} m ({math.sqrt(q):.1f} sigmas) from the filter"
@@ -76,32 +67,3 @@ def blend_with_filter(fused: FusedState, decision: Decision, tied: bool = True) 
     return msgspec.structs.replace(
         fused, position_ecef_m=(x, y, z), weights=fused.weights | {FILTER: share}
     )
-
-
-@compiled
-def _compare(pose: Vector, p: Vector, filter_m: Vector, filter_p: Vector, axes: Vector) -> Vector:
-    """Distance in m, its normalised square, and the ratio of the graph's sigma to the filter's.
-
-    `pose` (4, 4) and `p` (9, 9) are the graph's, in its own frame and in body axes; `filter_m` (3,)
-    is in that frame, `filter_p` (3, 3) in ECEF, `axes` (3, 3) the frame's rows.
-    """
-    # Contiguous copies: products of slices would be compiled separately.
-    rot = pose[:3, :3].copy()
-    shift = p[POSE_SHIFT : POSE_SHIFT + 3, POSE_SHIFT : POSE_SHIFT + 3].copy()
-    own = multiply_matrices(multiply_matrices(rot, shift), transpose_matrix(rot))
-    known = multiply_matrices(multiply_matrices(axes, filter_p.copy()), transpose_matrix(axes))
-    off, both = np.empty(3), np.empty((3, 3))
-    for i in range(3):
-        off[i] = pose[i, 3] - filter_m[i]
-        for k in range(3):
-            both[i, k] = own[i, k] + known[i, k]
-    weighted, out = multiply_vector(invert_positive_definite(both), off), np.zeros(3)
-    graph_m2 = filter_m2 = 0.0
-    for i in range(3):
-        out[DISTANCE_M] += off[i] ** 2
-        out[STATISTIC] += off[i] * weighted[i]
-        graph_m2 += own[i, i]
-        filter_m2 += known[i, i]
-    out[DISTANCE_M] = math.sqrt(out[DISTANCE_M])
-    out[SIGMA_RATIO] = math.sqrt(graph_m2 / filter_m2)
-    return out

@@ -1,18 +1,14 @@
 """The newest epoch of a graph as a `FusedState`."""
 
-import math
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from analysis.fusion.graph import Graph
-from analysis.fusion.local_frame import quaternion_of_matrix
 from analysis.results import FusedState
-from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
-from mavproxy_fault.numerics.linear import multiply_matrices, multiply_vector, transpose_matrix
+from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 
 UNKNOWN_DEG = (180.0, 180.0, 180.0)
 
@@ -21,22 +17,25 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
     """Position, velocity and attitude with sigmas: those of position and velocity north, east,
     down, those of attitude about the body axes."""
     node, frame = graph.node, graph.frame
-    rows = _state_numbers(
-        node.pose.matrix(),
-        node.velocity,
-        graph.covariance,
-        frame.anchor_m,
-        frame.axes,
-        graph.slow_m2,
-    )
-    numbers = rows.tolist()
-    each: list[Any] = [tuple(numbers[at : at + 3]) for at in range(0, 15, 3)]
+    pose, p = node.pose.matrix(), graph.covariance
+    position = frame.ecef(pose[:3, 3])
+    lat, lon, _ = geodetic_position(position)
+    ned = ned_axes(lat, lon)
+    to_ned = ned @ frame.axes.T
+    rotation = to_ned @ pose[:3, :3]
+    # The graph takes range errors as independent: their lasting part is added.
+    position_m2 = rotation @ p[3:6, 3:6] @ rotation.T + ned @ graph.slow_m2 @ ned.T
+    velocity_m2 = to_ned @ p[6:9, 6:9] @ to_ned.T
+    variances = position_m2.diagonal(), velocity_m2.diagonal(), p.diagonal()[:3]
+    position_sigma, velocity_sigma, attitude_sigma = np.sqrt(variances)
+    vectors = position, to_ned @ node.velocity, position_sigma, velocity_sigma
+    each: list[Any] = [tuple(one.tolist()) for one in (*vectors, np.degrees(attitude_sigma))]
     return FusedState(
         t_us=node.t_us,
         name=name,
         position_ecef_m=each[0],
         velocity_ned_mps=each[1],
-        q_nb=tuple(numbers[15:]),
+        q_nb=tuple(quat_from_matrix(rotation).tolist()),
         position_sigma_m=each[2],
         velocity_sigma_mps=each[3],
         # Before alignment the graph holds its attitude fixed; its small sigma is meaningless.
@@ -54,42 +53,3 @@ def repeat_last_state(last: FusedState, t_us: int, why: str) -> FusedState:
         weights={},  # nothing was used
         reason=f"the graph failed ({why}); this is the last good state",
     )
-
-
-@compiled
-def _state_numbers(
-    pose: Vector, velocity: Vector, p: Vector, anchor_m: Vector, axes: Vector, slow_m2: Vector
-) -> Vector:
-    """Numbers (19,): position in ECEF; velocity north, east, down; sigmas of position and velocity,
-    and of attitude in degrees; the quaternion from body to north, east, down."""
-    out = np.empty(19)
-    for i in range(3):
-        out[i] = anchor_m[i]
-        for k in range(3):
-            out[i] += axes[k, i] * pose[k, 3]
-    lat, lon, _ = geodetic_position(out[0:3])
-    ned = ned_axes(lat, lon)
-    to_ned = multiply_matrices(ned, transpose_matrix(axes))
-    rotation = multiply_matrices(to_ned, pose[0:3, 0:3])
-    speed, q = multiply_vector(to_ned, velocity), quaternion_of_matrix(rotation)
-    position, lasting = _variances(rotation, p[3:6, 3:6]), _variances(ned, slow_m2)
-    velocity_variance = _variances(to_ned, p[6:9, 6:9])
-    for i in range(3):
-        out[3 + i] = speed[i]
-        # The graph takes range errors as independent: their lasting part is added.
-        out[6 + i] = math.sqrt(position[i] + lasting[i])
-        out[9 + i] = math.sqrt(velocity_variance[i])
-        out[12 + i] = math.degrees(math.sqrt(p[i, i]))
-    for i in range(4):
-        out[15 + i] = q[i]
-    return out
-
-
-@compiled
-def _variances(a: Vector, p: Vector) -> Vector:
-    """Diagonal (3,) of a p a'."""
-    out, ap = np.zeros(3), multiply_matrices(a, p)
-    for i in range(3):
-        for k in range(3):
-            out[i] += ap[i, k] * a[i, k]
-    return out

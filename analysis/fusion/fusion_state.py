@@ -17,9 +17,8 @@ from analysis.fusion.graph_start import Node
 from analysis.fusion.learned_noise import LearnedNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.results import Decision, FusedState, Result
-from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices, Stamps
+from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices
 from analysis.samples.sample import ImuSample, Sample, Vector
-from mavproxy_fault.numerics.compile import compiled
 
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
@@ -86,7 +85,7 @@ class FusionState:
 
         Beyond `PENDING_MAX` the oldest are dropped.
         """
-        if self.graph is not None and _count_later(run.t_us, self.graph.node.t_us) < len(run.t_us):
+        if self.graph is not None and (run.t_us <= self.graph.node.t_us).any():
             late = run.t_us <= self.graph.node.t_us
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
                 self.graph.add_late_imu(ImuSample(t_us, row[:3], row[3:]))
@@ -111,32 +110,12 @@ class FusionState:
         """Drop the samples up to a time."""
         runs, self.imu, self.imu_count = self.imu, deque(), 0
         for run in runs:
-            count = _count_later(run.t_us, until_us)
-            if count:
-                later = run.t_us > until_us
+            later = run.t_us > until_us
+            if later.any():
                 self.imu.append(ImuRun(run.t_us[later], run.values[later]))
-                self.imu_count += count
+                self.imu_count += int(later.sum())
 
 
-@compiled
-def _count_later(t_us: Stamps, than_us: int) -> int:
-    """How many of the stamps are later than a time."""
-    count = 0
-    for stamp_us in t_us:
-        if stamp_us > than_us:
-            count += 1
-    return count
-
-
-@compiled
 def sample_rows(kind: Indices, first: int, last: int) -> Indices:
-    """Rows from `first` to `last` that are processed singly: not IMU, truth or attitude.
-
-    `kind` (n,) is that of the block's rows.
-    """
-    rows, count = np.empty(last + 1 - first, np.int64), 0
-    for row in range(first, last + 1):
-        if kind[row] != IMU and kind[row] != TRUTH and kind[row] != ATTITUDE:
-            rows[count] = row
-            count += 1
-    return rows[:count]
+    """Rows from `first` to `last` of a block that are processed singly."""
+    return first + np.flatnonzero(~np.isin(kind[first : last + 1], (IMU, TRUTH, ATTITUDE)))

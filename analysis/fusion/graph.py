@@ -24,7 +24,6 @@ from analysis.fusion.graph_start import ClockState, GraphStart, Node, first_gues
 from analysis.fusion.imu_edge import Edge, add_late_samples, split_segment
 from analysis.fusion.window import FactorWindow, variable_key
 from analysis.samples.sample import ImuSample, Vector
-from mavproxy_fault.numerics.compile import compiled
 
 SAME_GRAVITY_M = 100.0  # gravity rotates by 2e-5 rad over it
 SAME_EPOCH_US = 1000  # epochs closer than this are one: far below any epoch interval
@@ -236,7 +235,7 @@ class Graph:
         pose = smoother.calculateEstimatePose3(variable_key("x", epoch))
         velocity = smoother.calculateEstimateVector(variable_key("v", epoch))
         clock = smoother.calculateEstimateVector(variable_key("c", epoch))
-        if not _finite(pose.matrix(), velocity, clock):
+        if not all(np.isfinite(one).all() for one in (pose.matrix(), velocity, clock)):
             raise RuntimeError("the estimate is not finite")
         bias = smoother.calculateEstimateConstantBias(variable_key("b", epoch))
         known, (clock_m, drift_mps) = self.clock_at(t_us), clock.tolist()
@@ -330,16 +329,3 @@ class Graph:
             self.window.remove(source, epoch)
         start = start or self.estimate(edge.before)
         self._connect(edge, self._motion(edge, start, self.epochs[epoch].t_us), epoch)
-
-
-@compiled
-def _finite(pose: Vector, velocity: Vector, clock: Vector) -> bool:
-    """Whether pose, velocity and clock of a node are finite."""
-    total = 0.0
-    for i in range(3):
-        total += velocity[i]
-        for k in range(4):
-            total += pose[i, k]
-    for value in clock:
-        total += value
-    return math.isfinite(total)

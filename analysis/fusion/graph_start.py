@@ -29,9 +29,10 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.values import Value
 from analysis.fusion.factors.unary_factors import MAX_EPOCHS, NO_CLOCK
-from analysis.fusion.local_frame import LocalFrame, frame_at, quaternion_of_matrix
+from analysis.fusion.local_frame import LocalFrame, frame_at
 from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 ClockState = tuple[float, float]  # clock in m, drift in m/s
@@ -186,7 +187,7 @@ def navigation_state(frame: LocalFrame, node: Node, isb_m: Vector) -> Vector:
     x = np.zeros(X_SIZE)
     x[R : R + 3] = frame.ecef(node.pose.translation())
     x[V : V + 3] = frame.axes.T @ node.velocity
-    x[X_Q : X_Q + 4] = quaternion_of_matrix(frame.axes.T @ node.pose.rotation().matrix())
+    x[X_Q : X_Q + 4] = quat_from_matrix(frame.axes.T @ node.pose.rotation().matrix())
     x[X_BG : X_BG + 3] = node.bias.gyroscope()
     x[X_BA : X_BA + 3] = node.bias.accelerometer()
     x[X_CLOCK], x[X_DRIFT] = node.clock

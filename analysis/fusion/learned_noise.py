@@ -16,7 +16,6 @@ from msgspec.structs import replace
 
 from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 
 # Time constants: long against an epoch, short against a flight.
 IMU_S, RATE_S, SLOW_S = 5.0, 20.0, 10.0
@@ -45,7 +44,20 @@ class LearnedNoise:
 
     def add_imu(self, samples: Vector) -> None:
         """Add samples (k, 7) of a trusted IMU: step in s, rates, specific force."""
-        _add_imu(self.imu, samples)
+        count = len(samples) - 1  # the last step repeats its sample
+        # Few second differences give no useful variance.
+        if count < MIN_SAMPLES:
+            return
+        total_s, inner_s = samples[:, 0].sum(), samples[:count, 0].sum()
+        squares = np.diff(samples[:count, 1:], 2, axis=0) ** 2
+        # Six times the variance of white noise, over three axes.
+        variances = squares.mean(axis=0).reshape(2, 3).mean(axis=1) / 6.0 * inner_s / count
+        for i, variance in enumerate(variances):
+            # noise may rise at once
+            rises = variance > NOISE_RISE * self.imu[i]
+            share = 1.0 if rises else total_s / (self.imu[2] + total_s)
+            self.imu[i] += (variance - self.imu[i]) * share
+        self.imu[2] = min(self.imu[2] + total_s, IMU_S)
 
     def current_noise(self, configured: ProcessNoise) -> ProcessNoise:
         """The configured noise with the learned noise of the IMU."""
@@ -70,11 +82,19 @@ class LearnedNoise:
         dt_s = min(max((t_us - self.t_us) * 1e-6, 0.0), 1.0)
         self.t_us = t_us
         self._start_satellites(satellites)
-        _add_residuals(self.table, weights, normalised, dt_s)
+        used = weights != 0.0
+        (slow, rate), age = normalised.T, self.table[:, AGE].copy()
+        # An outlier must not raise the sigma that detects it.
+        squares = np.minimum(rate**2, MAX_SQUARE)
+        for column, memory_s, newest in ((RATE, RATE_S, squares), (SLOW, SLOW_S, slow)):
+            known = used & np.isfinite(newest)
+            share = dt_s / (np.minimum(age, memory_s) + dt_s)
+            self.table[known, column] += (share * (newest - self.table[:, column]))[known]
+        self.table[used & np.isfinite(slow), AGE] += dt_s
 
     def scale_rates(self, satellites: tuple[str, ...], rate_sigma: Vector) -> None:
         """Multiply the configured sigmas (n,) of rates by the learned ratio, in place."""
-        _scale_sigmas(self._rows_of(satellites), rate_sigma)
+        rate_sigma *= np.sqrt(np.clip(self._rows_of(satellites)[:, RATE], *VARIANCE_RATIO_LIMITS))
 
     def lasting_share(self, configured: float, unknowns: int) -> float:
         """The lasting share of the ranges' sigmas; `unknowns` of a snapshot solution."""
@@ -96,54 +116,3 @@ class LearnedNoise:
         known = dict(zip(self.satellites, self.table, strict=True))
         new = np.array([PRIOR_S, 1.0, 0.0])
         return np.array([known.get(name, new) for name in satellites]).reshape(-1, 3)
-
-
-@compiled
-def _add_imu(imu: Vector, samples: Vector) -> None:
-    """Update the IMU's variances and age (3,) from second differences of samples (k, 7)."""
-    count = samples.shape[0] - 1  # the last step repeats its sample
-    # Few second differences give no useful variance.
-    if count < MIN_SAMPLES:
-        return
-    total_s, sums = samples[count, 0], np.zeros(2)
-    for k in range(count):
-        total_s += samples[k, 0]
-        if k >= 2:
-            for i in range(6):
-                difference = samples[k, 1 + i] - 2.0 * samples[k - 1, 1 + i] + samples[k - 2, 1 + i]
-                # Six times the variance of white noise, over three axes: 18.
-                sums[i // 3] += difference * difference / 18.0
-    inner_s = total_s - samples[count, 0]
-    for i in range(2):
-        variance = sums[i] * inner_s / (count * (count - 2))
-        # noise may rise at once
-        share = 1.0 if variance > NOISE_RISE * imu[i] else total_s / (imu[2] + total_s)
-        imu[i] += (variance - imu[i]) * share
-    imu[2] = min(imu[2] + total_s, IMU_S)
-
-
-@compiled
-def _add_residuals(table: Vector, weights: Vector, normalised: Vector, dt_s: float) -> None:
-    """Average residuals (n, 2) into a table (n, 3), in place."""
-    for i in range(table.shape[0]):
-        if weights[i] == 0.0:
-            continue
-        slow, rate = normalised[i, 0], normalised[i, 1]
-        age = table[i, AGE]
-        if np.isfinite(rate):
-            share = dt_s / (min(age, RATE_S) + dt_s)
-            # An outlier must not raise the sigma that detects it.
-            table[i, RATE] += share * (min(rate * rate, MAX_SQUARE) - table[i, RATE])
-        if np.isfinite(slow):
-            share = dt_s / (min(age, SLOW_S) + dt_s)
-            table[i, SLOW] += share * (slow - table[i, SLOW])
-            table[i, AGE] = age + dt_s
-
-
-@compiled
-def _scale_sigmas(table: Vector, sigma: Vector) -> None:
-    """Multiply configured sigmas (n,) by the root of a table's (n, 3) mean squares, in place."""
-    for i in range(table.shape[0]):
-        sigma[i] *= math.sqrt(
-            min(max(table[i, RATE], VARIANCE_RATIO_LIMITS[0]), VARIANCE_RATIO_LIMITS[1])
-        )

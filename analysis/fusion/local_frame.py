@@ -1,6 +1,5 @@
 """The local frame of the graph: east, north, up at an anchor, in metres."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +9,6 @@ import numpy as np
 
 from analysis.detection.filter.inertial import gravity_ecef
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
@@ -59,34 +57,6 @@ class LocalFrame:
         north, east, down = magnetic_field_gauss(lat_deg, lon_deg, float(height), day)
         # The model gives north, east, down; this frame is east, north, up.
         return np.array([east, north, -down])
-
-
-@compiled
-def quaternion_of_matrix(rot: Vector) -> Vector:
-    """A rotation matrix as a unit quaternion (w, x, y, z) with w >= 0.
-
-    Computed from its largest component, whose square is a quarter of 1 plus a signed sum of the
-    diagonal.
-    """
-    best, most = -1, rot[0, 0] + rot[1, 1] + rot[2, 2]
-    for i in range(3):
-        square = 2.0 * rot[i, i] - rot[0, 0] - rot[1, 1] - rot[2, 2]
-        if square > most:
-            best, most = i, square
-    root = 2.0 * math.sqrt(1.0 + most)
-    out = np.empty(4)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        if best == -1:
-            out[0], out[1 + i] = 0.25 * root, (rot[k, j] - rot[j, k]) / root
-        elif best == i:
-            out[0], out[1 + i] = (rot[k, j] - rot[j, k]) / root, 0.25 * root
-        else:
-            out[1 + i] = (rot[best, i] + rot[i, best]) / root
-    if out[0] < 0.0:
-        for i in range(4):
-            out[i] = -out[i]
-    return out
 
 
 def frame_at(r_ecef_m: Vector, stamp_us: int) -> LocalFrame:

@@ -13,7 +13,6 @@ import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
-from analysis.detection.actuators.actuator_response import CRASH_US
 from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRASHED_US
 from analysis.detection.actuators.alarm_precedence import apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
@@ -165,7 +164,7 @@ class Pipeline:
         lost = track_tumble(block, self._tumble)
         actuators = self.states[ACTUATORS]
         if actuators is not None or lost.any():
-            crash_us = NEVER_CRASHED_US if actuators is None else int(actuators.counts[CRASH_US])
+            crash_us = NEVER_CRASHED_US if actuators is None else actuators.crash_us
             results, self._imu_us = apply_precedence(results, crash_us, lost, self._imu_us)
         return results
 

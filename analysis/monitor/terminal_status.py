@@ -1,7 +1,6 @@
 """A compact live status on the terminal: the newest verdict of every detector."""
 
 import time
-from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
@@ -35,12 +34,7 @@ class TerminalStatus:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._live.stop()
 
     def show(self, results: list[Result]) -> None:

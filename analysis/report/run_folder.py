@@ -5,11 +5,10 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from analysis.results import Result, encode_lines
-from mavproxy_fault.documents.atomic_file import write_atomic
+from mavproxy_fault.documents.atomic_file import replace_file, write_all, write_atomic
 from mavproxy_fault.documents.errors import ConfigError
 
 
@@ -49,23 +48,17 @@ class ResultFile:
     """Writes `results.jsonl`, one result per line; written lines survive a kill of the process."""
 
     def __init__(self, folder: Path) -> None:
-        self._file = (folder / "results.jsonl").open("wb")
+        self._file = replace_file(folder / "results.jsonl")
 
     def __enter__(self) -> "ResultFile":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._file.close()
 
     def write(self, results: Iterable[Result]) -> None:
-        """Append results and flush."""
-        self._file.write(encode_lines(results))
-        self._file.flush()
+        """Append results."""
+        write_all(self._file, encode_lines(results))
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -38,6 +38,7 @@ from analysis.scoring.integrity import Integrity
 from analysis.scoring.requirements import Requirement, read_requirements
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
@@ -108,7 +109,7 @@ def main(args: argparse.Namespace) -> int:
     if folder is not None:
         write_summary(folder, summary)
         if injected is not None:
-            (folder / "labels.jsonl").write_bytes(encode_lines(injected))
+            write_private(folder / "labels.jsonl", encode_lines(injected))
         _report(args, folder, labels or [], summary, reference, integrity)
     print_summary(summary, folder)
     return EXIT_CODES[summary["verdict"]]

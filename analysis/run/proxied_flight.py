@@ -66,7 +66,7 @@ class ProxiedFlight:
         self.core = Core(LINKS, self.engine, tape=self.capture, control=self.control)
         self._labels: list[Label] = []
         self._out = [0] * len(LINKS)  # datagrams sent on each link
-        self._hil = HilPacker(mav_type=mav_type_and_mix(self.simulation)[0])
+        self._hil = HilPacker(self.simulation.board, mav_type=mav_type_and_mix(self.simulation)[0])
         self._services, self._pilot = create_services(self.simulation)
         self._plant = PlantChanges(self.simulation, LOG.warning)
         self._commands = self._actuator_commands(schedule)
@@ -102,7 +102,7 @@ class ProxiedFlight:
             controls = self._commands.last_received
         t_us, truth, readings = self.simulation.step(controls)
         # Sensors, telemetry, commands: a fixed order, for reproducible bytes.
-        for raw in self._hil.frames(t_us, truth, readings):
+        for raw in self._hil.frames(readings):
             sends += self.core.received(SIMULATOR, raw, self.now_us)
         for raw in self._services.tick(t_us, truth, readings, throttle_command(self.simulation)):
             sends += self.core.received(VEHICLE, raw, self.now_us)

@@ -32,7 +32,7 @@ from simvehicle.hil.actuator_commands import ACTUATOR_CHANNELS
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
-from simvehicle.vehicles.vehicle import pack_surroundings
+from simvehicle.vehicles.vehicle import SURROUNDINGS_SIZE, pack_surroundings
 
 Array = NDArray[np.float64]
 STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
@@ -51,7 +51,8 @@ class _TrimmedVehicle:
         self._vehicle = vehicle
         self._zero = np.zeros(3)
         gravity = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
-        self._around = pack_surroundings(self._zero, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0)
+        self._around = np.empty(SURROUNDINGS_SIZE)
+        pack_surroundings(self._zero, gravity, SEA_LEVEL_DENSITY_KGPM3, 0.0, self._around)
         speed_mps = vehicle.parameters.cruise_mps
         position = np.array([0.0, 0.0, -HEIGHT_M])
         self._state = vehicle.cruise(

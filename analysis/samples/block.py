@@ -29,7 +29,6 @@ from analysis.samples.sample import (
     Vector,
     VisionSample,
 )
-from mavproxy_fault.numerics.compile import compiled
 
 Stamps = NDArray[np.int64]
 Indices = NDArray[np.int64]
@@ -301,21 +300,11 @@ def split_at_events(
         first, a = last + 1, b
 
 
-@compiled
 def _find_slices(kind: Indices) -> tuple[Indices, Indices, Indices, Indices]:
     """Rows of the IMU samples; and for each slice its last row, the row of the newest magnetometer
     sample (-1: none) and the number of IMU samples up to there."""
-    count = kind.shape[0]
-    imu, ends = np.empty(count, np.int64), np.empty(count, np.int64)
-    mags, cuts = np.empty(count, np.int64), np.empty(count, np.int64)
-    seen, cut, mag = 0, 0, -1
-    for row in range(count):
-        if kind[row] == IMU:
-            imu[seen] = row
-            seen += 1
-        elif kind[row] == MAG:
-            mag = row
-        if FIX <= kind[row] < COMMAND or row == count - 1:
-            ends[cut], mags[cut], cuts[cut] = row, mag, seen
-            cut += 1
-    return imu[:seen], ends[:cut], mags[:cut], cuts[:cut]
+    count = len(kind)
+    imu, mags = np.flatnonzero(kind == IMU), np.append(-1, np.flatnonzero(kind == MAG))
+    ends = np.union1d(np.flatnonzero((kind >= FIX) & (kind < COMMAND)), np.arange(count)[-1:])
+    newest = mags[np.searchsorted(mags, ends, "right") - 1]
+    return imu, ends, newest, np.searchsorted(imu, ends, "right")

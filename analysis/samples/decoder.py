@@ -23,6 +23,7 @@ Orders = dict[str, Indices]
 MESSAGES = (*SAMPLE_LINES, "TUNNEL")
 # Messages on the simulator's clock, by which TUNNEL frames (without a timestamp) are dated.
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
+REPEATED = "DISTANCE_SENSOR"  # an autopilot sends on the measurements that a simulator gave it
 _ROW_HEAD = struct.Struct("<qBBB")
 
 
@@ -63,10 +64,17 @@ class Decoder:
         """The samples of frames given as columns per message; `orders` are their indices (m,)."""
         parts = []
         stamps = _Stamps(self._stamps)
+        simulators = {*self._stamps} | {
+            number for name in STAMPED if name in columns for number in _senders(columns[name])
+        }
         for name, rows in columns.items():
+            order = orders[name]
+            if name == REPEATED and simulators:
+                measured = np.isin(_senders(rows), [*simulators])
+                rows, order = rows[measured], order[measured]
             # Messages without a measurement give no rows.
             for read in read_samples(name, rows):
-                place, t_us = orders[name][read.row], read.t_us
+                place, t_us = order[read.row], read.t_us
                 if name == WRAPPED_MESSAGE:
                     t_us = self._boot.unwrap(t_us, place, columns, orders)
                 parts.append(BlockPart(read.kind, place, t_us, read.values))

@@ -7,7 +7,6 @@ kernels for the first time takes longer.
 import queue
 import threading
 from collections.abc import Iterator
-from types import TracebackType
 
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
@@ -32,12 +31,7 @@ class LinkBuffer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         # Set the flag first: the thread reads the link until it sees it; only then may the link
         # close.
         self._over.set()

@@ -34,7 +34,7 @@ from analysis.samples.block import (
     block_of,
 )
 from analysis.samples.sample import IMU_VALUE_LIMIT, Sample, TruthSample, Vector
-from analysis.scoring.attitude_kernel import ScoredEstimates, accumulate_errors, score_estimates
+from analysis.scoring.attitude_kernel import ScoredEstimates, score_estimates
 from analysis.scoring.attitude_scores import (
     ErrorBins,
     FaultInterval,
@@ -88,12 +88,11 @@ NO_ESTIMATES = Estimates(
 class ScorerState:
     """State of the scorer, changed in place; `bins` grows with every block.
 
-    `last_us` (s,) and `sums` (s, 9) are the newest bin of each source; `truth_us` (k,) and `truth`
-    (k, WIDTH) the newest truths.
+    `last_us` is the start of the newest bin of each source; `truth_us` (k,) and `truth` (k, WIDTH)
+    are the newest truths.
     """
 
-    last_us: Stamps
-    sums: Vector
+    last_us: dict[str, int] = field(default_factory=dict)
     t0_us: int | None = None
     estimators: dict[str, Any] = field(default_factory=dict)
     truth_us: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
@@ -115,8 +114,7 @@ class AttitudeScorer:
 
     def new_state(self) -> ScorerState:
         """The state before the first sample."""
-        count = len(self._names)
-        return ScorerState(np.full(count, -1, np.int64), np.zeros((count, 9)))
+        return ScorerState()
 
     def step(
         self, samples: Sample | Block, state: ScorerState
@@ -217,24 +215,31 @@ class AttitudeScorer:
             return []
         # Bins count from the first truth, so they shift if a log is cut elsewhere.
         bin_us = estimates.t_us - since_us % self._bin_us
-        opened, state.last_us, sums = accumulate_errors(
-            estimates.source, bin_us, error, state.last_us, state.sums
-        )
-        true, count = truth[after[opened]], len(self._names)
-        bins = ErrorBins(
-            bin_us[opened], flight_phases(true[:, :4], true[:, 10:13]), sums[count:], error[opened]
-        )
+        numbers = np.hstack([np.ones((len(error), 1)), error**2, np.abs(error)])
+        opened = [np.empty(0, np.int64)]
         for number, name in enumerate(self._names):
+            own = np.flatnonzero(estimates.source == number)
+            if not len(own):
+                continue
             known = state.bins.setdefault(name, [])
-            if known:
+            changes = np.diff(bin_us[own], prepend=state.last_us.get(name, -1)) != 0
+            state.last_us[name] = int(bin_us[own[-1]])
+            begins = np.flatnonzero(changes | (np.arange(len(own)) == 0))
+            counts = np.add.reduceat(numbers[own, :5], begins)
+            sums = np.hstack([counts, np.maximum.reduceat(numbers[own, 5:], begins)])
+            if not changes[0]:
                 # The bin that was open at the end of the last block has grown in this one.
-                known[-1].sums[-1] = sums[number]
-            own = np.flatnonzero(estimates.source[opened] == number)
-            if len(own):
-                known.append(bins.at(own))
-            if known:
-                state.sums[number] = known[-1].sums[-1]
-        return self._results(estimates.at(opened), error[opened], row[opened])
+                last, grown = known[-1].sums[-1], sums[0]
+                last[:5], last[5:] = last[:5] + grown[:5], np.maximum(last[5:], grown[5:])
+                begins, sums = begins[1:], sums[1:]
+            if len(begins):
+                first = own[begins]
+                true = truth[after[first]]
+                phases = flight_phases(true[:, :4], true[:, 10:13])
+                known.append(ErrorBins(bin_us[first], phases, sums, error[first]))
+                opened.append(first)
+        rows = np.sort(np.concatenate(opened))
+        return self._results(estimates.at(rows), error[rows], row[rows])
 
     def _results(
         self, estimates: Estimates, error: Vector, row: Indices

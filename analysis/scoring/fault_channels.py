@@ -21,6 +21,7 @@ ACTUATORS = "actuators"
 RECEIVER_NAMES = frozenset({POSITION, VELOCITY, "GPS", "clock"})
 RECEIVER_CHANNELS = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
+GROUND_STATION = 255  # the system id of QGroundControl and of the operator of a run
 SATELLITE = re.compile(r"[GRECJSI]\d\d")
 
 
@@ -123,6 +124,8 @@ def _own_visibility(label: Label) -> FaultVisibility:
         return RECEIVER_VISIBILITY
     if label.fault in HARMLESS_FAULTS:
         return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
+    if label.where.get("system") == GROUND_STATION:
+        return FaultVisibility(frozenset(), reason="no channel monitors a ground station's frames")
     if not label.targets:
         return _link_visibility(label)
     parts = [

@@ -26,6 +26,7 @@ VEHICLE_OUTCOMES = (
     AS_COMMANDED, UNAFFECTED, DETECTED, DEGRADED, UNCOMMANDED, FAILSAFE, FLEW_AWAY, LOST_CONTROL,
     CRASHED,
 )  # fmt: skip
+BAD_ENDS = (FLEW_AWAY, LOST_CONTROL, CRASHED)
 CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
 UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
 LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost
@@ -39,15 +40,16 @@ REST_S = 2.0  # chosen: the vehicle then stays at rest this long
 REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
 LOW_M = 4.0  # chosen: above the lowest height of a flight, twice the noise of a barometer
 IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
-ENDED_TILTED = "ended tilted by"
+BLOW_MPS2, BLOW_FACTOR = 60.0, 2.0  # chosen: six times gravity, and twice what was before
+BLOW, ENDED_TILTED = "blow", "ended tilted by"
 FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
 FALL_STEPS = 3  # over these many steps
 COMMAND_S = 3.0  # chosen: a mode follows its command within this time
 REASON_S = 2.0  # chosen: an autopilot explains a change of mode within this time
 # Neither matches a setting ("Crash check disabled"), nor the end of a failsafe.
-CRASH_TEXT = re.compile(
-    r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))|hit ground", re.IGNORECASE
-)
+CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))", re.IGNORECASE)
+# ArduPilot's simulator reports every touchdown, with its speed.
+HIT_GROUND = re.compile(r"hit ground(?: at (-?\d+(?:\.\d+)?))?", re.IGNORECASE)
 FAILSAFE_TEXT = re.compile(
     r"fail-?safe(?!.*(clear|off|recover|resolved|disabled|enabled|deactivated|set to))",
     re.IGNORECASE,
@@ -178,7 +180,9 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     error_deg = _largest(record.errors_deg, flown)
     error_m = max(excursion_m, _largest(record.errors_m, flown))
     events = [*said, *ground, *upset, *failsafes, *departed, *_find_tumble(record, motion, flown)]
-    crashed = bool(said or ground or upset)
+    blow = _find_blow(record, motion)
+    events += blow
+    crashed = bool(said or ground or upset or blow)
     events += _find_touchdown(record, motion, flown, explained=bool(failsafes) or crashed)
     alarms = [alarm for alarm in record.alarms if flown[0] <= alarm.t_s <= flown[1]]
     events += [VehicleEvent(round(alarm.t_s, 3), DETECTED, alarm.text) for alarm in alarms[:1]]
@@ -208,6 +212,9 @@ def _is_eventful(events: Sequence[VehicleEvent]) -> bool:
 
 def is_crash_text(text: str) -> bool:
     """Whether an autopilot reports a crash in these words."""
+    hit = HIT_GROUND.search(text)
+    if hit is not None:
+        return hit[1] is None or abs(float(hit[1])) > CRASH_MPS
     return bool(CRASH_TEXT.search(text))
 
 
@@ -291,6 +298,28 @@ def _is_stopped(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: fl
     # Logged too rarely, the accelerometers do not contradict.
     beyond_mps2 = np.abs(force_mps2[near] - STANDARD_GRAVITY_MPS2)
     return bool(near.sum() < 10 or np.nanmax(beyond_mps2) > IMPACT_MPS2)
+
+
+def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEvent]:
+    """The first blow while armed, beyond what this IMU showed before, that ends the flight: the
+    motors are cut or the attitude is lost."""
+    if record.force is None or not record.armed:
+        return []
+    t_s, force_mps2 = record.force
+    beyond = np.nan_to_num(np.abs(force_mps2 - STANDARD_GRAVITY_MPS2))
+    for at in np.flatnonzero(beyond > BLOW_MPS2).tolist():
+        blow_s = float(t_s[at])
+        ends = [end for start, end in record.armed if start + REST_S < blow_s <= end + STOP_S]
+        before = beyond[:at][t_s[:at] < blow_s - STOP_S]
+        if not ends or (len(before) and beyond[at] < BLOW_FACTOR * np.quantile(before, 0.999)):
+            continue
+        around = np.abs(motion.t_s - blow_s) < REST_S
+        lost = bool(np.any(motion.tilt_deg[around] > LOST_TILT_DEG))
+        if lost or ends[0] - blow_s < REST_S:
+            what = "with the attitude lost" if lost else "then the motors were cut"
+            text = f"{BLOW} of {beyond[at]:.0f} m/s², {what}"
+            return [VehicleEvent(round(blow_s, 3), CRASHED, text)]
+    return []
 
 
 def _find_upset(

@@ -1,7 +1,6 @@
 """The proxy API for asyncio: the same calls as coroutines."""
 
 import asyncio
-from types import TracebackType
 from typing import Any
 
 from mavproxy_fault.api.proxy_handle import LiveFault, Proxy
@@ -27,12 +26,7 @@ class AsyncFault:
     async def __aenter__(self) -> "AsyncFault":
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *raised: object) -> None:
         await self.clear()
 
 
@@ -62,10 +56,5 @@ class AsyncProxy:
     async def __aenter__(self) -> "AsyncProxy":
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *raised: object) -> None:
         await asyncio.to_thread(self._proxy.close)

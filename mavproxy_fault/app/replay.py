@@ -5,7 +5,7 @@ byte with the session's schedule, which is the default. With another schedule th
 """
 
 import argparse
-import os
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -17,8 +17,9 @@ from mavproxy_fault.app.playback import LogRecord, LogSource, open_log
 from mavproxy_fault.app.proxy_command import read_signing
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
-from mavproxy_fault.documents.atomic_file import PRIVATE
+from mavproxy_fault.documents.atomic_file import replace_file, write_all
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -121,22 +122,18 @@ def recorded_schedule(source: LogSource) -> Schedule:
 def replay_to_log(playing: LogReplay, tape: CaptureBuffer, out: Path) -> Path:
     """Write the sent frames to a tlog, and the labels to `NAME.labels.jsonl` beside it."""
     labels_path = out.with_suffix(".labels.jsonl")
-    with open(out, "wb", opener=_open_private) as log, labels_path.open("wb") as labels:
+    with replace_file(out) as log, replace_file(labels_path) as labels:
         for record in playing.source.records:
             playing.push(record)
-            labels.write(encode_lines(_labels(playing)))
+            write_all(labels, encode_lines(_labels(playing)))
             # In portions, since a log of hours may not fit in memory twice.
             if len(tape.sent) >= FLUSH_BYTES:
-                log.write(tape.drain().sent)
+                write_all(log, tape.drain().sent)
         for _ in playing.rest():
             pass
-        labels.write(encode_lines(_labels(playing)))
-        log.write(tape.drain().sent)
+        write_all(labels, encode_lines(_labels(playing)))
+        write_all(log, tape.drain().sent)
     return labels_path
-
-
-def _open_private(path: str, flags: int) -> int:
-    return os.open(path, flags, PRIVATE)
 
 
 def _labels(playing: LogReplay) -> list[Label]:
@@ -203,6 +200,13 @@ def main(args: argparse.Namespace) -> int:
     schedule = read_schedule(args.schedule) if args.schedule else recorded_schedule(source)
     tape = CaptureBuffer() if args.out else None
     playing = LogReplay(source, schedule, tape, read_signing(args))
+    for entry in () if playing.repeats else schedule.faults:
+        if isinstance(entry.fault, SimulatorFault):
+            print(
+                f"replay: {entry.name} on {', '.join(entry.targets)} changes nothing in a log: the "
+                "simulator applies it; fly it with run, or choose a target in a message",
+                file=sys.stderr,
+            )
     if tape is not None:
         out = Path(args.out)
         # By file identity, since a link may have another name.

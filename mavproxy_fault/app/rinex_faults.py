@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from mavproxy_fault.app.recorder import encode_lines
+from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.plant_fault import PlantFault
 from mavproxy_fault.faults.satellite import SatelliteFault
@@ -47,9 +48,9 @@ def replay_rinex(args: argparse.Namespace) -> int:
     schedule, navigation = read_schedule(args.schedule), [Path(name) for name in args.nav or ()]
     lines, labels = faulted_lines(path, schedule, navigation)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
     labels_path = out.with_suffix(out.suffix + ".labels.jsonl")
-    labels_path.write_bytes(encode_lines(labels))
+    write_private(out, ("\n".join(lines) + "\n").encode("ascii", "replace"))
+    write_private(labels_path, encode_lines(labels))
     print(f"{out}\n{labels_path}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"fault {word} matched no observation", file=sys.stderr)

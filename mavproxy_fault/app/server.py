@@ -18,6 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.compiled.layout import HANDED_OVER
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
@@ -158,8 +159,12 @@ class Server:
         if self._held_ns:  # finish the batch without a long sleep
             next_ns = min(next_ns, time.monotonic_ns() + BATCH_NS)
         # Precise waits for due frames only.
-        forwarder.forward(min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns)
-        if forwarder.pending:
+        reason = forwarder.forward(
+            min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns
+        )
+        if sends := forwarder.take_sends():
+            self._send_all(sends, hold=forwarder.pending)
+        if reason == HANDED_OVER:
             number, data, came_ns = forwarder.handed_over()
             if data:
                 # Delayed frames may have been sent while it waited within its batch.
@@ -176,8 +181,7 @@ class Server:
 
     def prepare(self) -> None:
         """Load the compiled kernels; at first use, compile them in another process."""
-        # Streams always take the interpreted path.
-        if not any(link.datagrams for link in self.links) or not datagram_batch.HAS_RECVMMSG:
+        if not datagram_batch.HAS_RECVMMSG:
             return
         try:
             from mavproxy_fault.compiled import object_file as kernels
@@ -262,11 +266,12 @@ class Server:
         started_ns = time.monotonic_ns()
         # One arrival time for the batch.
         now_us = (self._base_ns + started_ns) // 1000
+        receive = core.received if self._forwarder is None else self._forwarder.received
         count = 0
         for stream, data in link.read():
             count += 1
             try:
-                self._send_all(core.received(number, data, now_us, stream=stream), hold=True)
+                self._send_all(receive(number, data, now_us, stream=stream), hold=True)
             except MemoryError:  # here, to keep the rest of the batch
                 self._free_memory()
         self._send_held()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mavproxy_fault.ardupilot.child_process import die_with_parent
 from mavproxy_fault.ardupilot.hil_readings import TrueState
+from mavproxy_fault.documents.atomic_file import replace_file
 from mavproxy_fault.documents.errors import ConfigError
 
 OUTPUT_LOG = "autopilot.log"
@@ -43,14 +44,14 @@ def check_command(binary: str) -> list[str]:
 
 
 def start_process(
-    command: list[str], folder: Path, ports: Ports, home: TrueState, defaults: list[Path]
+    command: list[str], folder: Path, ports: Ports, home: TrueState
 ) -> "subprocess.Popen[bytes]":
-    """Start the program in `folder`; later files of `defaults` take precedence."""
+    """Start the program in `folder`, with the parameters of its `PARAMETER_FILE`."""
     place = f"{home.lat_e7 * 1e-7:.7f},{home.lon_e7 * 1e-7:.7f},{home.alt_mm * 1e-3:.3f}"
     options = {
         "--model": "JSON:127.0.0.1",
         "--home": f"{place},{home.yaw_deg:.2f}",
-        "--defaults": ",".join(str(path.resolve()) for path in defaults),
+        "--defaults": PARAMETER_FILE,
         "--speedup": str(SPEEDUP),
         "--sim-port-out": str(ports.physics),
         "--serial0": f"udpclient:127.0.0.1:{ports.mavlink}",
@@ -64,7 +65,7 @@ def start_process(
         "--serial8": "none:",
     }
     arguments = [word for option in options.items() for word in option]
-    with (folder / OUTPUT_LOG).open("wb") as output:
+    with replace_file(folder / OUTPUT_LOG) as output:
         return subprocess.Popen(
             [*command, "-w", *arguments],
             cwd=folder,

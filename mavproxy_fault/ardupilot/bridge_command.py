@@ -15,9 +15,10 @@ from typing import Protocol
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.child_process import describe_exit
-from mavproxy_fault.ardupilot.parameters import VehicleKind, check_parameter_file
+from mavproxy_fault.ardupilot.parameters import VehicleKind
 from mavproxy_fault.ardupilot.wired_autopilot import WiredAutopilot
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.links.spec import open_link
@@ -39,7 +40,7 @@ def main(args: argparse.Namespace) -> int:
     autopilot process failed."""
     check_connection_options(args)
     command = [] if args.binary is None else check_command(args.binary)
-    own = user_parameter_files(args.parameters)
+    own = read_parameters(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
         autopilot: BridgeAutopilot
@@ -164,18 +165,6 @@ def hello_heartbeat(kind: VehicleKind) -> bytes:
     """Encode the bridge's first message, a HEARTBEAT."""
     values = {"type": MAV_TYPES[kind], "autopilot": ARDUPILOT, "mavlink_version": 3}
     return build_frame(message_layout("HEARTBEAT"), values)
-
-
-def user_parameter_files(file: str | None) -> list[Path]:
-    """Return the user's parameter file, if given, after checking its parameters."""
-    if file is None:
-        return []
-    try:
-        lines = Path(file).read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read ({error}); give a parameter file") from None
-    check_parameter_file(lines, file)
-    return [Path(file)]
 
 
 def print_status(text: str) -> None:

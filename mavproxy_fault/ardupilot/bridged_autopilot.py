@@ -3,7 +3,7 @@
 import select
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, Ports, start_process
@@ -11,8 +11,9 @@ from mavproxy_fault.ardupilot.bridge import Bridge
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
 from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.ardupilot.outputs import motor_channels, plane_channels
-from mavproxy_fault.ardupilot.parameters import VehicleKind, bridge_parameters, parameter_file_text
+from mavproxy_fault.ardupilot.parameters import VehicleKind, bridge_parameters, check_parameters
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle, SensorDiscovery
+from mavproxy_fault.documents.parameter_list import format_parameters
 from mavproxy_fault.links.link import Chunk, LinkCounters
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
@@ -34,8 +35,8 @@ class BridgedAutopilot:
     vehicle : {"copter", "plane"}
     folder : Path
         Working folder of the process, with its logs.
-    user_files : sequence of Path
-        The user's parameter files; they override the bridge's.
+    overrides : mapping of str
+        The user's parameters; they override the bridge's.
     say : callable
         Receives status lines for the user.
     hil : str
@@ -49,7 +50,7 @@ class BridgedAutopilot:
         command: Sequence[str],
         vehicle: VehicleKind,
         folder: Path,
-        user_files: Sequence[Path],
+        overrides: Mapping[str, float],
         say: Callable[[str], None],
         hil: str = "the HIL link",
     ) -> None:
@@ -57,7 +58,8 @@ class BridgedAutopilot:
         # Counts as connected from the start: the caller need not wait for a first message.
         self.counters = LinkCounters(bytes_in=1)
         self._bridge: Bridge | None = None  # once the process has started
-        self._command, self._vehicle, self._user_files = list(command), vehicle, list(user_files)
+        check_parameters(overrides)
+        self._command, self._vehicle, self._overrides = list(command), vehicle, overrides
         self._folder, self._say = folder, say
         self._process: subprocess.Popen[bytes] | None = None
         self._discovery = SensorDiscovery(hil)
@@ -152,15 +154,12 @@ class BridgedAutopilot:
         return answers
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
-        # Later files take precedence: the user's follow the bridge's.
-        file = self._folder / PARAMETER_FILE
-        file.write_text(parameter_file_text(bridge_parameters(self._vehicle, discovered.sensors)))
+        values = bridge_parameters(self._vehicle, discovered.sensors) | self._overrides
+        (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
         rate_hz = discovered.sensors.rate_hz
         self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
         ports = Ports(*(port.port for port in self._ports))
-        self._process = start_process(
-            self._command, self._folder, ports, discovered.home, [file, *self._user_files]
-        )
+        self._process = start_process(self._command, self._folder, ports, discovered.home)
         channels = CHANNELS[self._vehicle]
         self._bridge = Bridge(self._answer, discovered, self._ports, channels, self._say)
         self._serve = self._bridge.descriptors()

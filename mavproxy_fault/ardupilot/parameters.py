@@ -5,7 +5,7 @@ bypass the faults. AHRS_EKF_TYPE 3 is EKF3; type 10 is an estimator that reads t
 parameters are set under their names before and since 4.6; ArduPilot ignores unknown names.
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -119,26 +119,17 @@ def bridge_parameters(kind: VehicleKind, sensors: AvailableSensors) -> dict[str,
     return values
 
 
-def parameter_file_text(values: dict[str, float]) -> str:
-    """Format a parameter file."""
-    return "".join(f"{name} {value:g}\n" for name, value in values.items())
-
-
-def check_parameter_file(lines: Iterable[str], where: str) -> None:
-    """Refuse a user's parameter file that would let the truth reach the estimator.
+def check_parameters(values: Mapping[str, float]) -> None:
+    """Refuse a user's parameters that would let the truth reach the estimator.
 
     Raises
     ------
     ConfigError
-        If a line sets a fixed parameter to another value.
+        If a fixed parameter has another value.
     """
-    for number, line in enumerate(lines, 1):
-        fields = line.partition("#")[0].replace(",", " ").split()
-        if len(fields) < 2 or fields[0] not in FIXED_PARAMETERS:
-            continue
-        name, text = fields[:2]
-        if text not in (str(SENSORS[name]), f"{SENSORS[name]}.0"):
+    for name in values.keys() & FIXED_PARAMETERS.keys():
+        if values[name] != SENSORS[name]:
             raise ConfigError(
-                f"{where}:{number}: {name} = {text} bypasses the bridge; "
+                f"--parameters: {name} = {values[name]:g} bypasses the bridge; "
                 f"set it to {FIXED_PARAMETERS[name]}"
             )

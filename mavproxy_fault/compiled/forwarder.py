@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.tables import Tables
+from mavproxy_fault.compiled.compiled_core import CompiledCore, frame_length
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
@@ -15,9 +15,10 @@ from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.statistics import LatencyHistogram
 
 POLLIN = 1
+NAME_SIZES = {socket.AF_INET: 16, socket.AF_INET6: 28}  # bytes of a socket address
 
 
-class Forwarder(Tables):
+class Forwarder(CompiledCore):
     """Forwards between links in compiled code; hands over, in order, what that cannot process."""
 
     def __init__(
@@ -45,7 +46,6 @@ class Forwarder(Tables):
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
         arrays, loop = self._arrays, self.loop
-        loop[k.TIME_AT] = k.address(loop) + 8 * k.SECONDS
         for place, name in (
             (k.POLLS_AT, "polls"), (k.PEERS_AT, "peers"), (k.HEADS_AT, "heads"),
             (k.HEADERS_AT, "headers"),
@@ -74,9 +74,9 @@ class Forwarder(Tables):
         ports = self.ports
         ports[number, k.FD] = link.filenos()[0]
         ports[number, k.LISTENS] = isinstance(link, UdpServer)
-        ports[number, k.COMPILED] = (
-            isinstance(link, UdpServer | UdpClient) and link.sock.family == socket.AF_INET
-        )
+        ports[number, k.COMPILED] = isinstance(link, UdpServer | UdpClient)
+        if isinstance(link, UdpServer):
+            ports[number, k.NAME_SIZE] = NAME_SIZES[link.sock.family]
 
     # A stretch of forwarding
 
@@ -88,15 +88,17 @@ class Forwarder(Tables):
         self._refresh()
         loop = self.loop
         loop[k.DEADLINE], loop[k.SPIN], loop[k.PRECISE] = deadline_ns, spin, precise
-        while True:
-            loop[k.DRY] = 0
-            if self._plans is not None:
-                self._plans.draw_ahead()
-            reason = self._forward(self._addresses)
-            self._settle()
-            if not loop[k.DRY] or self._plans is None:
-                return reason
-            self._plans.set_back()
+        if self.pending:  # delayed frames may have been sent while it waited within its batch
+            last_due_ns = self._core.last_due_us * 1000 - loop[k.BASE]
+            loop[k.CAME] = max(loop[k.CAME], last_due_ns)
+        reason = self._run()
+        now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
+        if loop[k.OTHERS]:
+            others = loop[k.OTHERS]
+            self._sends += self._segments(loop[k.LINK], others, now_us)
+            loop[k.OTHERS] = 0
+        self._settle(now_us, plain=reason == k.OTHER_READY)
+        return reason
 
     def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
         """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
@@ -106,10 +108,10 @@ class Forwarder(Tables):
         for at, send in enumerate(sends):
             start = (rows * k.BATCH + at) * k.ROW
             self._arrays["data"][start : start + len(send.data)] = send.data
-            (
-                self._arrays["parts"][rows, at, k.DATA_LENGTH],
-                self._arrays["heads"][rows, at, k.LENGTH],
-            ) = len(send.data), send.link
+            part = rows, at
+            self._arrays["parts"][*part, k.DATA_AT] = k.address(self._arrays["data"]) + start
+            self._arrays["parts"][*part, k.DATA_LENGTH] = len(send.data)
+            self._arrays["heads"][*part, k.LENGTH] = send.link
         self._refresh()
         self.loop[k.DUE_COUNT], self.loop[k.DUE_AT] = len(sends), due_ns
         self._forward(self._addresses)
@@ -125,23 +127,31 @@ class Forwarder(Tables):
         return bool(self.loop[k.AT] < self.loop[k.COUNT])
 
     def handed_over(self) -> tuple[int, bytes, int]:
-        """The datagram handed over: link, bytes, and when it came by the monotonic clock.
+        """The frame or datagram handed over: link, bytes, and when it came, monotonic.
 
         Its sender becomes a peer; of one that may not speak there are no bytes.
         """
-        number, at = int(self.loop[k.LINK]), int(self.loop[k.AT])
-        self.loop[k.AT] += 1
+        loop = self.loop
+        number, at, begin = int(loop[k.LINK]), int(loop[k.AT]), int(loop[k.ROW_AT])
         row = number * k.BATCH + at
         length = self._arrays["heads"][number, at, k.LENGTH] & 0xFFFFFFFF
-        data = bytes(self._arrays["data"][row * k.ROW : row * k.ROW + length])
+        data = bytes(self._arrays["data"][row * k.ROW + begin : row * k.ROW + length])
+        if loop[k.FOUND] == k.FRAME:
+            data = data[: frame_length(data, 0)]
+        loop[k.ROW_AT] = begin + len(data)
+        if loop[k.ROW_AT] >= length:
+            loop[k.AT], loop[k.ROW_AT] = at + 1, 0
         link = self._links[number]
         if isinstance(link, UdpServer):
-            name = self._arrays["names"][row * k.NAME : row * k.NAME + k.SOCKADDR_IN]
+            start = row * k.NAME
+            name = self._arrays["names"][start : start + self.ports[number, k.NAME_SIZE]]
             if not link.register(bytes(name), data):
                 link.counters.refused += 1
-                return number, b"", self.loop[k.CAME]
+                loop[k.AT], loop[k.ROW_AT] = at + 1, 0
+                return number, b"", loop[k.CAME]
         self._learn(data)
-        return number, data, self.loop[k.CAME]
+        self._core_ran = True
+        return number, data, loop[k.CAME]
 
     @property
     def wakes_ready(self) -> bool:
@@ -172,6 +182,7 @@ class Forwarder(Tables):
 
     def count(self) -> None:
         """Add the machine code's counts to the links', the core's and the latencies."""
+        self._settle((self.loop[k.BASE] + self.loop[k.CAME]) // 1000)
         ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
             if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):

@@ -1,144 +1,106 @@
-"""The compiled form's frames: whole datagrams verified, timed, counted and recorded.
+"""The compiled form's frames: verified, timed, counted, changed, routed and recorded one by one.
 
-`links_of` decides, `step` carries out. A datagram goes this way only if all of it can: known
-senders on UDP links, whole frames with right CRCs and no signature, messages that no fault acts on
-or only those that `plans` can write down. Anything else is handed over to the interpreted way, with
-the array of senders as it was before, so that order and state stay exact. Importing this file
-imports numba.
+`pass_datagram` takes the frames of a datagram (or of a chunk of a stream) from `ROW_AT` on, and
+appends what leaves to the segments of the link that it came on. It stops at a frame that needs the
+interpreter, with everything as it was before that frame. Importing this file imports numba.
 """
 
 import numpy as np
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.kernel import i64, kernel
+from mavproxy_fault.compiled.chains import apply_chain, is_ready, read_instance, seal
+from mavproxy_fault.compiled.element_bytes import little_endian
+from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
-from mavproxy_fault.compiled.patches import draws_for, little, patch
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
-from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US
+from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
 from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
-# The rules of the interpreted way, as machine code
-vehicle_time = kernel(sender_rules.vehicle_time)
-missing_before = kernel(sender_rules.missing_before)
-addressee = kernel(sender_rules.read_target)
-links_towards = kernel(sender_rules.select_links)
+# The rules of the core, as machine code
+vehicle_time = kernel_of(sender_rules.vehicle_time)
+missing_before = kernel_of(sender_rules.missing_before)
+read_target = kernel_of(sender_rules.read_target)
+select_links = kernel_of(sender_rules.select_links)
 
 
 @kernel
-def sender_of(at: int, head: int, shared: Shared) -> int:
-    """`system << 8 | component` of a frame whose header has `head` bytes."""
-    place = at + (5 if head == 10 else 3)
-    return i64(shared.data[place]) << 8 | i64(shared.data[place + 1])
-
-
-@kernel
-def stamp(payload: int, size: int, number: int, shared: Shared) -> int:
+def _stamp_us(payload: int, size: int, number: int, shared: Shared) -> int:
     """The stamp of a frame in microseconds, 0 without one; as `vehicle_clock.stamp_us`."""
     entry = shared.table[number]
     if entry[k.STAMP_AT] < 0:
         return i64(0)
     length = min(entry[k.STAMP_SIZE], size - entry[k.STAMP_AT])
-    count = little(shared.data, payload + entry[k.STAMP_AT], length)
+    count = little_endian(shared.data, payload + entry[k.STAMP_AT], length)
     # Eight bytes may make a negative number, or one that is too large to be scaled.
     found = count * entry[k.STAMP_SCALE] if 0 <= count < MAX_STAMP_US else i64(0)
     return found if found < MAX_STAMP_US else i64(0)
 
 
 @kernel
-def _note(place: int, shared: Shared) -> None:
-    """Save the value of an entry of `senders` before it is changed."""
-    loop = shared.loop
-    row = shared.undo[loop[k.UNDO_COUNT]]
-    row[k.UNDO_PLACE], row[k.UNDO_VALUE] = place, shared.senders[place]
-    loop[k.UNDO_COUNT] += 1
+def _is_sampled(
+    payload: int, size: int, number: int, sender: int, t_us: int, shared: Shared
+) -> bool:
+    """Whether this period of a sampled message already has a frame, which the core has seen."""
+    instance = read_instance(payload, size, number, shared)
+    key = i64(number) << 32 | sender << 16 | (instance & 0xFFFF)
+    sample = shared.samples[(key ^ key >> 11 ^ key >> 32) % k.SAMPLES]
+    period = t_us // SAMPLE_PERIOD_US
+    if sample[0] == key and sample[1] == period:
+        return True
+    sample[0], sample[1] = key, period
+    return False
 
 
 @kernel
-def _time(sender: int, number: int, stamp_us: int, now_us: int, shared: Shared) -> int:
-    """Vehicle time of a frame; UNKNOWN where the interpreted way has something to say about it."""
-    senders = shared.senders
-    if stamp_us:
-        simulator_begins = number == HIL_SENSOR and senders[cells.SIMULATED] == 0
-        if simulator_begins or senders[cells.T0] == cells.UNKNOWN:
-            return i64(cells.UNKNOWN)
-        clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
-        _note(cells.CLOCK_OFFSET + clock, shared)
-        _note(cells.NEWEST_STAMP + clock, shared)
-        _note(cells.LAST_HEARD + clock, shared)
-        _note(cells.CANDIDATE_STAMP + clock, shared)
-        _note(cells.SYSTEM_TIME + (sender >> 8), shared)
-        _note(i64(cells.NEWEST_TIME), shared)
-        _note(i64(cells.UNCONFIRMED), shared)
-    doubted = senders[cells.UNCONFIRMED]
+def _is_ready_at(
+    payload: int, size: int, number: int, sender: int, link: int, now_us: int, signed: bool,
+    shared: Shared,
+) -> int:  # fmt: skip
+    """The vehicle time of a frame; UNKNOWN, and no clock changed, if the core has to take it."""
+    senders, kind = shared.senders, shared.table[number, k.KIND]
+    stamp_us = _stamp_us(payload, size, number, shared)
+    simulator_begins = number == HIL_SENSOR and senders[cells.SIMULATED] == 0
+    if stamp_us and (simulator_begins or senders[cells.T0] == cells.UNKNOWN):
+        return i64(cells.UNKNOWN)
+    clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
+    system = cells.SYSTEM_TIME + (sender >> 8)
+    before = (
+        senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
+        senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
+        senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
+    )  # fmt: skip
     t_us = vehicle_time(senders, sender, stamp_us, now_us)
-    return t_us if senders[cells.UNCONFIRMED] == doubted else i64(cells.UNKNOWN)
+    ready = senders[cells.UNCONFIRMED] == before[6]
+    if shared.table[number, k.SAMPLED] and not _is_sampled(
+        payload, size, number, sender, t_us, shared
+    ):
+        ready = False
+    if kind != k.PASS and t_us >= shared.loop[k.EDGE]:
+        ready = False
+    if ready and kind == k.PLANNED:
+        ready = is_ready(payload, size, number, sender, link, t_us, signed, shared)
+    if ready:
+        return i64(t_us)
+    (
+        senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
+        senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
+        senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
+    ) = before  # fmt: skip
+    return i64(cells.UNKNOWN)
 
 
 @kernel
-def _links_of_frame(at: int, head: int, number: int, link: int, now_us: int, shared: Shared) -> int:
-    """The links one frame goes to, -1 if it is to be handed over; its time is noted."""
-    loop, data, senders = shared.loop, shared.data, shared.senders
-    size, payload = i64(data[at + 1]), at + head
-    bit = i64(1) << link
-    sender = sender_of(at, head, shared)
-    signed_or_odd = head == 10 and data[at + 2] != 0
-    if signed_or_odd or number >= k.IDS or senders[cells.LINKS + sender] != bit:
-        return -1
-    entry = shared.table[number]
-    if entry[k.KIND] == k.INTERPRETED or loop[k.FRAME_COUNT] == k.MOST_FRAMES:
-        return -1
-    if not has_valid_checksum(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
-        return -1
-    t_us = _time(sender, number, stamp(payload, size, number, shared), now_us, shared)
-    if t_us == cells.UNKNOWN or (entry[k.KIND] != k.PASS and t_us >= loop[k.EDGE]):
-        return -1
-    if entry[k.KIND] == k.PLANNED:
-        drawn = draws_for(payload, size, entry[k.PLAN], sender, link, t_us, shared)
-        if drawn < 0:
-            return -1
-        loop[k.DRAWS] += drawn
-    shared.times[loop[k.FRAME_COUNT]] = t_us
-    loop[k.FRAME_COUNT] += 1
-    elsewhere = ((i64(1) << loop[k.LINK_COUNT]) - 1) & ~bit
-    places = (entry[k.TARGET_SYSTEM], entry[k.TARGET_COMPONENT])
-    found = links_towards(senders, i64(addressee(data, payload, size, places)), elsewhere)
-    return -1 if found & ~loop[k.COMPILED_LINKS] else found
-
-
-@kernel
-def links_of(start: int, length: int, link: int, now_us: int, shared: Shared) -> int:
-    """The links a datagram goes to, -1 if it is to be handed over.
-
-    Each frame advances its sender's clock, so that the next frame is judged by the updated time;
-    if the datagram is handed over, these changes are undone.
-    """
-    loop, undo = shared.loop, shared.undo
-    loop[k.FRAME_COUNT] = loop[k.DRAWS] = loop[k.UNDO_COUNT] = 0
-    at, end = start, start + length
-    mask = i64(-1)
-    while at < end:
-        head, number, stop = frame_header(shared.data.ctypes.data, end, at)
-        found = i64(-1)
-        if head:
-            found = _links_of_frame(at, head, number, link, now_us, shared)
-        if found < 0 or (mask >= 0 and found != mask):
-            for n in range(loop[k.UNDO_COUNT] - 1, -1, -1):
-                shared.senders[undo[n, k.UNDO_PLACE]] = undo[n, k.UNDO_VALUE]
-            return -1
-        mask, at = found, stop
-    return mask
-
-
-@kernel
-def _record(log: k.Octets, place: int, now_us: int, at: int, length: int, shared: Shared) -> None:
+def _record(
+    log: k.Octets, place: int, now_us: int, source: k.Octets, at: int, length: int, shared: Shared
+) -> None:
     """Append a frame to a log; `place` is the entry of `loop` that counts the log's bytes."""
     start = shared.loop[place]
     for n in range(8):
         log[start + n] = now_us >> (56 - 8 * n) & 0xFF
     for n in range(length):
-        log[start + 8 + n] = shared.data[at + n]
+        log[start + 8 + n] = source[at + n]
     shared.loop[place] = start + 8 + length
 
 
@@ -151,31 +113,158 @@ def _record_received(link: int, now_us: int, at: int, length: int, shared: Share
     for n in range(4):
         shared.index[place + 2 + n] = length >> (8 * n) & 0xFF
     shared.loop[k.INDEX_AT] = place + 6
-    _record(shared.received, k.RECEIVED_AT, now_us, at, length, shared)
+    _record(shared.received, k.RECEIVED_AT, now_us, shared.data, at, length, shared)
 
 
 @kernel
-def step(start: int, length: int, link: int, mask: int, now_us: int, shared: Shared) -> None:
-    """Count, patch and record the frames of a datagram whose links were found."""
+def _send(
+    source: k.Octets, at: int, length: int, rows: int, mask: int, now_us: int, shared: Shared
+) -> None:
+    """Append a frame to the outgoing segment for its links, and record it."""
+    loop, parts = shared.loop, shared.parts
+    segment = loop[k.SEGMENT] - 1
+    if (
+        not loop[k.OPEN]
+        or shared.masks[rows, segment] != mask
+        or parts[rows, segment, k.DATA_LENGTH] + length > k.LONGEST
+    ):
+        segment += 1
+        loop[k.SEGMENT], loop[k.OPEN] = segment + 1, 1
+        shared.masks[rows, segment] = mask
+        parts[rows, segment, k.DATA_AT] = shared.outs.ctypes.data + loop[k.OUT_AT]
+        parts[rows, segment, k.DATA_LENGTH] = 0
+    out = loop[k.OUT_AT]
+    for n in range(length):
+        shared.outs[out + n] = source[at + n]
+    loop[k.OUT_AT] += length
+    parts[rows, segment, k.DATA_LENGTH] += length
+    if loop[k.KEEP]:
+        _record(shared.sent, k.SENT_AT, now_us, source, at, length, shared)
+
+
+@kernel
+def _hold(item: int, mask: int, now_us: int, shared: Shared) -> None:
+    """Keep a delayed frame, and let the stretch of forwarding end when it is due."""
+    loop, held, start = shared.loop, shared.held, shared.loop[k.HELD_AT]
+    due_us = now_us + shared.items[item, k.LATE_US]
+    length = shared.items[item, k.LENGTH_OF]
+    for n in range(8):
+        held[start + n] = due_us >> (8 * n) & 0xFF
+        held[start + 8 + n] = mask >> (8 * n) & 0xFF
+        held[start + 16 + n] = length >> (8 * n) & 0xFF
+    for n in range(length):
+        held[start + k.HELD_HEAD + n] = shared.work[item * k.SLOT + n]
+    loop[k.HELD_AT] = start + k.HELD_HEAD + length
+    due_ns = (due_us - k.AHEAD_US) * 1000 - loop[k.BASE]
+    if due_ns < loop[k.DEADLINE]:
+        loop[k.DEADLINE], loop[k.PRECISE] = due_ns, 1
+
+
+@kernel
+def _is_full(shared: Shared) -> bool:
+    """Whether there may be no room for what one frame becomes."""
+    loop, most = shared.loop, k.MOST_WORK * (k.SLOT + k.HELD_HEAD)
+    return bool(
+        loop[k.SEGMENT] > k.BATCH - 2
+        or loop[k.OUT_AT] + most > loop[k.OUT_END]
+        or loop[k.HELD_AT] + most > k.HELD_SIZE
+        or (loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) + most > k.LOG_SIZE)
+    )
+
+
+@kernel
+def _pass_frame(
+    at: int, head: int, number: int, stop: int, link: int, rows: int, now_us: int, shared: Shared
+) -> int:
+    """Pass a frame; DONE or NEWS, FRAME or REST if the core has to take it."""
     loop, data, senders, ports = shared.loop, shared.data, shared.senders, shared.ports
-    at, frame = start, 0
-    while at < start + length:
-        head, number, stop = frame_header(data.ctypes.data, start + length, at)
-        sender, size = sender_of(at, head, shared), i64(data[at + 1])
-        entry, t_us = shared.table[number], shared.times[frame]
-        ports[link, k.FRAMES] += 1
-        seq = i64(data[at + (4 if head == 10 else 2)])
-        ports[link, k.MISSING] += missing_before(senders, sender, seq)
-        if ports[link, k.FROM_VEHICLE]:
-            senders[cells.VEHICLE_SYSTEM] = sender >> 8
-        senders[cells.WALL_OFFSET] = now_us - t_us
-        if loop[k.KEEP]:
-            _record_received(link, now_us, at, stop - at, shared)
-        if entry[k.KIND] != k.PASS:
-            loop[k.WANTED_AT] = t_us
-        if entry[k.KIND] == k.PLANNED:
-            ports[link, k.FAULTED] += patch(at, head, size, number, link, t_us, shared)
-        if loop[k.KEEP] and mask:
-            _record(shared.sent, k.SENT_AT, now_us, at, stop - at, shared)
-        at = stop
-        frame += 1
+    size, payload, bit = i64(data[at + 1]), at + head, i64(1) << link
+    signed = head == 10 and data[at + 2] != 0
+    place = at + (5 if head == 10 else 3)
+    sender = i64(data[place]) << 8 | i64(data[place + 1])
+    if number >= k.IDS:
+        return k.REST
+    entry = shared.table[number]
+    if not has_valid_checksum(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
+        return k.REST
+    unknown = senders[cells.LINKS + sender] != bit
+    if unknown or entry[k.KIND] == k.INTERPRETED or (signed and not loop[k.SIGNED_TOO]):
+        return k.FRAME
+    elsewhere = ((i64(1) << loop[k.LINK_COUNT]) - 1) & ~bit
+    places = (entry[k.TARGET_SYSTEM], entry[k.TARGET_COMPONENT])
+    mask = select_links(senders, i64(read_target(data, payload, size, places)), elsewhere)
+    loop[k.OTHERS] |= mask & ~loop[k.COMPILED_LINKS]
+    t_us = _is_ready_at(payload, size, number, sender, link, now_us, signed, shared)
+    if t_us == cells.UNKNOWN:
+        return k.FRAME
+    ports[link, k.FRAMES] += 1
+    seq = i64(data[at + (4 if head == 10 else 2)])
+    ports[link, k.MISSING] += missing_before(senders, sender, seq)
+    if ports[link, k.FROM_VEHICLE]:
+        senders[cells.VEHICLE_SYSTEM] = sender >> 8
+    senders[cells.WALL_OFFSET] = now_us - t_us
+    if loop[k.KEEP]:
+        _record_received(link, now_us, at, stop - at, shared)
+    if entry[k.KIND] != k.PASS:
+        loop[k.WANTED_AT] = t_us
+    if entry[k.KIND] != k.PLANNED:
+        if mask:
+            _send(data, at, stop - at, rows, mask, now_us, shared)
+        return k.DONE
+    count, changed = apply_chain(at, head, stop - at, number, link, t_us, shared)
+    left, same = 0, True
+    for item in range(count):
+        if shared.items[item, k.LENGTH_OF] == 0:
+            continue
+        left += 1
+        same &= shared.items[item, k.ALTERED] != k.CHANGED and shared.items[item, k.LATE_US] == 0
+        if mask == 0:
+            continue
+        if shared.items[item, k.ALTERED]:
+            seal(item, head, entry[k.EXTRA], shared)
+        if shared.items[item, k.LATE_US]:
+            _hold(item, mask, now_us, shared)
+        else:
+            length = shared.items[item, k.LENGTH_OF]
+            _send(shared.work, item * k.SLOT, length, rows, mask, now_us, shared)
+    ports[link, k.FAULTED] += left != 1 or not same
+    return k.NEWS if changed and _has_news(number, shared) else k.DONE
+
+
+@kernel
+def _has_news(number: int, shared: Shared) -> bool:
+    """Whether an entry of a message has acted whose label has not begun."""
+    first = shared.table[number, k.CHAIN]
+    while first >= 0:
+        entry = shared.entries[shared.steps[first, k.ENTRY]]
+        # Also an entry that acts in a further direction.
+        if entry[k.FRAMES_HIT] and entry[k.WAYS] & ~entry[k.QUIET]:
+            return True
+        first = shared.steps[first, k.NEXT]
+    return False
+
+
+@kernel
+def pass_datagram(
+    start: int, length: int, link: int, rows: int, now_us: int, shared: Shared
+) -> int:
+    """Pass the frames of a datagram from `ROW_AT` on; what became of it.
+
+    `rows` is the row of segments that outgoing frames are appended to.
+    """
+    loop, end = shared.loop, start + length
+    while loop[k.ROW_AT] < length:
+        if _is_full(shared):
+            return k.FULL
+        at = start + loop[k.ROW_AT]
+        head, number, stop = frame_header(shared.data.ctypes.data, end, at)
+        if not head:
+            return k.REST
+        found = _pass_frame(at, head, number, stop, link, rows, now_us, shared)
+        if found == k.FRAME or found == k.REST:
+            return found
+        loop[k.ROW_AT] = stop - start
+        if found == k.NEWS:
+            return k.NEWS
+    loop[k.OPEN] = 0  # the next datagram leaves in one of its own
+    return k.DONE

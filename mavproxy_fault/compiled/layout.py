@@ -10,44 +10,57 @@ import mmap
 import struct
 from typing import Any, NamedTuple
 
+from mavproxy_fault.fault_parts.memory import ARENA
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 
 BATCH = 64  # datagrams per system call
 ROW = 65_536  # bytes kept for each
 PEERS = 32
 NAME = 32  # bytes kept for a socket address
-SOCKADDR_IN = 16  # bytes of an IPv4 socket address
 HEADER = 8  # 64-bit words of a `mmsghdr`
 IDS = 1 << 16
-MOST_FRAMES = 256  # in one datagram; what holds more goes the interpreted way
-MOST_PLANS = 256
-MOST_SEGMENTS = 1024
-MOST_DRAWN = 16  # faults that draw from a block of their own
+MOST_ENTRIES = 256  # active entries of a schedule
+MOST_STEPS = 1024  # entries in the chains of all messages
+MOST_ELEMENTS = 2048
+MOST_NUMBERS = 16_384
+MOST_KEYS = 1024  # senders that rules remember
+MOST_DRAWN = 32  # entries that draw from a block of their own
 BLOCK = 2048  # numbers drawn ahead for each
+MOST_WORK = 64  # frames that one frame may become
+SLOT = 320  # bytes kept for each, more than the longest frame
+MOST_CHAIN = 32  # entries that may act on one message
+SAMPLES = 1024  # senders of sampled messages that are distinguished
 
 # Columns of `table`, by message id
-KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT, PLAN = range(8)
-TABLE_SIZE = 8
+KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT = range(7)
+INSTANCE_AT, INSTANCE_SIZE, CHAIN = range(7, 10)  # -1 for none
+SAMPLED = 10  # whether the core has to see one of its frames in each period
+TABLE_SIZE = 11
 INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
-# Columns of `plans`, a row per element; the first row of a fault says the rest: whom it is for
-# (others are passed by), whose state it knows (others are left to the interpreted way), and where
-# the fault that acts next on the message begins
-OFFSET, CODE, MODE, SOURCE, ROWS, NEXT, START = range(7)
-SYSTEM, COMPONENT, DIRECTION = range(7, 10)
-KNOWN_SENDER, KNOWN_WAY, INSTANCE_AT, INSTANCE_SIZE, INSTANCE = range(10, 15)
-SEGMENTS_FROM, SEGMENTS_TO, OPEN_LEFT, DRAWS_FROM, WAITS = range(15, 20)  # WAITS: did nothing yet
-PLAN_SIZE = 20
-ADD, SCALE, REPLACE = range(3)  # modes
-NUMBER, GROWS, SEGMENTS, DRAWN = range(4)  # sources: what meets the healthy value
-VALUE, LIMIT = range(2)  # columns of `numbers`; LIMIT is `otherwise` where segments are the source
-AT_S, FOR_S, AT_START, RATE = range(4)  # columns of `segments`
-FRAMES_HIT, SATURATED, USED = range(3)  # columns of `hits`; USED counts draws
+# Columns of `entries`, a row for each active entry
+EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
+REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
+DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
+FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(16, 21)  # counts; WAYS: bit mask
+ENTRY_SIZE = 21
+VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before START
+# Columns of `steps`, the chains of entries on a message
+ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
+STEP_SIZE = 7
+# Columns of `elements` and of `factors`
+OFFSET, CODE, NUMBERS_AT = range(3)
+FACTOR, STEP_SCALE = range(2)  # to the unit of the rule, and of a change to that of the label
+# Columns of `keys`: whose memory it is, and where
+KEY_ENTRY, KEY_WAY, KEY_SENDER, KEY_MESSAGE, KEY_INSTANCE, MEMORY_AT = range(6)
 STEP, CUT = range(2)  # entries of `outcome`: how far an element moved, whether it saturated
+# Columns of `work`, the frames that one frame becomes
+LENGTH_OF, LATE_US, ALTERED = range(3)
+RESEALED, CHANGED = 1, 2  # what ALTERED says: a new checksum, or other bytes too
 # Columns of `ports`, a row per link
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
-LONE = 14  # whether to receive one datagram at a time
-PORT_SIZE = 15
+LONE, NAME_SIZE = 14, 15  # whether to receive one datagram at a time; bytes of an address
+PORT_SIZE = 16
 # Columns of `heads` and `headers`, the words of a `mmsghdr`; of `parts`, those of an `iovec`
 NAME_AT, NAME_LENGTH, PARTS_AT, PART_COUNT, _CONTROL, _CONTROL_LENGTH, _FLAGS, LENGTH = range(8)
 DATA_AT, DATA_LENGTH = range(2)
@@ -58,14 +71,24 @@ DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest 
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
 DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
 COMPILED_LINKS = 26  # bit mask
-FRAME_COUNT, DRAWS, UNDO_COUNT = range(27, 30)  # of the datagram that is looked at
-LENT, MASK = 30, 31  # bytes of a datagram lent in the first row; the links it leaves on
-LOOP_SIZE = 32
-TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT, LENT_PASSED = range(6)  # why it returns
+SIGNED_TOO = 27  # whether signed frames pass; else a key has to be looked at
+ROW_AT, OUT_AT, SEGMENT, OPEN = range(28, 32)  # in the datagram; in the output; its open segment
+HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
+LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
+OUT_END, OTHERS = 36, 37  # of the output's room; links outside the compiled form that it is for
+MASK = 38  # the links that a lent chunk leaves on, or one of the next
+LOOP_SIZE = 39
+UNTOUCHED, BEGUN = -1, -2
+# Why it returns
+TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT, LENT_PASSED, TO_SETTLE = range(7)
+# What became of a datagram: all of it passed, its next frame or its rest is handed over, a label
+# has begun, no room for output
+DONE, FRAME, REST, NEWS, FULL = range(5)
 
-UNDO_PLACE, UNDO_VALUE = range(2)  # columns of `undo`
-CLOCK_CELLS = 7  # entries of `senders` that one frame's time may change
-
+HELD_SIZE = 1 << 20
+AHEAD_US = 300  # a frame due within this time is handled before anything else
+HELD_HEAD = 24  # bytes of due time, links and length before a delayed frame
+LONGEST = 65_000  # bytes of an outgoing datagram
 LOG_SIZE = 1 << 24
 LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
 LATENCY_STEPS = 64 * 8
@@ -93,17 +116,26 @@ class Shared(NamedTuple):
     senders: Integers  # (senders.SIZE,)
     table: Integers  # (IDS, TABLE_SIZE)
     crc: Words  # (SLICES, 256)
-    times: Integers  # (MOST_FRAMES,) vehicle time of each frame of a datagram, microseconds
-    undo: Integers  # (MOST_FRAMES CLOCK_CELLS, 2) what `senders` held before this datagram
+    outs: Octets  # ((n + 1) BATCH ROW,) outgoing bytes, by the link that they came from
+    masks: Integers  # (n + 1, BATCH) the links that a segment of them goes to
+    held: Octets  # (HELD_SIZE,) delayed frames
     received: Octets  # (LOG_SIZE,)
     sent: Octets  # (LOG_SIZE,)
     index: Octets  # (LOG_SIZE,)
-    plans: Integers  # (MOST_PLANS, PLAN_SIZE)
-    numbers: Doubles  # (MOST_PLANS, 2)
-    hits: Integers  # (MOST_PLANS, 3)
-    steps: Doubles  # (MOST_PLANS,) largest change by each fault, negative for none
-    segments: Doubles  # (MOST_SEGMENTS, 4)
+    entries: Integers  # (MOST_ENTRIES, ENTRY_SIZE)
+    changes: Doubles  # (MOST_ENTRIES, 2) probability, largest change (negative: none)
+    steps: Integers  # (MOST_STEPS, STEP_SIZE)
+    elements: Integers  # (MOST_ELEMENTS, 3)
+    factors: Doubles  # (MOST_ELEMENTS, 2)
+    numbers: Doubles  # (MOST_NUMBERS,)
+    keys: Integers  # (MOST_KEYS, 6)
     draws: Doubles  # (MOST_DRAWN BLOCK,)
+    memory: Doubles  # (memory.NUMBERS,)
+    places: Integers  # (MOST_CHAIN,) where each entry of a chain has its memory
+    values: Doubles  # (SLOT,) of a frame's elements
+    work: Octets  # (MOST_WORK SLOT,)
+    items: Integers  # (MOST_WORK, 3)
+    samples: Integers  # (SAMPLES, 2) sender and period of the newest sample
     outcome: Doubles  # (2,)
 
 
@@ -141,10 +173,17 @@ def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
         "data": table("B", (links + 1) * BATCH * ROW),
         "table": table("q", IDS, TABLE_SIZE),
         "crc": tables,
-        "times": table("q", MOST_FRAMES),
-        "undo": table("q", MOST_FRAMES * CLOCK_CELLS, 2),
+        "outs": table("B", (links + 1) * BATCH * ROW),
+        "masks": table("q", links + 1, BATCH),
+        "held": table("B", HELD_SIZE),
         "received": table("B", log),
         "sent": table("B", log),
         "index": table("B", log),
+        "memory": ARENA,
+        "places": table("q", MOST_CHAIN),
+        "values": table("d", SLOT),
+        "work": table("B", MOST_WORK * SLOT),
+        "items": table("q", MOST_WORK, 3),
+        "samples": table("q", SAMPLES, 2),
         "outcome": table("d", 2),
     }

@@ -23,7 +23,9 @@ PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
 IMPORTED = re.compile(r"^from mavproxy_fault\.(\w+(?:\.\w+)*) import (.+?)$", re.MULTILINE)
 NAME = "mavproxy_fault_forward"
-CALLS = frozenset({"recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"})
+CALLS = frozenset(
+    {"sin", "exp", "expm1", "recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"}
+)
 
 Forward = Callable[..., int]
 
@@ -32,7 +34,8 @@ Forward = Callable[..., int]
 def sources() -> tuple[str, ...]:
     """The compiled source files, found by following imports, and this file, which compiles them."""
     found: list[str] = []
-    waiting = [ENTRY, f"compiled/{Path(__file__).name}"]
+    rules = [f"faults/{file.name}" for file in (PACKAGE / "faults").glob("*.py")]
+    waiting = [ENTRY, f"compiled/{Path(__file__).name}", *rules]
     while waiting:
         name = waiting.pop()
         if name in found:

@@ -1,61 +1,74 @@
-"""Faults written down for the compiled form: bias, scale, constant, drift, noise and freeze.
+"""Active entries written down as rows of numbers, and the random numbers drawn ahead for them.
 
-The first frame that a fault changes, and with it the label, goes the interpreted way, as do the
-drawing of segments and the value that is frozen; its rows say what to do with the next ones. Noise
-is drawn ahead in blocks; when the interpreted way asks for the generator, it is set back to where
-the compiled form stopped, so that both give the same bytes. numpy is not loaded for this: it
-would hold up the first frame on which a fault acts.
+A message goes the compiled way if all entries that act on it have a rule. What a rule remembers
+lies in `memory`, for both ways. Random numbers are drawn ahead in blocks; when the core asks for a
+generator, it is set back to the first unused number, so that both ways give the same bytes. numpy
+is not loaded for this: it would hold up the first frame on which a fault acts.
 """
 
 import itertools
-import math
 from array import array
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.fault_parts.value_fault import broadcast_values
-from mavproxy_fault.faults.freeze import Freeze
-from mavproxy_fault.faults.noise_fault import NoiseFault
-from mavproxy_fault.faults.profile_faults import Bias, Constant, Drift, ProfileFault, Scale
-from mavproxy_fault.proxy.active_entry import ActiveEntry
+from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
+from mavproxy_fault.fault_parts.elements import Element, locate_element
+from mavproxy_fault.fault_parts.memory import Memory
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, RuleLinkFault
+from mavproxy_fault.faults.plant_fault import SimulatorFault
+from mavproxy_fault.faults.registry import our_faults
+from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
+from mavproxy_fault.proxy.active_entry import BOTH_DIRECTIONS, ActiveEntry
 from mavproxy_fault.wire.dialect import Layout
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
+    from mavproxy_fault.proxy.engine import Engine
 
-MODES = {"add": k.ADD, "scale": k.SCALE, "replace": k.REPLACE}
-WAYS = {"to-vehicle": 0, "from-vehicle": 1}
-CODES = "bBhHiIfd"  # 64-bit integers do not fit the kernel's arithmetic
-KINDS = (Bias, Scale, Constant, Drift, NoiseFault, Freeze)
-Plan = list[int]  # a row, as it is made
-Numbers = list[list[float]]  # VALUE and LIMIT of each element
+WAYS = ("to-vehicle", "from-vehicle")
+EFFECTS = {"delay": k.DELAY, "copies": k.COPIES, "renumber": k.RENUMBER}
+LARGEST_SHIFT_S = 1e9  # of a timestamp: with it microseconds are exact as numbers
 
 
-class Planned(NamedTuple):
-    """A fault of the compiled form: its first row (-1: none yet), and the block it draws from."""
+class Stage(NamedTuple):
+    """How far an entry has come: its fault, has its label begun, how much does it remember."""
 
-    first: int
-    running: ActiveEntry
     fault: Any
-    stage: tuple[bool, int, bool]
-    block: int | None = None
+    begun: bool
+    memories: int
 
 
-def stage(running: ActiveEntry) -> tuple[bool, int, bool]:
-    """How far a fault has come: has it begun, how many states has it, is its news untold."""
-    return running.first_us is not None, len(running.states), running.unannounced
+def memories_of(running: ActiveEntry) -> list[tuple[int, tuple[int, ...], Memory]]:
+    """What an entry with a rule remembers: direction, sender (or nothing), and where."""
+    found: list[tuple[int, tuple[int, ...], Memory]] = []
+    for way, state in running.states.items():
+        if isinstance(state, Memory):
+            found.append((WAYS.index(way), (), state))
+        elif isinstance(getattr(state, "inner", None), dict):
+            found += [(WAYS.index(way), key, memory) for key, memory in state.inner.items()]
+    return found
+
+
+def stage(running: ActiveEntry) -> Stage:
+    """Return how far an entry has come."""
+    begun = running.first_us is not None and not running.unannounced
+    return Stage(running.fault, begun, len(memories_of(running)))
 
 
 class DrawnAhead:
     """Stands for a generator whose numbers lie in a block; who asks for it gets it set back."""
 
-    def __init__(self, running: ActiveEntry, fault: NoiseFault, hits: Any, first: int) -> None:
-        self._running, self._fault, self._used = running, fault, (hits, first)
-        self._rng = running.rng
+    def __init__(self, running: ActiveEntry, name: str, kind: str, used: tuple[int, int]) -> None:
+        self._running, self._name, self._kind, self._used_at = running, name, kind, used
+        self._rng = getattr(running, name)
         self._state = self._rng.bit_generator.state  # where the block begins
-        self.block = _drawn(fault, self._rng, k.BLOCK)
-        hits[first, k.USED] = 0
+
+    def draw(self, entries: Any) -> Any:
+        """Draw a block; the same numbers as one by one."""
+        self._entries = entries
+        entries[self._used_at] = 0
+        setattr(self._running, self._name, self)
+        return getattr(self._rng, self._kind)(k.BLOCK)
 
     def __getattr__(self, name: str) -> Any:
         self.set_back()
@@ -63,227 +76,252 @@ class DrawnAhead:
 
     def set_back(self) -> None:
         """Set the generator back to the first unused number."""
-        hits, first = self._used
-        used = hits[first, k.USED]
+        used = self._entries[self._used_at]
         if used < k.BLOCK:
             self._rng.bit_generator.state = self._state
-            _drawn(self._fault, self._rng, used)
-        self._running.rng = self._rng
+            getattr(self._rng, self._kind)(used)
+        setattr(self._running, self._name, self._rng)
+
+
+class Drawing(NamedTuple):
+    """A generator of an entry that is drawn ahead: its name, kind of numbers, place and block."""
+
+    running: ActiveEntry
+    name: str
+    kind: str
+    used: tuple[int, int]
+    start: int
 
 
 class Plans:
-    """The rows of all planned faults, and the random numbers drawn ahead for them."""
+    """The rows of all planned entries, and the random numbers drawn ahead for them."""
 
     def __init__(self) -> None:
-        self.rows = k.table("q", k.MOST_PLANS, k.PLAN_SIZE)
-        self.numbers = k.table("d", k.MOST_PLANS, 2)
-        self.hits = k.table("q", k.MOST_PLANS, 3)
-        self.steps = k.table("d", k.MOST_PLANS)
-        self.steps[:] = array("d", [-1.0]) * k.MOST_PLANS
-        self.segments = k.table("d", k.MOST_SEGMENTS, 4)
+        self.entries = k.table("q", k.MOST_ENTRIES, k.ENTRY_SIZE)
+        self.changes = k.table("d", k.MOST_ENTRIES, 2)
+        self.steps = k.table("q", k.MOST_STEPS, k.STEP_SIZE)
+        self.elements = k.table("q", k.MOST_ELEMENTS, 3)
+        self.factors = k.table("d", k.MOST_ELEMENTS, 2)
+        self.numbers = k.table("d", k.MOST_NUMBERS)
+        self.keys = k.table("q", k.MOST_KEYS, 6)
         self.draws = k.table("d", k.MOST_DRAWN * k.BLOCK)
-        self._planned: list[Planned] = []
-        self._rows_used = self._segments_used = self._blocks_used = 0
+        self.key_count = 0
+        self._running: list[ActiveEntry] = []  # by row
+        self._rows: dict[int, int | None] = {}  # of an entry, by its identity
+        self._stages: list[tuple[ActiveEntry, Stage]] = []
+        self._drawings: list[Drawing] = []
+        self._steps_used = self._elements_used = self._numbers_used = 0
 
     @property
     def arrays(self) -> dict[str, Any]:
         """The arrays that the machine code works on, by name."""
-        return {
-            "plans": self.rows, "numbers": self.numbers, "hits": self.hits, "steps": self.steps,
-            "segments": self.segments, "draws": self.draws,
-        }  # fmt: skip
+        names = (
+            "entries", "changes", "steps", "elements", "factors", "numbers", "keys", "draws"
+        )  # fmt: skip
+        return {name: getattr(self, name) for name in names}
 
     def clear(self) -> None:
         """Forget all rows."""
         self.set_back()
-        self._planned = []
-        self._rows_used = self._segments_used = self._blocks_used = 0
+        self._running, self._rows, self._stages, self._drawings = [], {}, [], []
+        self._steps_used = self._elements_used = self._numbers_used = self.key_count = 0
 
     @property
     def changed(self) -> bool:
-        """Whether a fault has got other parameters, or has come further."""
-        return any(
-            one.running.fault is not one.fault or stage(one.running) != one.stage
-            for one in self._planned
-        )
+        """Whether an entry has got other parameters, or has come further."""
+        return any(stage(running) != before for running, before in self._stages)
+
+    def follow_idle(self) -> None:
+        """Note when the core has to see the next frame of faults that act at intervals."""
+        for row, running in enumerate(self._running):
+            if self.entries[row, k.EFFECT] == k.IDLE:
+                states = running.states.values()
+                self.entries[row, k.START] = min(
+                    map(running.fault.idle_until_us, states), default=0
+                )
 
     def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
-        """Rows for all faults that act on a message, in turn; the first row, None if one cannot."""
-        used = self._rows_used, self._segments_used, self._blocks_used
-        found: list[Planned] = []
-        for running in acting:
-            if type(running.fault) not in KINDS or running.entry.where.id is not None:
+        """Write the chain of entries that act on a message; the first row, None if one cannot."""
+        rows = [self._row(running) for running in acting]
+        used = self._steps_used
+        copying = sum(getattr(one.fault, "effect", "") == "copies" for one in acting)
+        if None in rows or copying > 1 or len(acting) > k.MOST_CHAIN:
+            return None
+        frames = 1
+        for running, row in zip(acting, rows, strict=True):
+            assert row is not None
+            if not self._add_step(layout, running, row, frames):
                 return None
-            found.append(self._one(layout, running))
-        rows = [one.first for one in found]
-        if min(rows) < 0 or self._entangled(rows):
-            self._rows_used, self._segments_used, self._blocks_used = used
-            self._planned += [one._replace(first=-1, block=None) for one in found]
+            if getattr(running.fault, "effect", "") == "copies":
+                frames += running.fault.copies
+        for step, following in itertools.pairwise([*range(used, self._steps_used), -1]):
+            self.steps[step, k.NEXT] = following
+        return used if frames <= k.MOST_WORK else None
+
+    # Rows of entries
+
+    def _row(self, running: ActiveEntry) -> int | None:
+        """Return the row of an entry, None if it has no rule or there is no room."""
+        if id(running) not in self._rows:
+            self._stages.append((running, stage(running)))
+            self._rows[id(running)] = self._new_row(running)
+        return self._rows[id(running)]
+
+    def _new_row(self, running: ActiveEntry) -> int | None:
+        fault, row, where = running.fault, len(self._running), running.entry.where
+        kind = type(fault)
+        if row == k.MOST_ENTRIES or our_faults().get(getattr(kind, "name", "")) is not kind:
             return None
-        for row, following in itertools.pairwise(rows):
-            self.rows[row, k.NEXT] = following
-        self._planned += found
-        return rows[0]
-
-    def _entangled(self, rows: Sequence[int]) -> bool:
-        """Whether a fault that has changed nothing yet shares an element with another one."""
-        places = [
-            {self.rows[row, k.OFFSET] for row in range(first, first + self.rows[first, k.ROWS])}
-            for first in rows
-        ]
-        shared = len(set().union(*places)) < sum(len(one) for one in places)
-        return shared and any(self.rows[row, k.WAITS] > 0 for row in rows)
-
-    def _one(self, layout: Layout, running: ActiveEntry) -> Planned:
-        """Write a fault's rows, where it can be carried out there."""
-        fault, where = running.fault, running.entry.where
-        elements = fault.elements.get(layout.id, ())
-        first = self._rows_used
-        none = Planned(-1, running, fault, stage(running))
-        if (
-            running.entry.probability < 1
-            or layout.id in fault.factors  # its values are in another message's unit
-            or first + len(elements) > k.MOST_PLANS
-            or any(one.code not in CODES for one in elements)
-        ):
-            return none
-        plan = [-1] * k.PLAN_SIZE
-        plan[k.ROWS], plan[k.START] = len(elements), running.start_us
-        plan[k.WAITS] = running.first_us is None or running.unannounced
-        plan[k.SYSTEM : k.DIRECTION + 1] = [
+        plan = [-1] * k.ENTRY_SIZE
+        plan[k.FRAMES_HIT :] = [0] * (k.ENTRY_SIZE - k.FRAMES_HIT)
+        if isinstance(fault, RuleFault) and fault.rule is not None:
+            plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
+            profile = getattr(fault, "profile", None)
+            # One more than the numbers of an element; 0 for no memory.
+            shared = profile is not None and profile.remembers
+            plan[k.REMEMBERS] = fault.remembers + 1 if fault.remembers or shared else 0
+        elif isinstance(fault, RuleLinkFault) and fault.effect in EFFECTS:
+            plan[k.EFFECT], plan[k.RULE] = EFFECTS[fault.effect], link_rules().index(fault.rule)
+            plan[k.REMEMBERS] = int(fault.remembers > 0)
+        elif isinstance(fault, TimestampFault) and max(map(abs, fault.error())) < LARGEST_SHIFT_S:
+            plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
+            plan[k.REMEMBERS] = 0
+        elif isinstance(fault, SimulatorFault):
+            plan[k.EFFECT], plan[k.REMEMBERS] = k.IDLE, 0
+        else:
+            return None
+        plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
+        plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * stage(running).begun
+        direction = None if where.direction is None else WAYS.index(where.direction)
+        plan[k.SYSTEM : k.INSTANCE + 1] = [
             -1 if one is None else one
-            for one in (where.system, where.component, WAYS.get(where.direction or ""))
+            for one in (where.system, where.component, direction, where.id)
         ]
-        numbers: Numbers = [[0.0, 0.0] for _ in elements]
-        block = self._source(layout, running, plan, numbers)
-        if plan[k.SOURCE] < 0:
-            return none
-        _write(self.rows, first, [plan])
-        _write(self.numbers, first, numbers)
-        for row, one in enumerate(elements, first):
-            self.rows[row, k.OFFSET], self.rows[row, k.CODE] = one.start, ord(one.code)
-        self._forget_hits(first)
-        self._rows_used += len(elements)
-        return none._replace(first=first, block=block)
-
-    # What meets the healthy value
-
-    def _source(
-        self, layout: Layout, running: ActiveEntry, plan: Plan, numbers: Numbers
-    ) -> int | None:
-        """Fill in mode, source and numbers; the source stays -1 if the fault cannot be planned."""
-        fault, count = running.fault, len(numbers)
-        plan[k.MODE] = k.ADD
-        if isinstance(fault, Freeze):
-            self._frozen(layout, running, plan, numbers)
-        elif isinstance(fault, NoiseFault):
-            return self._noise(fault, plan, numbers)
-        elif isinstance(fault, Drift):
-            plan[k.SOURCE] = k.GROWS
-            _fill(numbers, k.VALUE, broadcast_values(fault.value, count))
-            _fill(numbers, k.LIMIT, [math.inf if fault.limit is None else fault.limit] * count)
-        elif fault.profile is None:
-            plan[k.MODE], plan[k.SOURCE] = MODES[fault.mode], k.NUMBER
-            _fill(numbers, k.VALUE, broadcast_values(fault.value, count))
-        elif fault.profile.segments is not None:
-            self._segments(fault, running, plan, numbers)
-        return None
-
-    def _known(self, running: ActiveEntry, plan: Plan) -> Any:
-        """The fault's state if it has only one; frames of the other direction are handed over."""
-        if len(running.states) != 1:
+        if not self._add_drawings(running, row, plan) or not self._add_keys(running, row):
             return None
-        [(way, state)] = running.states.items()
-        plan[k.KNOWN_WAY] = WAYS[way]
-        return state.inner
+        for column, value in enumerate(plan):
+            self.entries[row, column] = value
+        self.changes[row, 0], self.changes[row, 1] = running.entry.probability, -1.0
+        self._running.append(running)
+        return row
 
-    def _segments(
-        self, fault: ProfileFault, running: ActiveEntry, plan: Plan, numbers: Numbers
-    ) -> None:
-        drawn = self._known(running, plan)
-        end = self._segments_used + len(drawn or ())
-        if not drawn or end > k.MOST_SEGMENTS:
-            return
-        assert fault.profile is not None
-        _write(self.segments, self._segments_used, drawn)
-        plan[k.SEGMENTS_FROM], plan[k.SEGMENTS_TO] = self._segments_used, end
-        plan[k.OPEN_LEFT] = fault.profile.compat is not None
-        plan[k.MODE], plan[k.SOURCE] = MODES[fault.profile.mode or fault.mode], k.SEGMENTS
-        otherwise = fault.profile.otherwise
-        _fill(numbers, k.LIMIT, [math.nan if otherwise is None else otherwise] * len(numbers))
-        self._segments_used = end
+    def _add_drawings(self, running: ActiveEntry, row: int, plan: list[int]) -> bool:
+        kind, fault = getattr(running.fault, "drawn", ""), running.fault
+        wanted = [("rng", kind, k.DRAWS_FROM, k.USED)] if kind else []
+        if running.entry.probability < 1.0:
+            wanted.append(("chance_rng", "random", k.CHANCES_FROM, k.CHANCES_USED))
+        plan[k.DRAW_COUNT] = getattr(fault, "draw_count", 1)
+        for name, numbers, begins, used in wanted:
+            if len(self._drawings) == k.MOST_DRAWN:
+                return False
+            plan[begins] = k.BLOCK * len(self._drawings)
+            self._drawings.append(Drawing(running, name, numbers, (row, used), plan[begins]))
+        return True
 
-    def _frozen(self, layout: Layout, running: ActiveEntry, plan: Plan, numbers: Numbers) -> None:
-        """Frozen values of one sender; other senders are handed over."""
-        frozen = self._known(running, plan)
-        mine = {key: values for key, values in (frozen or {}).items() if key[2] == layout.id}
-        if len(mine) != 1:
-            return
-        [((system, component, _, instance), values)] = mine.items()
-        if instance < 0 or not all(math.isfinite(value) for value in values):
-            return
-        name = layout.instance or ("id" if "id" in layout.fields else "")
-        if name:
-            field = layout.fields[name]
-            plan[k.INSTANCE_AT], plan[k.INSTANCE_SIZE] = field.offset, field.size
-            plan[k.INSTANCE] = instance
-        plan[k.KNOWN_SENDER] = system << 8 | component
-        plan[k.MODE], plan[k.SOURCE] = k.REPLACE, k.NUMBER
-        _fill(numbers, k.VALUE, values)
+    def _add_keys(self, running: ActiveEntry, row: int) -> bool:
+        for way, key, memory in memories_of(running):
+            if self.key_count == k.MOST_KEYS:
+                return False
+            system, component, message, instance = key or (0, 0, 0, 0)
+            values = (row, way, system << 8 | component, message, instance, memory.at)
+            for column, value in enumerate(values):
+                self.keys[self.key_count, column] = value
+            self.key_count += 1
+        return True
 
-    def _noise(self, fault: NoiseFault, plan: Plan, numbers: Numbers) -> int | None:
-        block = self._blocks_used
-        if block == k.MOST_DRAWN or len(fault.elements) > 1:  # messages share one generator
-            return None
-        plan[k.SOURCE], plan[k.DRAWS_FROM] = k.DRAWN, block * k.BLOCK
-        _fill(numbers, k.VALUE, broadcast_values(fault.value, len(numbers)))
-        self._blocks_used += 1
-        return block
+    # Chains
+
+    def _elements_of(
+        self, layout: Layout, fault: Any
+    ) -> list[tuple[Element, Numbers, float, float]]:
+        """The elements of a message that a fault acts on: numbers, unit, and step of the label."""
+        if isinstance(fault, TimestampFault):
+            return [
+                (locate_element(layout, name), (*fault.error(), scale), 1.0, 1.0 / scale)
+                for name, scale in stamp_fields(layout).items()
+            ]
+        if not isinstance(fault, RuleFault):
+            return []
+        elements = fault.elements[layout.id]
+        factors = fault.factors.get(layout.id, (1.0,) * len(elements))
+        rows = fault.numbers(len(elements))
+        return [(*one, 1.0) for one in zip(elements, rows, factors, strict=True)]
+
+    def _add_step(self, layout: Layout, running: ActiveEntry, row: int, frames: int) -> bool:
+        """Write the row of one entry on one message, where it can act there."""
+        found, fault = self._elements_of(layout, running.fault), running.fault
+        stateful = self.entries[row, k.REMEMBERS] > 0
+        numbers = fault.numbers() if isinstance(fault, RuleLinkFault) else ()
+        room = sum(len(one[1]) for one in found) + len(numbers)
+        need = frames * (len(found) if found else self.entries[row, k.DRAW_COUNT])
+        if (
+            any(one.code in "qQ" and stateful for one, *_ in found)
+            or self._steps_used == k.MOST_STEPS
+            or self._elements_used + len(found) > k.MOST_ELEMENTS
+            or self._numbers_used + room > k.MOST_NUMBERS
+            or len(found) > k.SLOT // 2
+            or need > k.BLOCK
+        ):
+            return False
+        first = self._elements_used
+        step = (
+            row, first, first + len(found), -1, max((one.end for one, *_ in found), default=0),
+            need, self._numbers_used,
+        )  # fmt: skip
+        for column, value in enumerate(step):
+            self.steps[self._steps_used, column] = value
+        self._steps_used += 1
+        self._add_numbers(numbers)
+        for one, values, factor, scale in found:
+            place = self._elements_used
+            element = (one.start, ord(one.code), self._numbers_used)
+            for column, value in enumerate(element):
+                self.elements[place, column] = value
+            self.factors[place, k.FACTOR], self.factors[place, k.STEP_SCALE] = factor, scale
+            self._add_numbers(values)
+            self._elements_used += 1
+        return True
+
+    def _add_numbers(self, numbers: Numbers) -> None:
+        end = self._numbers_used + len(numbers)
+        self.numbers[self._numbers_used : end] = array("d", numbers)
+        self._numbers_used = end
 
     # Before and after a stretch of forwarding
 
     def draw_ahead(self) -> None:
-        """Fill the blocks whose generators the interpreted way has had meanwhile."""
-        for first, running, fault, _, block in self._planned:
-            if block is not None and not isinstance(running.rng, DrawnAhead):
-                ahead = DrawnAhead(running, fault, self.hits, first)
-                self.draws[block * k.BLOCK : (block + 1) * k.BLOCK] = ahead.block
-                running.rng = cast("Generator", ahead)
+        """Fill the blocks whose generators the core has had meanwhile."""
+        for running, name, kind, used, start in self._drawings:
+            if not isinstance(getattr(running, name), DrawnAhead):
+                block = DrawnAhead(running, name, kind, used).draw(self.entries)
+                self.draws[start : start + k.BLOCK] = block
 
     def set_back(self) -> None:
         """Set all generators back to their first unused numbers."""
-        for one in self._planned:
-            if isinstance(one.running.rng, DrawnAhead):
-                one.running.rng.set_back()
+        for one in self._drawings:
+            generator = getattr(one.running, one.name)
+            if isinstance(generator, DrawnAhead):
+                generator.set_back()
 
-    def settle(self) -> None:
-        """Add the counts of the compiled code to the faults."""
-        for first, running, *_ in self._planned:
-            if first >= 0 and self.hits[first, k.FRAMES_HIT]:
-                frames, saturated = self.hits[first, k.FRAMES_HIT], self.hits[first, k.SATURATED]
-                running.count_frames(frames, saturated, self.steps[first])
-                self._forget_hits(first)
-
-    def _forget_hits(self, first: int) -> None:
-        self.hits[first, k.FRAMES_HIT] = self.hits[first, k.SATURATED] = 0
-        self.steps[first] = -1.0
-
-
-def _write(table: Any, first: int, rows: Sequence[Sequence[float]]) -> None:
-    """Put rows into a table from one of its rows on."""
-    for row, values in enumerate(rows, first):
-        for column, value in enumerate(values):
-            table[row, column] = value
-
-
-def _fill(numbers: Numbers, column: int, values: Sequence[float]) -> None:
-    """Set a number of each element."""
-    for row, value in zip(numbers, values, strict=True):
-        row[column] = value
-
-
-def _drawn(fault: NoiseFault, rng: "Generator", count: int) -> Any:
-    """Draw `count` unscaled numbers of a noise fault; the same as drawing them one by one."""
-    if fault.distribution == "gaussian":
-        return rng.standard_normal(count)
-    return rng.uniform(-1.0, 1.0, count)
+    def settle(self, engine: "Engine") -> bool:
+        """Add the counts of the compiled code to the entries; whether a label has begun."""
+        entries, begun = self.entries, False
+        for row, running in enumerate(self._running):
+            running.sealed += entries[row, k.SEALED]
+            entries[row, k.SEALED] = 0
+            if not entries[row, k.FRAMES_HIT]:
+                continue
+            first_us = entries[row, k.FIRST_US]
+            for way, name in enumerate(WAYS):
+                if entries[row, k.WAYS] >> way & 1 and running.direction != BOTH_DIRECTIONS:
+                    running.note_changed_frame(name, first_us)
+            running.count_frames(
+                entries[row, k.FRAMES_HIT], entries[row, k.SATURATED], self.changes[row, 1]
+            )
+            for column in (k.FRAMES_HIT, k.SATURATED, k.FIRST_US, k.WAYS):
+                entries[row, column] = 0
+            self.changes[row, 1] = -1.0
+            if running.needs_attention:
+                engine.attend(running, first_us)
+                begun = True
+        return begun

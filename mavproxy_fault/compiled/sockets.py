@@ -11,9 +11,10 @@ import numpy as np
 from numba import carray, types
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.frames import links_of, step
+from mavproxy_fault.compiled.frames import pass_datagram
 from mavproxy_fault.compiled.kernel import i64, kernel
 from mavproxy_fault.compiled.layout import ORDER, Shared
+from mavproxy_fault.fault_parts.memory import NUMBERS
 from mavproxy_fault.numerics.crc import SLICES
 from mavproxy_fault.proxy import senders as cells
 
@@ -50,7 +51,7 @@ def _peer(link: int, row: int, shared: Shared) -> int:
     names, peers = shared.names[link, row], shared.peers[link]
     for peer in range(shared.ports[link, k.PEER_COUNT]):
         same = True
-        for n in range(k.SOCKADDR_IN):
+        for n in range(shared.ports[link, k.NAME_SIZE]):
             if names[n] != peers[peer, n]:
                 same = False
                 break
@@ -96,7 +97,7 @@ def _send(first: int, last: int, source: int, link: int, shared: Shared) -> None
         name_at = shared.loop[k.PEERS_AT] + k.NAME * (k.PEERS * link + peer)
         for row in range(first, last):
             headers[source, row, k.NAME_AT] = name_at if listens else 0
-            headers[source, row, k.NAME_LENGTH] = k.SOCKADDR_IN if listens else 0
+            headers[source, row, k.NAME_LENGTH] = ports[link, k.NAME_SIZE] if listens else 0
         _send_to(first, last, source, link, shared)
         ports[link, k.BYTES_SENT] += length
 
@@ -112,7 +113,8 @@ def _receive(link: int, shared: Shared) -> bool:
     heads_at = loop[k.HEADS_AT] + 8 * k.HEADER * k.BATCH * link
     count = i64(1)
     if ports[link, k.LONE]:
-        data_at, name_at = shared.parts[link, 0, k.DATA_AT], heads[0, k.NAME_AT]
+        data_at = shared.data.ctypes.data + link * k.BATCH * k.ROW
+        name_at = heads[0, k.NAME_AT]
         length_at = heads_at + 8 * k.NAME_LENGTH
         length = _recvfrom(ports[link, k.FD], data_at, k.ROW, DONTWAIT, name_at, length_at)
         if length < 0:
@@ -133,53 +135,90 @@ def _receive(link: int, shared: Shared) -> bool:
 
 
 @kernel
-def _step_rows(link: int, now_us: int, shared: Shared) -> Any:
-    """Step rows while they go to the same links; return the links and whether to continue."""
-    loop, ports = shared.loop, shared.ports
-    found = i64(-1)
-    while loop[k.AT] < loop[k.COUNT]:
-        row = loop[k.AT]
-        length = shared.heads[link, row, k.LENGTH] & 0xFFFFFFFF
-        start = (link * k.BATCH + row) * k.ROW
-        peer = 0
-        if ports[link, k.LISTENS]:
-            peer = _peer(link, row, shared)
-        mask = i64(-1)
-        if peer >= 0 and length > 0:
-            mask = links_of(start, length, link, now_us, shared)
-        if mask < 0 or (found >= 0 and mask != found):
-            return found, mask >= 0
-        found = mask
-        shared.heard[link, peer] = 1
-        step(start, length, link, mask, now_us, shared)
-        shared.parts[link, row, k.DATA_LENGTH] = length
-        loop[k.AT] = row + 1
-    return found, True
+def _begin_output(rows: int, loop: k.Integers) -> None:
+    """Begin a link's outgoing segments anew."""
+    loop[k.OUT_AT], loop[k.OUT_END] = rows * k.BATCH * k.ROW, (rows + 1) * k.BATCH * k.ROW
+    loop[k.SEGMENT] = loop[k.OPEN] = loop[k.OTHERS] = 0
 
 
 @kernel
-def _drain(link: int, shared: Shared) -> bool:
-    """Pass on one batch of a link; False if it stopped at a datagram to be handed over."""
+def _send_segments(link: int, shared: Shared) -> None:
+    """Send a link's outgoing segments, those for the same links together."""
+    loop, masks = shared.loop, shared.masks[link]
+    first = i64(0)
+    while first < loop[k.SEGMENT]:
+        last = first + 1
+        while last < loop[k.SEGMENT] and masks[last] == masks[first]:
+            last += 1
+        for towards in range(loop[k.LINK_COUNT]):
+            if masks[first] & loop[k.COMPILED_LINKS] & 1 << towards:
+                _send(first, last, link, towards, shared)
+        first = last
+
+
+@kernel
+def _pass_rows(link: int, rows: int, shared: Shared) -> int:
+    """Pass the datagrams of some rows; DONE, or what became of the one that it stopped at."""
+    loop, ports = shared.loop, shared.ports
+    now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
+    _begin_output(rows, loop)
+    found = k.DONE
+    while found == k.DONE and loop[k.AT] < loop[k.COUNT]:
+        row = loop[k.AT]
+        length = shared.heads[rows, row, k.LENGTH] & 0xFFFFFFFF
+        peer = _peer(link, row, shared) if rows == link and ports[link, k.LISTENS] else 0
+        found = k.REST
+        if peer >= 0 and length > 0:
+            start = (rows * k.BATCH + row) * k.ROW
+            found = pass_datagram(start, length, link, rows, now_us, shared)
+            if loop[k.ROW_AT]:
+                shared.heard[link, peer] = 1
+        if found == k.DONE:
+            loop[k.AT] = row + 1
+            loop[k.ROW_AT] = 0 if rows == link else length
+    loop[k.FOUND] = found
+    return found
+
+
+@kernel
+def _give_back(length: int, found: int, shared: Shared) -> None:
+    """Put what became of a lent chunk in its place, if all of it leaves together at once; MASK are
+    then its links, else UNTOUCHED or BEGUN."""
+    loop, rows = shared.loop, shared.loop[k.LINK_COUNT]
+    start = rows * k.BATCH * k.ROW
+    loop[k.MASK] = k.BEGUN if loop[k.ROW_AT] else k.UNTOUCHED
+    if loop[k.HELD_AT]:
+        return
+    if found == k.DONE and loop[k.SEGMENT] <= 1 and loop[k.OUT_AT] in (start, start + length):
+        loop[k.MASK] = shared.masks[rows, 0] if loop[k.SEGMENT] else 0
+        for n in range(loop[k.OUT_AT] - start):
+            shared.data[start + n] = shared.outs[start + n]
+
+
+@kernel
+def _drain(link: int, lent: int, shared: Shared) -> int:
+    """Pass on one batch of a link, or what is lent in its name; the reason to return, -1 for
+    none."""
     loop = shared.loop
     started = _now_ns(loop)
-    if loop[k.AT] >= loop[k.COUNT] and not _receive(link, shared):
-        return True
-    loop[k.CAME] = started
+    if loop[k.AT] >= loop[k.COUNT]:
+        if not _receive(link, shared):
+            return -1
+        loop[k.CAME] = started  # of the whole batch, however often it is interrupted
     begun = loop[k.AT]
-    goes_on = True
-    while goes_on and loop[k.AT] < loop[k.COUNT]:
-        first = loop[k.AT]
-        mask, goes_on = _step_rows(link, (loop[k.BASE] + started) // 1000, shared)
-        if mask > 0:
-            for towards in range(loop[k.LINK_COUNT]):
-                if mask >> towards & 1:
-                    _send(first, loop[k.AT], link, towards, shared)
+    found = _pass_rows(link, loop[k.LINK_COUNT] if lent else link, shared)
+    if lent:
+        _give_back(lent, found, shared)
+        return k.LENT_PASSED
+    _send_segments(link, shared)
     spent = max(_now_ns(loop) - started, 16)
     octave = i64(0)
     while spent >> octave:
         octave += 1
     shared.histogram[link, octave << 3 | spent >> (octave - 4) & 7] += loop[k.AT] - begun
-    return goes_on
+    if found == k.DONE:
+        return k.TO_SETTLE if loop[k.OTHERS] else -1
+    return k.TO_SETTLE if found == k.NEWS or found == k.FULL else k.HANDED_OVER
 
 
 @kernel
@@ -202,29 +241,18 @@ def _send_due(shared: Shared) -> None:
 
 
 @kernel
-def _pass_lent(shared: Shared) -> None:
-    """Pass on a datagram that lies in the first row, and leave it there as it is then."""
-    loop = shared.loop
-    length, link, now_us = loop[k.LENT], loop[k.LINK], loop[k.CAME]
-    loop[k.LENT] = 0
-    mask = links_of(0, length, link, now_us, shared)
-    if mask >= 0:
-        step(0, length, link, mask, now_us, shared)
-    loop[k.MASK] = mask
-
-
-@kernel
-def _drain_links(first: int, look: bool, shared: Shared) -> int:
+def _drain_links(first: int, look: bool, lent: int, shared: Shared) -> int:
     """Drain the links from `first` on; the reason to return, -1 for none."""
     loop, ports, polls = shared.loop, shared.ports, shared.polls
     reason = -1
     for link in range(first, loop[k.LINK_COUNT]):
-        if ports[link, k.COMPILED]:
+        if ports[link, k.COMPILED] or lent:
             ready = loop[k.AT] < loop[k.COUNT] or loop[k.SPIN] != 0 or polls[link] >> 48 != 0
             while ready:
                 ready = ports[link, k.LONE] != 0
-                if not _drain(link, shared):
-                    return k.HANDED_OVER
+                found = _drain(link, lent, shared)
+                if found >= 0:
+                    return found
                 ready &= ports[link, k.LONE] == 0  # it was a lone one: look for more
         elif look and polls[link] >> 48 != 0:
             reason = k.OTHER_READY
@@ -239,14 +267,15 @@ def _forward(shared: Shared) -> int:
     if loop[k.DUE_COUNT]:
         _send_due(shared)
         return k.DUE_SENT
-    if loop[k.LENT]:
-        _pass_lent(shared)
-        return k.LENT_PASSED
+    lent = loop[k.LENT]
+    if lent:
+        shared.heads[loop[k.LINK_COUNT], 0, k.LENGTH] = lent
+        loop[k.LENT], loop[k.AT], loop[k.COUNT], loop[k.ROW_AT] = 0, 0, 1, 0
     while True:
         if loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) > k.LOG_SIZE - k.LOG_MARGIN:
             return k.LOG_FULL
         remaining_ns = loop[k.DEADLINE] - _now_ns(loop)
-        if remaining_ns <= 0:
+        if remaining_ns <= 0 and not lent:
             return k.TIME_IS_UP
         first = loop[k.LINK]
         reason = -1
@@ -262,7 +291,7 @@ def _forward(shared: Shared) -> int:
                 for n in range(loop[k.LINK_COUNT], loop[k.POLLS]):
                     if shared.polls[n] >> 48 != 0:
                         reason = k.OTHER_READY
-        drained = _drain_links(first, look, shared)
+        drained = _drain_links(first, look, lent, shared)
         if drained >= 0:
             reason = drained
         if reason >= 0:
@@ -291,17 +320,26 @@ def forward(addresses: Any) -> int:
             carray(addresses[ORDER.senders], (cells.SIZE,), i64),
             carray(addresses[ORDER.table], (k.IDS, k.TABLE_SIZE), i64),
             carray(addresses[ORDER.crc], (SLICES, 256), np.uint16),
-            carray(addresses[ORDER.times], (k.MOST_FRAMES,), i64),
-            carray(addresses[ORDER.undo], (k.MOST_FRAMES * k.CLOCK_CELLS, 2), i64),
+            carray(addresses[ORDER.outs], (rows * k.BATCH * k.ROW,), u8),
+            carray(addresses[ORDER.masks], (rows, k.BATCH), i64),
+            carray(addresses[ORDER.held], (k.HELD_SIZE,), u8),
             carray(addresses[ORDER.received], (k.LOG_SIZE,), u8),
             carray(addresses[ORDER.sent], (k.LOG_SIZE,), u8),
             carray(addresses[ORDER.index], (k.LOG_SIZE,), u8),
-            carray(addresses[ORDER.plans], (k.MOST_PLANS, k.PLAN_SIZE), i64),
-            carray(addresses[ORDER.numbers], (k.MOST_PLANS, 2), f64),
-            carray(addresses[ORDER.hits], (k.MOST_PLANS, 3), i64),
-            carray(addresses[ORDER.steps], (k.MOST_PLANS,), f64),
-            carray(addresses[ORDER.segments], (k.MOST_SEGMENTS, 4), f64),
+            carray(addresses[ORDER.entries], (k.MOST_ENTRIES, k.ENTRY_SIZE), i64),
+            carray(addresses[ORDER.changes], (k.MOST_ENTRIES, 2), f64),
+            carray(addresses[ORDER.steps], (k.MOST_STEPS, k.STEP_SIZE), i64),
+            carray(addresses[ORDER.elements], (k.MOST_ELEMENTS, 3), i64),
+            carray(addresses[ORDER.factors], (k.MOST_ELEMENTS, 2), f64),
+            carray(addresses[ORDER.numbers], (k.MOST_NUMBERS,), f64),
+            carray(addresses[ORDER.keys], (k.MOST_KEYS, 6), i64),
             carray(addresses[ORDER.draws], (k.MOST_DRAWN * k.BLOCK,), f64),
+            carray(addresses[ORDER.memory], (NUMBERS,), f64),
+            carray(addresses[ORDER.places], (k.MOST_CHAIN,), i64),
+            carray(addresses[ORDER.values], (k.SLOT,), f64),
+            carray(addresses[ORDER.work], (k.MOST_WORK * k.SLOT,), u8),
+            carray(addresses[ORDER.items], (k.MOST_WORK, 3), i64),
+            carray(addresses[ORDER.samples], (k.SAMPLES, 2), i64),
             carray(addresses[ORDER.outcome], (2,), f64),
         )
     )

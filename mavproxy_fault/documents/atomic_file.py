@@ -24,6 +24,20 @@ def create_file(path: Path, mode: int = PRIVATE) -> FileIO:
     return FileIO(path, "x", opener=opener)
 
 
+def replace_file(path: Path) -> FileIO:
+    """Create a file in place of an earlier one, as `create_file` does; a link is an error."""
+    # An earlier file may be readable for others, or be somebody else's.
+    if path.is_file() and not path.is_symlink():
+        path.unlink()
+    return create_file(path)
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file of this user alone, as `replace_file` does."""
+    with replace_file(path) as file:
+        write_all(file, data)
+
+
 def write_atomic(path: Path, text: str, mode: int = SHARED) -> None:
     """Write a file so that a reader sees either the old or the new content."""
     # Renaming within a folder is atomic.

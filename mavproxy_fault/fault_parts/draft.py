@@ -22,12 +22,9 @@ Change = tuple[float, int, bool]
 
 
 class Draft:
-    """The mutable bytes of a frame; the checksum is that of the received frame until sealed.
+    """The mutable bytes of a frame; the checksum is that of the received frame until sealed."""
 
-    `floats` is the payload as an array of floats; code that writes there must set `changed`.
-    """
-
-    __slots__ = ("_at", "_data", "_length", "came", "changed", "floats", "id", "layout")
+    __slots__ = ("_at", "_data", "_length", "came", "changed", "id", "layout")
 
     def __init__(self, frame: Frame) -> None:
         self.came = frame
@@ -37,7 +34,6 @@ class Draft:
 
     def _set_data(self, data: bytearray, at: int, length: int) -> None:
         self._data, self._at, self._length = data, at, length
-        self.floats = memoryview(data)[at : at + (length & ~3)].cast("f")
 
     def values(self, elements: Sequence[Element]) -> list[Number]:
         """Return the values of elements; truncated zeros read as 0."""

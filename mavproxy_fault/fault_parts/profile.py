@@ -6,20 +6,23 @@ segments are open on the left and closed on the right, and the earlier one holds
 """
 
 import math
-from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotFinite
+from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.series import Series, SeriesTable
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
 Mode = Literal["replace", "add", "scale"]
+MODES: dict[Mode, float] = {"add": 0.0, "scale": 1.0, "replace": 2.0}  # as numbers of a rule
+SEGMENTS, SINE, IMPULSES, LIVE = 0.0, 1.0, 2.0, 3.0  # kinds, as numbers of a rule
+PIECE = 4  # numbers of a segment in memory
 OVERLAP_TOLERANCE_S = 1e-6  # one microsecond, the resolution of timestamps
 CLOSE_S = 1e-7  # rounding of sums of time steps; below the resolution of timestamps
 Positive = Annotated[float, Meta(gt=0)]
@@ -110,68 +113,99 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             else:
                 check_param_gen(self.segments, self.time_sim_s)
 
-    def new_state(self, rng: "Generator") -> Any:
-        """Return the initial state: segments with drawn numbers, an open series, or None."""
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The parameters of `profile_value`: kind, what holds otherwise, and those of the kind."""
+        otherwise = (float(self.otherwise is not None), self.otherwise or 0.0)
         if self.segments is not None:
-            # Drawn once per start, so that a repeated fault draws new numbers.
-            return draw_segments(self.segments, rng)
-        if self.table is not None:
-            return Series(self.table)
-        return None
+            return SEGMENTS, *otherwise, float(self.compat is not None)
+        if self.sine is not None:
+            wave = self.sine
+            return SINE, *otherwise, wave.offset, wave.amplitude, wave.frequency_hz, wave.phase_rad
+        if self.impulses is not None:
+            train = self.impulses
+            return IMPULSES, *otherwise, train.amplitude, train.period_s, train.width_s
+        assert self.live is not None
+        return LIVE, *otherwise, self.live.timeout_s
+
+    @property
+    def remembers(self) -> bool:
+        """Whether `profile_value` needs memory."""
+        return self.segments is not None or self.live is not None
+
+    def memory(self, rng: "Generator | None") -> Memory:
+        """Return the memory of `profile_value`: segments with drawn numbers, or no live value."""
+        if self.live is not None:
+            return Memory(3)
+        if self.segments is None:
+            return NO_MEMORY
+        # Drawn once per start, so that a repeated fault draws new numbers.
+        memory = Memory(1 + PIECE * len(self.segments))
+        memory.write([float(len(self.segments)), *draw_segments(self.segments, rng)])
+        return memory
+
+    def new_state(self, rng: "Generator") -> Any:
+        """Return the initial state: an open series, or the memory of the other kinds."""
+        return self.memory(rng) if self.table is None else Series(self.table)
 
     def value(self, t_s: float, state: Any) -> float | None:
         """Return the value at a time; None where the field keeps its healthy value."""
-        if self.segments is not None:
-            found = piecewise_value(state, t_s, open_left=self.compat is not None)
-        elif self.sine is not None:
-            wave = self.sine
-            found = wave.offset + wave.amplitude * math.sin(
-                math.tau * wave.frequency_hz * t_s + wave.phase_rad
-            )
-        elif self.impulses is not None:
-            train = self.impulses
-            # Half-open interval: closed at the start, open at the end.
-            passed_s = time_since_period(t_s, train.period_s)
-            found = train.amplitude if passed_s < train.width_s - CLOSE_S else None
-        elif self.table is not None:
-            found = state.at(t_s)
-        else:
-            assert self.live is not None
-            # The last value of a stream that has stopped must not persist.
-            fresh = state is not None and t_s - state[0] <= self.live.timeout_s
-            found = state[1] if fresh else None
-        return self.otherwise if found is None else found
+        if self.table is not None:
+            found: float | None = state.at(t_s)
+            return self.otherwise if found is None else found
+        held, value = profile_value(self.numbers, 0, t_s, ARENA, state.at)
+        return value if held else None
 
 
-Piece = tuple[float, float, float, float]  # at_s, for_s, start, rate
+def hold_live_value(memory: Memory | None, t_s: float, value: float) -> Memory:
+    """Return the memory of a live profile with its newest value and the time of that."""
+    memory = memory or Memory(3)
+    memory.write([1.0, t_s, value])
+    return memory
 
 
-def draw_segments(segments: Sequence[LinearSegment], rng: "Generator") -> tuple[Piece, ...]:
-    """Draw the random numbers of segments."""
+def draw_segments(segments: Sequence[LinearSegment], rng: Any) -> Iterator[float]:
+    """Yield the numbers of the segments (at_s, for_s, start, rate), random ones drawn."""
+    for segment in segments:
+        yield segment.at_s
+        yield segment.for_s
+        for given in (segment.start, segment.rate):
+            yield given.number(rng) if isinstance(given, Draw) else given
 
-    def number(given: float | Draw) -> float:
-        return given.number(rng) if isinstance(given, Draw) else given
 
-    return tuple((s.at_s, s.for_s, number(s.start), number(s.rate)) for s in segments)
-
-
-def piecewise_value(segments: Sequence[Piece], t_s: float, *, open_left: bool) -> float | None:
-    """Return the piecewise-linear function at a time; None outside its segments.
-
-    With `open_left` a piece holds on (at, at + for] as in `param_gen`; else on [at, at + for],
-    where the later piece holds at a joint.
-    """
-    if open_left:
-        # param_gen takes the piece before the first one that has not started, sorted or not.
-        k = next((i for i, piece in enumerate(segments) if t_s <= piece[0]), len(segments)) - 1
-    else:
-        # The latest piece that has started.
-        k = bisect_right(segments, t_s, key=lambda piece: piece[0]) - 1
-    if k < 0:
-        return None
-    at_s, for_s, start, rate = segments[k]
+def profile_value(
+    p: Sequence[float], at: int, t_s: float, m: Any, place: int
+) -> tuple[bool, float]:
+    """Return whether a profile holds at a time, and its value; a rule's function (`rules`)."""
+    kind, otherwise, value = p[at], p[at + 1] != 0.0, p[at + 2]
+    if kind == SINE:
+        phase_rad = math.tau * p[at + 5] * t_s + p[at + 6]
+        return True, p[at + 3] + p[at + 4] * math.sin(phase_rad)
+    if kind == IMPULSES:
+        # Half-open interval: closed at the start, open at the end.
+        if time_since_period(t_s, p[at + 4]) < p[at + 5] - CLOSE_S:
+            return True, p[at + 3]
+        return otherwise, value
+    if kind == LIVE:
+        # The last value of a stream that has stopped must not persist.
+        if m[place] and t_s - m[place + 1] <= p[at + 3]:
+            return True, m[place + 2]
+        return otherwise, value
+    piece = -1
+    for n in range(int(m[place])):
+        begins_s = m[place + 1 + PIECE * n]
+        if p[at + 3]:
+            # param_gen takes the piece before the first one that has not started, sorted or not.
+            if t_s <= begins_s:
+                break
+            piece = n
+        elif begins_s <= t_s:  # the latest piece that has started
+            piece = n
+    one = place + 1 + PIECE * piece
     # After the end of a piece the value is healthy until the next one.
-    return start + (t_s - at_s) * rate if t_s <= at_s + for_s else None
+    if piece >= 0 and t_s <= m[one] + m[one + 1]:
+        return True, m[one + 2] + (t_s - m[one]) * m[one + 3]
+    return otherwise, value
 
 
 def time_since_period(t_s: float, period_s: float) -> float:

@@ -52,13 +52,6 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
         """Return the state when the fault becomes active."""
         return ValueState(start_us, None)
 
-    @property
-    def by_value(self) -> bool:
-        """Whether `of` defines the rule: each value by itself, without a state."""
-        # An `after` in a derived class takes precedence over an inherited `of`.
-        rules = (vars(kind) for kind in type(self).__mro__ if kind is not ValueFault)
-        return next(("of" in rule for rule in rules if "of" in rule or "after" in rule), False)
-
     def of(self, healthy: Number, t_s: float) -> Number:
         """Return the faulty value of one element, `t_s` seconds after the start of the fault."""
         raise NotImplementedError

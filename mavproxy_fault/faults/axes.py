@@ -1,23 +1,30 @@
 """Faults of vector sensors: swapped axes, rotation (misalignment), hard and soft iron."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from mavproxy_fault.fault_parts.value_fault import ValueFault
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.numerics.rotations.one_rotation import Matrix, body_matrix
-from mavproxy_fault.wire.frame import Number
 
 Three = tuple[float, float, float]
 
 
-class AxisSwap(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def take_other(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Take the value of the element `p[at]` with the sign `p[at + 1]`."""
+    return p[at + 1] * x[int(p[at])]
+
+
+class AxisSwap(RuleFault, frozen=True, kw_only=True):
     """Permute the elements (default: in reverse order); `signs` may invert them."""
 
     name: ClassVar[str] = "axis-swap"
     example: ClassVar[dict[str, Any]] = {
         "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
     }
+    rule = staticmethod(take_other)
 
     order: tuple[int, ...] | None = None
     signs: tuple[float, ...] | None = None
@@ -33,17 +40,22 @@ class AxisSwap(ValueFault, frozen=True, kw_only=True):
             if self.signs is not None and len(self.signs) != len(listed):
                 raise ValueError(f"signs must be {len(listed)} numbers")
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    def numbers(self, count: int) -> list[Numbers]:
         """Element i takes the value of element order[i]."""
         # Reversed by default, which swaps two elements.
-        order = self.order or tuple(reversed(range(len(before))))
-        signs = self.signs or (1,) * len(before)
-        return [sign * before[i] for i, sign in zip(order, signs, strict=True)], None
+        order = self.order or tuple(reversed(range(count)))
+        return list(zip(map(float, order), self.signs or (1.0,) * count, strict=True))
 
 
-class Rotation(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def multiply_row(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """A row of a matrix times the vector, plus an offset."""
+    return p[at] * x[0] + p[at + 1] * x[1] + p[at + 2] * x[2] + p[at + 3]
+
+
+class Rotation(RuleFault, frozen=True, kw_only=True):
     """Rotate three elements as one vector by roll, pitch and yaw (a misaligned sensor)."""
 
     name: ClassVar[str] = "rotation"
@@ -51,21 +63,20 @@ class Rotation(ValueFault, frozen=True, kw_only=True):
         "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
         "angles_deg": [0, 0, 90],
     }
+    rule = staticmethod(multiply_row)
 
     angles_deg: Three
 
     def __post_init__(self) -> None:
         check_vector_target(self.elements)
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Return the vector as measured by a sensor rotated by these angles."""
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the rows of the matrix that a rotated sensor multiplies by."""
         roll, pitch, yaw = (math.radians(angle) for angle in self.angles_deg)
-        return multiply_matrix(body_matrix(roll, pitch, yaw), before), None
+        return [(*row, 0.0) for row in body_matrix(roll, pitch, yaw)]
 
 
-class Iron(ValueFault, frozen=True, kw_only=True):
+class Iron(RuleFault, frozen=True, kw_only=True):
     """Multiply the field by soft iron (a 3 x 3 matrix) and add hard iron (an offset)."""
 
     name: ClassVar[str] = "iron"
@@ -73,6 +84,7 @@ class Iron(ValueFault, frozen=True, kw_only=True):
         "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
         "hard": [0.1, 0, 0],
     }
+    rule = staticmethod(multiply_row)
 
     hard: Three = (0.0, 0.0, 0.0)
     soft: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -80,12 +92,9 @@ class Iron(ValueFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_vector_target(self.elements)
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """soft @ field + hard."""
-        field = multiply_matrix(self.soft, before)
-        return [x + offset for x, offset in zip(field, self.hard, strict=True)], None
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the rows of soft iron, each with its offset."""
+        return [(*row, offset) for row, offset in zip(self.soft, self.hard, strict=True)]
 
 
 def check_vector_target(elements: Any) -> None:
@@ -99,8 +108,3 @@ def check_vector_target(elements: Any) -> None:
     for listed in elements.values():
         if len(listed) != 3:
             raise ValueError(f"acts on three fields, not {len(listed)}; give x, y and z in target")
-
-
-def multiply_matrix(matrix: Matrix, vector: Sequence[float]) -> list[float]:
-    """matrix @ vector."""
-    return [sum(a * b for a, b in zip(row, vector, strict=True)) for row in matrix]

@@ -4,7 +4,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
+from mavproxy_fault.fault_parts.profile import MODES
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
+from mavproxy_fault.faults.profile_faults import combine_number
 from mavproxy_fault.wire.dialect import PACKERS, message_layout
 from mavproxy_fault.wire.frame import Number
 
@@ -58,12 +61,13 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         return flipped
 
 
-class NotANumber(ValueFault, frozen=True, kw_only=True):
+class NotANumber(RuleFault, frozen=True, kw_only=True):
     """Send NaN, or plus or minus infinity, in floating-point fields."""
 
     name: ClassVar[str] = "not-a-number"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
     aliases: ClassVar[tuple[str, ...]] = ("nan",)
+    rule = staticmethod(combine_number)
 
     value: Literal["nan", "inf", "-inf"] = "nan"
 
@@ -77,16 +81,25 @@ class NotANumber(ValueFault, frozen=True, kw_only=True):
                         f"which cannot be {self.value}; give a float"
                     )
 
-    def of(self, healthy: Number, t_s: float) -> Number:
+    def numbers(self, count: int) -> list[Numbers]:
         """Return the same value for all elements."""
-        return float(self.value)
+        return [(MODES["replace"], float(self.value))] * count
 
 
-class ClearBits(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def clear_bits(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the flags without those bits; both fit 52 bits."""
+    return int(x[i]) & ~int(p[at])
+
+
+class ClearBits(RuleFault, frozen=True, kw_only=True):
     """Clear flags: the bits of `value`, or those of sensor groups in HIL_SENSOR.fields_updated."""
 
     name: ClassVar[str] = "clear-bits"
     example: ClassVar[dict[str, Any]] = {"target": "HIL_SENSOR.fields_updated", "groups": ["baro"]}
+    rule = staticmethod(clear_bits)
 
     value: Annotated[int, Meta(ge=0)] = 0
     groups: tuple[Group, ...] = ()
@@ -101,9 +114,9 @@ class ClearBits(ValueFault, frozen=True, kw_only=True):
                         f"{message_layout(number).name}.{one.name} has no flags; give an integer"
                     )
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Return the flags without those bits."""
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the mask."""
         mask = self.value
         for group in self.groups:
             mask |= GROUPS[group]
-        return int(healthy) & ~mask
+        return [(mask,)] * count

@@ -1,4 +1,4 @@
-"""Delayed values in frames that are on time: lag, and sample and hold.
+"""Delayed values in frames that are on time: lag, replay, and sample and hold.
 
 HIL_SENSOR carries several sensors and the vehicle's clock, so delaying or dropping the frame cannot
 make a single sensor late or slow.
@@ -7,58 +7,110 @@ make a single sensor late or slow.
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration
-from mavproxy_fault.fault_parts.value_fault import GYRO, MOST_ROWS, ValueFault
-from mavproxy_fault.wire.frame import Number
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYRO, MOST_ROWS
 
-Key = tuple[int, ...]
-Row = tuple[float, list[Number]]
-Rows = tuple[list[Row], int, int]  # the list and the valid range: first, end (exclusive)
+FASTEST_HZ = 1200.0  # of frames whose values are remembered; IMUs publish at up to 1 kHz
 
 
-class Lag(ValueFault, frozen=True, kw_only=True):
+def stored_rows(span_s: float) -> int:
+    """Return how many past values of a time are kept; a bound for a stopped clock, too."""
+    return min(int(span_s * FASTEST_HZ) + 8, MOST_ROWS)
+
+
+@value_rule
+def delay_value(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the newest value that is old enough, from a ring of `m[place]` times and values."""
+    rows, count, first = int(p[at + 1]), int(m[place]), int(m[place + 1])
+    if count == rows:
+        first, count = (first + 1) % rows, count - 1
+    slot = place + 2 + 2 * ((first + count) % rows)
+    m[slot], m[slot + 1] = t_s, x[i]
+    count += 1
+    while count > 1 and m[place + 2 + 2 * ((first + 1) % rows)] <= t_s - p[at] + CLOSE_S:
+        first, count = (first + 1) % rows, count - 1
+    m[place], m[place + 1] = float(count), float(first)
+    return m[place + 3 + 2 * first]
+
+
+class Lag(RuleFault, frozen=True, kw_only=True):
     """Send the values of `value` seconds ago; at first those of the fault's first frame."""
 
     name: ClassVar[str] = "lag"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
     by_sender: ClassVar[bool] = True
+    rule = staticmethod(delay_value)
 
     value: Duration
 
-    def after(
-        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Return the newest values that are at least `value` seconds old."""
-        lines: dict[Key, Rows] = state or {}
-        rows, old, end = lines.get(key, ([], 0, 0))
-        # The list is shared with older states and grows at its end, since a copy per frame would
-        # take quadratic time; it is copied when half of it is obsolete.
-        if len(rows) != end or old > end // 2:
-            rows, old, end = rows[old:end], 0, end - old
-        rows.append((t_s, before))
-        end += 1
-        # The newest row that is old enough; earlier rows are obsolete.
-        while old + 1 < end and rows[old + 1][0] <= t_s - self.value + CLOSE_S:
-            old += 1
-        old = max(old, end - MOST_ROWS)  # bounded, for a stopped clock
-        return rows[old][1], {**lines, key: (rows, old, end)}
+    @property
+    def remembers(self) -> int:  # type: ignore[override]
+        """The ring's length and beginning, and its times and values."""
+        return 2 + 2 * stored_rows(self.value)
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the delay and the length of the ring."""
+        return [(self.value, float(stored_rows(self.value)))] * count
 
 
-class SampleHold(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def repeat_recording(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Record `m[place]` values, then return them in turn."""
+    count = int(m[place])
+    if count == 0 or (t_s < p[at] and count < p[at + 1]):
+        m[place + 2 + count] = x[i]
+        m[place] = float(count + 1)
+        return x[i]
+    m[place + 1] = (m[place + 1] + 1.0) % count
+    return m[place + 2 + int(m[place + 1] + count - 1.0) % count]
+
+
+class Replay(RuleFault, frozen=True, kw_only=True):
+    """Record the first `value` seconds, then replay them in a loop."""
+
+    name: ClassVar[str] = "replay"
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
+    by_sender: ClassVar[bool] = True
+    rule = staticmethod(repeat_recording)
+
+    value: Duration
+
+    @property
+    def remembers(self) -> int:  # type: ignore[override]
+        """The recording's length, the place in it, and its values."""
+        return 2 + stored_rows(self.value)
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the time and the most values of a recording."""
+        return [(self.value, float(stored_rows(self.value)))] * count
+
+
+@value_rule
+def hold_sample(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the last sample, `m[place + 2]` of `m[place + 1]`, or take a new one."""
+    # With a tolerance, since timestamps are sums of steps.
+    if not m[place] or not t_s - m[place + 1] < p[at] - CLOSE_S:
+        m[place], m[place + 1], m[place + 2] = 1.0, t_s, x[i]
+    return m[place + 2]
+
+
+class SampleHold(RuleFault, frozen=True, kw_only=True):
     """Update the values only every `value` seconds (a slow sensor)."""
 
     name: ClassVar[str] = "sample-hold"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
     by_sender: ClassVar[bool] = True
+    rule = staticmethod(hold_sample)
+    remembers: ClassVar[int] = 3
 
     value: Duration
 
-    def after(
-        self, before: list[Number], key: Key, t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Return the values of the last sample."""
-        rows: dict[Key, Row] = state or {}
-        sampled = rows.get(key)
-        # With a tolerance, since timestamps are sums of steps.
-        if sampled is not None and t_s - sampled[0] < self.value - CLOSE_S:
-            return sampled[1], rows
-        return before, {**rows, key: (t_s, before)}
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the interval."""
+        return [(self.value,)] * count

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
 from mavproxy_fault.faults.loss import Share
+from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -51,26 +53,36 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         return bytes(mixed)
 
 
-class Truncate(LinkFault, frozen=True, kw_only=True):
+class Truncate(RuleLinkFault, frozen=True, kw_only=True):
     """Cut the last `count` bytes off a fraction `value` of the frames."""
 
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
+    rule = staticmethod(choose_share)
+    effect: ClassVar[Effect] = "cut"
 
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
 
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
-    ) -> tuple[list[Outgoing], Any]:
-        """Send the truncated frame, at least one byte."""
-        if self.value < 1.0 and rng.random() >= self.value:
-            return [Outgoing(t_us, frame)], None
-        raw = frame if isinstance(frame, bytes) else frame.raw
-        return [Outgoing(t_us, raw[: max(len(raw) - self.count, 1)])], None
+    @property
+    def drawn(self) -> Drawn:
+        """One to choose the frame."""
+        return "random" if self.value < 1.0 else ""
+
+    def numbers(self) -> Numbers:
+        """Return share and number of bytes."""
+        return self.value, float(self.count)
 
 
-class SequenceGap(LinkFault, frozen=True, kw_only=True):
+@link_rule
+def skip_numbers(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+    """Advance the offset of the sequence number, `m[place + 1]`, at a share of the frames."""
+    if u < p[at]:
+        m[place + 1] = (m[place + 1] + p[at + 1]) % 256.0  # it wraps like the sender's counter
+    return int(m[place + 1])
+
+
+class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):
     """Skip `count` sequence numbers at a fraction `value` of the frames, as after lost frames."""
 
     name: ClassVar[str] = "sequence-gap"
@@ -79,24 +91,18 @@ class SequenceGap(LinkFault, frozen=True, kw_only=True):
     takes_unknown: ClassVar[bool] = True
     # A new sequence number would break the signature, which covers the header.
     takes_sealed: ClassVar[bool] = False
+    rule = staticmethod(skip_numbers)
+    effect: ClassVar[Effect] = "renumber"
+    remembers: ClassVar[int] = 2
 
     value: Share = 0.1
     count: Annotated[int, Meta(ge=1, le=255)] = 1
 
-    def new_state(self, start_us: int) -> int:
-        """Return the offset of the sequence number."""
-        return 0
+    @property
+    def drawn(self) -> Drawn:
+        """One to choose the frame."""
+        return "random"
 
-    def apply(
-        self, frame: Frame, t_us: int, state: int, rng: "Generator"
-    ) -> tuple[list[Outgoing], int]:
-        """Renumber the frame; the offset accumulates until the fault ends."""
-        # It wraps at 256 like the sender's counter.
-        ahead = (state + self.count * (rng.random() < self.value)) & 0xFF
-        if not ahead:
-            return [Outgoing(t_us, frame)], 0
-        raw = bytearray(frame.raw)
-        # The sequence number is the third byte in MAVLink 1, the fifth in MAVLink 2.
-        at = 4 if frame.version == 2 else 2
-        raw[at] = (raw[at] + ahead) & 0xFF
-        return [Outgoing(t_us, Frame(bytes(raw), frame.layout).with_payload(frame.payload))], ahead
+    def numbers(self) -> Numbers:
+        """Return share and number of skipped numbers."""
+        return self.value, float(self.count)

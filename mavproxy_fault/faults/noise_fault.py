@@ -4,55 +4,65 @@ import math
 from typing import Any, ClassVar, Literal
 
 from mavproxy_fault.fault_parts.profile import NotNegative
-from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, broadcast_values
-from mavproxy_fault.wire.frame import Number
+from mavproxy_fault.fault_parts.rules import Drawn, Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYRO, broadcast_values
 
 
-class NoiseFault(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def add_noise(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+    """Add a Gaussian number, or one that is uniform between -1 and 1, times sigma or width."""
+    return x[i] + (2.0 * u - 1.0 if p[at + 1] else u) * p[at]
+
+
+class NoiseFault(RuleFault, frozen=True, kw_only=True):
     """Add white noise: Gaussian with sigma `value`, or uniform within plus or minus `value`."""
 
     name: ClassVar[str] = "noise"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
-    draws: ClassVar[bool] = True
     on_ranges: ClassVar[bool] = True
+    rule = staticmethod(add_noise)
 
     value: NotNegative | tuple[NotNegative, ...]
     distribution: Literal["gaussian", "uniform"] = "gaussian"
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Add one draw to each element."""
-        count = len(before)
-        sigma = broadcast_values(self.value, count)
-        if self.distribution == "uniform":
-            draws = rng.uniform(-1.0, 1.0, count).tolist()
-        else:
-            # A single draw gives the same number faster without an array.
-            draws = rng.standard_normal(count).tolist() if count > 1 else (rng.standard_normal(),)
-        return [x + draws[n] * sigma[n] for n, x in enumerate(before)], None
+    @property
+    def drawn(self) -> Drawn:
+        """One for each element."""
+        return "random" if self.distribution == "uniform" else "standard_normal"
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the size, and whether the noise is uniform."""
+        uniform = float(self.distribution == "uniform")
+        return [(size, uniform) for size in broadcast_values(self.value, count)]
 
 
-class RandomWalk(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def walk(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+    """Add the walk `m[place + 1]` after a step for the time since `m[place]`."""
+    # Variance grows with time, not with frames, so lost frames do not slow the walk.
+    sigma = p[at] * math.sqrt(max(t_s - m[place], 0.0))
+    m[place] = t_s
+    m[place + 1] += u * sigma
+    return x[i] + m[place + 1]
+
+
+class RandomWalk(RuleFault, frozen=True, kw_only=True):
     """Add a Wiener process: its sigma is `value` times the square root of the elapsed seconds."""
 
     name: ClassVar[str] = "random-walk"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
-    draws: ClassVar[bool] = True
     on_ranges: ClassVar[bool] = True
     by_sender: ClassVar[bool] = True
+    rule = staticmethod(walk)
+    remembers: ClassVar[int] = 2
 
     value: NotNegative
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Take a random step for the time since this sender's last frame."""
-        walks: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = state or {}
-        last_s, walked = walks.get(key, (0.0, (0.0,) * len(before)))
-        # Variance grows with time, not with frames, so lost frames do not slow the walk.
-        sigma = self.value * math.sqrt(max(t_s - last_s, 0.0))
-        steps = rng.normal(0.0, 1.0, len(before)) * sigma
-        walk = tuple(w + float(step) for w, step in zip(walked, steps, strict=True))
-        after = [x + error for x, error in zip(before, walk, strict=True)]
-        return after, {**walks, key: (t_s, walk)}
+    @property
+    def drawn(self) -> Drawn:
+        """One for each element."""
+        return "standard_normal"
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the size of the steps."""
+        return [(self.value,)] * count

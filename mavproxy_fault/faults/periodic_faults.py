@@ -3,13 +3,25 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.fault_parts.profile import CLOSE_S, Duration, Mode, Positive, time_since_period
-from mavproxy_fault.fault_parts.value_fault import ValueFault
-from mavproxy_fault.faults.profile_faults import combine_values
-from mavproxy_fault.wire.frame import Number
+from mavproxy_fault.fault_parts.profile import (
+    CLOSE_S,
+    MODES,
+    Duration,
+    Mode,
+    Positive,
+    time_since_period,
+)
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.faults.profile_faults import combine_number
 
 
-class SineWave(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def add_sine(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+    """Add the sine, with the same phase on every element."""
+    return x[i] + p[at] * math.sin(math.tau * p[at + 1] * t_s + p[at + 2])
+
+
+class SineWave(RuleFault, frozen=True, kw_only=True):
     """Add a sine of amplitude `value` and `frequency_hz` (vibration)."""
 
     name: ClassVar[str] = "sine"
@@ -19,18 +31,29 @@ class SineWave(ValueFault, frozen=True, kw_only=True):
         "frequency_hz": 10,
     }
     on_ranges: ClassVar[bool] = True
+    rule = staticmethod(add_sine)
 
     value: float
     frequency_hz: Positive
     phase_rad: float = 0.0
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Add the sine, with the same phase on every element."""
-        phase_rad = math.tau * self.frequency_hz * t_s + self.phase_rad
-        return healthy + self.value * math.sin(phase_rad)
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return amplitude, frequency and phase."""
+        return [(self.value, self.frequency_hz, self.phase_rad)] * count
 
 
-class Impulse(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def combine_impulse(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Apply the impulse; the value is healthy between impulses."""
+    # CLOSE_S: a frame at the end of an impulse is healthy.
+    if time_since_period(t_s, p[at + 2]) >= p[at + 3] - CLOSE_S:
+        return x[i]
+    return combine_number(x, i, t_s, p, at, m, place, u)
+
+
+class Impulse(RuleFault, frozen=True, kw_only=True):
     """Apply an impulse train of height `value`: `width_s` long, every `period_s`."""
 
     name: ClassVar[str] = "impulse"
@@ -41,6 +64,7 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
         "width_s": 0.02,
     }
     on_ranges: ClassVar[bool] = True
+    rule = staticmethod(combine_impulse)
 
     value: float
     period_s: Duration
@@ -54,15 +78,22 @@ class Impulse(ValueFault, frozen=True, kw_only=True):
                 f"width_s = {self.width_s} must be shorter than period_s = {self.period_s}"
             )
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Apply the impulse; the value is healthy between impulses."""
-        # CLOSE_S: a frame at the end of an impulse is healthy.
-        if time_since_period(t_s, self.period_s) >= self.width_s - CLOSE_S:
-            return healthy
-        return combine_values(self.mode, healthy, self.value)
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return mode, height, period and width."""
+        return [(MODES[self.mode], self.value, self.period_s, self.width_s)] * count
 
 
-class Cycle(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def add_to_one(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Add the error to the element of the current period."""
+    # By time, so that lost frames do not shift the cycle.
+    active = int((t_s + CLOSE_S) / p[at + 1]) % int(p[at + 2])
+    return x[i] + p[at] if i == active else x[i]
+
+
+class Cycle(RuleFault, frozen=True, kw_only=True):
     """Add `value` to one element (or satellite) after another, each for `period_s`."""
 
     name: ClassVar[str] = "cycle"
@@ -72,14 +103,11 @@ class Cycle(ValueFault, frozen=True, kw_only=True):
         "period_s": 0.1,
     }
     on_ranges: ClassVar[bool] = True
+    rule = staticmethod(add_to_one)
 
     value: float
     period_s: Duration
 
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Add the error to the element of the current period."""
-        # By time, so that lost frames do not shift the cycle.
-        active = int((t_s + CLOSE_S) / self.period_s) % len(before)
-        return [x + self.value * (i == active) for i, x in enumerate(before)], None
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the error, the period and the number of elements."""
+        return [(self.value, self.period_s, float(count))] * count

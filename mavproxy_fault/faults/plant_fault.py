@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import msgspec
 
 from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
-from mavproxy_fault.fault_parts.profile import Profile
+from mavproxy_fault.fault_parts.profile import Profile, hold_live_value
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.satellite import check_count
@@ -69,9 +69,15 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
         messages = self._messages(values, target, t_us)
         return [forwarded, *messages], PlantFaultState(state.start_us, target, values, t_us, inner)
 
+    def idle_until_us(self, state: PlantFaultState) -> int:
+        """Return the time before which `apply` changes nothing."""
+        constant = getattr(self, "value", None) is not None
+        return state.at_us + (REPEAT_US if constant else STEP_US)
+
     def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
         """Return the state after a live value that arrived at `t_us`."""
-        return state._replace(inner=((t_us - state.start_us) / 1e6, value))
+        t_s = (t_us - state.start_us) / 1e6
+        return state._replace(inner=hold_live_value(state.inner, t_s, value))
 
     def release_us(self, state: PlantFaultState) -> None:
         """Return None: no frames are buffered."""

@@ -1,14 +1,47 @@
 """Bias, scale, constant and drift: a number or a profile combined with the healthy value."""
 
+import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from mavproxy_fault.documents.document_check import NotFinite
-from mavproxy_fault.fault_parts.profile import Mode, Profile
-from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault, ValueState, broadcast_values
+from mavproxy_fault.fault_parts.memory import Memory
+from mavproxy_fault.fault_parts.profile import (
+    MODES,
+    Mode,
+    Profile,
+    hold_live_value,
+    profile_value,
+)
+from mavproxy_fault.fault_parts.rules import Numbers, Rule, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYRO, ValueState, broadcast_values
 from mavproxy_fault.wire.frame import Number
 
 
-class ProfileFault(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def combine_number(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Add the number, scale by it, or replace by it."""
+    if p[at] == 0.0:
+        return x[i] + p[at + 1]
+    return x[i] * p[at + 1] if p[at] == 1.0 else p[at + 1]
+
+
+@value_rule
+def combine_profile(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Combine the value with that of a profile, which keeps its numbers in memory."""
+    held, value = profile_value(p, at + 1, t_s, m, place)
+    if not held:
+        return x[i]
+    if p[at] == 0.0:
+        return x[i] + value
+    return x[i] * value if p[at] == 1.0 else value
+
+
+class ProfileFault(RuleFault, frozen=True, kw_only=True):
     """Base of faults with a number (or one for each element) or a profile."""
 
     mode: ClassVar[Mode]
@@ -22,45 +55,45 @@ class ProfileFault(ValueFault, frozen=True, kw_only=True):
         super().__post_init__()
 
     @property
-    def by_value(self) -> bool:
-        """Whether one number applies to all elements."""
-        return super().by_value and isinstance(self.value, int | float)
+    def rule(self) -> Rule | None:
+        """That of the number or of the profile; None for a series, which is read from a file."""
+        if self.profile is None:
+            return combine_number
+        return combine_profile if self.profile.table is None else None
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Combine one healthy value with the number."""
-        assert not isinstance(self.value, tuple | None)
-        return combine_values(self.mode, healthy, self.value)
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return mode and number, or mode and numbers of the profile."""
+        if self.profile is None:
+            assert self.value is not None
+            return [(MODES[self.mode], y) for y in broadcast_values(self.value, count)]
+        # The profile's mode takes precedence: `mode: replace` in a bias.
+        return [(MODES[self.profile.mode or self.mode], *self.profile.numbers)] * count
+
+    def new_memory(self, count: int, rng: Any) -> Memory:
+        """Return a profile's memory, with its random numbers drawn."""
+        return super().new_memory(count, rng) if self.profile is None else self.profile.memory(rng)
 
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
+    ) -> tuple[Sequence[Number], Any]:
         """Combine the healthy values with the numbers or the profile."""
-        if self.profile is None:
-            assert self.value is not None
-            values = broadcast_values(self.value, len(before))
-            return [
-                combine_values(self.mode, x, y) for x, y in zip(before, values, strict=True)
-            ], None
+        if self.profile is None or self.profile.table is None:
+            return super().after(before, key, t_s, state, rng)
         if state is None:
             state = self.profile.new_state(rng)
-        current = self.profile.value(t_s, state)
-        if current is None:
+        value = self.profile.value(t_s, state)
+        numbers = (MODES[self.profile.mode or self.mode], math.nan if value is None else value)
+        if value is None:
             return before, state
-        # The profile's mode takes precedence: `mode: replace` in a bias.
-        mode = self.profile.mode or self.mode
-        return [combine_values(mode, x, current) for x in before], state
+        return [combine_number(before, i, t_s, numbers, 0, (), 0, 0.0)
+                for i in range(len(before))], state  # fmt: skip
 
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
         """Return the state after a live value that arrived at `t_us`."""
+        memory = None if state.inner is None else state.inner[()]
         # With the time since the start, for the timeout of live profiles.
-        return ValueState(state.start_us, ((t_us - state.start_us) / 1e6, value))
-
-
-def combine_values(mode: Mode, healthy: Number, value: float) -> Number:
-    """Add, scale or replace the healthy value."""
-    if mode == "add":
-        return healthy + value
-    return healthy * value if mode == "scale" else value
+        t_s = (t_us - state.start_us) / 1e6
+        return ValueState(state.start_us, {(): hold_live_value(memory, t_s, value)})
 
 
 class Bias(ProfileFault, frozen=True, kw_only=True):
@@ -88,7 +121,15 @@ class Constant(ProfileFault, frozen=True, kw_only=True):
     mode: ClassVar[Mode] = "replace"
 
 
-class Drift(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def add_growth(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Add rate times time; the limit applies to the error, not to the value."""
+    return x[i] + max(-p[at + 1], min(p[at + 1], p[at] * t_s))
+
+
+class Drift(RuleFault, frozen=True, kw_only=True):
     """Add an error that grows by `value` units per second, up to `limit`."""
 
     name: ClassVar[str] = "drift"
@@ -98,27 +139,9 @@ class Drift(ValueFault, frozen=True, kw_only=True):
 
     value: float | tuple[float, ...]
     limit: float | None = None
+    rule = staticmethod(add_growth)
 
-    @property
-    def by_value(self) -> bool:
-        """Whether one rate applies to all elements."""
-        return super().by_value and not isinstance(self.value, tuple)
-
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Add rate times time."""
-        assert not isinstance(self.value, tuple)
-        grown = self.value * t_s
-        # The limit applies to the error, not to the value.
-        if self.limit is not None:
-            grown = max(-self.limit, min(self.limit, grown))
-        return healthy + grown
-
-    def after(
-        self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
-    ) -> tuple[list[Number], Any]:
-        """Add rate times time."""
-        rates = broadcast_values(self.value, len(before))
-        if self.limit is not None:
-            grown = [max(-self.limit, min(self.limit, rate * t_s)) for rate in rates]
-            return [x + grown[n] for n, x in enumerate(before)], None
-        return [x + rates[n] * t_s for n, x in enumerate(before)], None
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return rate and limit."""
+        limit = math.inf if self.limit is None else self.limit
+        return [(rate, limit) for rate in broadcast_values(self.value, count)]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import msgspec
 
 from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.profile import hold_live_value
 from mavproxy_fault.fault_parts.value_fault import (
     MOST_SENDERS,
     ValueFault,
@@ -169,7 +170,9 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
 
     def fed(self, state: SatelliteFaultState, value: float, t_us: int) -> SatelliteFaultState:
         """The state after a live value that came at `t_us`."""
-        return state._replace(inner=((t_us - state.start_us) / 1e6, value))
+        memory = None if state.inner is None else state.inner[()]
+        t_s = (t_us - state.start_us) / 1e6
+        return state._replace(inner={(): hold_live_value(memory, t_s, value)})
 
     def release_us(self, state: SatelliteFaultState) -> int | None:
         """Return when the oldest incomplete message must be sent."""

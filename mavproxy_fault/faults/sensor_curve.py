@@ -4,30 +4,49 @@ import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.profile import NotNegative, Positive
-from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
-from mavproxy_fault.wire.frame import Number
+from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYRO
 
 
-class Quantise(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def round_to_step(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Round to the nearest step; NaN and infinity stay."""
+    steps = x[i] / p[at]
+    # Beyond 2^52 every number is whole.
+    return round(steps) * p[at] if abs(steps) < 2.0**52 else x[i]
+
+
+class Quantise(RuleFault, frozen=True, kw_only=True):
     """Round to steps of `value`."""
 
     name: ClassVar[str] = "quantise"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.25}
     aliases: ClassVar[tuple[str, ...]] = ("quantize",)
+    rule = staticmethod(round_to_step)
 
     value: Positive
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Round to the nearest step."""
-        # NaN and infinity stay.
-        return round(healthy / self.value) * self.value if math.isfinite(healthy) else healthy
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the step."""
+        return [(self.value,)] * count
 
 
-class Saturate(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def limit_to_range(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the nearest value in the range; NaN fails both comparisons and stays."""
+    return p[at] if x[i] < p[at] else p[at + 1] if x[i] > p[at + 1] else x[i]
+
+
+class Saturate(RuleFault, frozen=True, kw_only=True):
     """Limit to the range `low` to `high`, or to plus and minus `value`."""
 
     name: ClassVar[str] = "saturate"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
+    rule = staticmethod(limit_to_range)
 
     value: NotNegative | None = None
     low: float | None = None
@@ -46,22 +65,28 @@ class Saturate(ValueFault, frozen=True, kw_only=True):
         low = -width if self.low is None else self.low
         return low, width if self.high is None else self.high
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Return the nearest value in the range."""
-        low, high = self._range()
-        # NaN fails both comparisons and stays.
-        return low if healthy < low else high if healthy > high else healthy
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the range."""
+        return [self._range()] * count
 
 
-class DeadBand(ValueFault, frozen=True, kw_only=True):
+@value_rule
+def cut_dead_band(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Return the part outside the band; the sign stays, also that of a zero."""
+    return math.copysign(max(abs(x[i]) - p[at], 0.0), x[i])
+
+
+class DeadBand(RuleFault, frozen=True, kw_only=True):
     """Output zero within plus or minus `value`, and the value less the band outside."""
 
     name: ClassVar[str] = "dead-band"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
+    rule = staticmethod(cut_dead_band)
 
     value: NotNegative
 
-    def of(self, healthy: Number, t_s: float) -> Number:
-        """Return the part outside the band."""
-        # The sign stays, also that of a zero.
-        return math.copysign(max(abs(healthy) - self.value, 0.0), healthy)
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return half the width of the band."""
+        return [(self.value,)] * count

@@ -6,9 +6,11 @@ They change every field with the sender's time, in any unit: `time_usec`, `usec`
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mavproxy_fault.fault_parts.draft import rewrite_fields
+from mavproxy_fault.fault_parts.draft import Draft
+from mavproxy_fault.fault_parts.elements import locate_element
 from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
 from mavproxy_fault.fault_parts.profile import Positive
+from mavproxy_fault.fault_parts.rules import Numbers, value_rule
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame
 
@@ -19,35 +21,44 @@ NAMES = ("time_usec", "usec", "time_boot_us", "time_unix_usec", "timestamp", "ti
 COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
 
 
+@value_rule
+def shift_stamp(
+    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
+) -> Any:
+    """Shift by an error that grows with time, in counts; timestamps are integers."""
+    return x[i] + round((p[at] + p[at + 1] * t_s) * p[at + 2])
+
+
 class TimestampFault(LinkFault, frozen=True, kw_only=True):
-    """Base of the timestamp faults."""
+    """Base of the timestamp faults, whose rule acts on every timestamp of a frame."""
 
     takes_bytes: ClassVar[bool] = False
     takes_sealed: ClassVar[bool] = False
+    rule = staticmethod(shift_stamp)
 
     def new_state(self, start_us: int) -> int:
         """Return the start time."""
         return start_us
 
-    def off_s(self, t_s: float) -> float:
-        """Return the timestamp error [s], `t_s` after the start of the fault."""
+    def error(self) -> tuple[float, float]:
+        """Return the timestamp error [s] at the start of the fault, and its rate [s/s]."""
         raise NotImplementedError
 
     def apply(
         self, frame: Frame, t_us: int, state: int, rng: "Generator"
     ) -> tuple[list[Outgoing], int]:
         """Shift every timestamp of the frame; forward messages without one."""
-        off_s = self.off_s((t_us - state) / 1e6)
-        scales = stamp_fields(frame.layout)
-        out = rewrite_fields(
-            frame,
-            t_us,
-            # Timestamps are integers.
-            {name: frame.number(name) + round(off_s * scale) for name, scale in scales.items()},
-        )
-        if out.frame is frame:
-            return [out], state
-        return [Outgoing(t_us, out.frame, abs(off_s), out.saturated)], state
+        t_s, draft = (t_us - state) / 1e6, Draft(frame)
+        largest_s, saturated = -1.0, 0
+        for name, scale in stamp_fields(frame.layout).items():
+            elements = [locate_element(frame.layout, name)]
+            before = draft.values(elements)
+            after = shift_stamp(before, 0, t_s, (*self.error(), scale), 0, (), 0, 0.0)
+            step, cut, _ = draft.write(elements, before, [after])
+            largest_s, saturated = max(largest_s, step / scale), saturated + cut
+        if not draft.changed:
+            return [Outgoing(t_us, frame)], state
+        return [Outgoing(t_us, draft.sealed(), largest_s, saturated)], state
 
 
 def stamp_fields(layout: Layout) -> dict[str, float]:
@@ -68,9 +79,9 @@ class TimeJump(TimestampFault, frozen=True, kw_only=True):
 
     value: float
 
-    def off_s(self, t_s: float) -> float:
+    def error(self) -> tuple[float, float]:
         """Return the constant error."""
-        return self.value
+        return self.value, 0.0
 
 
 class TimeDrift(TimestampFault, frozen=True, kw_only=True):
@@ -81,9 +92,9 @@ class TimeDrift(TimestampFault, frozen=True, kw_only=True):
 
     value: float
 
-    def off_s(self, t_s: float) -> float:
+    def error(self) -> tuple[float, float]:
         """Return the error, which grows with time."""
-        return self.value * t_s
+        return 0.0, self.value
 
 
 class TimeBackwards(TimestampFault, frozen=True, kw_only=True):
@@ -94,6 +105,6 @@ class TimeBackwards(TimestampFault, frozen=True, kw_only=True):
 
     value: Positive = 1.0
 
-    def off_s(self, t_s: float) -> float:
+    def error(self) -> tuple[float, float]:
         """Return the error that cancels the elapsed time and runs back at `value`."""
-        return -(1.0 + self.value) * t_s
+        return 0.0, -(1.0 + self.value)

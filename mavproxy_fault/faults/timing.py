@@ -1,34 +1,63 @@
 """Timing faults of frames: delay, jitter, reordering, duplication."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+import math
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
 from mavproxy_fault.fault_parts.profile import Seconds
+from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
 from mavproxy_fault.faults.loss import Share
-from mavproxy_fault.wire.frame import Frame
 
-if TYPE_CHECKING:
-    from numpy.random import Generator
+UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
+DISTRIBUTIONS: dict[str, tuple[int, Drawn]] = {
+    "uniform": (UNIFORM, "random"),
+    "normal": (NORMAL, "standard_normal"),
+    "exponential": (EXPONENTIAL, "standard_exponential"),
+    "pareto": (PARETO, "standard_exponential"),
+}
 
 
-class Delay(LinkFault, frozen=True, kw_only=True):
+@link_rule
+def choose_share(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+    """Return `p[at + 1]` for a share of the frames."""
+    return int(p[at + 1]) if p[at] >= 1.0 or u < p[at] else 0
+
+
+class Delay(RuleLinkFault, frozen=True, kw_only=True):
     """Delay every frame by `value` seconds."""
 
     name: ClassVar[str] = "delay"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
+    rule = staticmethod(choose_share)
 
     value: Seconds
 
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
-    ) -> tuple[list[Outgoing], Any]:
-        """Delay the frame."""
-        return [delay_frame(frame, t_us, self.value)], None
+    def numbers(self) -> Numbers:
+        """Return share and delay."""
+        return 1.0, float(round(self.value * 1e6))
 
 
-class Jitter(LinkFault, frozen=True, kw_only=True):
+@link_rule
+def delay_at_random(
+    t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
+    """Delay by a random time; the last frame is due at `m[place]`."""
+    distribution, value_s = p[at], p[at + 1]
+    late_s = value_s * u
+    if distribution == NORMAL:  # clipped: a frame cannot be sent before it arrives
+        late_s = max(late_s, 0.0)
+    elif distribution == PARETO:
+        late_s = value_s * math.expm1(u / p[at + 3])
+    late_us = float(round((p[at + 2] + late_s) * 1e6))
+    # It would overtake the previous frame, so it waits for that one.
+    if p[at + 4] and t_us + late_us < m[place]:
+        late_us = m[place] - t_us
+    m[place] = max(m[place], t_us + late_us)
+    return int(late_us)
+
+
+class Jitter(RuleLinkFault, frozen=True, kw_only=True):
     """Delay frames by `base_s` plus a random time.
 
     `value` is the largest delay (uniform), the mean (exponential), the sigma (normal, clipped at
@@ -38,6 +67,8 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "jitter"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
+    rule = staticmethod(delay_at_random)
+    remembers: ClassVar[int] = 1
 
     value: Seconds
     distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
@@ -45,79 +76,54 @@ class Jitter(LinkFault, frozen=True, kw_only=True):
     shape: Annotated[float, Meta(gt=1)] = 3.0
     keep_order: bool = True
 
-    def new_state(self, start_us: int) -> int:
-        """Return the due time of the previous frame."""
-        return start_us
+    @property
+    def drawn(self) -> Drawn:
+        """The unscaled number of the distribution."""
+        return DISTRIBUTIONS[self.distribution][1]
 
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: int, rng: "Generator"
-    ) -> tuple[list[Outgoing], int]:
-        """Delay the frame by a random time."""
-        out = delay_frame(frame, t_us, self.base_s + self._draw(rng))
-        # It would overtake the previous frame, so it waits for that one.
-        if self.keep_order and out.due_us < state:
-            # Frames with equal due times are sent in order of arrival.
-            out = delay_frame(frame, t_us, (state - t_us) * 1e-6)
-        return [out], max(out.due_us, state)
-
-    def _draw(self, rng: "Generator") -> float:
-        if self.distribution == "uniform":
-            return float(rng.uniform(0.0, self.value))
-        # Clipped at zero: a frame cannot be sent before it arrives.
-        if self.distribution == "normal":
-            return max(float(rng.normal(0.0, self.value)), 0.0)
-        if self.distribution == "exponential":
-            return float(rng.exponential(self.value))
-        return self.value * float(rng.pareto(self.shape))
+    def numbers(self) -> Numbers:
+        """Return the distribution's number and its parameters."""
+        kind = DISTRIBUTIONS[self.distribution][0]
+        return float(kind), self.value, self.base_s, self.shape, float(self.keep_order)
 
 
-class Reorder(LinkFault, frozen=True, kw_only=True):
+class Reorder(RuleLinkFault, frozen=True, kw_only=True):
     """Delay a fraction `value` of the frames by `by_s`, so that later ones overtake them."""
 
     name: ClassVar[str] = "reorder"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
+    rule = staticmethod(choose_share)
 
     value: Share = 0.1
     by_s: Seconds = 0.05
 
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
-    ) -> tuple[list[Outgoing], Any]:
-        """Delay the frame at random."""
-        return [delay_frame(frame, t_us, self.by_s if rng.random() < self.value else 0.0)], None
+    @property
+    def drawn(self) -> Drawn:
+        """One to choose the frame."""
+        return "random"
+
+    def numbers(self) -> Numbers:
+        """Return share and delay."""
+        return self.value, float(round(self.by_s * 1e6))
 
 
-class Duplicate(LinkFault, frozen=True, kw_only=True):
+class Duplicate(RuleLinkFault, frozen=True, kw_only=True):
     """Repeat a fraction `value` of the frames: `copies` more, the last `by_s` later."""
 
     name: ClassVar[str] = "duplicate"
     example: ClassVar[dict[str, Any]] = {"copies": 2, "by_s": 0.01}
+    rule = staticmethod(choose_share)
+    effect: ClassVar[Effect] = "copies"
 
     value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
     by_s: Seconds = 0.0
 
-    def apply(
-        self,
-        frame: Frame | bytes,
-        t_us: int,
-        state: Any,
-        rng: "Generator",
-    ) -> tuple[list[Outgoing], Any]:
-        """Send the frame, and its copies at random."""
-        first = Outgoing(t_us, frame)
-        if self.value < 1.0 and rng.random() >= self.value:
-            return [first], None
-        # The copies are spread evenly up to `by_s`.
-        step_s = self.by_s / self.copies
-        return [
-            first,
-            *(delay_frame(frame, t_us, step_s * (i + 1)) for i in range(self.copies)),
-        ], None
+    @property
+    def drawn(self) -> Drawn:
+        """One to choose the frame."""
+        return "random" if self.value < 1.0 else ""
 
-
-def delay_frame(frame: Frame | bytes, t_us: int, by_s: float) -> Outgoing:
-    """Return a frame delayed by `by_s` seconds."""
-    by_us = round(by_s * 1e6)
-    # The magnitude of the label is the delay; a frame without delay is unchanged.
-    return Outgoing(t_us + by_us, frame, by_us * 1e-6 if by_us else None)
+    def numbers(self) -> Numbers:
+        """Return share, number of copies, and the delay of the last one."""
+        return self.value, float(self.copies), float(round(self.by_s * 1e6))

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.code_cache import is_usable, user_number
 
@@ -55,16 +56,10 @@ def _create_credentials(folder: Path) -> Path:
     new = Path(tempfile.mkdtemp(dir=folder.parent))
     user, password = f"user-{user_number()}", secrets.token_urlsafe(24)
     auth = {"usrpwd": {"user": user, "password": password}}
-    _write(new / CONFIG, json.dumps({"transport": {"auth": auth}}))
-    _write(new / USERS, f"{user}:{password}\n")
+    write_private(new / CONFIG, json.dumps({"transport": {"auth": auth}}).encode())
+    write_private(new / USERS, f"{user}:{password}\n".encode())
     try:
         new.rename(folder)
     except OSError:
         shutil.rmtree(new)
     return folder
-
-
-def _write(path: Path, text: str) -> None:
-    # Restrict access before writing the password.
-    path.touch(mode=0o600)
-    path.write_text(text)

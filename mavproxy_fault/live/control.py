@@ -112,6 +112,7 @@ class LiveControl:
         self._first_vehicle = 0
         self._enabled = True  # until the vehicle reports SYS_FAILURE_EN = 0
         self.wanted: frozenset[int] = frozenset()
+        self.needed: frozenset[int] = frozenset()  # without those that are only sampled
         self._update_wanted()
 
     # -- MAVLink ---------------------------------------------------------------------------------
@@ -397,9 +398,8 @@ class LiveControl:
         return self.view.drain()
 
     def _update_wanted(self) -> None:
-        self.wanted = (
-            COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning} | self.view.ids
-        )
+        self.needed = COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning}
+        self.wanted = self.needed | self.view.ids
 
     # -- Zenoh -----------------------------------------------------------------------------------
 

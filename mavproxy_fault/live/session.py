@@ -149,8 +149,9 @@ class LoopCalls:
 class LiveSession:
     """Control of a running proxy over Zenoh and RflySim, and publication of its state.
 
-    `now_us` returns the vehicle's time; `edit_log` records every request that may change the
-    schedule; `listener` receives, in this process, the labels and samples published on Zenoh.
+    `bus` is None if Zenoh is off. `now_us` returns the vehicle's time; `edit_log` records every
+    request that may change the schedule; `listener` receives, in this process, the labels and
+    samples published on Zenoh.
     """
 
     def __init__(
@@ -165,7 +166,7 @@ class LiveSession:
         self._now_us = now_us
         self.edit_log = journal
         self._requests = LoopCalls()
-        self._bus: Bus | None = None
+        self.bus: Bus | None = None
         self._port: socket.socket | None = None
         self._config_file = ""
         self._successor = threading.Thread()  # takes over from a router that has ended
@@ -204,7 +205,7 @@ class LiveSession:
 
     def offer(self, bus: Bus) -> None:
         """Answer queries on an open bus."""
-        self._bus = bus
+        self.bus = bus
         bus.serve_queries("@ctl/**", self.query)
         bus.declare_alive("proxy")
 
@@ -218,12 +219,12 @@ class LiveSession:
     def _check_router(self, now_s: float) -> None:
         """Check the connection to the router; without one, try to become the router."""
         # Once a second, and one attempt at a time.
-        if self._bus is None or now_s < self._router_check_s or self._successor.is_alive():
+        if self.bus is None or now_s < self._router_check_s or self._successor.is_alive():
             return
         self._router_check_s = now_s + ROUTER_CHECK_S
-        if not self._bus.is_connected:
+        if not self.bus.is_connected:
             self._successor = threading.Thread(
-                target=self._become_router, args=(self._bus,), daemon=True
+                target=self._become_router, args=(self.bus,), daemon=True
             )
             self._successor.start()
 
@@ -299,13 +300,13 @@ class LiveSession:
         self._check_router(now_s)
         engine = self.control.engine
         # Only after a change.
-        if self._bus is not None and self._published != (engine.revision, engine.changes):
-            self._show_faults(self._bus)
+        if self.bus is not None and self._published != (engine.revision, engine.changes):
+            self._show_faults(self.bus)
         samples = self.control.watched(now_s)
         if samples and self._listener is not None:
             self._listener.add_samples(samples)
-        if samples and self._bus is not None:
-            self._bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
+        if samples and self.bus is not None:
+            self.bus.put("proxy/watched", msgspec.json.encode(samples), "mavfault.v1.Watched")
 
     def _show_faults(self, bus: Bus) -> None:
         engine = self.control.engine
@@ -318,35 +319,20 @@ class LiveSession:
         """Publish the link statistics, the state of the faults and new labels."""
         if self._listener is not None:
             self._listener.add_labels(labels)
-        if self._bus is None:
+        if self.bus is None:
             return
-        self._bus.put("proxy/stats", msgspec.json.encode(stats), "mavfault.v1.EndpointStatistics")
-        self._show_faults(self._bus)
+        self.bus.put("proxy/stats", msgspec.json.encode(stats), "mavfault.v1.EndpointStatistics")
+        self._show_faults(self.bus)
         for label in labels:
-            self._bus.put(
+            self.bus.put(
                 "proxy/labels", msgspec.json.encode(label), "mavfault.v1.Label", LABELS_KEPT
             )
 
     def publish_recording(self, failing: str | None, lost: int) -> None:
         """Publish the state of the recording."""
-        if self._bus is not None:
+        if self.bus is not None:
             state = {"failing": failing, "lost_records": lost}
-            self._bus.put("proxy/recording", msgspec.json.encode(state), "mavfault.v1.Recording")
-
-    @property
-    def url(self) -> str | None:
-        """Address of the Zenoh router; None if Zenoh is off."""
-        return None if self._bus is None else self._bus.url
-
-    @property
-    def run(self) -> str | None:
-        """Name of this proxy on Zenoh; None if Zenoh is off."""
-        return None if self._bus is None else self._bus.run
-
-    @property
-    def is_router(self) -> bool:
-        """Whether this proxy is the router for the others."""
-        return self._bus is not None and self._bus.is_router
+            self.bus.put("proxy/recording", msgspec.json.encode(state), "mavfault.v1.Recording")
 
     def close(self) -> None:
         """Close Zenoh and the port, and cancel waiting queries."""
@@ -356,7 +342,7 @@ class LiveSession:
             self._successor.join(0.01)
         self._requests.serve()
         self._requests.close()
-        if self._bus is not None:
-            self._bus.close()
+        if self.bus is not None:
+            self.bus.close()
         if self._port is not None:
             self._port.close()

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.proxy.sender_rules import SAMPLE_PERIOD_US
 from mavproxy_fault.wire.dialect import Layout, find_layout, message_layout, message_names
 from mavproxy_fault.wire.frame import STX_V2, Frame, Number
 
 if TYPE_CHECKING:
     from mavproxy_fault.live.watched_ranges import RangeSampler
 
-PERIOD_US = 20_000  # 50 Hz: enough for a plot
 LEASE_S = 5.0  # a subscription expires this long after its last renewal
 MOST_MESSAGES = 32
 MOST_SAMPLERS = 256
@@ -70,7 +70,7 @@ class MessageSampler:
 
     def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
         """Take a sample, unless this period already has one."""
-        period = t_us // PERIOD_US
+        period = t_us // SAMPLE_PERIOD_US
         rows = self.sent if sent else self.received
         # Bounded: a viewer may be slow or gone.
         if period == self._periods[sent] or len(rows) >= MOST_ROWS:

@@ -30,7 +30,6 @@ from mavproxy_fault.numerics.code_cache import (
     module_folder,
     source_digest,
 )
-from mavproxy_fault.numerics.loaded_code import LoadedCode
 
 LOG = logging.getLogger(__name__)
 
@@ -77,7 +76,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no typ
         return ""
 
 
-class _CacheImpl(LoadedCode):
+class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
 
@@ -86,7 +85,7 @@ class _InstalledLocator(_Locator):
         return installed_folder(module, source)
 
 
-class _InstalledImpl(LoadedCode):
+class _InstalledImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_InstalledLocator,)
 
 

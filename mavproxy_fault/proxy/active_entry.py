@@ -81,6 +81,7 @@ class ActiveEntry:
         self.direction = ""
         self.states: dict[str, Any] = {}
         self.rng = cast("Generator", LazyGenerator(seed, entry.id))
+        self.chance_rng = cast("Generator", LazyGenerator(seed, entry.id + " probability"))
         self.live: tuple[float, int] | None = None  # newest streamed value and its time
         self.latency_us: int | None = None
         self.value: float | None = None  # set by a live edit, constant or streamed
@@ -261,9 +262,8 @@ class ActiveEntry:
 
     def skips_by_chance(self) -> bool:
         """Whether the entry's probability exempts this frame."""
-        # Draw only with a probability, so that the fault's own random stream is unaffected.
         chance = self.entry.probability
-        return chance < 1.0 and bool(self.rng.random() >= chance)
+        return chance < 1.0 and bool(self.chance_rng.random() >= chance)
 
     def note_failure(self, error: Exception) -> None:
         """Count a frame forwarded unchanged because the fault failed; log the first."""

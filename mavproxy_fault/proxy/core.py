@@ -95,7 +95,7 @@ class Core:
             self.attach(control)
         self.clock = VehicleClock(self.senders)
         self.states = [LinkState() for _ in links]
-        self._signing = signing
+        self.signing = signing
         self._capture = tape
         vehicle_links = sum(
             1 << number for number, role in enumerate(links) if role.direction == "from-vehicle"
@@ -138,7 +138,7 @@ class Core:
         """
         # Earlier due frames leave first, so the order depends only on timestamps. No incomplete
         # frame is abandoned here: the rest may be in the same batch of reads.
-        sends = self._release_due(now_us)
+        sends = self.release_due(now_us)
         role = self.links[link]
         key = (link, stream)
         parser = self._parsers.get(key)
@@ -165,7 +165,7 @@ class Core:
 
     def due(self, now_us: int) -> list[Send]:
         """Return what is due by `now_us`, in order, and then abandoned incomplete frames."""
-        sends = self._release_due(now_us)
+        sends = self.release_due(now_us)
         for key in list(self._give_up_us):
             # The rest of the frame is overdue: forward the bytes as junk.
             while self._give_up_us.get(key, NEVER_US) <= now_us:
@@ -178,7 +178,7 @@ class Core:
         """Return the links with incomplete frames that `due` would abandon by `now_us`."""
         return {link for (link, _), due_us in self._give_up_us.items() if due_us <= now_us}
 
-    def _release_due(self, now_us: int) -> list[Send]:
+    def release_due(self, now_us: int) -> list[Send]:
         """Release delayed frames that are due, in order."""
         sends: list[Send] = []
         while self._pending or self.engine is not None:
@@ -192,7 +192,7 @@ class Core:
             if pending_us <= engine_us:
                 _, _, mask, raw = heapq.heappop(self._pending)
                 self._record(raw, when_us)
-                sends += self._to_links(mask, raw, when_us)
+                sends += self.to_links(mask, raw, when_us)
             else:
                 sends += self._release_from_engine(when_us)
         return sends
@@ -270,8 +270,8 @@ class Core:
             return
         t_us = self._time(frame, arrival.now_us, state, batch)
         sealed = frame.signed
-        if sealed and self._signing is not None:
-            frame, sealed = self._signing.verify_incoming(frame)
+        if sealed and self.signing is not None:
+            frame, sealed = self.signing.verify_incoming(frame)
             state.bad_signatures += sealed
         control = self.control
         if control is not None and frame.id in control.wanted:
@@ -309,8 +309,8 @@ class Core:
                 state.loops += 1
                 return
             sealed = frame.signed
-            if sealed and self._signing is not None:
-                frame, sealed = self._signing.verify_incoming(frame)
+            if sealed and self.signing is not None:
+                frame, sealed = self.signing.verify_incoming(frame)
                 state.bad_signatures += sealed
         raw = junk.raw if frame is None else frame.raw
         if self.engine is None:
@@ -373,15 +373,15 @@ class Core:
         if origin is not None and frame is not origin and source_of(frame) != source_of(origin):
             # A reply also goes to the link of its cause, whatever other links its sender has.
             mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
-        if isinstance(frame, Frame) and frame.signed and frame is not origin and self._signing:
-            raw = self._signing.sign_outgoing(frame).raw
+        if isinstance(frame, Frame) and frame.signed and frame is not origin and self.signing:
+            raw = self.signing.sign_outgoing(frame).raw
         if outgoing.back and isinstance(frame, Frame):  # the proxy's own message to a simulator
             raw = self._numbering.number_frame(frame)
         due_us = outgoing.due_us + lead_us
         if due_us <= now_us:
             self._send_now(mask, raw, now_us, batch)
         else:
-            heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
+            self.hold(due_us, mask, raw)
 
     def _send_now(self, mask: int, raw: bytes, now_us: int, batch: OutgoingBatch) -> None:
         if mask:
@@ -407,9 +407,29 @@ class Core:
             )
 
     def _sends(self, batch: OutgoingBatch, when_us: int) -> list[Send]:
-        return [send for mask, data in batch for send in self._to_links(mask, data, when_us)]
+        return [send for mask, data in batch for send in self.to_links(mask, data, when_us)]
 
-    def _to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
+    def hold(self, due_us: int, mask: int, raw: bytes) -> None:
+        """Keep a frame until it is due."""
+        heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
+
+    def announce_labels(self, now_us: int) -> list[Send]:
+        """Return the announcements of the labels that the engine has begun or ended."""
+        batch: OutgoingBatch = []
+        if self.engine is not None:
+            self._announce(self.engine.drain_labels(), now_us, batch)
+        return self._sends(batch, now_us)
+
+    def take_incomplete(self, link: int, stream: int) -> bytes:
+        """Return and forget the bytes of a stream that wait for the rest of their frame."""
+        parser = self._parsers.get((link, stream))
+        if parser is None or not parser.incomplete:
+            return b""
+        self._give_up_us.pop((link, stream), None)
+        return parser.take_incomplete()
+
+    def to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
+        """Return the sends of the same bytes to several links, a bit mask."""
         numbers = self._numbers.get(mask)
         if numbers is None:
             numbers = [number for number in range(len(self.links)) if mask >> number & 1]

@@ -5,7 +5,7 @@ one before. Only messages in `wanted` need to pass through the engine; inactive 
 nothing.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -56,6 +56,7 @@ class Engine:
         self._labels: list[Label] = []
         self._noted: dict[str, Label] = {}  # open labels of what the vehicle itself does
         self._released: list[Outgoing] = []  # released by a fault that ended
+        self.collect: Callable[[], object] = lambda: None  # adds what compiled code has counted
         self._update_wanted()
 
     @property
@@ -63,7 +64,7 @@ class Engine:
         """Whether an entry may draw random numbers, which requires numpy."""
         return any(
             entry.probability < 1.0
-            or getattr(entry.fault, "draws", True)
+            or getattr(entry.fault, "drawn", getattr(entry.fault, "draws", True))
             or getattr(entry.fault, "profile", None) is not None
             for entry in self._entries()
         )
@@ -143,6 +144,7 @@ class Engine:
         self._index()
 
     def _end(self, running: ActiveEntry, t_us: int) -> None:
+        self.collect()
         self._released += running.release(t_us, overdue=False)
         label = running.close(t_us)
         if label is not None:
@@ -240,14 +242,14 @@ class Engine:
             else:
                 sends = running.act(draft.sealed() if draft else frame, direction, t_us)
             if running.needs_attention:
-                self._attend(running, t_us)
+                self.attend(running, t_us)
         if sends is None:
             sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
         if self._released:
             sends, self._released = self._released + sends, []
         return sends
 
-    def _attend(self, running: ActiveEntry, t_us: int) -> None:
+    def attend(self, running: ActiveEntry, t_us: int) -> None:
         """Add a pending label of a fault, and note an early end."""
         if running.end_us <= t_us:
             self._edge_us = t_us  # at the next frame
@@ -281,6 +283,8 @@ class Engine:
         for running in self._any:
             if running.matches_junk(data, direction, sealed=sealed):
                 sends = _apply_to_outgoing(running, sends, direction, t_us)
+                if running.needs_attention:
+                    self.attend(running, t_us)
         return sends
 
     def drain_labels(self) -> list[Label]:
@@ -470,6 +474,7 @@ class Engine:
 
     def state(self) -> dict[str, Any]:
         """Return the state of the schedule and every fault, for pages and the bus."""
+        self.collect()
         return {
             "t0_us": self.t0_us,
             "now_us": self.now_us,

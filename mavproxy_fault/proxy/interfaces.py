@@ -69,7 +69,9 @@ class FaultEngine(Protocol):
 
 
 class CommandResponder(Protocol):
-    """Responder for commands to the proxy itself; `wanted` are the messages it must see.
+    """Responder for commands to the proxy itself; `wanted` are the messages it sees.
+
+    Of those that are not `needed` one frame in each `SAMPLE_PERIOD_US` is enough.
 
     `senders` is the core's state of the senders, set by `Core.attach`.
     """
@@ -78,6 +80,9 @@ class CommandResponder(Protocol):
 
     @property
     def wanted(self) -> frozenset[int]: ...
+
+    @property
+    def needed(self) -> frozenset[int]: ...
 
     def consume(
         self, frame: Frame, direction: Direction, t_us: int, *, sealed: bool = False

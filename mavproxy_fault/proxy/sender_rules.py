@@ -24,6 +24,7 @@ from mavproxy_fault.proxy.senders import (
 
 UNIX_TIME_FROM_US = 10**15  # larger: Unix time (from 2001); no vehicle runs for 31 years
 MAX_STAMP_US = 1 << 53  # larger timestamps (year 2255) are corrupted and ignored
+SAMPLE_PERIOD_US = 20_000  # 50 Hz of the vehicle's time are sampled for viewers: enough for a plot
 MAX_TIME_JUMP_US = 10_000_000  # chosen: far above link delays; more is a reboot or an error
 
 Senders = MutableSequence[int]

@@ -16,7 +16,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, WEEK_S, normalized, time_of_words
@@ -72,27 +72,6 @@ class NavigationFile(NamedTuple):
 
     records: list[NavigationRecord]
     klobuchar: tuple[Coefficients, Coefficients] | None
-
-
-class OrbitElements(TypedDict):
-    """Orbital elements with the names of `Ephemeris`; the last six are the second harmonics of
-    radius, argument of latitude and inclination."""
-
-    sqrt_a: float
-    eccentricity: float
-    i0_rad: float
-    omega0_rad: float
-    omega_rad: float
-    m0_rad: float
-    delta_n_rps: float
-    omega_dot_rps: float
-    idot_rps: float
-    crs_m: float
-    crc_m: float
-    cus_rad: float
-    cuc_rad: float
-    cis_rad: float
-    cic_rad: float
 
 
 def read_navigation_file(path: Path) -> NavigationFile:
@@ -208,19 +187,6 @@ def kepler_ephemeris(record: NavigationRecord) -> Ephemeris:
         af2_per_s=record.clock[2],
         iode=int(v[IODE]),
         iodc=int(v[DELAY_B]) if lnav else int(v[IODE]),
-        **orbit_elements(v),
-        group_delay_s=v[DELAY_B] if galileo and not record.is_fnav else v[DELAY],
-        group_delay_e5a_s=v[DELAY] if galileo else 0.0,
-        accuracy=accuracy,
-        health=_galileo_health(health) if galileo else l1_health(record.satellite, health),
-        codes=(int(v[SOURCE]), int(v[L2P])) if system == "G" else (0, 0),
-        long_fit=system == "G" and v[FIT] > 4.0,
-    )
-
-
-def orbit_elements(v: Sequence[float]) -> OrbitElements:
-    """Return the orbital elements of a record's numbers."""
-    return OrbitElements(
         sqrt_a=v[SQRT_A],
         eccentricity=v[ECCENTRICITY],
         i0_rad=v[I0],
@@ -236,6 +202,12 @@ def orbit_elements(v: Sequence[float]) -> OrbitElements:
         cuc_rad=v[CUC],
         cis_rad=v[CIS],
         cic_rad=v[CIC],
+        group_delay_s=v[DELAY_B] if galileo and not record.is_fnav else v[DELAY],
+        group_delay_e5a_s=v[DELAY] if galileo else 0.0,
+        accuracy=accuracy,
+        health=_galileo_health(health) if galileo else l1_health(record.satellite, health),
+        codes=(int(v[SOURCE]), int(v[L2P])) if system == "G" else (0, 0),
+        long_fit=system == "G" and v[FIT] > 4.0,
     )
 
 

@@ -10,6 +10,7 @@ verified frame.
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -109,6 +110,12 @@ class Parser:
             data = self._incomplete + data
             self._incomplete = b""
         return self._parse(data, final=datagram)
+
+    def take_incomplete(self) -> bytes:
+        """Return and forget the buffered bytes, which are pushed again."""
+        data, self._incomplete = self._incomplete, b""
+        self.counters.bytes -= len(data)
+        return data
 
     @property
     def contains_frame(self) -> bool:
@@ -215,6 +222,17 @@ def frame_span(data: bytes, at: int) -> tuple[int, int, int] | None:
         return None
     checked = HEADER_V1 + data[at + 1]
     return checked + CRC_LENGTH, data[at + 5], checked
+
+
+def walk_frames(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield start, end and message id of the complete frames that bytes begin with, unverified."""
+    at = 0
+    while at < len(data) and data[at] in (STX_V1, STX_V2):
+        place = frame_span(data, at)
+        if place is None or at + place[0] > len(data):
+            return
+        yield at, at + place[0], place[1]
+        at += place[0]
 
 
 def begins_with_frame(data: bytes) -> bool:

@@ -44,8 +44,8 @@ class FramePacker(Protocol):
     start_us: int
     step_us: int | None  # timestamp of the last frames that the autopilot answers, None without one
 
-    def frames(self, t_us: int, truth: Truth, readings: Sequence[Reading]) -> list[bytes]:
-        """Pack the frames of a step."""
+    def frames(self, readings: Sequence[Reading]) -> list[bytes]:
+        """Pack the frames of the simulation's last step with the readings delivered at it."""
 
 
 class FrameSource(Protocol):
@@ -57,8 +57,8 @@ class FrameSource(Protocol):
         """The frames received since the last call; waits at most `wait_s` for the first."""
 
 
-class PlainStepper(Protocol):
-    """Runs plain steps instead of the loop; `simvehicle.plain` defines them."""
+class Stretcher(Protocol):
+    """Runs stretches of steps in compiled code instead of the loop."""
 
     def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
         """Step until a step needs the loop; the answer to that step is still outstanding.
@@ -88,8 +88,8 @@ class LockstepLoop:
         Multiple of real time; infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
         A `Lockstep` shared with other code that receives answers.
-    plain : Plain, optional
-        Runs plain steps at full speed while the autopilot answers.
+    stretches : Stretcher, optional
+        Runs stretches of steps at full speed while the autopilot answers.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class LockstepLoop:
         speed: float,
         progress: Progress,
         lockstep: Lockstep | None = None,
-        plain: PlainStepper | None = None,
+        stretches: Stretcher | None = None,
     ) -> None:
         self.t_us = 0
         self.lockstep = lockstep or Lockstep()
@@ -123,7 +123,7 @@ class LockstepLoop:
         # Until PX4's first answer
         self._controls = Controls(mix([0.0] * CHANNEL_COUNT), armed=False)
         self._speed = speed
-        self._plain = plain if math.isinf(speed) else None
+        self._stretches = stretches if math.isinf(speed) else None
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
         self._answer_due_s: float | None = None  # of the first answer; None once reported
@@ -169,14 +169,14 @@ class LockstepLoop:
     def _step(self) -> None:
         self.t_us, truth, readings = self._simulation.step(self._controls)
         # Sent in one write: half a step must not wake the autopilot.
-        self._inbox.link.write(b"".join(self._hil.frames(self.t_us, truth, readings)))
+        self._inbox.link.write(b"".join(self._hil.frames(readings)))
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         # The rest runs while the autopilot computes its answer.
         self._update_truth(truth)
         self._simulation.prepare()
-        if self._plain is not None and self._locked:
-            self._controls = self._plain.fly(self._controls, self._update_truth)
+        if self._stretches is not None and self._locked:
+            self._controls = self._stretches.fly(self._controls, self._update_truth)
             now_s = time.monotonic()
         self._await_answer()
         if self._answer_due_s is not None and now_s > self._answer_due_s:

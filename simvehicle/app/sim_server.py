@@ -127,14 +127,15 @@ def check_sensors(scenario: Scenario) -> None:
 
 def _run_lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
     mav_type, mix = mav_type_and_mix(simulation)
-    packer = HilPacker(mav_type=mav_type)
+    packer = HilPacker(simulation.board, mav_type=mav_type)
     loop = LockstepLoop(simulation, packer, Inbox(link), mix, speed, progress)
     return serve_autopilot(loop, progress, None)
 
 
 def _run_real_time(simulation: Simulation, link: Link, progress: Progress) -> int:
     mav_type, mix = mav_type_and_mix(simulation)
-    loop = RealTimeLoop(simulation, HilPacker(mav_type=mav_type), Inbox(link), mix, progress)
+    packer = HilPacker(simulation.board, mav_type=mav_type)
+    loop = RealTimeLoop(simulation, packer, Inbox(link), mix, progress)
     try:
         return serve_autopilot(loop, progress, None)
     finally:
@@ -173,7 +174,7 @@ class FreeLoop:
         self._hil = Inbox(hil) if hil else None
         self._changes = PlantChanges(simulation, progress.say)
         self._battery = BatteryWarnings(progress.say)
-        self._packer = HilPacker(mav_type=mav_type_and_mix(simulation)[0])
+        self._packer = HilPacker(simulation.board, mav_type=mav_type_and_mix(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None
         self._services: AutopilotLink | None = None
         self._pilot: Pilot | None = None
@@ -202,7 +203,7 @@ class FreeLoop:
         self.t_us, truth, readings = self._simulation.step(controls)
         self._battery.update(truth)
         if self._hil:
-            for chunk in join_datagrams(self._packer.frames(self.t_us, truth, readings)):
+            for chunk in join_datagrams(self._packer.frames(readings)):
                 self._hil.link.write(chunk)
             for frame in self._hil.frames():
                 # Plant faults arrive on the HIL link.

@@ -45,6 +45,7 @@ def standard_air(alt_msl_m: float) -> tuple[float, float, float]:
     return pressure, temperature, pressure / (_GAS_CONSTANT * temperature)
 
 
+@inlined
 def pressure_altitude(pressure_pa: float) -> float:
     """Height above mean sea level [m] at which the standard troposphere has this pressure."""
     ratio = math.pow(pressure_pa / SEA_LEVEL_PA, _GAS_CONSTANT * _LAPSE_KPM / STANDARD_GRAVITY_MPS2)
@@ -62,7 +63,9 @@ class Gusts:
 
 # Start of the second-order filters in `filters`
 LATERAL_FILTER, VERTICAL_FILTER = 1, 3
-SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY_WIND = 0, 3, 6, 7, 8  # start of each item in `weather`
+GUST_FILTERS = GUST_DRAWS = 5
+# Start of each item in `weather`, and its length
+SIGMA, LENGTH, REFERENCE, EXPONENT, STEADY_WIND, LAW_SIZE = 0, 3, 6, 7, 8, 11
 
 GUST_LEVELS = {
     "none": Gusts((0.0, 0.0, 0.0), (200.0, 200.0, 50.0)),

@@ -23,7 +23,7 @@ from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NOR
 Array = NDArray[np.float64]
 # Start of each item in the output of `locate_state`, after the geodetic position; its length
 AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, LOCAL_GRAVITY, LOCATION_SIZE = 3, 6, 9, 13, 16, 19
-_AXES, _GEOID = 3, 12  # in `HomeFrame.packed`, after the position
+_AXES, GEOID, HOME_SIZE = 3, 12, 13  # in `HomeFrame.packed`, after the position
 _gravity = cast(Callable[[float, float], float], inlined(gravity))
 
 
@@ -72,14 +72,14 @@ def locate_state(x: Array, wind: Array, home: Array, out: Array) -> None:
     """
     n, e, d, u, v, w = x[NORTH], x[EAST], x[DOWN], x[U], x[V], x[W]
     e0, e1, e2, e3 = x[E0], x[E1], x[E2], x[E3]
-    axes = home[_AXES:_GEOID].reshape(3, 3)
+    axes = home[_AXES:GEOID].reshape(3, 3)
     lat, lon, height = geodetic_of(
         home[0] + axes[0, 0] * n + axes[0, 1] * e + axes[0, 2] * d,
         home[1] + axes[1, 0] * n + axes[1, 1] * e + axes[1, 2] * d,
         home[2] + axes[2, 0] * n + axes[2, 1] * e + axes[2, 2] * d,
     )
     out[0], out[1], out[2] = lat, lon, height
-    out[AIR], out[AIR + 1], out[AIR + 2] = standard_air(height - home[_GEOID])
+    out[AIR], out[AIR + 1], out[AIR + 2] = standard_air(height - home[GEOID])
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     # Local north, east and down as rows; the vertical tilts with the distance from home.
     local = ((-sp * cl, -sp * sl, cp), (-sl, cl, 0.0), (-cp * cl, -cp * sl, -sp))

@@ -18,41 +18,19 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_of
-from simvehicle.gnss.satellite_orbits import (
-    Orbits,
-    satellite_state,
-)
+from simvehicle.gnss.satellite_orbits import satellite_state
 from simvehicle.gnss.signal_delays import ionosphere_m, troposphere_m
 
 Vector = NDArray[np.float64]
 
 FLIGHT_TIME_S = 0.075  # typical; initial value of the iteration
 NO_COEFFICIENTS = np.zeros(0)
-# Rows of `signal_geometry_rows`, in the order of `SignalGeometry`; the direction has three.
+# Rows of `signal_geometry`; the direction has three.
 (RANGE, RANGE_RATE, SAT_CLOCK, SAT_CLOCK_RATE, SAT_ELEVATION, SAT_AZIMUTH, DELAY, LINE_OF_SIGHT) = (
     range(8)
 )
 GEOMETRY_ROWS = LINE_OF_SIGHT + 3
 LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmospheric models are not valid below
-
-
-@dataclass(frozen=True, slots=True)
-class SignalGeometry:
-    """Geometry of n signals at one receiver; arrays are (n,) except `line_of_sight` (n, 3).
-
-    `range_m`, `rate_mps` are geometric; `line_of_sight` are unit vectors from the receiver to the
-    satellites, Earth-fixed at reception; `clock_s`, `clock_rate` are the satellites' clock errors;
-    `delay_m` is the atmospheric delay.
-    """
-
-    range_m: Vector
-    rate_mps: Vector
-    clock_s: Vector
-    clock_rate: Vector
-    elevation_rad: Vector
-    azimuth_rad: Vector
-    delay_m: Vector
-    line_of_sight: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,30 +46,8 @@ class Atmosphere:
         return NO_COEFFICIENTS if self.klobuchar is None else self.klobuchar
 
 
-def signal_geometry(
-    orbits: Orbits, tow_s: float, r_ecef_m: Vector, v_ecef_mps: Vector, atmosphere: Atmosphere
-) -> SignalGeometry:
-    """The signals received at GPS time `tow_s` at `r_ecef_m` (3,) with velocity `v_ecef_mps` (3,).
-
-    Satellites below the horizon are included; below 3 degrees of elevation the atmospheric delay
-    is that at 3 degrees.
-    """
-    out = signal_geometry_rows(
-        orbits.table,
-        tow_s,
-        r_ecef_m,
-        v_ecef_mps,
-        atmosphere.coefficients,
-        atmosphere.troposphere,
-    )
-    range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay = out[:LINE_OF_SIGHT]
-    return SignalGeometry(
-        range_m, rate_mps, clock_s, clock_rate, elevation, azimuth, delay, out[LINE_OF_SIGHT:].T
-    )
-
-
 @compiled
-def signal_geometry_rows(
+def signal_geometry(
     table: Vector,
     tow_s: float,
     r_ecef_m: Vector,
@@ -99,10 +55,14 @@ def signal_geometry_rows(
     coefficients: Vector,
     troposphere: bool,
 ) -> Vector:
-    """`SignalGeometry` as rows (10, n); empty `coefficients` mean no ionosphere.
+    """The signals of n satellites received at GPS time `tow_s`, as rows (10, n).
 
-    The position is `r_ecef_m[:3]`. The time of flight comes from two evaluations of the orbit, each
-    refined along the velocity; the remaining error is below a micrometre.
+    They are geometric range [m] and range rate [m/s], the satellite's clock error [s] and its rate,
+    elevation and azimuth [rad], the atmospheric delay [m], and the unit vector to the satellite,
+    Earth-fixed at reception. Below 3 degrees of elevation, and below the horizon, the delay is that
+    at 3 degrees; empty `coefficients` mean no ionosphere. The position is
+    `r_ecef_m[:3]`. The time of flight comes from two evaluations of the orbit, each refined along
+    the velocity; the remaining error is below a micrometre.
     """
     rx, ry, rz = r_ecef_m[0], r_ecef_m[1], r_ecef_m[2]
     lat, lon, height = geodetic_of(rx, ry, rz)

@@ -17,7 +17,7 @@ from simvehicle.gnss.pseudorange import (
     SAT_CLOCK,
     SAT_CLOCK_RATE,
     SAT_ELEVATION,
-    signal_geometry_rows,
+    signal_geometry,
 )
 
 Vector = NDArray[np.float64]
@@ -132,7 +132,7 @@ def solve_navigation(
     design, still = np.zeros((rows, m)), np.zeros(3)
     for _ in range(ITERATIONS_MAX):
         own_s = tow_s - x[FIRST_CLOCK] / SPEED_OF_LIGHT_MPS
-        geometry = signal_geometry_rows(table, own_s, x, still, coefficients, troposphere)
+        geometry = signal_geometry(table, own_s, x, still, coefficients, troposphere)
         _linearise(observed, geometry, x, design, residual)
         for i in range(n if near else 0):
             # Errors grow towards the horizon roughly with the inverse sine of the elevation.

@@ -19,7 +19,7 @@ from simvehicle.gnss.pseudorange import (
     SAT_CLOCK,
     SAT_CLOCK_RATE,
     SAT_ELEVATION,
-    signal_geometry_rows,
+    signal_geometry,
 )
 from simvehicle.gnss.signal_errors import multipath_sigma_m
 
@@ -38,7 +38,7 @@ RANGE_ADDED, CN0_DROP, _, RATE_ADDED = range(4)  # rows of the faults, in the or
 class SignalChannel(NamedTuple):
     """The propagation model between satellites and receiver, constant over a flight.
 
-    `coefficients` and `troposphere` as for `signal_geometry_rows`, `levels` (7,) the error sizes by
+    `coefficients` and `troposphere` as for `signal_geometry`, `levels` (7,) the error sizes by
     the names above, `galileo` (n,) is 1 for Galileo satellites.
     """
 
@@ -88,7 +88,7 @@ def simulate_signals(
         # The receiver samples on its own clock, so it moves by the offset until then.
         place[i] -= motion[i] * offset_s
     levels = channel.levels
-    geometry = signal_geometry_rows(
+    geometry = signal_geometry(
         table, tow_s - offset_s, place, motion, channel.coefficients, channel.troposphere
     )
     out = np.empty((4, len(table)))

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.fixedwing_controller import FixedWingController
 from simvehicle.vehicles.body import Controls, Truth
@@ -14,11 +13,6 @@ from simvehicle.vehicles.fixedwing.weave_kernel import Four, WeaveFeedback, weav
 
 if TYPE_CHECKING:
     from simvehicle.scenario.scenario_file import OpenLoopControls
-
-
-@compiled
-def _weave_controls(motion: WeaveFeedback, aim: Four, open_loop: Four, t_s: float) -> Four:
-    return weave_controls(motion, aim, open_loop, t_s)
 
 
 class OpenLoopController(FixedWingController):
@@ -52,6 +46,6 @@ class OpenLoopController(FixedWingController):
             p, q, _ = truth.omega_b_rps.tolist()
             airspeed = math.hypot(*truth.v_air_b_mps.tolist())
             motion = WeaveFeedback(float(roll), float(pitch), p, q, airspeed)
-            controls = _weave_controls(motion, self._aim, self._controls, truth.t_us * 1e-6)
+            controls = weave_controls(motion, self._aim, self._controls, truth.t_us * 1e-6)
         throws = (*self.vehicle.throw_rad, 1.0)
         return Controls(np.array(controls) / throws)

@@ -4,32 +4,17 @@ import math
 
 import numpy as np
 
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 from simvehicle.guidance.multirotor_controller import MultirotorController
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import (
-    Four,
-    QuadParameters,
     SwayFeedback,
     Three,
     quad_parameters,
     sway_commands,
 )
-
-
-@compiled
-def _sway_commands(
-    feedback: SwayFeedback,
-    aim: Three,
-    quad: QuadParameters,
-    gravity: float,
-    density_ratio: float,
-    t_s: float,
-) -> Four:
-    return sway_commands(feedback, aim, quad, gravity, density_ratio, t_s)
 
 
 class SwayController(MultirotorController):
@@ -64,7 +49,7 @@ class SwayController(MultirotorController):
         t_s = truth.t_us * 1e-6
         return Controls(
             np.array(
-                _sway_commands(
+                sway_commands(
                     feedback, self._aim, self._quad, STANDARD_GRAVITY_MPS2, density_ratio, t_s
                 )
             )

@@ -17,7 +17,7 @@ from mavproxy_fault.numerics.compile import compiled
 Array = NDArray[np.float64]
 # Two seconds of an IMU at 250 Hz: long enough to amortise the calls to numpy, short enough to keep
 # a state small.
-_BLOCK = 512
+BLOCK = 512
 
 
 @compiled
@@ -95,7 +95,8 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         if self.drift_sigma > 0.0:
             # Drawn from the stationary distribution, as for a sensor long switched on.
             drift = self.drift_sigma * rng.standard_normal(channels)
-        return self._refill(bias, drift, np.zeros(channels), rng, rate_hz)
+        start = NoiseState(iter(()), np.empty(0), bias, drift, np.zeros(channels))
+        return self.refill(start, rng, rate_hz)
 
     def next(
         self, state: NoiseState, rng: np.random.Generator, rate_hz: float
@@ -104,13 +105,13 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         # A loop that returns at once is the cheapest test for another row.
         for row in state.rows:
             return row, state
-        state = self._refill(state.bias, state.drift, state.walk, rng, rate_hz)
+        state = self.refill(state, rng, rate_hz)
         return next(state.rows), state
 
-    def _refill(
-        self, bias: Array, drift: Array, walk: Array, rng: np.random.Generator, rate_hz: float
-    ) -> NoiseState:
-        shape = (_BLOCK, len(bias))
+    def refill(self, state: NoiseState, rng: np.random.Generator, rate_hz: float) -> NoiseState:
+        """Draw the errors of the next block."""
+        _, _, bias, drift, walk = state
+        shape = (BLOCK, len(bias))
         block = np.broadcast_to(bias, shape).copy()
         # White noise of density N sampled at f has variance N^2 f, which adds to sigma^2.
         white = math.hypot(self.sigma, self.density * math.sqrt(rate_hz))

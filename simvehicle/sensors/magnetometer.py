@@ -1,17 +1,20 @@
 """Three-axis magnetometer."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
-from simvehicle.sensors.readings import MagReading
-from simvehicle.sensors.sensor import SensorParameters
-from simvehicle.vehicles.body import Truth
+from simvehicle.environment.geolocation import ATTITUDE
+from simvehicle.sensors.compiled_sensor import MAG, CompiledSensor
+from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.imu import apply_triad_errors
+
+_to_body = inlined(rotate_to_body)
 
 
-class Magnetometer(SensorParameters, frozen=True, kw_only=True):
+class Magnetometer(CompiledSensor, frozen=True, kw_only=True):
     """Measures the Earth's field in body axes [gauss].
 
     `field_ned_gauss` is the field at home; over some kilometres it changes by less than the noise.
@@ -19,24 +22,24 @@ class Magnetometer(SensorParameters, frozen=True, kw_only=True):
     """
 
     channels: ClassVar = {"noise": 3}
+    kind: ClassVar = MAG
 
     rate_hz: float = 50.0
     noise: NoiseModel = NoiseModel()
     field_ned_gauss: tuple[float, float, float] | None = None
 
-    def new_state(self, rng: np.random.Generator) -> NoiseState:
-        """Draw the constant errors."""
-        return self.noise.new_state(rng, 3, self.rate_hz)
+    def describe(self, record: Any) -> None:
+        """Write the parameters to a record of `SENSOR`."""
+        super().describe(record)
+        record["constants"][:] = self.field_ned_gauss
 
-    def sample(
-        self, truth: Truth, state: NoiseState, rng: np.random.Generator
-    ) -> tuple[MagReading, NoiseState]:
-        """One reading."""
-        # Filled in by the simulation.
-        assert self.field_ned_gauss is not None
-        error, state = self.noise.next(state, rng, self.rate_hz)
-        x, y, z = rotate_to_body(truth.q_nb.tolist(), self.field_ned_gauss)
-        a, b, c = error
-        gain = 1.0 + self.noise.scale
-        field = gain * x + a, gain * y + b, gain * z + c
-        return MagReading(truth.t_us, field, self.id), state
+
+@inlined
+def measure_field(flight: Any, sensor: Any) -> None:
+    """Values: the field."""
+    e0, e1, e2, e3 = ATTITUDE, ATTITUDE + 1, ATTITUDE + 2, ATTITUDE + 3
+    here, field, row = flight.here, sensor.constants, sensor.errors[sensor.row]
+    true = _to_body((here[e0], here[e1], here[e2], here[e3]), (field[0], field[1], field[2]))
+    seen = apply_triad_errors(true, sensor.scale[0], (row[0], row[1], row[2]), np.inf)
+    for i in range(3):
+        sensor.values[i] = seen[i]

@@ -1,5 +1,7 @@
 """The readings of the sensors: one frozen type per kind, in SI units and with a timestamp.
 
+Those of the compiled sensors are in their records (`flight_record`).
+
 Structs of plain floats, as they are created hundreds of times a second: creating a dataclass takes
 ten times as long, and an array of three numbers longer than the measurement.
 """
@@ -13,40 +15,6 @@ Triple = tuple[float, float, float]
 
 
 # gc=False: readings have no references that could form a cycle.
-class ImuReading(msgspec.Struct, frozen=True, gc=False):
-    """Rates (3,) in rad/s and specific force (3,) in m/s^2, body axes forward-right-down."""
-
-    t_us: int
-    gyro_b_rps: Triple
-    accel_b_mps2: Triple
-    id: int = 0
-
-
-class MagReading(msgspec.Struct, frozen=True, gc=False):
-    """Magnetic flux density (3,) in gauss, body axes."""
-
-    t_us: int
-    field_b_gauss: Triple
-    id: int = 0
-
-
-class PressureReading(msgspec.Struct, frozen=True, gc=False):
-    """Static pressure and air temperature."""
-
-    t_us: int
-    pressure_pa: float
-    pressure_alt_m: float  # in the standard atmosphere
-    temperature_c: float
-    id: int = 0
-
-
-class AirspeedReading(msgspec.Struct, frozen=True, gc=False):
-    """Differential pressure of the pitot tube."""
-
-    t_us: int
-    diff_pressure_pa: float
-
-
 class GpsReading(msgspec.Struct, frozen=True, gc=False):
     """A receiver's fix; `alt_m` is above mean sea level, `eph_m` and `epv_m` are one sigma."""
 
@@ -132,11 +100,7 @@ class BatteryReading(msgspec.Struct, frozen=True, gc=False):
 
 
 Reading = (
-    ImuReading
-    | MagReading
-    | PressureReading
-    | AirspeedReading
-    | GpsReading
+    GpsReading
     | PseudorangeReading
     | EphemerisReading
     | RangeReading

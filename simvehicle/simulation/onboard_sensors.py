@@ -10,6 +10,9 @@ import numpy as np
 from simvehicle.environment.geomagnetism import field_ned_gauss
 from simvehicle.gnss.gnss_sensor import gnss_sensor
 from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.sensors.compiled_sensor import CompiledSensor
+from simvehicle.sensors.error_model import BLOCK
+from simvehicle.sensors.flight_record import SENSOR, Records
 from simvehicle.sensors.readings import Reading
 from simvehicle.sensors.sensor import Sensor
 from simvehicle.vehicles.body import Truth
@@ -18,29 +21,55 @@ from simvehicle.vehicles.body import Truth
 class OnboardSensor:
     """A sensor on board: its state, its random stream and when its next sample is due."""
 
-    def __init__(self, name: str, sensor: Sensor, seed: int) -> None:
+    def __init__(self, name: str, sensor: Any, seed: int) -> None:
         self.name, self.sensor = name, sensor
         # Seeded by name, so that adding a sensor does not change the draws of the others.
         self.rng = np.random.default_rng([seed, crc32(name.encode())])
         self.state: Any = sensor.new_state(self.rng)
         # The first sample is due one period after the start: at t_us = 0 nothing is delivered.
-        self.count = 1
+        self._count = 1
         self.due_us = 1e6 / sensor.rate_hz
         self.latency_us = round(sensor.latency_s * 1e6)
 
     def sample(self, truth: Truth) -> list[Reading]:
         """Sample the truth; returns the readings."""
-        self.count += 1
+        sensor: Sensor = self.sensor
+        self._count += 1
         # From the count: a period that is no integer number of microseconds must not drift.
-        self.due_us = self.count * 1e6 / self.sensor.rate_hz
-        readings, self.state = self.sensor.sample(truth, self.state, self.rng)
+        self.due_us = self._count * 1e6 / sensor.rate_hz
+        readings, self.state = sensor.sample(truth, self.state, self.rng)
         return readings if isinstance(readings, list) else [readings]
 
 
-def create_onboard_sensors(scenario: Scenario, seed: int) -> list[OnboardSensor]:
-    """Create the sensors on board, the first IMU first."""
+class CompiledOnboardSensor(OnboardSensor):
+    """A compiled sensor on board; `record` of `SENSOR` has its parameters and sampling times."""
+
+    def __init__(self, name: str, sensor: CompiledSensor, seed: int, record: Any) -> None:
+        super().__init__(name, sensor, seed)
+        self.record = record
+        sensor.describe(record)
+        record["count"], record["due_us"] = self._count, self.due_us
+        self._put_errors()
+
+    def refill(self) -> None:
+        """Draw the next block of errors if the last one is used up."""
+        if self.record["row"] == BLOCK:
+            self.state = self.sensor.next_errors(self.state, self.rng)
+            self._put_errors()
+
+    def _put_errors(self) -> None:
+        blocks = np.hstack([noise.block for noise in self.state])
+        self.record["errors"][:, : blocks.shape[1]] = blocks
+        self.record["row"] = 0
+
+
+def create_onboard_sensors(
+    scenario: Scenario, seed: int
+) -> tuple[list[CompiledOnboardSensor], list[OnboardSensor], Records]:
+    """Create the compiled sensors, the first IMU first, the other sensors, and the former's
+    records."""
     sensors, start = scenario.sensors, scenario.start
-    onboard: list[OnboardSensor] = []
+    found: list[tuple[str, Any]] = []
     for kind in sensors.__struct_fields__:
         value = getattr(sensors, kind)
         if value is None or (kind == "gps" and scenario.gnss is not None):
@@ -49,8 +78,14 @@ def create_onboard_sensors(scenario: Scenario, seed: int) -> list[OnboardSensor]
             if kind == "mag" and sensor.field_ned_gauss is None:
                 field = field_ned_gauss(start.lat_deg, start.lon_deg, start.alt_m, start.time)
                 sensor = msgspec.structs.replace(sensor, field_ned_gauss=field)
-            onboard.append(OnboardSensor(f"{kind}{index}", sensor, seed))
+            found.append((f"{kind}{index}", sensor))
     if scenario.gnss is not None:
         home = math.radians(start.lat_deg), math.radians(start.lon_deg)
-        onboard.append(OnboardSensor("gnss", gnss_sensor(scenario.gnss, *home), seed))
-    return onboard
+        found.append(("gnss", gnss_sensor(scenario.gnss, *home)))
+    fast = [each for each in found if isinstance(each[1], CompiledSensor)]
+    records = np.zeros(len(fast), dtype=SENSOR)
+    compiled = [
+        CompiledOnboardSensor(*each, seed, record)
+        for each, record in zip(fast, records, strict=True)
+    ]
+    return compiled, [OnboardSensor(*each, seed) for each in found if each not in fast], records

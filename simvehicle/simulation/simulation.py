@@ -7,8 +7,7 @@ readings, and each part has its own random stream, so adding a sensor changes no
 import heapq
 import itertools
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -32,33 +31,27 @@ from simvehicle.guidance.open_loop_controller import OpenLoopController
 from simvehicle.guidance.route import PathTrack
 from simvehicle.guidance.sway_controller import SwayController
 from simvehicle.scenario.scenario_file import Scenario
-from simvehicle.sensors.airspeed import Airspeed
+from simvehicle.sensors.compiled_sensor import PITOT
+from simvehicle.sensors.flight_record import (
+    FLIGHT,
+    MAX_CONTROLS,
+    MAX_STATES,
+    Board,
+)
 from simvehicle.sensors.readings import Reading
+from simvehicle.simulation import step_kernel
 from simvehicle.simulation.onboard_sensors import OnboardSensor, create_onboard_sensors
 from simvehicle.simulation.vehicle_kinds import Controller, find_vehicle_kind
 from simvehicle.simulation.weather import Weather
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
-from simvehicle.vehicles.rigidbody_kernel import DOWN, RIGID_SIZE, P, U
-from simvehicle.vehicles.vehicle import VOLTS, pack_surroundings
+from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE, P, U
+from simvehicle.vehicles.vehicle import VOLTS
 
 Array = NDArray[np.float64]
-LONGEST_STEP_S = 0.005  # ground contact is stiff: 40 rad/s needs steps of a few ms
+NEVER_US = 2**62  # of an event that never comes
 _WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
-
-
-class StepState(NamedTuple):
-    """State of a flight and the precomputed inputs of its next step; see `Simulation.step`."""
-
-    t_us: int
-    x: Array
-    number: int  # the next step's number
-    next_us: int
-    steps: int
-    dt: float
-    wind: Array
-    surroundings: Array
 
 
 class Simulation:
@@ -75,9 +68,10 @@ class Simulation:
         `track` may be replaced in flight.
     truth : Truth
         The truth of the last step.
-    weather, onboard_sensors, delayed_readings, packed_home
-        The wind, the sensors on board, a heap of readings by delivery time, and the home frame as
-        `locate_state` takes it.
+    weather, compiled_sensors, onboard_sensors
+        The wind, and the sensors on board.
+    board : Board
+        The state of the flight, for compiled code.
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
@@ -90,35 +84,60 @@ class Simulation:
         self.kind = find_vehicle_kind(scenario.vehicle.kind)
         self.vehicle = self.kind.read(scenario.vehicle.parameters)
         self._plant: dict[str, float] = {}
-        self.weather = Weather(scenario.environment, self.seed)
-        self.onboard_sensors = create_onboard_sensors(scenario, self.seed)
-        self._rate_hz = self.onboard_sensors[0].sensor.rate_hz
-        self._count = 0
-        self._t_us = 0
-        # A heap by delivery time, then in the order of sampling.
-        self.delayed_readings: list[tuple[int, int, Reading]] = []
+        self.compiled_sensors, self.onboard_sensors, records = create_onboard_sensors(
+            scenario, self.seed
+        )
+        self._late = [fitted for fitted in self.compiled_sensors if fitted.latency_us]
+        self.board = Board(np.zeros(1, dtype=FLIGHT), records)
+        self._flight: Any = self.board.flight[0]
+        self.weather = Weather(scenario.environment, self.seed, self._flight)
+        # A heap by delivery time, then in the order of sampling: readings, and records' values.
+        self._delayed: list[tuple[int, int, Any]] = []
         self._order = itertools.count()
-        self._controls = np.zeros(self.vehicle.controls_count)
-        self._commands = self._controls
-        self.packed_home = self.home.packed
-        self._x = self._initial_state()
+        self._commands = np.zeros(self.vehicle.controls_count)
+        self._describe()
         # Before the first step, the specific force and battery of the truth are zero.
-        self.truth = self._observe(np.zeros(6), self.weather.steady_mps.copy())
+        self.observe(finite=step_kernel.locate(self.board.flight))
         # Created after the first truth, as its gains depend on the air density.
         self.controller = self._controller()
         self._next_control_us = 0.0
-        self._ahead: tuple[int, int, float, Array, Array] | None = None
         if scenario.mission:
             self.controller.track = self._mission()
+
+    def _describe(self) -> None:
+        """Fill in the flight's record."""
+        flight, controls = self._flight, self.vehicle.controls_count
+        flight["rate_hz"], flight["count"] = self.compiled_sensors[0].sensor.rate_hz, 1
+        flight["home"], flight["wind"] = self.home.packed, self.weather.steady_mps
+        flight["ground_m"] = self.scenario.start.alt_m
+        flight["wing"], flight["actuators"] = type(self.vehicle) is FixedWing, controls
+        x = self._initial_state()
+        if len(x) > MAX_STATES or controls > MAX_CONTROLS:
+            raise ConfigError(
+                f"vehicle.kind = {self.scenario.vehicle.kind} has {len(x)} states and {controls} "
+                f"controls; at most {MAX_STATES} and {MAX_CONTROLS} are supported"
+            )
+        flight["states"] = len(x)
+        # Views, for speed
+        self._x, self._load, self._here = flight["x"][: len(x)], flight["load"], flight["here"]
+        self._controls = flight["controls"][:controls]
+        self._x[:] = x
 
     @property
     def controls(self) -> Array:
         """The actuator commands of the last step, in the vehicle's order."""
-        return self._controls
+        flown: Array = self._controls.copy()
+        return flown
+
+    @property
+    def packed(self) -> Array | None:
+        """The vehicle's parameters for compiled code; None for a kind of another package."""
+        vehicle: Any = self.vehicle
+        return vehicle.packed if type(vehicle) in (FixedWing, Multirotor) else None
 
     def commanded(self) -> Array:
         """The built-in controller's commands for the next step, in the vehicle's order."""
-        if self._t_us >= self._next_control_us:
+        if self.truth.t_us >= self._next_control_us:
             self._commands = self.controller.update(self.truth).values
             # Accumulated, so that the mean rate is right even if steps do not divide the period.
             self._next_control_us += 1e6 / self.controller.rate_hz
@@ -138,64 +157,48 @@ class Simulation:
             Time since the start of the simulation, above 0.
         truth : Truth
         readings : list of Reading
-            The readings delivered at this step; the IMU's comes first.
+            The readings delivered at this step, except those in `board.sensors`.
         """
-        self._controls = self.commanded() if controls is None else self._checked(controls)
-        self._t_us, steps, dt, wind, surroundings = self._ahead or self._next_inputs()
-        self._ahead = None
-        self._x, load = self.vehicle.advance(self._x, self._controls, surroundings, steps, dt)
-        self.truth = self._observe(load, wind)
-        return self._t_us, self.truth, self._read()
+        self._controls[:] = self.commanded() if controls is None else self._checked(controls)
+        self.prepare()
+        flight, sensors = self.board
+        if (packed := self.packed) is not None:
+            finite = step_kernel.step(flight, sensors, packed)
+        else:
+            now = self._flight
+            self._x[:], self._load[:] = self.vehicle.advance(
+                self._x.copy(), self._controls, now["around"], int(now["substeps"]), now["dt"]
+            )
+            finite = step_kernel.arrive(flight, sensors)
+        truth = self.observe(finite=finite)
+        return truth.t_us, truth, self._read()
 
     def prepare(self) -> None:
         """Compute the inputs of the next step that do not depend on its controls; a change of the
         wind then takes effect one step later."""
-        self._ahead = self._ahead or self._next_inputs()
+        if self._flight["used_up"]:
+            self._flight["used_up"] = 0
+            self.weather.refill()
+            for fitted in self.compiled_sensors:
+                fitted.refill()
+        step_kernel.prepare(self.board.flight)
 
-    def step_state(self) -> StepState:
-        """The state now, with the inputs of the next step."""
-        self.prepare()
-        assert self._ahead is not None
-        return StepState(self._t_us, self._x, self._count, *self._ahead)
-
-    def adopt_state(self, t_us: int, x: Array, load: Array, wind: Array) -> Truth:
-        """Adopt a state that was computed elsewhere, with its load (6,) and wind (3,).
-
-        Raises
-        ------
-        ConfigError
-            If the state is not finite.
-        """
-        self._t_us, self._x = t_us, x
-        self.truth = self._observe(load, wind)
-        return self.truth
-
-    def resume_from(self, state: StepState, controls: Array) -> None:
-        """Continue after steps that were computed elsewhere; call it after `adopt_state`."""
-        self._count, self._ahead, self._controls = state.number, state[3:], controls
-
-    def _next_inputs(self) -> tuple[int, int, float, Array, Array]:
-        """The next step's end [us], its number of substeps and their length [s], wind and
-        surroundings."""
-        self._count += 1
-        # From the count: summing a period of 3.33 ms would drift.
-        t_us = round(self._count * 1e6 / self._rate_hz)
-        dt = (t_us - self._t_us) * 1e-6
-        truth = self.truth
-        # Constant over the step, as gusts are slow in comparison.
-        wind = self.weather.wind(self._x, truth, dt)
-        ground_down_m = float(self._x[DOWN]) + truth.height_agl_m
-        surroundings = pack_surroundings(wind, self._gravity, truth.density_kgpm3, ground_down_m)
-        # Divide long steps, so that a slow IMU does not make the integration coarse.
-        steps = max(1, math.ceil(dt / LONGEST_STEP_S - 1e-9))
-        return t_us, steps, dt / steps, wind, surroundings
+    def quiet_until_us(self) -> int:
+        """The time before which a step consists of compiled code alone, if no block of random
+        numbers is used up."""
+        if self.packed is None or not isinstance(self.terrain, LevelGround):
+            return 0
+        ends = [one.due_us for one in self.onboard_sensors]
+        ends += [float(one.record["due_us"]) for one in self._late]
+        ends += [self._delayed[0][0]] if self._delayed else []
+        return math.ceil(min(ends, default=NEVER_US))
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
         count = self.vehicle.controls_count
         if len(values) != count or not math.isfinite(sum(values.tolist())):
             raise ConfigError(
-                f"controls: {values.tolist()} at {self._t_us * 1e-6:.3f} s cannot be used; "
+                f"controls: {values.tolist()} at {self.truth.t_us * 1e-6:.3f} s cannot be used; "
                 f"{count} finite numbers are needed"
             )
         return values if controls.armed else np.zeros(count)
@@ -242,9 +245,9 @@ class Simulation:
     def pitot_offset_pa(self) -> float | None:
         """The pitot tube's offset in still air [Pa], as a preflight calibration measures it; None
         without a pitot tube."""
-        for fitted in self.onboard_sensors:
-            if isinstance(fitted.sensor, Airspeed):
-                return float(fitted.state.bias[0] + fitted.state.drift[0])
+        for fitted in self.compiled_sensors:
+            if fitted.sensor.kind == PITOT:
+                return float(fitted.state[0].bias[0] + fitted.state[0].drift[0])
         return None
 
     def _satellite_plant(self, name: str, value: float | None) -> None:
@@ -266,8 +269,6 @@ class Simulation:
         heading = math.radians(start.heading_deg)
         vehicle = self.vehicle
         zero = np.zeros(3)
-        # A placeholder until the position has been located.
-        self._gravity = np.array([0.0, 0.0, 9.81])
         if start.height_m == 0.0:
             height = vehicle.standing_height_m
             return vehicle.start(
@@ -299,9 +300,8 @@ class Simulation:
     def _air_and_gravity(self, x: Array) -> tuple[float, float]:
         """Air density [kg/m^3] and gravity [m/s^2] at a state's position."""
         location = np.empty(LOCATION_SIZE)
-        locate_state(x, np.zeros(3), self.packed_home, location)
-        self._gravity = location[LOCAL_GRAVITY:]
-        return float(location[AIR + 2]), float(np.linalg.norm(self._gravity))
+        locate_state(x, np.zeros(3), self.home.packed, location)
+        return float(location[AIR + 2]), float(np.linalg.norm(location[LOCAL_GRAVITY:]))
 
     def _controller(self) -> Controller:
         scenario, density = self.scenario, self.truth.density_kgpm3
@@ -331,35 +331,41 @@ class Simulation:
         )
         return PathTrack(path)
 
-    def _observe(self, load: Array, wind: Array) -> Truth:
-        """The truth of the current state."""
-        x, location = self._x, np.empty(LOCATION_SIZE)
-        locate_state(x, wind, self.packed_home, location)
-        lat, lon, height, pressure, temperature, density = location[:VELOCITY].tolist()
-        # The height depends on the whole state, so it reveals any divergence.
-        if not math.isfinite(height):
+    def observe(self, *, finite: bool = True) -> Truth:
+        """Update `truth` to the state of the board.
+
+        Raises
+        ------
+        ConfigError
+            If the state is not finite.
+        """
+        flight = self._flight
+        if not finite:
             raise ConfigError(
-                f"the simulation diverged at {self._t_us * 1e-6:.3f} s; check the vehicle's "
+                f"the simulation diverged at {flight['t_us'] * 1e-6:.3f} s; check the vehicle's "
                 "parameters, controls and plant faults"
             )
-        self._gravity = location[LOCAL_GRAVITY:]
+        here = self._here.copy()
+        lat, lon, height, pressure, temperature, density = here[:VELOCITY].tolist()
         alt = height - self.home.geoid_m
         agl = alt - self.terrain.ground(lat, lon)
+        flight["agl_m"] = agl
+        x, load = self._x.copy(), self._load.copy()
         volts, amperes, charge = load[VOLTS:].tolist()
-        return Truth(
-            self._t_us,
+        self.truth = Truth(
+            int(flight["t_us"]),
             lat,
             lon,
             height,
             alt,
             agl,
             x[:U],
-            location[VELOCITY:ATTITUDE],
-            location[ATTITUDE:AIR_VELOCITY],
+            here[VELOCITY:ATTITUDE],
+            here[ATTITUDE:AIR_VELOCITY],
             x[P:RIGID_SIZE],
             load[:VOLTS],
-            location[AIR_VELOCITY:LOCAL_GRAVITY],
-            wind,
+            here[AIR_VELOCITY:LOCAL_GRAVITY],
+            flight["wind"].copy(),
             pressure,
             temperature,
             density,
@@ -368,10 +374,11 @@ class Simulation:
             charge,
             agl < self.vehicle.standing_height_m + 0.02,
         )
+        return self.truth
 
     def _read(self) -> list[Reading]:
         """The readings delivered at this step, including delayed ones."""
-        truth, t_us = self.truth, self._t_us
+        truth, t_us = self.truth, self.truth.t_us
         out: list[Reading] = []
         for fitted in self.onboard_sensors:
             if t_us < fitted.due_us:
@@ -380,33 +387,26 @@ class Simulation:
                 out += fitted.sample(truth)
                 continue
             for reading in fitted.sample(truth):
-                # The counter orders readings of the same time, as readings cannot be compared.
-                heapq.heappush(
-                    self.delayed_readings, (t_us + fitted.latency_us, next(self._order), reading)
-                )
-        while self.delayed_readings and self.delayed_readings[0][0] <= t_us:
-            # Stamped at delivery: the link does not reveal the age of a measurement.
-            out.append(msgspec.structs.replace(heapq.heappop(self.delayed_readings)[2], t_us=t_us))
+                self._delay(fitted, reading)
+        for late in self._late:
+            if late.record["fresh"]:
+                self._delay(late, (late.record, late.record["values"].copy()))
+                late.record["fresh"] = 0
+        while self._delayed and self._delayed[0][0] <= t_us:
+            item = heapq.heappop(self._delayed)[2]
+            if isinstance(item, tuple):
+                record, record_values = item
+                record["values"], record["fresh"] = record_values, 1
+            else:
+                # Stamped at delivery: the link does not reveal the age of a measurement.
+                out.append(msgspec.structs.replace(item, t_us=t_us))
         return out
 
-
-def simulate_flight(
-    scenario: Scenario, seed: int | None = None
-) -> Iterator[tuple[int, Truth, list[Reading]]]:
-    """Simulate a scenario from start to end with the built-in controller.
-
-    Yields
-    ------
-    t_us, truth, readings
-        At each sample of the IMU.
-    """
-    simulation = Simulation(scenario, seed)
-    end_us = round(scenario.duration_s * 1e6)
-    while True:
-        step = simulation.step()
-        if step[0] > end_us:
-            return
-        yield step
+    def _delay(self, sensor: OnboardSensor, item: Any) -> None:
+        """Keep a reading, or a record with its values, until it is delivered."""
+        # The counter orders items of the same time, as they cannot be compared.
+        due_us = self.truth.t_us + sensor.latency_us
+        heapq.heappush(self._delayed, (due_us, next(self._order), item))
 
 
 def _load_terrain(scenario: Scenario) -> TerrainGrid | LevelGround:

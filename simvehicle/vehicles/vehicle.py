@@ -6,24 +6,27 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.compile import inlined
+
 Array = NDArray[np.float64]
 
 # Start of each item in `pack_surroundings`, and in the load of `advance`
-WIND, GRAVITY, DENSITY, GROUND, BATTERY_SAG = 0, 3, 6, 7, 8
+WIND, GRAVITY, DENSITY, GROUND, BATTERY_SAG, SURROUNDINGS_SIZE = 0, 3, 6, 7, 8, 9
 FORCE, VOLTS, CURRENT, CHARGE, LOAD_SIZE = 0, 3, 4, 5, 6
 
 
+@inlined
 def pack_surroundings(
-    wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float
+    wind_ned_mps: Array, gravity_ned_mps2: Array, density: float, ground_down_m: float, out: Array
 ) -> Array:
-    """Pack the external conditions of a step (9,) for the kernels.
+    """Pack the external conditions of a step into `out` (9,), and return it.
 
     `density` is that of the air [kg/m^3], `ground_down_m` the ground's down coordinate. The vehicle
     itself sets the last entry: its battery voltage relative to a full pack.
     """
-    out = np.empty(9)
-    out[WIND : WIND + 3] = wind_ned_mps
-    out[GRAVITY : GRAVITY + 3] = gravity_ned_mps2
+    for i in range(3):
+        out[WIND + i] = wind_ned_mps[i]
+        out[GRAVITY + i] = gravity_ned_mps2[i]
     out[DENSITY], out[GROUND], out[BATTERY_SAG] = density, ground_down_m, 1.0
     return out
 

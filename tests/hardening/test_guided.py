@@ -112,7 +112,7 @@ def machine(one: Core, tape: CaptureBuffer) -> Passage | None:
     """The core's compiled path; None on systems without one."""
     if not HAS_RECVMMSG:
         return None
-    with patch("mavproxy_fault.compiled.tables.load", made):
+    with patch("mavproxy_fault.compiled.compiled_core.load", made):
         return Passage(one, tape)
 
 

@@ -9,9 +9,7 @@ from analysis.autopilots.flight_operator import AutopilotCommands
 from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
 from analysis.autopilots.running_autopilot import RunningAutopilot
-from analysis.autopilots.user_parameters import format_parameters
 from mavproxy_fault.ardupilot.autopilot_process import check_command
-from mavproxy_fault.ardupilot.bridge_command import user_parameter_files
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.parameters import VehicleKind
 from simvehicle.simulation.simulation import Simulation
@@ -42,15 +40,10 @@ def start_autopilot(
 ) -> Iterator[RunningAutopilot]:
     """Start the bridge and ArduPilot with the user's `overrides` parameters, for one flight."""
     path, kind = folder / "bridge.log", KINDS[simulation.scenario.vehicle.kind]
-    files = []
-    if overrides:
-        file = folder / "own.parm"
-        file.write_text(format_parameters(overrides))
-        files = user_parameter_files(str(file))
     with path.open("w", buffering=1) as log, contextlib.ExitStack() as stack:
         # In this process: a separate one would cost two context switches per step.
         bridge = BridgedAutopilot(
-            arguments, kind, folder / "autopilot", files, lambda line: print(line, file=log)
+            arguments, kind, folder / "autopilot", overrides, lambda line: print(line, file=log)
         )
         stack.callback(bridge.close)
         yield RunningAutopilot("ArduPilot", bridge, [bridge], path, BRIDGE_STEP)

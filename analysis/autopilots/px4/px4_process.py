@@ -23,6 +23,7 @@ from analysis.autopilots.hil_exchange import PX4_STEP
 from analysis.autopilots.px4.px4_parameters import AIRFRAMES, STREAMS_HZ, run_parameters
 from analysis.autopilots.running_autopilot import RunningAutopilot, terminate_on_exit
 from mavproxy_fault.ardupilot.child_process import die_with_parent
+from mavproxy_fault.documents.atomic_file import replace_file
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.links.udp import UdpServer
@@ -77,7 +78,7 @@ def start_autopilot(
         telemetry = stack.enter_context(contextlib.closing(UdpServer(LOOPBACK, 0)))
         (work_folder / "px4-rc.mavlink").write_text(stream_script(free_udp_port(), telemetry.port))
         path = work_folder / "px4.log"
-        with path.open("wb") as log:
+        with replace_file(path) as log:
             process = subprocess.Popen(
                 [*arguments, "-i", str(instance), "-w", str(work_folder)],
                 env=process_environment(simulation, work_folder, overrides),

@@ -5,33 +5,21 @@ It reports every second while all actuators respond, and every half second while
 
 from typing import ClassVar
 
-import numpy as np
-
 from analysis.detection.actuators.actuator_hypotheses import (
     DETECTION_SCORE,
     LOAD,
-    NO_HYPOTHESIS,
     PITOT,
 )
 from analysis.detection.actuators.actuator_response import (
     BY_FIRST_FIX,
-    COUNTS,
-    CRASH_US,
     FLYING_SPEED_MPS,
-    HYPOTHESIS,
-    NEVER_US,
-    NO_STATISTIC,
     ActuatorResponse,
-    ActuatorVerdicts,
-    track_actuators,
+    ActuatorVerdict,
 )
 from analysis.detection.actuators.alarm_precedence import ACTUATORS
 from analysis.detection.actuators.effects import AXES, Effects
-from analysis.detection.actuators.motion_bins import new_motion_bins
+from analysis.detection.actuators.motion_bins import MotionBins
 from analysis.detection.actuators.motion_filter import initial_motion_model
-from analysis.detection.actuators.motor_imbalance import new_motor_trim
-from analysis.detection.actuators.response_regression import new_regression
-from analysis.detection.actuators.switched_off import new_output_states
 from analysis.detection.detector_registry import BlockDetector
 from analysis.results import OR_SEPARATOR, SensorDecision
 from analysis.samples.block import COMMAND, Block
@@ -54,60 +42,40 @@ class ActuatorDetector(BlockDetector, frozen=True):
             if not (block.kind == COMMAND).any():
                 return [], None
             state = _initial_state(self.effects)
-        count = len(block.kind)
-        verdicts = ActuatorVerdicts(
-            np.empty((count, 4), np.int64), np.empty((count, 3)), np.zeros(1, np.int64)
-        )
-        track_actuators(block.kind, block.t_us, block.values, state, verdicts)
-        filled = int(verdicts.filled[0])
-        rows = zip(verdicts.rows[:filled].tolist(), verdicts.values[:filled].tolist(), strict=True)
         names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
-            (row, _result(t_us, [names[n] for n in numbers if n != NO_HYPOTHESIS], *values))
-            for (row, t_us, *numbers), values in rows
+            (verdict.row, _result(verdict, [names[n] for n in verdict.isolated if n in names]))
+            for verdict in state.add_block(block)
         ], state
 
 
 def _initial_state(effects: Effects) -> ActuatorResponse:
     """The state when the first command comes."""
-    counts = np.zeros(COUNTS, np.int64)
-    counts[HYPOTHESIS:CRASH_US] = NO_HYPOTHESIS
-    counts[CRASH_US] = NEVER_US
-    return ActuatorResponse(
-        new_motion_bins(effects.lags_s),
-        initial_motion_model(effects),
-        new_output_states(),
-        effects.mix,
-        effects.disturbance(),
-        counts,
-        np.array([np.nan, BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS]),
-        np.full(3, np.nan),
-        new_motor_trim(),
-        new_regression(),
-    )
+    ground_mps = BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS
+    bins, model = MotionBins(effects.lags_s), initial_motion_model(effects)
+    return ActuatorResponse(bins, model, effects.disturbance(), ground_mps)
 
 
-def _result(
-    t_us: int, isolated: list[str], statistic: float, deficit: float, loss: float
-) -> SensorDecision:
+def _result(verdict: ActuatorVerdict, isolated: list[str]) -> SensorDecision:
     name = OR_SEPARATOR.join(isolated)
     return SensorDecision(
-        t_us=t_us,
+        t_us=verdict.t_us,
         sensor=ACTUATORS,
-        statistic=None if statistic == NO_STATISTIC else statistic,
-        threshold=None if statistic == NO_STATISTIC else DETECTION_SCORE,
+        statistic=verdict.statistic,
+        threshold=None if verdict.statistic is None else DETECTION_SCORE,
         dof=AXES,
         alarm=bool(isolated),
         isolated=len(isolated) == 1,
-        reason=_reason(name, deficit, loss),
+        reason=_reason(name, verdict),
         suspect=name,
     )
 
 
-def _reason(name: str, deficit: float, loss: float) -> str:
+def _reason(name: str, verdict: ActuatorVerdict) -> str:
+    deficit, loss = verdict.deficit, verdict.share
     if not name:
         return ""
-    if deficit == NO_STATISTIC:
+    if verdict.statistic is None:
         return f"{name}: its output is switched off in flight"
     if loss > 0.0:
         return f"{name}: follows {max(0.0, 1.0 - loss):.2f} of its command"

@@ -1,4 +1,4 @@
-"""Learns the coefficients of the motion in flight, compiled: one Kalman filter per axis.
+"""Learns the coefficients of the motion in flight: one Kalman filter per axis.
 
 The terms x of a bin predict the motion of each axis as theta' x. theta is constant except for its
 first element, the constant term, which follows a random walk, as trim, load and steady wind change.
@@ -15,7 +15,8 @@ References
    (recursive least squares).
 """
 
-from typing import NamedTuple
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +32,11 @@ from analysis.detection.actuators.effects import (
     FORWARD_BY_AIRSPEED,
     GUST_MPS,
     OUTPUT,
+    RATE,
     TERMS,
     Effects,
 )
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 BIN_S = 0.1
@@ -51,189 +52,135 @@ UNOBSERVED_VARIANCE = 1e6  # variance of an axis that is not observed
 MOST_SIGMAS = 3.0  # e is clipped to three sigma: p 0.3 %
 MOST_SPEED_RATIO = 2.0  # bound of the airspeed's scale, in cruise speeds
 MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m above which m has less weight in C: chi2inv(0.875, 6)
+# A learned rotor: 5 sigma (p 6e-7), and some lift, part of which reactions to gusts hide.
+KNOWN_SIGMAS, LEARNED_LIFT_MPS2 = 5.0, -0.3
 
 
-# Of `counts`: bins since the start, bins that wait, whether the vehicle is unknown
-BINS, WAITING, UNKNOWN = range(3)
+@dataclass(slots=True)
+class MotionModel:
+    """The model of the motion.
 
-
-class MotionModel(NamedTuple):
-    """The model of the motion; `compare_motion` and `learn_motion` change it in place.
-
-    `powers` (TERMS,) and `cruise_mps` as in `Effects`; `theta` (AXES, TERMS) and its covariances
-    `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread` (AXES, AXES) is C, `nonlinearity`
-    (AXES,) the part of m that the linear model cannot predict; `mean_terms` (TERMS,) are the terms
-    that it is linear about; `error` and `doubt` (AXES,): e and the variance of theta' x. `waiting`
-    (DELAY_BINS + 1, TERMS + 2 AXES + 1): terms, motion, m and its statistic of bins that wait for
-    learning; `counts` (3,).
+    `theta` (AXES, TERMS) with covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread`
+    (AXES, AXES) is C, `nonlinearity` (AXES,) the part of m that the linear model cannot predict;
+    `mean_terms` (TERMS,) are the terms that it is linear about; `error` and `doubt` (AXES,): e and
+    the variance of theta' x. `waiting` are terms, motion, m and its statistic of bins that wait for
+    learning, `bins` the number since the start.
     """
 
-    powers: Vector
-    cruise_mps: float
+    effects: Effects
     theta: Vector
     p: Vector
-    mean: Vector
-    spread: Vector
-    nonlinearity: Vector
-    mean_terms: Vector
-    error: Vector
-    doubt: Vector
-    waiting: Vector
-    counts: NDArray[np.int64]
+    mean: Vector = field(default_factory=lambda: np.zeros(AXES))
+    spread: Vector = field(default_factory=lambda: FIRST_SPREAD * np.eye(AXES))
+    nonlinearity: Vector = field(default_factory=lambda: np.zeros(AXES))
+    mean_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    error: Vector = field(default_factory=lambda: np.zeros(AXES))
+    doubt: Vector = field(default_factory=lambda: np.zeros(AXES))
+    waiting: deque[tuple[Vector, Vector, Vector, float]] = field(default_factory=deque)
+    bins: int = 0
+
+    def reset(self) -> None:
+        """Begin a flight; what was learned is kept."""
+        self.bins = 0
+        self.waiting.clear()
+        self.mean, self.nonlinearity = np.zeros(AXES), np.zeros(AXES)
+
+    def known_rotors(self) -> NDArray[np.bool_]:
+        """Which outputs (COMMANDS,) of an unknown vehicle are known to lift it."""
+        effects = self.theta[:, OUTPUT:RATE]
+        variances = np.diagonal(self.p, axis1=1, axis2=2)[:, OUTPUT:RATE]
+        surest = (effects**2 / variances).max(axis=0)
+        known: NDArray[np.bool_] = (effects[DOWN] < LEARNED_LIFT_MPS2) & (surest > KNOWN_SIGMAS**2)
+        return known
+
+    def has_airspeed(self, terms: Vector) -> bool:
+        """Whether the axis with the airspeed can be predicted for a bin."""
+        return bool(terms[AIRSPEED] > 0.0 and self.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0)
+
+    def scale_by_airspeed(self, terms: Vector) -> Vector:
+        """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
+        scaled = np.tile(terms, (AXES, 1))
+        scaled[DOWN, FORCE:] = 0.0
+        if terms[AIRSPEED] > 0.0:
+            ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / self.effects.cruise_mps)
+            scaled[:ANGULAR] *= ratio**self.effects.powers
+        return scaled
+
+    def covariance(self) -> Vector:
+        """The variance (AXES, AXES) of e by the model's uncertainty."""
+        return np.diag(self.doubt + self.nonlinearity**2)
+
+    def compare_motion(self, terms: Vector, motion: Vector) -> None:
+        """Predict the motion of a bin, and average the residual."""
+        self._predict(self.scale_by_airspeed(terms), terms, motion)
+        self._average_nonlinearity(terms)
+        self.bins += 1
+        self.mean += BIN_S / SHORT_S * (self.error - self.mean)
+
+    def _predict(self, scaled: Vector, terms: Vector, motion: Vector) -> None:
+        """Compute error and doubt of a bin's motion for the scaled terms."""
+        self.error = motion - (self.theta * scaled).sum(axis=1)
+        self.doubt = (np.matmul(self.p, scaled[:, :, None])[:, :, 0] * scaled).sum(axis=1)
+        if not self.has_airspeed(terms):
+            self.error[FORWARD_BY_AIRSPEED] = 0.0
+            self.doubt[FORWARD_BY_AIRSPEED] = UNOBSERVED_VARIANCE
+
+    def _average_nonlinearity(self, terms: Vector) -> None:
+        """Average the nonlinear part of a bin's motion."""
+        newest, along = np.zeros(AXES), self.theta[ANGULAR:DOWN]
+        # Drag grows with the square of lift, and a propeller pulls less in faster air.
+        lift = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
+        moved = EFFECT_SIGMA_SHARE * along[:, OUTPUT:] * (terms - self.mean_terms)[OUTPUT:]
+        newest[ANGULAR:DOWN] = np.sqrt((along[:, FORCE + 1] * lift) ** 2 + (moved**2).sum(axis=1))
+        if terms[AIRSPEED] == 0.0:  # the scale of an unknown airspeed
+            powers, cruise_mps = self.effects.powers, self.effects.cruise_mps
+            by_air = (powers * self.theta[:ANGULAR] * terms).sum(axis=1)
+            newest[:ANGULAR] = np.abs(by_air) * GUST_MPS / cruise_mps
+        self.nonlinearity += BIN_S / SHORT_S * (newest - self.nonlinearity)
+
+    def learn_motion(
+        self, terms: Vector, motion: Vector, statistic: float, suspected: bool
+    ) -> None:
+        """Queue a bin and learn from the oldest one; `suspected` drops the queue.
+
+        `statistic` is m' inv(V) m of the bin.
+        """
+        if suspected:
+            self.waiting.clear()
+            return
+        self.waiting.append((terms, motion, self.mean.copy(), statistic))
+        if len(self.waiting) <= DELAY_BINS:
+            return
+        terms, motion, mean, statistic = self.waiting.popleft()
+        self._update(terms, motion)
+        if self.bins > SPREAD_FROM_BIN:
+            weight = min(1.0, MEAN_OUTLIER_STATISTIC / max(statistic, 1e-9))
+            share = _memory_share(LONG_S, self.bins)
+            self.spread += share * (weight * np.outer(mean, mean) - self.spread)
+
+    def _update(self, terms: Vector, motion: Vector) -> None:
+        """One Kalman update per axis."""
+        scaled = self.scale_by_airspeed(terms)
+        self._predict(scaled, terms, motion)
+        walk = _memory_share(CONSTANT_S, self.bins)
+        self.mean_terms += walk * (terms - self.mean_terms)
+        noise = NOISE_PER_SPREAD * np.diagonal(self.spread)
+        variance = self.doubt + noise
+        most = MOST_SIGMAS * np.sqrt(variance)
+        gain = np.matmul(self.p, scaled[:, :, None])[:, :, 0]
+        gain[DOWN, FORCE:] = 0.0
+        over = gain / variance[:, None]
+        self.theta += over * np.clip(self.error, -most, most)[:, None]
+        self.p -= over[:, :, None] * gain[:, None, :]
+        # A random walk of k^2 times the noise gives a bin the weight k.
+        self.p[:, CONSTANT, CONSTANT] += noise * walk**2
 
 
 def initial_motion_model(effects: Effects) -> MotionModel:
     """The model before the flight."""
-    return MotionModel(
-        effects.powers,
-        effects.cruise_mps,
-        effects.coefficients.copy(),
-        effects.covariances(),
-        np.zeros(AXES),
-        FIRST_SPREAD * np.eye(AXES),
-        np.zeros(AXES),
-        np.zeros(TERMS),
-        np.zeros(AXES),
-        np.zeros(AXES),
-        np.zeros((DELAY_BINS + 1, TERMS + 2 * AXES + 1)),
-        np.array([0, 0, effects.unknown]),
-    )
+    return MotionModel(effects, effects.coefficients.copy(), effects.covariances())
 
 
-@compiled
 def _memory_share(memory_s: float, bins: int) -> float:
     """The weight of a bin in a memory, larger in the first bins."""
-    share: float = max(BIN_S / memory_s, EARLY_SHARE / (bins + EARLY_SHARE))
-    return share
-
-
-@compiled
-def has_airspeed_model(terms: Vector, model: MotionModel) -> bool:
-    """Whether the axis with the airspeed can be predicted for a bin."""
-    known: bool = terms[AIRSPEED] > 0.0 and model.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0
-    return known
-
-
-@compiled
-def scale_by_airspeed(terms: Vector, model: MotionModel) -> Vector:
-    """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
-    scaled = np.empty((AXES, TERMS))
-    scaled[:] = terms
-    if terms[AIRSPEED] > 0.0:
-        ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / model.cruise_mps)
-        for i in range(TERMS):
-            if model.powers[i] != 0.0:
-                scaled[:ANGULAR, i] *= ratio ** model.powers[i]
-    return scaled
-
-
-@compiled
-def _predict(scaled: Vector, motion: Vector, model: MotionModel) -> None:
-    """Compute error and doubt of a bin's motion for these terms (AXES, TERMS)."""
-    for axis in range(AXES):
-        count = FORCE if axis == DOWN else TERMS
-        terms = scaled[axis]
-        predicted = variance = 0.0
-        for i in range(count):
-            if terms[i] == 0.0:  # most outputs are unused
-                continue
-            predicted += model.theta[axis, i] * terms[i]
-            for j in range(count):
-                variance += terms[i] * model.p[axis, i, j] * terms[j]
-        model.error[axis], model.doubt[axis] = motion[axis] - predicted, variance
-    if not has_airspeed_model(scaled[FORWARD_BY_AIRSPEED], model):
-        model.error[FORWARD_BY_AIRSPEED], model.doubt[FORWARD_BY_AIRSPEED] = (
-            0.0,
-            UNOBSERVED_VARIANCE,
-        )
-
-
-@compiled
-def compare_motion(terms: Vector, motion: Vector, model: MotionModel) -> None:
-    """Predict the motion of a bin, and average the residual."""
-    _predict(scale_by_airspeed(terms, model), motion, model)
-    _average_nonlinearity(terms, model)
-    model.counts[BINS] += 1
-    for axis in range(AXES):
-        model.mean[axis] += BIN_S / SHORT_S * (model.error[axis] - model.mean[axis])
-
-
-@compiled
-def _average_nonlinearity(terms: Vector, model: MotionModel) -> None:
-    """Average the nonlinear part of a bin's motion."""
-    square = (terms[FORCE + 1] + STANDARD_GRAVITY_MPS2) ** 2 / (2.0 * STANDARD_GRAVITY_MPS2)
-    for axis in range(DOWN):
-        nonlinearity = 0.0
-        if axis >= ANGULAR:
-            # Drag grows with the square of lift, and a propeller pulls less in faster air.
-            nonlinearity = (model.theta[axis, FORCE + 1] * square) ** 2
-            for i in range(OUTPUT, TERMS):
-                nonlinearity += (
-                    EFFECT_SIGMA_SHARE * model.theta[axis, i] * (terms[i] - model.mean_terms[i])
-                ) ** 2
-        elif terms[AIRSPEED] == 0.0:
-            for i in range(TERMS):  # the scale of an unknown airspeed
-                nonlinearity += model.powers[i] * model.theta[axis, i] * terms[i]
-            nonlinearity = (nonlinearity * GUST_MPS / model.cruise_mps) ** 2
-        model.nonlinearity[axis] += (
-            BIN_S / SHORT_S * (np.sqrt(nonlinearity) - model.nonlinearity[axis])
-        )
-
-
-@compiled
-def learn_motion(
-    terms: Vector, motion: Vector, model: MotionModel, statistic: float, suspected: bool
-) -> None:
-    """Queue a bin and learn from the oldest one; `suspected` drops the queue.
-
-    `statistic` is m' inv(V) m of the bin.
-    """
-    if suspected:
-        model.counts[WAITING] = 0
-        return
-    last = model.counts[WAITING]
-    row = model.waiting[last]
-    row[:TERMS], row[TERMS : TERMS + AXES] = terms, motion
-    row[TERMS + AXES : TERMS + 2 * AXES] = model.mean
-    row[-1] = statistic
-    if last < DELAY_BINS:
-        model.counts[WAITING] = last + 1
-        return
-    first = model.waiting[0].copy()
-    model.waiting[:-1] = model.waiting[1:].copy()
-    _update(first[:TERMS], first[TERMS : TERMS + AXES], model)
-    if model.counts[BINS] > SPREAD_FROM_BIN:
-        mean = first[TERMS + AXES : TERMS + 2 * AXES]
-        weight = min(1.0, MEAN_OUTLIER_STATISTIC / max(first[-1], 1e-9))
-        share = _memory_share(LONG_S, model.counts[BINS])
-        for i in range(AXES):
-            for j in range(AXES):
-                model.spread[i, j] += share * (weight * mean[i] * mean[j] - model.spread[i, j])
-
-
-@compiled
-def _update(terms: Vector, motion: Vector, model: MotionModel) -> None:
-    """One Kalman update per axis."""
-    scaled = scale_by_airspeed(terms, model)
-    _predict(scaled, motion, model)
-    walk = _memory_share(CONSTANT_S, model.counts[BINS])
-    model.mean_terms[:] += walk * (terms - model.mean_terms)
-    for axis in range(AXES):
-        count = FORCE if axis == DOWN else TERMS
-        noise = NOISE_PER_SPREAD * model.spread[axis, axis]
-        variance = model.doubt[axis] + noise
-        most = MOST_SIGMAS * np.sqrt(variance)
-        error = min(most, max(-most, model.error[axis]))
-        p, gain = model.p[axis], np.zeros(TERMS)
-        for j in range(count):
-            if scaled[axis, j] != 0.0:
-                for i in range(count):
-                    gain[i] += p[i, j] * scaled[axis, j]
-        for i in range(count):
-            if gain[i] == 0.0:
-                continue
-            model.theta[axis, i] += gain[i] / variance * error
-            for j in range(count):
-                p[i, j] -= gain[i] * gain[j] / variance
-        # A random walk of k^2 times the noise gives a bin the weight k.
-        p[CONSTANT, CONSTANT] += noise * walk * walk
+    return max(BIN_S / memory_s, EARLY_SHARE / (bins + EARLY_SHARE))

@@ -1,4 +1,4 @@
-"""Tests over seconds whether actuators follow their commands, compiled: one regression each.
+"""Tests over seconds whether actuators follow their commands: one regression each.
 
 An actuator that lost a share g of its effect, or is stuck (g = 1), falls short by that share of
 every movement. Each step of half a second gives the residual e of the motion, and the signal s that
@@ -13,10 +13,9 @@ explains. A stuck actuator may also push by a constant. The variance of g is 1 /
 uncertainty of the effect itself.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.detection.actuators.actuator_hypotheses import (
     LOAD,
@@ -24,7 +23,6 @@ from analysis.detection.actuators.actuator_hypotheses import (
     OUTLIER_STATISTIC,
     PITCH,
     PITOT,
-    is_known_rotor,
 )
 from analysis.detection.actuators.effects import (
     ANGULAR,
@@ -34,18 +32,11 @@ from analysis.detection.actuators.effects import (
     FORCE,
     FORWARD_BY_AIRSPEED,
     OUTPUT,
+    RATE,
     TERMS,
 )
-from analysis.detection.actuators.motion_filter import (
-    BIN_S,
-    UNKNOWN,
-    MotionModel,
-    has_airspeed_model,
-    scale_by_airspeed,
-)
+from analysis.detection.actuators.motion_filter import BIN_S, MotionModel
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
 
 HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
 BINS_PER_STEP = 5  # bins of a step: half a second
@@ -70,241 +61,156 @@ JUMP_STATISTIC = 150.0  # remainder of one step beyond the hypothesis: a new fau
 EFFECT_SIGMA = 0.03  # one sigma of g: no effect is constant to better than 3 %, chosen
 
 
-class ResponseRegression(NamedTuple):
-    """Sums over the past; `update_regression` changes them in place.
+NO_HYPOTHESES = (NO_HYPOTHESIS, NO_HYPOTHESIS)
 
-    `bins` (TERMS + AXES,) are sums of terms and e of the step that is being filled, `filled` (1,)
-    its number of bins; `weight` (1,) is the number of steps in memory. About the means of s
-    (HYPOTHESES, AXES) and of e (AXES,) there are the sums of s' inv(V) s, of s' inv(V) e
-    (HYPOTHESES,) and of e' inv(V) e (1,). `cov` (AXES, AXES) is V, `learned_steps` (1,) what
-    it was learned from. `explained`, `shares` and `significance` (HYPOTHESES,) are r, g and g^2
-    over its variance; `hypotheses` (2,) are the best one, and one that explains as much.
+
+def _per_hypothesis() -> Vector:
+    return np.zeros(HYPOTHESES)
+
+
+@dataclass(slots=True)
+class ResponseRegression:
+    """Sums over the past.
+
+    `terms` (TERMS,) and `errors` (AXES,) are sums over the step that is being filled. `own` and
+    `shared` are the sums of s' inv(V) s and of s' inv(V) e, `square` of e' inv(V) e, about the
+    means `signals` (HYPOTHESES, AXES) and `error` (AXES,); `cov` (AXES, AXES) is V. `explained`,
+    `shares` and `significance` (HYPOTHESES,) are r, g and g^2 over its variance; `hypotheses` are
+    the best one, and one that explains as much.
     """
 
-    bins: Vector
-    filled: NDArray[np.int64]
-    weight: Vector
-    signals: Vector
-    error: Vector
-    own: Vector
-    shared: Vector
-    square: Vector
-    cov: Vector
-    learned_steps: Vector
-    explained: Vector
-    shares: Vector
-    significance: Vector
-    hypotheses: NDArray[np.int64]
+    terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    errors: Vector = field(default_factory=lambda: np.zeros(AXES))
+    filled: int = 0  # bins of the step
+    weight: float = 0.0  # number of steps in memory
+    signals: Vector = field(default_factory=lambda: np.zeros((HYPOTHESES, AXES)))
+    error: Vector = field(default_factory=lambda: np.zeros(AXES))
+    own: Vector = field(default_factory=_per_hypothesis)
+    shared: Vector = field(default_factory=_per_hypothesis)
+    square: float = 0.0
+    cov: Vector = field(default_factory=lambda: np.zeros((AXES, AXES)))
+    learned_steps: float = 0.0  # what V was learned from
+    explained: Vector = field(default_factory=_per_hypothesis)
+    shares: Vector = field(default_factory=_per_hypothesis)
+    significance: Vector = field(default_factory=_per_hypothesis)
+    hypotheses: tuple[int, int] = NO_HYPOTHESES
+
+    def reset(self) -> None:
+        """Start again; V is kept."""
+        self.terms, self.errors, self.filled = np.zeros(TERMS), np.zeros(AXES), 0
+        self.weight = self.square = 0.0
+        self.own, self.shared, self.explained = (_per_hypothesis() for _ in range(3))
+        self.hypotheses = NO_HYPOTHESES
+
+    def update(self, terms: Vector, model: MotionModel, suspected: bool) -> None:
+        """Add a bin, evaluate every half second; V is frozen while `suspected`."""
+        self.terms += terms
+        self.errors += model.error
+        self.filled += 1
+        if self.filled < BINS_PER_STEP:
+            return
+        terms, error = self.terms / BINS_PER_STEP, self.errors / BINS_PER_STEP
+        self.terms, self.errors, self.filled = np.zeros(TERMS), np.zeros(AXES), 0
+        if self.learned_steps == 0.0:
+            self.cov = INITIAL_SPREADS * model.spread
+        information = np.asarray(np.linalg.inv(self.cov + model.covariance()), float)
+        self._add_step(_signals(terms, model), error, information, not suspected)
+        self._weigh_hypotheses(model)
+
+    def _add_step(self, signals: Vector, error: Vector, information: Vector, healthy: bool) -> None:
+        """Add half a second with the signals and e (AXES,)."""
+        change, moved, first = error - self.error, signals - self.signals, self.hypotheses[0]
+        if first != NO_HYPOTHESIS:
+            # The hypothesis may explain the past but not this deviation.
+            rest = change - self.shares[first] * moved[first]
+            if rest @ information @ rest > JUMP_STATISTIC:
+                self.reset()
+                return
+        self.weight = RETENTION * self.weight + 1.0
+        share = 1.0 / self.weight
+        square = float(change @ information @ change)
+        if healthy and self.weight > EARLY_SHARE:
+            self.learned_steps += 1.0
+            early = EARLY_SHARE / (self.learned_steps + EARLY_SHARE)
+            memory = max(BINS_PER_STEP * BIN_S / LONG_S, early)
+            weight = min(1.0, OUTLIER_STATISTIC / max(square, 1e-9))
+            self.cov = self.cov + memory * (weight * np.outer(change, change) - self.cov)
+        self.error = self.error + share * change
+        self.signals = self.signals + share * moved
+        weighted = moved @ information
+        self.square = RETENTION * self.square + (1.0 - share) * square
+        self.own = RETENTION * self.own + (1.0 - share) * (weighted * moved).sum(axis=1)
+        self.shared = RETENTION * self.shared + (1.0 - share) * (weighted @ change)
+
+    def _weigh_hypotheses(self, model: MotionModel) -> None:
+        """Compute what each hypothesis explains, and choose one."""
+        self.hypotheses = NO_HYPOTHESES
+        information = np.linalg.inv(self.cov + model.covariance())
+        steady = information @ self.error / TRIM_VARIANCES
+        self.explained, self.shares, self.significance = (_per_hypothesis() for _ in range(3))
+        # Known rotors of an unknown vehicle; a load and a pitot tube on wings.
+        unknown = model.effects.unknown
+        possible = np.full(HYPOTHESES, model.effects.powers[CONSTANT] > 0.0)
+        possible[:COMMANDS] = model.known_rotors() if unknown else True
+        for i in np.flatnonzero(possible & (self.own > 1e-9)).tolist():
+            signal = self.signals[i]
+            own = self.own[i] + signal @ information @ signal / TRIM_VARIANCES
+            shared = self.shared[i] + signal @ steady
+            explained, doubt = shared**2 / own, 0.0
+            if i < COMMANDS:
+                effect = model.theta[:, OUTPUT + i].copy()
+                doubt = self._effect_variance(effect, model.p[:, OUTPUT + i, OUTPUT + i])
+                effect[FORWARD_BY_AIRSPEED] = 0.0
+                along = (effect @ steady) ** 2 / (effect @ information @ effect)
+                held = self.shared[i] ** 2 / self.own[i] + TRIM_VARIANCES * along
+                held -= STUCK_LEAST_EXPLAINED
+                if held > explained and self.shared[i] > STUCK_SHARE * self.own[i]:
+                    explained, own, shared = held, self.own[i], self.shared[i]
+                if not 0.0 < shared < MOST_LOSS * own:
+                    continue
+            self.explained[i], self.shares[i] = explained, shared / own
+            self.significance[i] = self.shares[i] ** 2 / (1.0 / own + doubt)
+        known = UNKNOWN_LEARNED_STEPS if unknown else LEARNED_STEPS
+        if self.learned_steps >= known and self.weight >= LEAST_STEPS:
+            self._choose_hypothesis(self.square + float(self.error @ steady))
+
+    def _effect_variance(self, effect: Vector, variance: Vector) -> float:
+        """The variance of g due to the uncertainty of an actuator's effect."""
+        axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
+        known = effect[axis] != 0.0
+        return EFFECT_SIGMA**2 + (float(variance[axis] / effect[axis] ** 2) if known else 0.0)
+
+    def _choose_hypothesis(self, total: float) -> None:
+        """Choose the one that explains most of the `total`, and one that explains as much."""
+        first, other = int(np.argmax(self.explained)), NO_HYPOTHESIS
+        best = self.explained[first]
+        left = max(0.0, total - best) / (AXES * self.weight)
+        fits = left < max(MOST_LEFT, MOST_LEFT_SHARE * best / (AXES * self.weight))
+        if best < LEAST_EXPLAINED or self.significance[first] < LEAST_SIGNIFICANCE or not fits:
+            return
+        second = 0.0
+        for i, explained in enumerate(self.explained.tolist()):
+            if i != first and explained > second:
+                second = explained
+                alike = LEAST_LEAD_SHARE * best if first < COMMANDS and i < COMMANDS else 0.0
+                if best - second < max(LEAST_LEAD * max(LEAST_NOISE, left), alike):
+                    other = i
+        self.hypotheses = first, other
+        if PITOT in self.hypotheses:
+            # Airspeed noise scales the surfaces' effects, so it is no evidence against them.
+            self.hypotheses = PITOT, NO_HYPOTHESIS
+        elif first == LOAD and other != NO_HYPOTHESIS:
+            # Of an actuator and a load the actuator is reported first.
+            self.hypotheses = other, first
 
 
-def new_regression() -> ResponseRegression:
-    """No bin has come yet."""
-    return ResponseRegression(
-        np.zeros(TERMS + AXES),
-        np.zeros(1, np.int64),
-        np.zeros(1),
-        np.zeros((HYPOTHESES, AXES)),
-        np.zeros(AXES),
-        np.zeros(HYPOTHESES),
-        np.zeros(HYPOTHESES),
-        np.zeros(1),
-        np.zeros((AXES, AXES)),
-        np.zeros(1),
-        np.zeros(HYPOTHESES),
-        np.zeros(HYPOTHESES),
-        np.zeros(HYPOTHESES),
-        np.full(2, NO_HYPOTHESIS),
-    )
-
-
-@compiled
-def reset_regression(state: ResponseRegression) -> None:
-    """Start again; V is kept."""
-    state.bins[:] = 0.0
-    state.filled[0] = 0
-    state.weight[0] = 0.0
-    state.own[:] = state.shared[:] = 0.0
-    state.square[0] = 0.0
-    state.explained[:] = 0.0
-    state.hypotheses[:] = NO_HYPOTHESIS
-
-
-@compiled
-def update_regression(
-    terms: Vector, model: MotionModel, suspected: bool, state: ResponseRegression
-) -> None:
-    """Add a bin's terms and error; evaluate every half second; V is frozen while `suspected`."""
-    for i in range(TERMS):
-        state.bins[i] += terms[i]
-    for i in range(AXES):
-        state.bins[TERMS + i] += model.error[i]
-    state.filled[0] += 1
-    if state.filled[0] < BINS_PER_STEP:
-        return
-    mean = state.bins / BINS_PER_STEP
-    state.bins[:], state.filled[0] = 0.0, 0
-    if state.learned_steps[0] == 0.0:
-        state.cov[:] = INITIAL_SPREADS * model.spread
-    _add_step(scale_by_airspeed(mean[:TERMS], model), mean[TERMS:], model, not suspected, state)
-    _weigh_hypotheses(model, state)
-
-
-@compiled
-def _add_step(
-    scaled: Vector, error: Vector, model: MotionModel, healthy: bool, state: ResponseRegression
-) -> None:
-    """Add half a second with the terms (AXES, TERMS) and e (AXES,)."""
-    information = invert_positive_definite(_noise_covariance(model, state))
-    change = error - state.error
-    if _jumps(change, scaled, information, model, state):
-        reset_regression(state)
-        return
-    state.weight[0] = RETENTION * state.weight[0] + 1.0
-    share = 1.0 / state.weight[0]
-    state.error[:] += share * change
-    weighted = multiply_vector(information, change)
-    square = (change * weighted).sum()
-    state.square[0] = RETENTION * state.square[0] + (1.0 - share) * square
-    if healthy and state.weight[0] > EARLY_SHARE:
-        state.learned_steps[0] += 1.0
-        memory = max(
-            BINS_PER_STEP * BIN_S / LONG_S, EARLY_SHARE / (state.learned_steps[0] + EARLY_SHARE)
-        )
-        weight = min(1.0, OUTLIER_STATISTIC / max(square, 1e-9))
-        for i in range(AXES):
-            for j in range(AXES):
-                state.cov[i, j] += memory * (weight * change[i] * change[j] - state.cov[i, j])
-    for i in range(HYPOTHESES):
-        signal = _signal(i, scaled, model) - state.signals[i]
-        state.signals[i] += share * signal
-        own = (signal * multiply_vector(information, signal)).sum()
-        state.own[i] = RETENTION * state.own[i] + (1.0 - share) * own
-        state.shared[i] = RETENTION * state.shared[i] + (1.0 - share) * (signal * weighted).sum()
-
-
-@compiled
-def _jumps(
-    change: Vector,
-    scaled: Vector,
-    information: Vector,
-    model: MotionModel,
-    state: ResponseRegression,
-) -> bool:
-    """Whether the hypothesis explains the past but not this deviation (AXES,) of e."""
-    first = state.hypotheses[0]
-    if first == NO_HYPOTHESIS:
-        return False
-    rest = change - state.shares[first] * (_signal(first, scaled, model) - state.signals[first])
-    return bool((rest * multiply_vector(information, rest)).sum() > JUMP_STATISTIC)
-
-
-@compiled
-def _signal(i: int, scaled: Vector, model: MotionModel) -> Vector:
-    """The e (AXES,) that a hypothesis predicts for g of 1."""
-    signal = np.zeros(AXES)
-    if i == LOAD:
-        signal[PITCH] = scaled[PITCH, FORCE + 1]
-    elif i == PITOT:
-        for axis in range(ANGULAR):
-            for k in range(TERMS):
-                signal[axis] -= model.powers[k] * model.theta[axis, k] * scaled[axis, k]
-    else:
-        for axis in range(AXES):
-            if axis != FORWARD_BY_AIRSPEED or has_airspeed_model(scaled[axis], model):
-                signal[axis] = -model.theta[axis, OUTPUT + i] * scaled[axis, OUTPUT + i]
-    return signal
-
-
-@compiled
-def _weigh_hypotheses(model: MotionModel, state: ResponseRegression) -> None:
-    """Compute what each hypothesis explains, and choose one."""
-    state.hypotheses[:] = NO_HYPOTHESIS
-    information = invert_positive_definite(_noise_covariance(model, state))
-    steady = multiply_vector(information, state.error) / TRIM_VARIANCES
-    total = state.square[0] + (state.error * steady).sum()
-    for i in range(HYPOTHESES):
-        state.explained[i] = state.shares[i] = state.significance[i] = 0.0
-        if state.own[i] <= 1e-9 or not _is_possible(i, model):
-            continue
-        signal = state.signals[i]
-        own = state.own[i] + (signal * multiply_vector(information, signal)).sum() / TRIM_VARIANCES
-        shared = state.shared[i] + (signal * steady).sum()
-        explained = shared**2 / own
-        if i < COMMANDS:
-            effect = model.theta[:, OUTPUT + i].copy()
-            effect[FORWARD_BY_AIRSPEED] = 0.0
-            along = (effect * steady).sum() ** 2 / (
-                effect * multiply_vector(information, effect)
-            ).sum()
-            held = (
-                state.shared[i] ** 2 / state.own[i] + TRIM_VARIANCES * along - STUCK_LEAST_EXPLAINED
-            )
-            if held > explained and state.shared[i] > STUCK_SHARE * state.own[i]:
-                explained, own, shared = held, state.own[i], state.shared[i]
-            if not 0.0 < shared < MOST_LOSS * own:
-                continue
-        state.explained[i], state.shares[i] = explained, shared / own
-        state.significance[i] = state.shares[i] ** 2 / (
-            1.0 / own + _effect_variance(i, model, state)
-        )
-    known = LEARNED_STEPS if model.counts[UNKNOWN] == 0 else UNKNOWN_LEARNED_STEPS
-    if state.learned_steps[0] >= known and state.weight[0] >= LEAST_STEPS:
-        _choose_hypothesis(total, state)
-
-
-@compiled
-def _is_possible(i: int, model: MotionModel) -> bool:
-    """Whether a hypothesis applies: known rotors of an unknown vehicle, a load on wings."""
-    if i >= COMMANDS:
-        return bool(model.powers[CONSTANT] > 0.0)
-    if model.counts[UNKNOWN] == 0:
-        return True
-    return is_known_rotor(i, model.theta, model.p)
-
-
-@compiled
-def _choose_hypothesis(total: float, state: ResponseRegression) -> None:
-    """Choose the hypothesis that explains most of the `total`, and one that explains as much."""
-    first = int(np.argmax(state.explained))
-    best = state.explained[first]
-    left = max(0.0, total - best) / (AXES * state.weight[0])
-    fits = left < max(MOST_LEFT, MOST_LEFT_SHARE * best / (AXES * state.weight[0]))
-    if best < LEAST_EXPLAINED or state.significance[first] < LEAST_SIGNIFICANCE or not fits:
-        return
-    state.hypotheses[0] = first
-    second = 0.0
-    for i in range(HYPOTHESES):
-        if i != first and state.explained[i] > second:
-            second = state.explained[i]
-            alike = LEAST_LEAD_SHARE * best if first < COMMANDS and i < COMMANDS else 0.0
-            if best - second < max(LEAST_LEAD * max(LEAST_NOISE, left), alike):
-                state.hypotheses[1] = i
-    if state.hypotheses[1] == PITOT or first == PITOT:
-        # Airspeed noise scales the surfaces' effects, so it is no evidence against them.
-        state.hypotheses[0], state.hypotheses[1] = PITOT, NO_HYPOTHESIS
-    elif first == LOAD and state.hypotheses[1] != NO_HYPOTHESIS:
-        # Of an actuator and a load the actuator is reported first.
-        state.hypotheses[0], state.hypotheses[1] = state.hypotheses[1], first
-
-
-@compiled
-def _noise_covariance(model: MotionModel, state: ResponseRegression) -> Vector:
-    """V with the model's uncertainty (AXES, AXES)."""
-    cov = state.cov.copy()
-    for axis in range(AXES):
-        cov[axis, axis] += model.doubt[axis] + model.nonlinearity[axis] ** 2
-    return cov
-
-
-@compiled
-def _effect_variance(i: int, model: MotionModel, state: ResponseRegression) -> float:
-    """The variance of g due to the uncertainty of a hypothesis' effect."""
-    if i >= COMMANDS:
-        return 0.0
-    best, doubt = 0.0, 0.0
-    for axis in range(AXES):
-        square = model.theta[axis, OUTPUT + i] ** 2
-        if square > best * state.cov[axis, axis]:
-            best = square / state.cov[axis, axis]
-            doubt = model.p[axis, OUTPUT + i, OUTPUT + i] / square
-    return EFFECT_SIGMA**2 + doubt
+def _signals(terms: Vector, model: MotionModel) -> Vector:
+    """The e (HYPOTHESES, AXES) that each hypothesis predicts for g of 1."""
+    scaled, signals = model.scale_by_airspeed(terms), np.zeros((HYPOTHESES, AXES))
+    signals[:COMMANDS] = -(model.theta * scaled)[:, OUTPUT:RATE].T
+    if not model.has_airspeed(terms):
+        signals[:COMMANDS, FORWARD_BY_AIRSPEED] = 0.0
+    signals[LOAD, PITCH] = scaled[PITCH, FORCE + 1]
+    by_air = model.effects.powers * model.theta[:ANGULAR] * scaled[:ANGULAR]
+    signals[PITOT, :ANGULAR] = -by_air.sum(axis=1)
+    return signals

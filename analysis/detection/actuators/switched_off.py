@@ -1,4 +1,4 @@
-"""Detects motors whose output is switched off in flight, compiled; no controller does that.
+"""Detects motors whose output is switched off in flight; no controller does that.
 
 An output that rose at take-off drives a motor. A flying controller keeps it above its value on the
 ground; it returns there only if something else takes the output over. A landing or an emergency
@@ -6,14 +6,13 @@ stop takes all motors at once, and isolates none; nor does a winged vehicle that
 more.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import COMMANDS
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 
 # in thousands of us above the ground value: it drives a motor (10 % of the usual range)
 MOTOR_RISE = 0.1
@@ -25,56 +24,39 @@ PARKED_COUNT = 3  # motors that are off together are parked
 UNKNOWN_US = -1
 
 
-class OutputStates(NamedTuple):
-    """The state of each output; `track_outputs` changes it in place.
+@dataclass(slots=True)
+class OutputStates:
+    """The state of each output, arrays (COMMANDS,).
 
-    `ground` and `average` (COMMANDS,): the least before the flight and the mean in it; `off_us`
-    (COMMANDS,): since when it is off, reset when it is reported; `reported` (COMMANDS,): whether it
-    was reported in this flight; `parked` (COMMANDS,): whether it is off with several others.
+    `ground` and `average`: the least before the flight and the mean in it; `off_us`: since when it
+    is off, reset when it is reported; `reported`: whether it was reported in this flight; `parked`:
+    whether it is off with several others.
     """
 
-    ground: Vector
-    average: Vector
-    off_us: NDArray[np.int64]
-    reported: NDArray[np.bool_]
-    parked: NDArray[np.bool_]
+    ground: Vector = field(default_factory=lambda: np.full(COMMANDS, np.inf))
+    average: Vector = field(default_factory=lambda: np.zeros(COMMANDS))
+    off_us: NDArray[np.int64] = field(default_factory=lambda: np.full(COMMANDS, UNKNOWN_US))
+    reported: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(COMMANDS, bool))
+    parked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(COMMANDS, bool))
 
-
-def new_output_states() -> OutputStates:
-    """No output has come yet."""
-    return OutputStates(
-        np.full(COMMANDS, np.inf),
-        np.full(COMMANDS, np.inf),
-        np.full(COMMANDS, UNKNOWN_US),
-        np.zeros(COMMANDS, np.bool_),
-        np.zeros(COMMANDS, np.bool_),
-    )
-
-
-@compiled
-def track_outputs(outputs: Vector, t_us: int, flies: bool, states: OutputStates) -> int:
-    """Add outputs (COMMANDS,) in thousands of us; the one that is found switched off, or -1."""
-    off_output, working, off_count = -1, 0, 0
-    for i in range(COMMANDS):
+    def track_outputs(self, outputs: Vector, t_us: int, flies: bool) -> int | None:
+        """Add outputs (COMMANDS,) in thousands of us; the one that is found switched off."""
         if not flies:
-            states.ground[i] = min(states.ground[i], outputs[i])
-            states.average[i], states.reported[i] = outputs[i], False
-        rises = states.average[i] - states.ground[i]
-        above = outputs[i] - states.ground[i]
-        if flies and rises > MOTOR_RISE and above <= OFF_SHARE * rises:
-            off_count += 1
-            if states.off_us[i] == UNKNOWN_US:
-                states.off_us[i] = t_us
-            if off_output < 0 and t_us - states.off_us[i] >= OFF_US and not states.parked[i]:
-                off_output = i
-        else:
-            working += rises > MOTOR_RISE and above >= WORKING_SHARE * rises
-            states.off_us[i], states.parked[i] = UNKNOWN_US, False
-            states.average[i] += AVERAGE_SHARE * (outputs[i] - states.average[i])
-    if off_count >= PARKED_COUNT:
-        states.parked[:] |= states.off_us != UNKNOWN_US
-        return -1
-    if off_output < 0 or working < LEAST_WORKING:
-        return -1
-    states.reported[off_output], states.off_us[off_output] = True, t_us
-    return off_output
+            self.ground, self.average = np.minimum(self.ground, outputs), outputs.copy()
+            self.reported[:] = False
+        rises, above = self.average - self.ground, outputs - self.ground
+        motors = rises > MOTOR_RISE
+        off = motors & (above <= OFF_SHARE * rises) & flies
+        working = motors & ~off & (above >= WORKING_SHARE * rises)
+        began = np.where(self.off_us == UNKNOWN_US, t_us, self.off_us)
+        self.off_us, self.parked = np.where(off, began, UNKNOWN_US), self.parked & off
+        self.average += np.where(off, 0.0, AVERAGE_SHARE * (outputs - self.average))
+        if off.sum() >= PARKED_COUNT:
+            self.parked |= off
+            return None
+        found = np.flatnonzero(off & (t_us - self.off_us >= OFF_US) & ~self.parked)
+        if not len(found) or working.sum() < LEAST_WORKING:
+            return None
+        first = int(found[0])
+        self.reported[first], self.off_us[first] = True, t_us
+        return first

@@ -7,6 +7,7 @@ fade with the correlation time of offsets, `slow_s`.
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -73,14 +74,22 @@ def freeze_offsets(memory: EpochMemory, t_us: int, config: FilterConfig) -> Epoc
     ramps = memory.ramps
     if ramps is None:
         return memory
-    remaining = _remaining(memory.frozen, t_us, config)
-    # Satellites frozen earlier may be out of view now and return: they stay in the table.
-    known = {name: remaining * offset_m for name, offset_m in memory.frozen.offsets_m.items()}
-    for name, offset_m in zip(ramps.names, ramps.windows.offset.tolist(), strict=True):
-        known[name] = known.get(name, 0.0) + offset_m
     windows = ramps.windows
+    learned = dict(zip(ramps.names, windows.offset.tolist(), strict=True))
     # The offsets known at the windows' starts move too, so that differences stay the same.
     windows = windows._replace(
         offset=np.zeros_like(windows.offset), offsets=windows.offsets - windows.offset
     )
-    return memory._replace(frozen=FrozenOffsets(t_us, known), ramps=ramps._replace(windows=windows))
+    return add_frozen(memory, learned, t_us, config)._replace(ramps=ramps._replace(windows=windows))
+
+
+def add_frozen(
+    memory: EpochMemory, offsets_m: Mapping[str, float], t_us: int, config: FilterConfig
+) -> EpochMemory:
+    """The memory with more offsets subtracted from the ranges from now on."""
+    remaining = _remaining(memory.frozen, t_us, config)
+    # Satellites frozen earlier may be out of view now and return: they stay in the table.
+    known = {name: remaining * offset_m for name, offset_m in memory.frozen.offsets_m.items()}
+    for name, offset_m in offsets_m.items():
+        known[name] = known.get(name, 0.0) + offset_m
+    return memory._replace(frozen=FrozenOffsets(t_us, known))

@@ -16,6 +16,9 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
 RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
+# A range error that is the same for so long, and this small, is multipath of a healthy satellite;
+# it is estimated. Larger ones are faults. Chosen: nothing healthy is excluded for a minute.
+STANDING_US, STANDING_SIGMAS = 45_000_000, 6.0
 HEALTHY_P = 1e-3  # two-sided: a healthy satellite leaves the bound once in a thousand epochs
 
 
@@ -24,13 +27,22 @@ class Exclusion:
     """A satellite that is not used: since when it is faulty, when that was found, and since when it
     has looked healthy again (None: it does not).
 
-    `whole_system` says that it was excluded with its whole system, not for its own range.
+    `whole_system` says that it was excluded with its whole system, not for its own range. `seen`
+    are the epochs since it was found, the mean and the mean square of its innovations in m.
     """
 
     onset_us: int
     found_us: int
     healthy_since_us: int | None = None
     whole_system: bool = False
+    seen: tuple[int, float, float] = (0, 0.0, 0.0)
+
+    def stands(self, t_us: int, sigma_m: float) -> bool:
+        """Whether its error has been constant for long, and is no larger than multipath is."""
+        _, mean_m, square_m2 = self.seen
+        constant = square_m2 - mean_m**2 <= sigma_m**2
+        small = abs(mean_m) <= STANDING_SIGMAS * sigma_m
+        return t_us - self.found_us >= STANDING_US and constant and small
 
 
 Exclusions = dict[str, Exclusion]  # by satellite
@@ -105,14 +117,16 @@ def add_exclusions(
 
 def readmit_satellites(
     excluded: Exclusions, innovations: ExcludedInnovations, t_us: int, config: IsolationConfig
-) -> Exclusions:
-    """The exclusions that remain after the innovations of an epoch.
+) -> tuple[Exclusions, dict[str, float]]:
+    """The exclusions that remain after the innovations of an epoch, and the standing errors in m of
+    satellites that are readmitted with them.
 
     A healthy satellite's innovation against a filter that does not use it is normal; the satellite
     is readmitted when that has been so for `readmit_s` without a break.
     """
+    standing: dict[str, float] = {}
     if not excluded:
-        return excluded
+        return excluded, standing
     out = dict(excluded)
     bound = two_sided_bound(HEALTHY_P)
     # Over its own sigma: a satellite low over the horizon is noisier, not less healthy.
@@ -122,15 +136,26 @@ def readmit_satellites(
         entry = out[name]
         if entry.whole_system:
             is_healthy = name[0] in returned and bool(abs(innovations.lasting[i]) <= bound)
+        v_m, lasting = innovations.range_m.item(i), innovations.lasting.item(i)
+        count, mean_m, square_m2 = entry.seen
+        count += 1
+        mean_m, square_m2 = (
+            mean_m + (v_m - mean_m) / count,
+            square_m2 + (v_m**2 - square_m2) / count,
+        )
+        entry = replace(entry, seen=(count, mean_m, square_m2))
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
         # A break restarts the wait, and so does an epoch from before the fault was found.
-        if not is_healthy or t_us < entry.found_us:
+        if not entry.whole_system and lasting and entry.stands(t_us, v_m / lasting):
+            del out[name]
+            standing[name] = mean_m
+        elif not is_healthy or t_us < entry.found_us:
             out[name] = replace(entry, healthy_since_us=None)
         elif (t_us - since) * 1e-6 >= config.readmit_s:
             del out[name]
         else:
             out[name] = replace(entry, healthy_since_us=since)
-    return out
+    return out, standing
 
 
 def _returned_systems(

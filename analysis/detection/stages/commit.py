@@ -29,12 +29,13 @@ from analysis.detection.isolation.common_shift import (
 from analysis.detection.isolation.constellations import SYSTEMS_CONTRADICT
 from analysis.detection.isolation.epoch_memory import (
     EpochMemory,
+    add_frozen,
     freeze_offsets,
     frozen_offsets_m,
 )
 from analysis.detection.isolation.epoch_statistics import parity_test
 from analysis.detection.isolation.exclusion import (
-    ExcludedInnovations,
+    Exclusions,
     add_exclusions,
     innovations_of_excluded,
     readmit_satellites,
@@ -79,7 +80,10 @@ def commit(
     excluded = innovations_of_excluded(
         assessment.excluded, assessment.excluded_innovations, prediction.motion, motion
     )
-    trust = _update_trust(core.trust, assessment, verdict, excluded, config)
+    remaining, standing = readmit_satellites(core.trust.excluded, excluded, t_us, config)
+    trust = _update_trust(core.trust, assessment, verdict, remaining)
+    if standing:
+        memory = add_frozen(memory, standing, t_us, config)
     imu = update_suspension(core.imu, imu_isolated, t_us, config)
     motion = align_attitude(imu, motion, prediction.segment, prediction.dt_s, config)
     # To a filter without an IMU an acceleration was the vehicle's own: not an error of the IMU.
@@ -134,11 +138,9 @@ def _update_trust(
     trust: Trust,
     assessment: Assessment,
     verdict: EpochVerdict,
-    excluded: ExcludedInnovations,
-    config: DetectorConfig,
+    remaining: Exclusions,
 ) -> Trust:
-    """Which sources are believed after the epoch; `excluded` are the innovations of satellites that
-    were not."""
+    """Which sources are believed after the epoch; satellites in `remaining` stay excluded."""
     ranges, t_us = verdict.ranges, assessment.prediction.motion.t_us
     names, jumped = assessment.satellites, verdict.jump_m is not None
     imu_isolated = _isolates_imu(assessment, verdict)
@@ -146,7 +148,6 @@ def _update_trust(
     # against the IMU.
     undecided = imu_isolated and (trust.misled or verdict.source == UNDECIDED)
     is_imu = imu_isolated and not undecided  # then it was the IMU before, too
-    remaining = readmit_satellites(trust.excluded, excluded, t_us, config)
     faulty = tuple(names[i] for i in ranges.faulty)
     unexplained = ranges.hypothesis in ("multiple-unknown", "gps") and not jumped
     # A satellite that the ranges isolate too is reported as excluded.

@@ -23,7 +23,7 @@ from analysis.detection.streams.stream_times import (
     SHARE,
     SILENT_US,
     Clock,
-    Stream,
+    SampleStream,
 )
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, IMU, IMU_ID, NEVER_US, Block
@@ -40,7 +40,7 @@ BURSTING = "{:.0f} samples at once"
 IMUS = 3
 STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
            "satellites", "link")  # fmt: skip
-# Stream by kind of sample, and how many of its numbers are measured; -1: shows only the time
+# SampleStream by kind of sample, and how many of its numbers are measured; -1: shows only the time
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2, -2)
 NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)
 SHOWS_TIME = np.array(STREAM_OF) != -2  # broadcasts and samples with a time of their own do not
@@ -53,15 +53,17 @@ BACK_US = 20_000  # jump back: more than frames that a link swaps
 EPOCH_1970_US = 100_000_000_000_000  # larger stamps count from 1970
 MOST = 10_000  # results of one block
 
-Anomaly = tuple[int, Stream, str, float]  # stamp, subject, reason, its amount
+Anomaly = tuple[int, SampleStream, str, float]  # stamp, subject, reason, its amount
 
 
 @dataclass
 class StreamStates:
     """The streams, the link that all share, and the clocks from boot and from 1970."""
 
-    streams: list[Stream] = field(default_factory=lambda: [Stream(name) for name in STREAMS[:-1]])
-    link: Stream = field(default_factory=lambda: Stream(STREAMS[-1]))
+    streams: list[SampleStream] = field(
+        default_factory=lambda: [SampleStream(name) for name in STREAMS[:-1]]
+    )
+    link: SampleStream = field(default_factory=lambda: SampleStream(STREAMS[-1]))
     clocks: tuple[Clock, Clock] = field(default_factory=lambda: (Clock(), Clock()))
 
     def add(self, kind: int, t_us: int, values: Sequence[float]) -> list[Anomaly]:
@@ -99,7 +101,7 @@ class StreamStates:
         stream.count += 1
         return found
 
-    def _stream_of(self, kind: int, values: Sequence[float]) -> Stream | None:
+    def _stream_of(self, kind: int, values: Sequence[float]) -> SampleStream | None:
         number = STREAM_OF[kind]
         if kind == IMU:
             number = min(max(int(values[IMU_ID]), 0), IMUS - 1)
@@ -108,7 +110,7 @@ class StreamStates:
         return self.streams[number] if number >= 0 else None
 
     def _accepts_time(
-        self, found: list[Anomaly], stream: Stream | None, clock: Clock, t_us: int
+        self, found: list[Anomaly], stream: SampleStream | None, clock: Clock, t_us: int
     ) -> bool:
         """Whether a sample's time is accepted; a time that jumps ahead has to be confirmed.
 
@@ -158,7 +160,7 @@ class StreamStates:
         clock.to_us = NEVER_US
 
     def _find_silent(
-        self, found: list[Anomaly], own: Stream | None, clock: Clock, t_us: int
+        self, found: list[Anomaly], own: SampleStream | None, clock: Clock, t_us: int
     ) -> None:
         """Report the streams that are silent, and compute until when none can be: the test is
         skipped until then, as a stream received later may be silent for as long."""
@@ -172,7 +174,9 @@ class StreamStates:
             stream.due_us += len(silent) * REPEAT_US
             clock.none_silent_us = min(clock.none_silent_us, stream.due_us)
 
-    def _test_times(self, found: list[Anomaly], stream: Stream, clock: Clock, t_us: int) -> None:
+    def _test_times(
+        self, found: list[Anomaly], stream: SampleStream, clock: Clock, t_us: int
+    ) -> None:
         """Test stamp and rate of a sample, and learn from it."""
         newest_us = clock.newest_us
         gap_us, late_us = t_us - stream.last_us, newest_us - t_us
@@ -192,7 +196,7 @@ class StreamStates:
                 reason, amount = (BURSTING, together) if together > 0 else (SPARSE, 1.0 - share)
                 found.append((newest_us, faulty, reason, amount))
 
-    def _another_is_regular(self, stream: Stream) -> bool:
+    def _another_is_regular(self, stream: SampleStream) -> bool:
         """Whether another known stream is regular, or none is known; else it is the link."""
         shares = [
             other.rate.missing_share(other.interval_us * 1e-6)
@@ -202,7 +206,7 @@ class StreamStates:
         return not shares or min(shares) < SINKING_SHARE
 
 
-def _jumps_ahead(stream: Stream | None, clock: Clock, t_us: int) -> bool:
+def _jumps_ahead(stream: SampleStream | None, clock: Clock, t_us: int) -> bool:
     """Whether a sample is further ahead than its stream alone can move the time."""
     ahead_us = t_us - clock.newest_us
     if stream is None or stream.count < RHYTHM_SAMPLES:
@@ -214,7 +218,7 @@ def _jumps_ahead(stream: Stream | None, clock: Clock, t_us: int) -> bool:
 
 
 def _stamp_is_wrong(
-    found: list[Anomaly], stream: Stream, gap_us: int, late_us: int, newest_us: int
+    found: list[Anomaly], stream: SampleStream, gap_us: int, late_us: int, newest_us: int
 ) -> bool:
     """Whether a sample's stamp goes back, is frozen or too late, which is reported."""
     if gap_us < -BACK_US:

@@ -38,7 +38,9 @@ class Clock:
     none_silent_us: int = NEVER_US  # before it no stream can be silent
     from_us: int = NEVER_US
     to_us: int = NEVER_US  # NEVER_US without a jump
-    jumped: set["Stream | None"] = field(default_factory=set)  # None: what only shows the time
+    jumped: set["SampleStream | None"] = field(
+        default_factory=set
+    )  # None: what only shows the time
     elapsed_us: int = NEVER_US  # without pauses of all streams
 
 
@@ -53,7 +55,7 @@ class _Number:
 
 
 @dataclass(slots=True, eq=False)
-class Stream:
+class SampleStream:
     """The newest stamps of a stream, and its usual times in us."""
 
     name: str

@@ -1,6 +1,5 @@
-"""Compiled code for an epoch's ranges and rates: the table of its satellites, and whitened rows."""
+"""An epoch's ranges and rates: the table of its satellites, and whitened rows."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +13,7 @@ from analysis.detection.filter.measurement import (
 )
 from analysis.detection.filter.range_noise import SigmaNumbers
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
-from analysis.orbits.broadcast import CLOCKS
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
@@ -29,7 +26,6 @@ COLUMNS = 11
 SHIFT, VELOCITY, CLOCK, DRIFT, RIGHT_SIDE, ROW = 3, 6, 9, 10, 11, 12
 
 
-@compiled
 def range_table(
     measurements: EpochMeasurements,
     x: Vector,
@@ -41,25 +37,19 @@ def range_table(
     """The table (n, COLUMNS) of an epoch's satellites at the filter's state x (21,)."""
     states = transmitting_states(measurements)
     innovations = innovations_kernel(measurements, states, x, ionosphere, sigma)
-    out = np.empty((states.shape[0], COLUMNS))
-    for i in range(out.shape[0]):
-        square, along = 0.0, 0.0
-        for k in range(3):
-            square += (states[i, k] - x[k]) ** 2
-            out[i, LOS + k] = -innovations.geometry[i, k]
-            along -= innovations.geometry[i, k] * x[V + k]
-        sagnac = (states[i, 0] * x[1] - states[i, 1] * x[0]) * (
-            GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS
-        )
-        white = math.sqrt(innovations.variance[i])
-        out[i, RESIDUAL] = innovations.range_m[i] + x[X_CLOCK]
-        out[i, CORRECTED] = out[i, RESIDUAL] + math.sqrt(square) + sagnac - states[i, SAT_CLOCK]
-        out[i, RATE] = innovations.rate_mps[i] + x[X_DRIFT] - along
-        out[i, SIGMA] = correlation * white
-        out[i, RATE_SIGMA] = math.sqrt(innovations.rate_variance[i])
-        out[i, NORMALISED] = innovations.range_m[i] / white
-        out[i, NORMALISED + 1] = innovations.rate_mps[i] / out[i, RATE_SIGMA]
-        out[i, ABOVE_MASK] = 1.0 if innovations.elevation_rad[i] >= mask_rad else 0.0
+    out = np.empty((len(states), COLUMNS))
+    los = -innovations.geometry[:, :3]
+    sagnac = (states[:, 0] * x[1] - states[:, 1] * x[0]) * GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS
+    distance = np.linalg.norm(states[:, :3] - x[:3], axis=1) + sagnac - states[:, SAT_CLOCK]
+    white, rate_sigma = np.sqrt(innovations.variance), np.sqrt(innovations.rate_variance)
+    out[:, LOS : LOS + 3] = los
+    out[:, RESIDUAL] = innovations.range_m + x[X_CLOCK]
+    out[:, CORRECTED] = out[:, RESIDUAL] + distance
+    out[:, RATE] = innovations.rate_mps + x[X_DRIFT] - los @ x[V : V + 3]
+    out[:, SIGMA], out[:, RATE_SIGMA] = correlation * white, rate_sigma
+    out[:, NORMALISED] = innovations.range_m / white
+    out[:, NORMALISED + 1] = innovations.rate_mps / rate_sigma
+    out[:, ABOVE_MASK] = innovations.elevation_rad >= mask_rad
     return out
 
 
@@ -72,7 +62,6 @@ class NodeState(NamedTuple):
     drift_mps: float
 
 
-@compiled
 def whiten_rows(
     table: Vector,
     weights: Vector,
@@ -87,63 +76,32 @@ def whiten_rows(
     Columns: pose (6), velocity (3), clock, drift, right side relative to the node. `axes` (3, 3)
     are the frame's; `ahead_m` (3,), in these axes, leads from the table's position to the node.
     """
-    out = np.zeros((2 * table.shape[0], ROW))
-    line_of_sight = np.empty(3)
-    count = 0
-    for kind in range(2):
-        for i in range(table.shape[0]):
-            use = ranges if kind == 0 else doppler and np.isfinite(table[i, RATE])
-            if not (use and weights[i] > 0.0):
-                continue
-            # The root: information is proportional to the weight. RATE_SIGMA follows SIGMA.
-            share = math.sqrt(weights[i]) / table[i, SIGMA + kind]
-            row = out[count]
-            count += 1
-            for k in range(3):
-                line_of_sight[k] = 0.0
-                for j in range(3):
-                    line_of_sight[k] += share * axes[k, j] * table[i, LOS + j]
-            if kind == 0:
-                row[CLOCK], row[RIGHT_SIDE] = share, share * (table[i, RESIDUAL] - at.clock_m)
-                for k in range(3):
-                    row[RIGHT_SIDE] += line_of_sight[k] * ahead_m[k]
-                    for j in range(3):
-                        row[SHIFT + k] -= line_of_sight[j] * at.pose[j, k]
-            else:
-                row[DRIFT], row[RIGHT_SIDE] = share, share * (table[i, RATE] - at.drift_mps)
-                for k in range(3):
-                    row[VELOCITY + k] = -line_of_sight[k]
-                    row[RIGHT_SIDE] += line_of_sight[k] * at.velocity[k]
-    return out[:count]
+    used = weights > 0.0
+    of_ranges = np.flatnonzero(used & ranges)
+    of_rates = np.flatnonzero(used & doppler & np.isfinite(table[:, RATE]))
+    out, count = np.zeros((len(of_ranges) + len(of_rates), ROW)), len(of_ranges)
+    # The root: information is proportional to the weight.
+    share = np.sqrt(weights[of_ranges]) / table[of_ranges, SIGMA]
+    los = share[:, None] * (table[of_ranges, LOS : LOS + 3] @ axes.T)
+    out[:count, SHIFT:VELOCITY], out[:count, CLOCK] = -los @ at.pose[:3, :3], share
+    residual = table[of_ranges, RESIDUAL] - at.clock_m
+    out[:count, RIGHT_SIDE] = share * residual + los @ ahead_m
+    share = np.sqrt(weights[of_rates]) / table[of_rates, RATE_SIGMA]
+    los = share[:, None] * (table[of_rates, LOS : LOS + 3] @ axes.T)
+    out[count:, VELOCITY:CLOCK], out[count:, DRIFT] = -los, share
+    residual = table[of_rates, RATE] - at.drift_mps
+    out[count:, RIGHT_SIDE] = share * residual + los @ at.velocity
+    return out
 
 
-@compiled
 def snapshot_covariance(table: Vector, weights: Vector, system: Indices, share: float) -> Vector:
     """Covariance (3, 3) in ECEF of a snapshot solution with a clock per system from the satellites
     with a weight, their sigmas multiplied by `share`; NaN if undetermined."""
-    clock, size, count = np.zeros(CLOCKS, np.int64), 3, 0
-    for kind in range(CLOCKS):
-        before = count
-        for i in range(table.shape[0]):
-            if weights[i] > 0.0 and system[i] == kind:
-                count += 1
-        if count > before:
-            # Only for systems in use: an unobserved clock would make the matrix singular.
-            clock[kind], size = size, size + 1
-    normal, row = np.zeros((size, size)), np.zeros(size)
-    for i in range(table.shape[0]):
-        if not weights[i] > 0.0:
-            continue
-        row[:] = 0.0
-        for k in range(3):
-            row[k] = table[i, LOS + k] / (share * table[i, SIGMA])
-        row[clock[system[i]]] = 1.0 / (share * table[i, SIGMA])
-        for k in range(size):
-            for j in range(size):
-                normal[k, j] += row[k] * row[j]
-    cofactor, out = invert_positive_definite(normal), np.empty((3, 3))
-    for k in range(3):
-        for j in range(3):
-            # With fewer satellites than unknowns rounding may still leave the matrix invertible.
-            out[k, j] = cofactor[k, j] if count >= size else np.nan
-    return out
+    used = weights > 0.0
+    # Only for systems in use: an unobserved clock would make the matrix singular.
+    clocks = system[used][:, None] == np.unique(system[used])
+    rows = np.hstack([table[used, LOS : LOS + 3], clocks]) / (share * table[used, SIGMA])[:, None]
+    # With fewer satellites than unknowns rounding may still leave the matrix invertible.
+    if rows.shape[0] < rows.shape[1]:
+        return np.full((3, 3), np.nan)
+    return invert_positive_definite(rows.T @ rows)[:3, :3]

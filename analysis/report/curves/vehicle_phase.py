@@ -79,6 +79,8 @@ MODES: Mapping[str, Mapping[int, str]] = {
 ROTORS, FLYERS = {COPTER, HELI}, {COPTER, HELI, PLANE, VTOL, BLIMP}
 ARMED, FLYING = "armed", "flying"
 
+STILL_M, STILL_S = 0.3, 3.0  # chosen: less moves only a vehicle that lies still
+LIFTED_M = 0.5  # chosen: the noise of a height on the ground, however long it is armed
 OFF_GROUND_M = 1.0  # chosen: above the noise of a barometric height at rest
 
 
@@ -122,7 +124,26 @@ def flying_windows(recording: FlightData) -> Windows | None:
             return armed
         air = [window for start, end in armed for window in _above(height, start, end)]
     both = [(max(a, c), min(b, d)) for a, b in armed for c, d in air]
-    return [(start, end) for start, end in both if end > start]
+    flown = [(start, _until_rest(recording, start, end)) for start, end in both if end > start]
+    return [(start, end) for start, end in flown if end > start]
+
+
+def _until_rest(recording: FlightData, start_s: float, end_s: float) -> float:
+    """The end of a window in the air, or before it the time from which the vehicle lies still at
+    its lowest height: one that has tipped over is not found to have landed. The start of one in
+    which it never left the ground."""
+    height = _height(recording)
+    if height is None:
+        return end_s
+    inside = (height.t_s >= start_s) & (height.t_s <= end_s) & np.isfinite(height.value)
+    t_s, metres = height.t_s[inside], height.value[inside]
+    if not len(t_s) or metres[-1] > metres.min() + STILL_M:
+        return end_s
+    if np.ptp(metres) < LIFTED_M:
+        return start_s
+    moving = np.flatnonzero(np.abs(metres - metres[-1]) > STILL_M)
+    rest_s = float(t_s[moving[-1]]) if len(moving) else end_s
+    return rest_s if end_s - rest_s > STILL_S else end_s
 
 
 def _windows(recording: FlightData, state: str) -> Windows | None:

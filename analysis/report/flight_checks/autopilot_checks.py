@@ -28,6 +28,9 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     if armed == []:
         return FlightCheck(name=name, verdict=NONE, evidence="never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
+    if not recording.of("gps-fix"):
+        # Without a receiver ArduPilot's estimator raises this flag from the beginning.
+        spans = [s for s in spans if s.text != "GPS glitch"]
     # Flags that were raised on the ground and last into the flight count too.
     spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
     if armed is None:

@@ -7,6 +7,7 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows
 from analysis.report.judging.vehicle_record import vehicle_record
 from analysis.scoring.vehicle_outcome import (
+    BLOW,
     ENDED_TILTED,
     REST_MPS,
     REST_S,
@@ -40,6 +41,16 @@ def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> Fli
         reason = "never armed" if record.armed == [] else "no height in the log"
         return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
     speed_mps, at_s = found.impact_mps, found.impact_s
+    blow = next((event for event in found.events if event.text.startswith(BLOW)), None)
+    if blow is not None and not (speed_mps or 0.0) > fail:
+        return FlightCheck(
+            name=name,
+            verdict=FAIL,
+            evidence=f"{blow.text}, at {blow.t_s:.1f} s",
+            limit=f"{limit}, or for a blow that ends the flight",
+            windows=((blow.t_s, blow.t_s + STOP_S),),
+            panel="accel",
+        )
     if speed_mps is None or at_s is None or speed_mps <= warn:
         slow = "none" if speed_mps is None else f"touched down at {speed_mps:.1f} m/s"
         return FlightCheck(name=name, verdict=PASS, evidence=slow, limit=limit, panel="climb")

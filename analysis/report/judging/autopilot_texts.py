@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from analysis.report.curves.recording import UNGRADED, Event, FlightData
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
+from analysis.scoring.vehicle_outcome import HIT_GROUND, is_crash_text
 
 ALARMING = re.compile(
     r"failsafe|crash|emergency|parachute|terminat|thrust loss|lost position|gps glitch"
@@ -22,10 +23,7 @@ SEVERE = re.compile(
     r"crash|emergency|parachute|terminat|failsafe(?!.*(short|clear))|thrust loss",
     re.IGNORECASE,
 )
-# Reports of a loss, whatever their severity: ArduPilot and its simulator send them as information.
-HIT_GROUND = re.compile(r"hit ground(?: at (-?\d+(?:\.\d+)?))?", re.IGNORECASE)
 RELEASED = re.compile(r"parachute:? released", re.IGNORECASE)
-HARD_MPS = 3.0  # as the limit of the check "ground impact": the simulator reports every landing
 # A setting or a check that is switched, not a condition.
 SETTING = re.compile(r"\b(dis|en)abled\b|\bset to\b|\bnot required\b", re.IGNORECASE)
 ENDED = re.compile(
@@ -70,11 +68,10 @@ def is_alarming(event: Event) -> bool:
 
 
 def is_loss(text: str) -> bool:
-    """Whether a message reports a hard impact or a released parachute."""
-    hit = HIT_GROUND.search(text)
-    if hit is not None:
-        return hit[1] is None or abs(float(hit[1])) > HARD_MPS
-    return bool(RELEASED.search(text))
+    """Whether a message reports a hard impact or a released parachute, whatever its severity:
+    ArduPilot and its simulator send them as information."""
+    hit = HIT_GROUND.search(text) is not None and is_crash_text(text)
+    return hit or bool(RELEASED.search(text))
 
 
 def is_over(text: str) -> bool:

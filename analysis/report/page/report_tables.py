@@ -1,4 +1,4 @@
-"""Tables and facts of a report page."""
+"""CompiledCore and facts of a report page."""
 
 import itertools
 from collections.abc import Mapping, Sequence

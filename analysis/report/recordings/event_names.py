@@ -7,7 +7,7 @@ ERRORS = {
     11: "GPS", 12: "crash check", 13: "flip", 15: "parachute", 16: "EKF check",
     17: "EKF failsafe", 18: "barometer", 19: "processor", 20: "ADS-B failsafe", 21: "terrain",
     22: "navigation", 23: "terrain failsafe", 24: "EKF primary", 25: "thrust loss check",
-    26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe", 30: "internal error",
+    26: "sensor failsafe", 27: "leak failsafe", 29: "vibration compensation", 30: "internal error",
     31: "dead reckoning failsafe",
 }  # fmt: skip
 # ArduPilot's ModeReason: why it changed the mode by itself, to protect the vehicle.

@@ -4,6 +4,7 @@ Messages and fields are named as in ArduPilot's log reference (old logs: as then
 """
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -36,6 +37,7 @@ STATES = (
     ("STAT", "Armed", "armed", ("disarmed", "armed")),
     ("STAT", "isFlying", "flying", ("landed", "flying")),
 )
+PRE_ARM = re.compile(r"^Pre-?Arm:", re.IGNORECASE)  # sent while disarmed
 FIRST_TEXTS = 40  # chosen: the firmware names itself among the first texts of a log
 ERROR_SEVERITY = 3  # severity of an error
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
@@ -60,6 +62,9 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     _add_armed(found, log, start_us)
     _add_core(found, log, start_us)
     _add_texts(found, log, start_us)
+    refused = any(PRE_ARM.search(event.text) for event in found.events if event.kind == "text")
+    if refused and not any(span.lane == "armed" for span in found.spans):
+        found.spans.append(Span("armed", 0.0, end_s, "disarmed", "mode"))
     _add_parameters(found, log, start_us)
     found.events.sort(key=lambda event: event.t_s)
     if log.cut:

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.flying.autopilot_cell import run_autopilot_cell
+from analysis.autopilots.flight_process import repeat_flight_process
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AUTOPILOTS
+from analysis.scoring.vehicle_outcome import BAD_ENDS
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
@@ -64,14 +65,13 @@ def _reference_flight(choice: AutopilotChoice, document: str, settle_s: float) -
 def _fly(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude:
+    """Fly; return the autopilot's attitude errors."""
     with tempfile.TemporaryDirectory(prefix="search-") as scratch:
         folder = Path(scratch)
         arguments = flight_arguments(choice, document, folder)
         schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
-        flight = run_autopilot_cell(
-            "autopilot", arguments, schedule, folder, kept=False, must_act=False
-        )
-        return _read(Path(flight.folder), settle_s)
+        run, summary = repeat_flight_process("autopilot", arguments, schedule, folder, kept=False)
+        return _read(run, summary, settle_s)
 
 
 def flight_arguments(
@@ -88,9 +88,9 @@ def flight_arguments(
     return arguments
 
 
-def _read(run: Path, settle_s: float) -> AutopilotAttitude:
+def _read(run: Path, summary: Mapping[str, Any], settle_s: float) -> AutopilotAttitude:
     """The errors in a run folder, from `settle_s` after take-off to landing."""
-    flight = json.loads((run / "summary.json").read_text())["autopilot"]
+    flight, outcome = summary["autopilot"], summary["outcome"]["outcome"]
     off_ground_s = flight["moments_s"]["take-off"]
     errors = [
         result
@@ -114,5 +114,6 @@ def _read(run: Path, settle_s: float) -> AutopilotAttitude:
         np.mean(rows**2, axis=0),
         np.abs(rows).max(axis=0),
         min(last_s, until_s) - off_ground_s,
-        flight["ended_early"] if not flight["landed"] else "",
+        # A vehicle that fell on its landing has "landed" too.
+        outcome if outcome in BAD_ENDS else flight["ended_early"] * (not flight["landed"]),
     )

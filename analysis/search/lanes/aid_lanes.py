@@ -3,12 +3,12 @@
 import numpy as np
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, true_attitude, true_velocity
+from analysis.search.lanes.lane_state import Buffer, air_velocity, true_attitude, true_velocity
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 
 L = rows.LANES
-W, N = rows.WIND * L, rows.NOISE * L
+N = rows.NOISE * L
 B, V, P = rows.FIELD * L, rows.VELOCITY * L, rows.DIFF_PRESSURE * L
 BS, VS, PS = rows.FIELD_SIGMA * L, rows.VELOCITY_SIGMA * L, rows.PRESSURE_SIGMA * L
 
@@ -44,11 +44,8 @@ def sense_velocity(buf: Buffer) -> None:
 def sense_pressure(buf: Buffer, density: float) -> None:
     """Dynamic pressure of the air past the body with noise number 0."""
     for lane in range(L):
-        e0, e1, e2, e3 = true_attitude(buf, lane)
-        north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
-        x, y, z = to_body(e0, e1, e2, e3, north, east, down)
-        u, v, w = true_velocity(buf, lane)
-        square = (u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z)
+        u, v, w = air_velocity(buf, lane)
+        square = u * u + v * v + w * w
         buf[P + lane] = 0.5 * density * square + buf[PS + lane] * buf[N + lane]
 
 

@@ -13,7 +13,7 @@ from analysis.estimators.complementary import SIZE, Gains
 from analysis.estimators.ekf_kernel import Tuning
 from analysis.samples.block import FORCE, IMU_ID
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer
+from analysis.search.lanes.lane_state import Buffer, gather
 from mavproxy_fault.numerics.compile import compiled
 
 L = rows.LANES
@@ -35,15 +35,6 @@ class Tunings(NamedTuple):
 
 
 @compiled
-def channels(buf: Buffer, row: int, count: int, lane: int) -> Buffer:
-    """So many measured channels (count,) from the offset `row` on."""
-    out = np.empty(count)
-    for i in range(count):
-        out[i] = buf[row + i * L + lane]
-    return out
-
-
-@compiled
 def predict(
     buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, tunings: Tunings, dt: float
 ) -> None:
@@ -51,7 +42,7 @@ def predict(
     room = ekf_kernel.new_workspace()
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
-            imu = channels(buf, M, IMU_ID, lane)
+            imu = gather(buf, M, IMU_ID, lane)
             if kind == MAHONY:
                 x = filters[lane, :SIZE]
                 filters[lane, :SIZE] = complementary.predict(
@@ -74,7 +65,7 @@ def head(
     room, variance = ekf_kernel.new_workspace(), tunings.ekf.heading_variance
     for lane in range(L):
         if buf[ALIVE + lane] > 0.5:
-            field = channels(buf, FIELD, 3, lane)
+            field = gather(buf, FIELD, 3, lane)
             if kind == MAHONY:
                 x = filters[lane, :SIZE]
                 filters[lane, :SIZE] = complementary.correct_heading(
@@ -89,7 +80,7 @@ def velocity(buf: Buffer, filters: FilterStates, tuning: Tuning, t_s: float) -> 
     """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
     room, variance = ekf_kernel.new_workspace(), tuning.velocity_variance
     for lane in range(L):
-        seen = channels(buf, VELOCITY, 3, lane)
+        seen = gather(buf, VELOCITY, 3, lane)
         if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
             if t_s - filters[lane, HEARD] >= tuning.gps_timeout_s:
                 ekf_kernel.restart_velocity(filters[lane], seen, variance)
@@ -106,7 +97,7 @@ def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, tuning: Tuning, 
         blind = t_s - filters[lane, HEARD] >= tuning.gps_timeout_s - ROUNDING_S
         due = t_s - filters[lane, LEVELLED] >= tuning.gravity_period_s - ROUNDING_S
         if buf[ALIVE + lane] > 0.5 and blind and due:
-            imu = channels(buf, M, IMU_ID, lane)
+            imu = gather(buf, M, IMU_ID, lane)
             ekf_kernel.correct_tilt(filters[lane], imu, airspeed[lane], variance, room)
             filters[lane, LEVELLED] = t_s
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, Three
+from analysis.search.lanes.lane_state import Buffer, Three, gather
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.environment.air import LENGTH, REFERENCE, SIGMA, STEADY_WIND, step_wind
@@ -13,15 +13,6 @@ L = rows.LANES
 S, W, N = rows.STATE * L, rows.WIND * L, rows.NOISE * L
 G, T, ALIVE = rows.GUSTS * L, rows.STEADY * L, rows.ALIVE * L
 ANY_HEIGHT_M = 1.0  # there is no shear
-
-
-@compiled
-def gather(buf: Buffer, first: int, count: int, lane: int) -> Buffer:
-    """Some rows of one lane (count,) from the offset `first` on."""
-    out = np.empty(count)
-    for i in range(count):
-        out[i] = buf[first + i * L + lane]
-    return out
 
 
 @compiled

@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, draw, true_attitude, true_velocity
+from analysis.search.lanes.lane_state import Buffer, air_velocity, draw
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude, standard_air
 from simvehicle.vehicles.rigidbody_kernel import DOWN
 
 L = rows.LANES
 NOW = rows.NOW * L
-N, W, ALIVE = rows.NOISE * L, rows.WIND * L, rows.ALIVE * L
+N, ALIVE = rows.NOISE * L, rows.ALIVE * L
 STATIC, PITOT, PLACE = rows.ABS_PRESSURE * L, rows.DIFF_PRESSURE * L, rows.PLACE * L
 VELOCITY = rows.VELOCITY * L
 START, ERROR = rows.START_DOWN * L, rows.PLACE_ERROR * L
@@ -25,8 +24,6 @@ KICK = rows.PLACE_KICK * L
 SCORES = rows.INVERTED_SQUARES * L
 HEIGHT, AIRSPEED, POSITION = range(3)  # places among the scores; their counts follow
 PRESSURES, PLACES = 3, 4
-
-lowered = compiled(pressure_altitude)
 
 
 class Place(NamedTuple):
@@ -95,14 +92,11 @@ def score_pressures(buf: Buffer, place: Place) -> None:
             ground, _, _ = standard_air(home_m)
             height_m = (ground - pressure) / (place.density_kgpm3 * place.gravity_mps2)
         else:
-            height_m = lowered(pressure) - home_m
+            height_m = pressure_altitude(pressure) - home_m
         off_m = height_m + buf[NOW + DOWN * L + lane]
         dynamic = max(buf[PITOT + lane], 0.0)
-        e0, e1, e2, e3 = true_attitude(buf, lane)
-        north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
-        x, y, z = to_body(e0, e1, e2, e3, north, east, down)
-        u, v, w = true_velocity(buf, lane)
-        square = (u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z)
+        u, v, w = air_velocity(buf, lane)
+        square = u * u + v * v + w * w
         off_mps = math.sqrt(2.0 * dynamic / place.density_kgpm3) - math.sqrt(square)
         buf[SCORES + HEIGHT * L + lane] += off_m * off_m if alive else 0.0
         buf[SCORES + AIRSPEED * L + lane] += off_mps * off_mps if alive else 0.0

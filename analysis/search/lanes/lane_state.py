@@ -15,7 +15,7 @@ from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.fixedwing.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, state_derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import (
     DOWN,
     E0,
@@ -32,8 +32,7 @@ from simvehicle.vehicles.rigidbody_kernel import (
     U,
     V,
     W,
-    combine_stages,
-    euler_step,
+    finish_step,
 )
 
 L = rows.LANES
@@ -52,6 +51,15 @@ ALIVE, BROKEN_LIMIT = rows.ALIVE * L, rows.BROKEN_LIMIT * L
 Buffer = NDArray[np.float64]
 Three = tuple[float, float, float]
 World = tuple[float, float]  # gravity in m/s^2, density of the air in kg/m^3
+
+
+@compiled
+def gather(buf: Buffer, first: int, count: int, lane: int) -> Buffer:
+    """Some rows of one lane (count,) from the offset `first` on."""
+    out = np.empty(count)
+    for i in range(count):
+        out[i] = buf[first + i * L + lane]
+    return out
 
 
 @inlined
@@ -89,6 +97,16 @@ def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
 def true_velocity(buf: Buffer, lane: int) -> Three:
     """The velocity over ground in body axes when the sensors sampled."""
     return (buf[NOW + U * L + lane], buf[NOW + V * L + lane], buf[NOW + W * L + lane])
+
+
+@inlined
+def air_velocity(buf: Buffer, lane: int) -> Three:
+    """The velocity through the air in body axes when the sensors sampled."""
+    e0, e1, e2, e3 = true_attitude(buf, lane)
+    u, v, w = true_velocity(buf, lane)
+    north, east, down = buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane]
+    x, y, z = to_body(e0, e1, e2, e3, north, east, down)
+    return (u - x, v - y, w - z)
 
 
 @inlined
@@ -147,8 +165,11 @@ class Envelope(NamedTuple):
 
 
 @inlined
-def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
-    """The number of the limit that a state breaks (see `rows.LIMITS`), 0 within the envelope."""
+def broken(state: State13, air: Three, force: Three, limits: Envelope, hovers: bool) -> float:
+    """The number of the limit that a state breaks (see `rows.LIMITS`), 0 within the envelope.
+
+    If it `hovers`, airspeed and flow angles are not limited.
+    """
     u, v, w = air
     plane = u * u + w * w
     speed = plane + v * v  # squares, which saves two roots
@@ -159,19 +180,47 @@ def broken(state: State13, air: Three, force: Three, limits: Envelope) -> float:
     limit = 7.0 if -down <= limits.min_height_m else 0.0
     limit = limit if load <= limits.load_mps2 * limits.load_mps2 else 6.0
     limit = limit if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
-    limit = limit if (speed >= low * low) & (speed <= high * high) else 4.0
-    limit = limit if v * v <= limits.tan_beta * limits.tan_beta * plane else 3.0
-    limit = limit if abs(w) <= limits.tan_alpha * u else 2.0
+    limit = limit if hovers | ((speed >= low * low) & (speed <= high * high)) else 4.0
+    limit = limit if hovers | (v * v <= limits.tan_beta * limits.tan_beta * plane) else 3.0
+    limit = limit if hovers | (abs(w) <= limits.tan_alpha * u) else 2.0
     sine = 2.0 * (e0 * e2 - e3 * e1)
     return limit if abs(sine) <= limits.sin_pitch else 1.0
+
+
+@inlined
+def observe(
+    buf: Buffer, lane: int, state: State13, rate: State13, gravity: float, limits: Envelope,
+    hovers: bool,
+) -> bool:  # fmt: skip
+    """Write to FORCE and NOW what the sensors see at a state with its first slope; return whether
+    the lane is alive, which one out of the envelope is not."""
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
+    _, _, _, du, dv, dw, _, _, _, _, _, _, _ = rate
+    # What the body feels: its acceleration without gravity and the turning of its axes.
+    force = (
+        du - (r * v - q * w) - gx,
+        dv - (p * w - r * u) - gy,
+        dw - (q * u - p * v) - gz,
+    )
+    buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
+    put_state(buf, NOW, lane, state)
+    wx, wy, wz = to_body(
+        e0, e1, e2, e3, buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane]
+    )
+    limit = broken(state, (u - wx, v - wy, w - wz), force, limits, hovers)
+    was_alive = buf[ALIVE + lane] > 0.5
+    alive: bool = was_alive & (limit < 0.5)
+    buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
+    buf[ALIVE + lane] = 1.0 if alive else 0.0
+    return alive
 
 
 @compiled
 def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits: Envelope) -> None:
     """One Runge-Kutta step; FORCE and NOW take what the sensors see at its start.
 
-    The same stages as `fixedwing_kernel.step`, which does not show its first slope. A lane that is
-    out of the envelope at the start stays where it is, dead.
+    A lane that is out of the envelope at the start stays where it is, dead.
     """
     wide()
     gravity, density = world
@@ -184,33 +233,10 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
             buf[C + THROTTLE * L + lane],
         )
         wind = (buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane])
-        down = (0.0, 0.0, gravity)
-        k1 = state_derivative(state, controls, wind, down, density, body, aero)
-        _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
-        gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
-        _, _, _, du, dv, dw, _, _, _, _, _, _, _ = k1
-        # What the body feels: its acceleration without gravity and the turning of its axes.
-        force = (
-            du - (r * v - q * w) - gx,
-            dv - (p * w - r * u) - gy,
-            dw - (q * u - p * v) - gz,
-        )
-        buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
-        put_state(buf, NOW, lane, state)
-        wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
-        limit = broken(state, (u - wx, v - wy, w - wz), force, limits)
-        was_alive = buf[ALIVE + lane] > 0.5
-        alive = was_alive & (limit < 0.5)
-        buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
-        buf[ALIVE + lane] = 1.0 if alive else 0.0
-        k2 = state_derivative(
-            euler_step(state, k1, 0.5 * dt), controls, wind, down, density, body, aero
-        )
-        k3 = state_derivative(
-            euler_step(state, k2, 0.5 * dt), controls, wind, down, density, body, aero
-        )
-        k4 = state_derivative(euler_step(state, k3, dt), controls, wind, down, density, body, aero)
-        after = combine_stages(state, k1, k2, k3, k4, dt)
+        given = WingInputs(controls, wind, (0.0, 0.0, gravity), density, body, aero)
+        k1 = state_derivative(state, given)
+        alive = observe(buf, lane, state, k1, gravity, limits, False)
+        after = finish_step(state, k1, state_derivative, given, given, dt)
         put_state(buf, S, lane, chosen(alive, after, state))
 
 

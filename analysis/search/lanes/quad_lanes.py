@@ -3,7 +3,15 @@
 from typing import NamedTuple
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, Envelope, World, chosen, put_state, state_at
+from analysis.search.lanes.lane_state import (
+    Buffer,
+    Envelope,
+    World,
+    chosen,
+    observe,
+    put_state,
+    state_at,
+)
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -20,15 +28,13 @@ from simvehicle.vehicles.multirotor.sway_kernel import (
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,
     State13,
-    combine_stages,
-    euler_step,
+    finish_step,
     rigid_body_derivative,
 )
 
 L = rows.LANES
 C, M, T, W = rows.CONTROL * L, rows.MOTOR * L, rows.MISSION * L, rows.WIND * L
-F, NOW, START = rows.FORCE * L, rows.NOW * L, rows.START_DOWN * L
-ALIVE, BROKEN_LIMIT = rows.ALIVE * L, rows.BROKEN_LIMIT * L
+START = rows.START_DOWN * L
 MOTORS = 4
 
 Three = tuple[float, float, float]
@@ -67,12 +73,21 @@ def _speed_after(speed: float, command: float, frame: Airframe, dt: float) -> fl
     return wanted + (speed - wanted) * exp(-dt / lag)
 
 
+class _RotorInputs(NamedTuple):
+    """The inputs of `_rotor_rate` besides the state, at one instant of a step."""
+
+    speeds: Four
+    wind: Three
+    world: World
+    body: Inertia
+    model: QuadModel
+
+
 @inlined
-def _slope(
-    state: State13, speeds: Four, wind: Three, world: World, body: Inertia, model: QuadModel
-) -> State13:
+def _rotor_rate(state: State13, given: _RotorInputs) -> State13:
     """Time derivative of the 13 states."""
-    gravity, density = world
+    speeds, model, wind = given.speeds, given.model, given.wind
+    gravity, density = given.world
     _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     air = (u - wx, v - wy, w - wz)
@@ -81,20 +96,7 @@ def _slope(
         one = rotor_loads((air[0], air[1]), r, speeds[i], model.rotors[i], density, model.frame)
         fx, fy, fz = fx + one[0], fy + one[1], fz + one[2]
         mx, my, mz = mx + one[3], my + one[4], mz + one[5]
-    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), (0.0, 0.0, gravity), body)
-
-
-@inlined
-def _broken(state: State13, force: Three, limits: Envelope) -> float:
-    """The number of the limit that is broken; a hovering vehicle has no flow angles."""
-    _, _, down, _, _, _, e0, e1, e2, e3, p, q, r = state
-    fx, fy, fz = force
-    load = fx * fx + fy * fy + fz * fz
-    limit = 7.0 if -down <= limits.min_height_m else 0.0
-    limit = limit if load <= limits.load_mps2 * limits.load_mps2 else 6.0
-    limit = limit if p * p + q * q + r * r <= limits.rate_rps * limits.rate_rps else 5.0
-    sine = 2.0 * (e0 * e2 - e3 * e1)
-    return limit if abs(sine) <= limits.sin_pitch else 1.0
+    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), (0.0, 0.0, gravity), given.body)
 
 
 @compiled
@@ -121,30 +123,11 @@ def move_quad(
             _speed_after(s0, c0, frame, dt), _speed_after(s1, c1, frame, dt),
             _speed_after(s2, c2, frame, dt), _speed_after(s3, c3, frame, dt),
         )  # fmt: skip
-        k1 = _slope(state, first, wind, world, body, model)
-        _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
-        _, _, _, du, dv, dw, _, _, _, _, _, _, _ = k1
-        gx, gy, gz = to_body(e0, e1, e2, e3, 0.0, 0.0, gravity)
-        force = (
-            du - (r * v - q * w) - gx,
-            dv - (p * w - r * u) - gy,
-            dw - (q * u - p * v) - gz,
-        )
-        buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
-        put_state(buf, NOW, lane, state)
-        limit = _broken(state, force, limits)
-        was_alive = buf[ALIVE + lane] > 0.5
-        alive = was_alive & (limit < 0.5)
-        buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
-        buf[ALIVE + lane] = 1.0 if alive else 0.0
-        k2 = _slope(euler_step(state, k1, half), middle, wind, world, body, model)
-        k3 = _slope(euler_step(state, k2, half), middle, wind, world, body, model)
-        k4 = _slope(euler_step(state, k3, dt), last, wind, world, body, model)
-        put_state(
-            buf,
-            rows.STATE * L,
-            lane,
-            chosen(alive, combine_stages(state, k1, k2, k3, k4, dt), state),
-        )
+        k1 = _rotor_rate(state, _RotorInputs(first, wind, world, body, model))
+        alive = observe(buf, lane, state, k1, gravity, limits, True)
+        half_way = _RotorInputs(middle, wind, world, body, model)
+        end = _RotorInputs(last, wind, world, body, model)
+        after = finish_step(state, k1, _rotor_rate, half_way, end, dt)
+        put_state(buf, rows.STATE * L, lane, chosen(alive, after, state))
         for i in range(MOTORS):
             buf[M + i * L + lane] = last[i] if alive else first[i]

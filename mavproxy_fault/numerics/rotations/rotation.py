@@ -80,52 +80,6 @@ def quat_from_matrix(rot: ArrayLike) -> Array:
     return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
 
 
-def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the quaternion product (..., 4): rotation `b` followed by rotation `a`."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a, dtype=float), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b, dtype=float), -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
-
-
-def quat_conjugate(q: ArrayLike) -> Array:
-    """Return the inverse rotation (..., 4)."""
-    return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
-
-
-def quat_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Return the quaternion (..., 4) of rotation vectors (..., 3) [rad]."""
-    v = np.asarray(rotvec, dtype=float)
-    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
-    # np.sinc(x) is sin(pi x) / (pi x), so small angles need no special case.
-    return np.concatenate([np.cos(half), 0.5 * v * np.sinc(half / np.pi)], axis=-1)
-
-
-def rotvec_from_quat(q: ArrayLike) -> Array:
-    """Return the rotation vector (..., 3) [rad] of quaternions, of length at most pi."""
-    quat = np.asarray(q, dtype=float)
-    # The negative quaternion is the same rotation by more than pi.
-    quat = np.where(quat[..., :1] < 0.0, -quat, quat)
-    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
-    # The arc cosine would lose half the digits of small angles.
-    half = np.arctan2(sine, quat[..., :1])
-    return np.asarray(quat[..., 1:] * (2.0 / np.sinc(half / np.pi)))
-
-
-def angle_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the angle (...) [rad], 0 to pi, of the rotation from attitude `a` to `b`."""
-    return np.asarray(
-        np.linalg.norm(rotvec_from_quat(quat_multiply(quat_conjugate(a), b)), axis=-1)
-    )
-
-
 def wrap_degrees(angle_deg: ArrayLike) -> Array:
     """Angles in degrees within (-180, 180]; longitudes and headings are equal modulo 360."""
     return np.asarray(180.0 - (180.0 - np.asarray(angle_deg, float)) % 360.0)

@@ -1,8 +1,8 @@
-"""Forces, moments and one integration step of the fixed wing, as scalar compiled functions.
+"""Forces and moments of the fixed wing, as scalar compiled functions.
 
 The 12-state nonlinear model of Beard and McLain, Small Unmanned Aircraft, 2012, chapters 3 and 4,
-with a quaternion for the attitude. The interactive simulator calls `step` for one vehicle, the
-worst-case search in a loop over many. All code is branch-free scalar arithmetic on a parameter
+with a quaternion for the attitude. The simulator calls them for one vehicle, the worst-case search
+in a loop over many. All code is branch-free scalar arithmetic on a parameter
 tuple, so that LLVM can vectorise that loop.
 """
 
@@ -13,13 +13,7 @@ import numpy as np
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.polynomial import atan2, exp
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.rigidbody_kernel import (
-    Inertia,
-    State13,
-    combine_stages,
-    euler_step,
-    rigid_body_derivative,
-)
+from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, rigid_body_derivative
 
 _REV_PER_RAD = 1.0 / (2.0 * np.pi)
 _STILL_AIR_MPS = 1e-9  # m/s; keeps the flow angles defined in still air
@@ -184,55 +178,29 @@ def forces_moments(
     )
 
 
-@inlined
-def state_derivative(
-    state: State13,
-    controls: tuple[float, float, float, float],
-    wind: tuple[float, float, float],
-    gravity: tuple[float, float, float],
-    density: float,
-    body: Inertia,
-    aero: Aero,
-) -> State13:
-    """Time derivative of the 13 states.
+class WingInputs(NamedTuple):
+    """What determines the motion besides the state.
 
-    Parameters
-    ----------
-    state : 13 floats
-        As in `rigidbody_kernel`.
-    controls : 4 floats
-        Elevator, aileron, rudder [rad], throttle (0 to 1).
-    wind, gravity : 3 floats
-        NED [m/s], [m/s^2].
-    density : float
-        Of the air [kg/m^3].
-    body, aero : Inertia, Aero
+    Elevator, aileron, rudder [rad] and throttle (0 to 1); wind and gravity NED [m/s, m/s^2];
+    density of the air [kg/m^3]; the airframe.
     """
+
+    controls: tuple[float, float, float, float]
+    wind: tuple[float, float, float]
+    gravity: tuple[float, float, float]
+    density: float
+    body: Inertia
+    aero: Aero
+
+
+@inlined
+def state_derivative(state: State13, given: WingInputs) -> State13:
+    """Time derivative of the 13 states of `rigidbody_kernel`."""
     _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    wind = given.wind
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     air = (u - wx, v - wy, w - wz)
-    fx, fy, fz, mx, my, mz = forces_moments(air, (p, q, r), controls, density, aero)
-    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), gravity, body)
-
-
-@inlined
-def step(
-    state: State13,
-    controls: tuple[float, float, float, float],
-    wind: tuple[float, float, float],
-    gravity: tuple[float, float, float],
-    density: float,
-    body: Inertia,
-    aero: Aero,
-    dt: float,
-) -> State13:
-    """One classical Runge-Kutta step of `dt` seconds; arguments as in `state_derivative`."""
-    k1 = state_derivative(state, controls, wind, gravity, density, body, aero)
-    k2 = state_derivative(
-        euler_step(state, k1, 0.5 * dt), controls, wind, gravity, density, body, aero
+    fx, fy, fz, mx, my, mz = forces_moments(
+        air, (p, q, r), given.controls, given.density, given.aero
     )
-    k3 = state_derivative(
-        euler_step(state, k2, 0.5 * dt), controls, wind, gravity, density, body, aero
-    )
-    k4 = state_derivative(euler_step(state, k3, dt), controls, wind, gravity, density, body, aero)
-    return combine_stages(state, k1, k2, k3, k4, dt)
+    return rigid_body_derivative(state, (fx, fy, fz), (mx, my, mz), given.gravity, given.body)

@@ -11,14 +11,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, state_derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
 Array = NDArray[np.float64]
 ROLL, PITCH, RATES = 6, 7, 9  # index, or start, in the 12 states
-_LONGITUDINAL = [U, W, PITCH, RATES + 1]
 LATERAL = [V, ROLL, RATES, RATES + 2]
 
 
@@ -48,20 +46,6 @@ class TrimPoint:
         return np.array([self.elevator_rad, self.aileron_rad, self.rudder_rad, self.throttle])
 
 
-@compiled
-def _derivative(
-    state: State13,
-    controls: tuple[float, float, float, float],
-    gravity: float,
-    density: float,
-    body: Inertia,
-    aero: Aero,
-) -> State13:
-    return state_derivative(
-        state, controls, (0.0, 0.0, 0.0), (0.0, 0.0, gravity), density, body, aero
-    )
-
-
 def euler_derivative(
     x: Array, controls: Array, body: Inertia, aero: Aero, density: float, gravity: float
 ) -> Array:
@@ -70,7 +54,8 @@ def euler_derivative(
     q = quat_from_euler(roll, pitch, yaw)
     state = cast(State13, tuple(np.concatenate([x[:ROLL], q, x[RATES:]]).tolist()))
     de, da, dr, dt = controls.tolist()
-    rate = _derivative(state, (de, da, dr, dt), gravity, density, body, aero)
+    still, down = (0.0, 0.0, 0.0), (0.0, 0.0, gravity)
+    rate = state_derivative(state, WingInputs((de, da, dr, dt), still, down, density, body, aero))
     p, qq, r = x[RATES:]
     yaw_part = qq * math.sin(roll) + r * math.cos(roll)
     angles = (
@@ -146,10 +131,3 @@ def linearise_trim(
     a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]
     b = [(f(zero_x, d) - f(zero_x, -d)) / (2.0 * h) for d in h * np.eye(4)]
     return np.array(a).T, np.array(b).T
-
-
-def mode_eigenvalues(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Eigenvalues [1/s] of the longitudinal (u, w, pitch, q) and lateral (v, roll, p, r) blocks."""
-    longitudinal = np.linalg.eigvals(a[np.ix_(_LONGITUDINAL, _LONGITUDINAL)])
-    lateral = np.linalg.eigvals(a[np.ix_(LATERAL, LATERAL)])
-    return np.sort(longitudinal.astype(complex)), np.sort(lateral.astype(complex))

@@ -60,15 +60,17 @@ def flight_of(scenario):
 
 
 def sender_of(flight, step=PX4_STEP):
-    return AutopilotSender(flight, HilPacker(), listener=lambda sends: None, step=step)
+    return AutopilotSender(
+        flight, HilPacker(flight.simulation.board), listener=lambda sends: None, step=step
+    )
 
 
 def fly(exchange, steps):
     """Return the frames for the autopilot, each with the simulated time of its step."""
     parser, found = Parser(), []
     for _ in range(steps):
-        t_us, truth, readings = exchange.flight.simulation.step(None)
-        for raw in exchange.frames(t_us, truth, readings):
+        t_us, _, readings = exchange.flight.simulation.step(None)
+        for raw in exchange.frames(readings):
             found += [(t_us, item) for item in parser.push(raw) if isinstance(item, Frame)]
     return found
 
@@ -99,14 +101,16 @@ def run_exchange(scenario, compiled):
     flight = ProxiedFlight(scenario, parse_schedule({"seed": 5, "faults": faults}))
     passage = new_passage(flight.core, flight.capture) if compiled else None
     sender, lockstep = (
-        AutopilotSender(flight, HilPacker(), lambda sends: None, passage=passage),
+        AutopilotSender(
+            flight, HilPacker(flight.simulation.board), lambda sends: None, passage=passage
+        ),
         Lockstep(),
     )
     left, steps, commanded = [], [], []
     with closing(TcpServer("127.0.0.1", 0)) as link, connected(link) as autopilot:
         receiver = AutopilotReceiver(sender, [link], ConnectionDeadline(link, None, 5.0), lockstep)
         for step in range(250):
-            left.append(b"".join(sender.frames(*flight.simulation.step(None))))
+            left.append(b"".join(sender.frames(flight.simulation.step(None)[2])))
             steps.append(sender.step_us)
             values = {"time_usec": START_US + 4_000 * (step + 1), "controls": [step] * 16}
             raw = build_frame(message_layout("HIL_ACTUATOR_CONTROLS"), values, seq=step & 0xFF)
@@ -214,7 +218,10 @@ def test_an_answer_is_read_before_telemetry(flight_of):
     delivered = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
     sender = AutopilotSender(
-        flight, HilPacker(), delivered.extend, passage=new_passage(flight.core, flight.capture)
+        flight,
+        HilPacker(flight.simulation.board),
+        delivered.extend,
+        passage=new_passage(flight.core, flight.capture),
     )
     with (
         closing(TcpServer("127.0.0.1", 0)) as link,
@@ -243,7 +250,12 @@ def test_an_answer_is_read_before_telemetry(flight_of):
 def test_the_operator_runs_once_per_step_while_the_autopilot_computes(flight_of):
     calls = []
     flight = flight_of(fault="drop", target="HIL_GPS", for_s=1)
-    sender = AutopilotSender(flight, HilPacker(), lambda sends: None, lambda: calls.append(1) or [])
+    sender = AutopilotSender(
+        flight,
+        HilPacker(flight.simulation.board),
+        lambda sends: None,
+        lambda: calls.append(1) or [],
+    )
     fly(sender, 1)
     assert calls == []
     sender.work_between_steps()

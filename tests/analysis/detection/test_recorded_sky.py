@@ -41,7 +41,7 @@ def test_the_receiver_is_carried_off_as_the_preset_says(shared_data):
     wanted_m[10:50, 0], wanted_m[50:70, 0] = 5.0 * np.arange(40), 200.0
     # Half a millimetre of rounding on each range, times a dilution of a few; and the troposphere of
     # a place so much further.
-    assert moved_m == pytest.approx(wanted_m, abs=0.05)
+    assert moved_m == pytest.approx(wanted_m, abs=0.1)
 
 
 def test_code_and_doppler_of_a_spoofed_signal_agree(shared_data):

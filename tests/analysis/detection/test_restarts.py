@@ -59,6 +59,20 @@ def first_minutes(samples: list[Sample], seconds: float) -> list[Sample]:
 STATIC_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 
 
+@pytest.mark.parametrize(("size_m", "returns"), [(6.0, True), (50.0, False)])
+def test_a_small_standing_error_is_estimated_and_a_large_one_stays_excluded(
+    static, size_m: float, returns: bool
+) -> None:
+    found = decisions(shifted(first_minutes(static, 200.0), "G28", size_m, 20.0, 1e9))
+    begin_us = found[0].t_us
+    out_s = [(d.t_us - begin_us) * 1e-6 for d in found if "G28" in d.excluded]
+    assert out_s[0] < 40.0
+    assert (out_s[-1] - out_s[0] < 60.0) == returns
+    clean = decisions(first_minutes(static, 200.0))
+    places = (np.array(one[-1].position_ecef_m) for one in (found, clean))
+    assert np.linalg.norm(np.subtract(*places)) < 1.0
+
+
 def of_few(samples: list[Sample], until_s: float, doppler: bool, galileo: int = 0) -> list[Sample]:
     """The samples with five GPS satellites and some of Galileo for some time."""
     begin_us = next(s.t_us for s in samples if isinstance(s, Epoch))

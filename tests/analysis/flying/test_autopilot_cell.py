@@ -7,8 +7,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from analysis.autopilots import flight_process
+from analysis.autopilots.flight_process import MAX_TRIES
 from analysis.flying import autopilot_cell
-from analysis.flying.autopilot_cell import MAX_TRIES, run_autopilot_cell
+from analysis.flying.autopilot_cell import run_autopilot_cell
 from analysis.flying.flight_evidence import CellVerdict, Evidence
 from analysis.scoring.criteria import FailsafeCriterion, VehicleCriteria
 from analysis.scoring.vehicle_outcome import VehicleEvent, VehicleOutcome
@@ -43,7 +45,7 @@ def flights(monkeypatch: pytest.MonkeyPatch, summaries: list[tuple[bool, bool]])
         (folder / "run" / "summary.json").write_text(json.dumps(summary))
         return folder / "run"
 
-    monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
+    monkeypatch.setattr(flight_process, "run_flight_process", fly)
     monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
     return tries
 

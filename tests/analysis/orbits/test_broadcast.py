@@ -14,12 +14,12 @@ from analysis.orbits.broadcast import (
     troposphere_m,
     zenith_delay_m,
 )
-from analysis.orbits.snapshot import solve_position
 from analysis.samples.sample import EphemerisSample, Epoch, Sample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import geodetic_position
 from simvehicle.gnss.signal_delays import ionosphere_m
 from simvehicle.gnss.signal_delays import troposphere_m as simulated_troposphere_m
+from tests.analysis.orbits.snapshot_solution import solve_position
 
 
 def _first(samples: list[Sample]) -> tuple[Epoch, np.ndarray]:

@@ -16,7 +16,6 @@ from analysis.orbits.broadcast import (
     packed_for_carrier,
     satellite_states,
 )
-from analysis.orbits.snapshot import Fix, solve_position
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.read_recordings import read_rinex_samples
@@ -24,6 +23,7 @@ from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.gps_clock import leap_seconds
+from tests.analysis.orbits.snapshot_solution import Fix, solve_position
 
 AUTHORITY = Path(__file__).parents[2] / "authorities/rtklib_states"
 NUMBERS = {"39": "R07", "106": "C01", "126": "C21"}

@@ -91,3 +91,12 @@ def test_a_sub_has_no_lifting_motors_and_no_fix() -> None:
 def test_every_check_has_a_scope() -> None:
     for check in flight_checks(flight(""), Thresholds()):
         assert scope_of(check.name).phase in (ARMED, FLYING, "log", "before arming")
+
+
+def test_a_vehicle_that_has_tipped_over_no_longer_flies() -> None:
+    t_s = np.arange(0.0, 100.0, 0.1)
+    height_m = np.interp(t_s, [0, 10, 60, 65, 100], [0, 20, 20, 0, 0])
+    spans = [Span("armed", 0.0, 99.0, "armed", "mode"), Span("flying", 2.0, 99.0, "flying", "mode")]
+    flight = FlightData("r", signals=[Signal("height", "estimate", t_s, height_m)], spans=spans)
+    ((start_s, end_s),) = flying_windows(flight) or []
+    assert (start_s, end_s) == (2.0, pytest.approx(65.0, abs=0.2))

@@ -222,6 +222,26 @@ def test_motor_commands_are_in_thousands() -> None:
     assert (second.t_us, second.outputs[0]) == (9, pytest.approx(0.9))
 
 
+def test_a_distance_that_the_autopilot_sends_on_is_no_second_measurement() -> None:
+    def distances(*frames: Frame) -> list[int]:
+        return [s.t_us for s in samples_of(decoder, *frames) if isinstance(s, RangeSample)]
+
+    def distance(component: int, ms: int) -> Frame:
+        given = {
+            "time_boot_ms": ms,
+            "current_distance": 300,
+            "orientation": 25,
+            "max_distance": 900,
+        }
+        return frame("DISTANCE_SENSOR", component, **given)
+
+    decoder = Decoder()
+    assert distances(distance(1, 7)) == [7_000], "without a simulator it is the measurement"
+    simulated = frame("HIL_SENSOR", time_usec=10_000, fields_updated=63)
+    assert distances(simulated, distance(51, 10), distance(1, 9)) == [10_000]
+    assert distances(distance(1, 12), distance(51, 20)) == [20_000]
+
+
 def test_redundant_imus_and_a_second_receiver_are_distinguished() -> None:
     decoder = Decoder()
     rates = {"xgyro": 100, "time_boot_ms": 5}

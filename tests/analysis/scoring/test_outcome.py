@@ -339,6 +339,12 @@ def test_bits_cleared_by_group_belong_to_that_sensor() -> None:
     assert fault_visibility(off).channels == {"baro"}
 
 
+def test_what_a_ground_station_loses_no_channel_observes() -> None:
+    lost = msgspec.structs.replace(label("f", "", fault="outage"), where={"system": 255})
+    assert fault_visibility(label("f", "", fault="outage")).channels == {"link"}
+    assert not fault_visibility(lost).channels
+
+
 @pytest.mark.parametrize("epoch_s", [0.2, 1.0, 15.0, 30.0])
 def test_an_exclusion_is_one_alarm_at_any_rate(epoch_s: float) -> None:
     results = [decision(10 + epoch_s * k, ["G12"]) for k in range(60)]

@@ -63,10 +63,35 @@ def test_a_crash_in_the_words_of_the_autopilot_is_a_crash() -> None:
     [
         "Crash check disabled", "Crash check enabled", "Failsafe enabled",
         "Failsafe mode deactivated", "Battery failsafe action set to LAND",
+        "vibration compensation: error 1",
     ],
 )  # fmt: skip
 def test_a_setting_and_an_end_are_neither_crash_nor_failsafe(text: str) -> None:
     assert flight(texts=[TimedText(50.0, text)]).outcome == flight().outcome
+
+
+def test_a_simulator_that_reports_a_soft_touchdown_reports_no_crash() -> None:
+    for speed_mps, outcome in ((0.5, "landed as commanded"), (3.4, "crashed")):
+        texts = [TimedText(50.0, f"SIM Hit ground at {speed_mps} m/s")]
+        assert flight(texts=texts).outcome == outcome
+
+
+@pytest.mark.parametrize(
+    ("blow_mps2", "armed_until_s", "outcome"),
+    [
+        (170.0, 31.0, "crashed"),  # a wall, and the motors cut
+        (170.0, 58.0, "landed as commanded"),  # it flies on
+        (45.0, 31.0, "landed as commanded"),
+    ],
+)
+def test_a_blow_that_ends_the_flight_is_a_crash(blow_mps2, armed_until_s, outcome) -> None:
+    felt_mps2 = np.full_like(T_S, 9.8) + 4.0 * np.sin(50.0 * T_S)
+    felt_mps2[1500] += blow_mps2
+    found = flight(force=(T_S, felt_mps2), armed=[(3.0, armed_until_s)])
+    assert found.outcome == outcome
+    assert [event.t_s for event in found.events if event.kind == "crashed"] == (
+        [30.0] if outcome == "crashed" else []
+    )
 
 
 def test_a_vehicle_thrown_over_in_the_air_lost_control_unless_it_flies_a_flip() -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.flying import autopilot_cell
-from analysis.flying.flight_evidence import Evidence
+from analysis.autopilots import flight_process
 from analysis.results import AttitudeError, encode_lines
 from analysis.search.evaluation import autopilot_flight
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
@@ -24,7 +23,12 @@ HEALTHY_DEG, FAULTED_DEG = 3.0, 5.0
 
 
 def written(
-    folder: Path, error_deg: float, *, off_ground: bool = True, landed: bool = True
+    folder: Path,
+    error_deg: float,
+    *,
+    off_ground: bool = True,
+    landed: bool = True,
+    outcome: str = "degraded",
 ) -> Path:
     """A run folder: on the ground to 10 s, in the air to 20 s, with an error of roll."""
     run = folder / "run"
@@ -32,7 +36,8 @@ def written(
     moments = {"arming": 5.0} | ({"take-off": 10.0, "landing": 20.0} if off_ground else {})
     ended = "" if landed else "it fell"
     account = {"landed": landed, "ended_early": ended, "moments_s": moments}
-    (run / "summary.json").write_text(json.dumps({"autopilot": account, "faults": []}))
+    summary = {"autopilot": account, "faults": [], "outcome": {"outcome": outcome}}
+    (run / "summary.json").write_text(json.dumps(summary))
     errors = [
         AttitudeError(
             t_us=t * 1_000_000,
@@ -65,8 +70,7 @@ def flights(monkeypatch):
             return written(folder, HEALTHY_DEG)
         return written(folder, **coming.pop(0))
 
-    monkeypatch.setattr(autopilot_cell, "run_flight_process", fly)
-    monkeypatch.setattr(autopilot_cell, "collect_evidence", lambda _: (Evidence(), 20.0))
+    monkeypatch.setattr(flight_process, "run_flight_process", fly)
     autopilot_flight._reference_flight.cache_clear()
     yield coming, flown
     autopilot_flight._reference_flight.cache_clear()
@@ -98,13 +102,14 @@ def test_a_failed_take_off_is_repeated_and_then_reported(flights, choice):
     found, _ = autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
     assert found.lasted_s == 10.0
     coming += [{"error_deg": 0.0, "off_ground": False, "landed": False}] * 3
-    with pytest.raises(ConfigError, match="did not take off in 3 tries"):
+    with pytest.raises(ConfigError, match="the vehicle did not take off in 3 tries; it fell"):
         autopilot_flight.measure_autopilot_error(choice, DOCUMENT, 0.0)
 
 
-def test_a_flight_that_does_not_land_by_itself_counts_as_a_crash(flights):
+@pytest.mark.parametrize("end", [{"landed": False}, {"outcome": "crashed"}])
+def test_a_flight_that_does_not_land_by_itself_counts_as_a_crash(flights, end):
     coming, _ = flights
-    coming += [{"error_deg": FAULTED_DEG, "landed": False}]
+    coming += [{"error_deg": FAULTED_DEG, **end}]
     flown = SimulatedBatch(read_test(EXAMPLE))
     outcome = flown.evaluate_values({name: np.array([v]) for name, v in VALUES.items()}, 1, 0, 1)
     assert outcome.broken_limit.tolist() == [7]

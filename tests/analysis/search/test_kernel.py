@@ -93,6 +93,7 @@ def test_lanes_and_the_simulator_fly_the_same(attitude, rates, surfaces, throttl
             np.array([0.0, 0.0, 9.80665]),
             1.225,
             0.0,
+            np.empty(9),
         ),
         200,
         0.01,

@@ -147,3 +147,13 @@ def test_a_file_that_is_not_a_log_is_a_user_error(tmp_path: Path) -> None:
     text.write_bytes((1 << 63).to_bytes(8, "big") + heartbeat(1))
     with pytest.raises(ConfigError, match="contains no MAVLink record"):
         open_log(text)
+
+
+def test_a_fault_of_the_plant_changes_nothing_in_a_log_and_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "a.tlog"
+    log.write_bytes(b"".join((10**15 + i).to_bytes(8, "big") + sensor(i) for i in range(9)))
+    plant = "faults: [{fault: plant, target: PLANT.mass_kg_add, value: 1}]"
+    replay.main(arguments(log, plant, tmp_path, out=str(tmp_path / "x.tlog")))
+    assert "plant on PLANT.mass_kg_add changes nothing in a log" in capsys.readouterr().err

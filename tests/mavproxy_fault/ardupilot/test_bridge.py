@@ -148,7 +148,7 @@ def test_parameters_that_pass_the_truth_to_the_estimator_are_refused(tmp_path, l
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    assert f"own.parm:1: {line.split()[0]}" in done.stderr
+    assert f"--parameters: {line.split()[0]} = " in done.stderr
 
 
 def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
@@ -183,7 +183,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
 def test_within_a_process_it_is_a_link_that_ends_with_its_autopilot(tmp_path):
     messages: list[str] = []
     words = [sys.executable, str(STAND_IN)]
-    with closing(BridgedAutopilot(words, "copter", tmp_path, [], messages.append)) as autopilot:
+    with closing(BridgedAutopilot(words, "copter", tmp_path, {}, messages.append)) as autopilot:
         simulator = Simulator(Inbox(autopilot))
         assert autopilot.peer_count == 1
         fly(simulator, lambda: len(simulator.answers) >= 115)
@@ -194,7 +194,7 @@ def test_within_a_process_it_is_a_link_that_ends_with_its_autopilot(tmp_path):
 
 
 def test_within_a_process_a_vehicle_without_gps_is_refused(tmp_path):
-    with closing(BridgedAutopilot(["true"], "copter", tmp_path, [], print)) as autopilot:
+    with closing(BridgedAutopilot(["true"], "copter", tmp_path, {}, print)) as autopilot:
         simulator = Simulator(Inbox(autopilot), gps=False)
         with pytest.raises(ConfigError, match="the HIL link: no HIL_GPS was received"):
             fly(simulator, lambda: False)

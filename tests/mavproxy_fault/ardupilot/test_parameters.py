@@ -4,8 +4,7 @@ from mavproxy_fault.ardupilot.parameters import (
     VEHICLE_KINDS,
     AvailableSensors,
     bridge_parameters,
-    check_parameter_file,
-    parameter_file_text,
+    check_parameters,
 )
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -47,14 +46,10 @@ def test_the_loop_is_no_faster_than_the_steps():
     assert bridge_parameters("plane", BARE)["SCHED_LOOP_RATE"] == 100
 
 
-def test_a_file_has_a_line_for_each():
-    assert parameter_file_text({"A": 1, "B": 0.85}) == "A 1\nB 0.85\n"
-
-
 def test_an_estimator_that_reads_the_truth_is_refused():
-    with pytest.raises(ConfigError, match=r"own\.parm:2: AHRS_EKF_TYPE = 10 .* set it to 3"):
-        check_parameter_file(["# mine", "AHRS_EKF_TYPE 10"], "own.parm")
+    with pytest.raises(ConfigError, match=r"AHRS_EKF_TYPE = 10 bypasses .* set it to 3"):
+        check_parameters({"ATC_RAT_RLL_P": 0.2, "AHRS_EKF_TYPE": 10.0})
 
 
 def test_other_parameters_may_be_set_by_the_user():
-    check_parameter_file(["AHRS_EKF_TYPE,3 # as it is", "ATC_RAT_RLL_P 0.2", "", "odd"], "own.parm")
+    check_parameters({"AHRS_EKF_TYPE": 3.0, "ATC_RAT_RLL_P": 0.2})

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.forwarder import Forwarder
 from mavproxy_fault.compiled.object_file import load, make
-from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkState
@@ -45,6 +45,7 @@ FIELDS = {
 UNIX_US = 1_700_000_000_000_000
 STEP_MS = 10
 WALL_NS = 1_000_000_000
+ROLES = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
 
 names = st.sampled_from(sorted(FIELDS))
 numbers = st.sampled_from([0, 1, -1, 5.5, -3, 0.1, 1e9, -1e9, 127, 40000, 1e-3, 1e38, 1e300])
@@ -55,26 +56,58 @@ wheres = st.sampled_from(
 )  # fmt: skip
 
 
+LINK_FAULTS: list[dict[str, Any]] = [
+    {"fault": "drop"}, {"fault": "drop", "value": 0.5}, {"fault": "outage"},
+    {"fault": "gilbert-elliott", "to_bad": 0.3}, {"fault": "burst-loss", "value": 0.2, "frames": 3},
+    {"fault": "rate-limit", "value": 30}, {"fault": "rate-limit", "value": 50, "queue_s": 0.1},
+    {"fault": "delay", "value": 0.012}, {"fault": "reorder", "value": 0.4, "by_s": 0.03},
+    {"fault": "jitter", "value": 0.02},
+    {"fault": "jitter", "value": 0.01, "distribution": "normal"},
+    {"fault": "jitter", "value": 0.01, "distribution": "pareto", "keep_order": False},
+    {"fault": "duplicate", "copies": 2}, {"fault": "duplicate", "value": 0.3, "by_s": 0.02},
+    {"fault": "sequence-gap", "value": 0.3}, {"fault": "truncate", "value": 0.5},
+    {"fault": "time-jump", "value": -2}, {"fault": "time-drift", "value": 0.3},
+]  # fmt: skip
+VALUE_FAULTS: list[dict[str, Any]] = [
+    {"fault": "bias"}, {"fault": "scale"}, {"fault": "constant"}, {"fault": "drift"},
+    {"fault": "drift", "limit": 0.4}, {"fault": "noise"},
+    {"fault": "noise", "distribution": "uniform"}, {"fault": "random-walk"}, {"fault": "freeze"},
+    {"fault": "sample-hold", "value": 0.05}, {"fault": "slew-limit"},
+    {"fault": "float", "settle_s": 0.2, "neutral": 3}, {"fault": "quantise", "value": 0.25},
+    {"fault": "saturate"}, {"fault": "dead-band"}, {"fault": "sine", "frequency_hz": 3},
+    {"fault": "impulse", "period_s": 0.2, "width_s": 0.05},
+    {"fault": "cycle", "period_s": 0.05}, {"fault": "bit-flip", "value": 2},
+    {"fault": "lag", "value": 0.03},
+]  # fmt: skip
+POSITIVE = {"noise", "random-walk", "slew-limit", "saturate", "dead-band"}
+FIXED = {"freeze", "float"}
+
+
 @st.composite
 def entries(draw: st.DrawFn) -> dict[str, Any]:
-    """One fault that can be compiled, or one that cannot."""
+    """One fault: most can be compiled, some cannot."""
     name = draw(names)
-    kind = draw(st.sampled_from(["bias", "scale", "constant", "drift", "noise", "freeze", "drop"]))
-    target = name if kind == "drop" else f"{name}.{draw(st.sampled_from(FIELDS[name]))}"
-    entry: dict[str, Any] = {"fault": kind, "target": target, "at_s": draw(seconds)}
-    entry["where"] = draw(wheres)
+    entry: dict[str, Any] = {"at_s": draw(seconds), "where": draw(wheres)}
+    if draw(st.integers(0, 2)) == 0:
+        entry |= draw(st.sampled_from(LINK_FAULTS))
+        if draw(st.booleans()):
+            entry["target"] = name
+    else:
+        entry |= draw(st.sampled_from(VALUE_FAULTS))
+        fields = draw(st.lists(st.sampled_from(FIELDS[name]), min_size=1, max_size=2, unique=True))
+        entry["target"] = [f"{name}.{field}" for field in fields]
+        kind, value = entry["fault"], draw(numbers)
+        if kind in ("bias", "scale", "constant") and draw(st.booleans()):
+            entry["profile"] = draw(profiles())
+        elif kind not in FIXED:
+            entry.setdefault("value", abs(value) if kind in POSITIVE else value)
     if draw(st.booleans()):
         entry["for_s"] = draw(seconds) + 0.01
         if draw(st.booleans()):
             every_s = entry["for_s"] + draw(seconds) + 0.001
             entry["repeat"] = {"every_s": every_s, "times": draw(st.integers(1, 4))}
-    if kind in ("bias", "scale", "constant") and draw(st.booleans()):
-        entry["profile"] = draw(profiles())
-    elif kind not in ("freeze", "drop"):
-        value = draw(numbers)
-        entry["value"] = abs(value) if kind == "noise" else value
-    if kind == "noise":
-        entry["distribution"] = draw(st.sampled_from(["gaussian", "uniform"]))
+    if draw(st.integers(0, 3)) == 0:
+        entry["probability"] = 0.5
     return entry
 
 
@@ -136,7 +169,7 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
 class Outcome(NamedTuple):
     """What one way made of the traffic: what left, the labels, and all that is remembered."""
 
-    sent: list[list[bytes]]
+    sent: list[bytes]
     labels: list[Label]
     states: list[LinkState]
     senders: "array[int]"
@@ -158,56 +191,60 @@ def compiled(traffic: Sequence[bytes], schedule: str) -> tuple[Outcome, list[int
             forwarder.loop[k.BASE] += STEP_MS * 1_000_000
             vehicle.sendto(datagram, ("127.0.0.1", links[0].port))
             arrived = forwarder.ports[0, k.DATAGRAMS] + 1
-            while forwarder.ports[0, k.DATAGRAMS] < arrived:
-                forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
-            came_us.append((forwarder.loop[k.BASE] + forwarder.loop[k.CAME]) // 1000)
-            if forwarder.pending:
-                number, data, _ = forwarder.handed_over()
-                sent.append([send.data for send in core.received(number, data, came_us[-1])])
-            else:
-                sent.append([])
+            now_us = (forwarder.loop[k.BASE] + time.monotonic_ns()) // 1000
+            data = b"".join(send.data for send in core.due(now_us))
+            while forwarder.ports[0, k.DATAGRAMS] < arrived or forwarder.pending:
+                reason = forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
                 with contextlib.suppress(BlockingIOError):
                     while True:
-                        sent[-1].append(station.recv(65_535))
+                        data += station.recv(65_535)
+                sends = forwarder.take_sends()
+                if reason == k.HANDED_OVER:
+                    number, rest, came_ns = forwarder.handed_over()
+                    now_us = (forwarder.loop[k.BASE] + came_ns) // 1000
+                    sends += core.received(number, rest, now_us) if rest else []
+                data += b"".join(send.data for send in sends)
+            came_us.append((forwarder.loop[k.BASE] + forwarder.loop[k.CAME]) // 1000)
+            sent.append(data)
         forwarder.count()
         for link in links:
             link.close()
-    core.finish(came_us[-1])
-    return Outcome(sent, core.drain_labels(), core.states, core.senders), came_us
+    return finished(core, sent, came_us[-1]), came_us
+
+
+def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
+    """What is left after the last datagram, with all delayed frames."""
+    sent.append(b"".join(send.data for send in core.due(now_us + 10_000_000)))
+    core.finish(now_us + 10_000_000)
+    return Outcome(sent, core.drain_labels(), core.states, core.senders)
 
 
 def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
     """What the core sends for datagrams that come at given times."""
-    links = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
-    core = Core(links, Engine(parse_schedule(schedule)))
+    core = Core(ROLES, Engine(parse_schedule(schedule)))
     sent = [
-        [send.data for send in core.received(0, datagram, now_us)]
+        b"".join(send.data for send in core.received(0, datagram, now_us))
         for datagram, now_us in zip(traffic, came_us, strict=True)
     ]
-    core.finish(came_us[-1])
-    return Outcome(sent, core.drain_labels(), core.states, core.senders)
+    return finished(core, sent, came_us[-1])
 
 
 def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
     """What becomes of the same without sockets; the tape holds what the core's would."""
-    links = [LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle")]
-    cores = [Core(links, Engine(parse_schedule(schedule)), tape=CaptureBuffer()) for _ in range(2)]
+    cores = [Core(ROLES, Engine(parse_schedule(schedule)), tape=CaptureBuffer()) for _ in range(2)]
     core, reference = cores
     tape = core._capture
     assert tape is not None
-    passage, sent = Passage(core, tape), []
+    machine, sent = CompiledCore(core, 0, tape), []
     for datagram, now_us in zip(traffic, came_us, strict=True):
-        passed = passage.passed(0, datagram, now_us)
-        if passed is None:
-            sent.append([send.data for send in core.received(0, datagram, now_us)])
-        else:
-            sent.append([passed.data] if passed.links else [])
+        sends = machine.received(0, datagram, now_us)
+        sent.append(b"".join(send.data for send in sends))
         reference.received(0, datagram, now_us)
-    passage.count()
-    for one in cores:
-        one.finish(came_us[-1])
+    machine.count()
+    outcome = finished(core, sent, came_us[-1])
+    finished(reference, [], came_us[-1])
     assert tape == reference._capture
-    return Outcome(sent, core.drain_labels(), core.states, core.senders)
+    return outcome
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,6 +13,7 @@ from mavproxy_fault.fault_parts.profile import (
     LiveInput,
     Profile,
     SineProfile,
+    hold_live_value,
 )
 from mavproxy_fault.fault_parts.series import BLOCK_ROWS, SeriesTable
 from mavproxy_fault.schedule.entries import read_schedule
@@ -64,22 +65,25 @@ def test_an_overlap_below_a_microsecond_is_accepted() -> None:
 def test_random_numbers_are_new_at_each_start_and_reproducible() -> None:
     profile = Profile(segments=(LinearSegment(0, 1, Draw(uniform=(2, 3)), Draw(normal=(0, 1))),))
     rng = np.random.default_rng(5)
-    first, second = profile.new_state(rng), profile.new_state(rng)
+    first, second, again = (
+        profile.value(0.0, profile.new_state(one)) for one in (rng, rng, np.random.default_rng(5))
+    )
     assert first != second
-    assert first == profile.new_state(np.random.default_rng(5))
-    assert 2 <= first[0][2] <= 3
+    assert first == again
+    assert first is not None
+    assert 2 <= first <= 3
 
 
 def test_a_sine_has_its_amplitude_frequency_and_offset() -> None:
     profile = Profile(sine=SineProfile(amplitude=2, frequency_hz=5, offset=1))
-    assert profile.value(0.0, None) == 1
-    assert profile.value(0.05, None) == pytest.approx(3)
+    assert profile.value(0.0, profile.new_state(RNG)) == 1
+    assert profile.value(0.05, profile.new_state(RNG)) == pytest.approx(3)
 
 
 def test_a_live_value_is_stale_after_its_timeout() -> None:
     profile = Profile(live=LiveInput(timeout_s=0.5))
-    assert profile.value(1.5, (1.0, 7.0)) == 7
-    assert profile.value(1.51, (1.0, 7.0)) is None
+    assert profile.value(1.5, hold_live_value(None, 1.0, 7.0)) == 7
+    assert profile.value(1.51, hold_live_value(None, 1.0, 7.0)) is None
 
 
 def table(path: Path, rows: list[tuple[float, float]], **keys: object) -> Profile:

@@ -57,8 +57,8 @@ def loop() -> Iterator[Loop]:
 
 
 def inject(loop: Loop, *words: str) -> int:
-    assert loop.live.url is not None
-    return main(["inject", *words, "--zenoh", loop.live.url])
+    assert loop.live.bus.url is not None
+    return main(["inject", *words, "--zenoh", loop.live.bus.url])
 
 
 def test_inject_arms_changes_and_clears_a_fault(loop: Loop) -> None:
@@ -131,8 +131,8 @@ def test_a_running_schedule_is_loaded_shown_saved_and_cleared(
     loop: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def schedule(*words: str) -> tuple[int, str]:
-        assert loop.live.url is not None
-        code = main(["schedule", *words, "--zenoh", loop.live.url])
+        assert loop.live.bus.url is not None
+        code = main(["schedule", *words, "--zenoh", loop.live.bus.url])
         return code, capsys.readouterr().out
 
     good, wrong, saved = (tmp_path / name for name in ("good.yaml", "wrong.yaml", "saved.yaml"))
@@ -160,7 +160,7 @@ def test_inject_without_a_proxy_fails(capsys: pytest.CaptureFixture[str]) -> Non
 def test_auto_is_the_default_address_of_clients_too(
     loop: Loop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bus, "DEFAULT_URL", loop.live.url)
+    monkeypatch.setattr(bus, "DEFAULT_URL", loop.live.bus.url)
     assert main(["inject", "--list", "--zenoh", "auto"]) == 0
     assert main(["inject", "--list"]) == 0
 
@@ -214,9 +214,9 @@ def test_proxies_of_one_router_have_different_names(
 ) -> None:
     second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     with pytest.raises(ConfigError, match="--run live is taken"):
-        second.open_bus(loop.live.url or "", "live")
-    second.open_bus(loop.live.url or "")
-    assert second.run == "live-2"
+        second.open_bus(loop.live.bus.url or "", "live")
+    second.open_bus(loop.live.bus.url or "")
+    assert second.bus.run == "live-2"
     assert inject(loop, "bias", "--target", "HIL_SENSOR.xgyro", "--value", "1") == 2
     assert "live, live-2" in capsys.readouterr().err
     second.close()
@@ -225,16 +225,16 @@ def test_proxies_of_one_router_have_different_names(
 def test_a_proxy_takes_over_when_the_router_ends() -> None:
     first = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     first.open_bus("tcp/127.0.0.1:0", "first")
-    url = first.url or ""
+    url = first.bus.url or ""
     second = LiveSession(LiveControl(Engine(Schedule(1))), lambda: 0)
     second.open_bus(url, "second")
-    assert not second.is_router
+    assert not second.bus.is_router
     first.close()
     for now_s in itertools.count(1.0):
         second.show(now_s)
         select.select(second.filenos(), (), (), 0.05)
         second.serve()
-        if second.is_router:
+        if second.bus.is_router:
             break
         assert now_s < 400
     answers: list[int] = []

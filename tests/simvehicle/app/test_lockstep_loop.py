@@ -20,7 +20,8 @@ from simvehicle.app.lockstep_loop import LockstepLoop, serve_autopilot
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
-from simvehicle.sensors.readings import ImuReading, Reading
+from simvehicle.sensors.flight_record import FLIGHT, SENSOR, Board
+from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.actuators import motor_mix
 from simvehicle.vehicles.body import Controls, Truth
 
@@ -30,6 +31,8 @@ class Lift:
 
     def __init__(self) -> None:
         self.t_us = -4000
+        # One IMU
+        self.board = Board(np.zeros(1, dtype=FLIGHT), np.zeros(1, dtype=SENSOR))
         self.height_m = self.climb_mps = 0.0
         self.controls: list[Controls] = []
         self.changes: list[tuple[str, float | None]] = []
@@ -53,7 +56,15 @@ class Lift:
             np.array([1.0, 0, 0, 0]), np.zeros(3), force, np.zeros(3), np.zeros(3),
             101325.0, 288.0, 1.225, 16.0, 1.0, 1.0,
         )  # fmt: skip
-        return self.t_us, truth, [ImuReading(self.t_us, np.zeros(3), force)]
+        self._put_truth(truth)
+        return self.t_us, truth, []
+
+    def _put_truth(self, truth: Truth) -> None:
+        flight, imu = self.board.flight[0], self.board.sensors[0]
+        flight["t_us"], flight["load"][:3] = truth.t_us, truth.specific_force_b_mps2
+        flight["here"][:3] = truth.lat_rad, truth.lon_rad, truth.height_m
+        flight["here"][6:13] = *truth.v_ned_mps, *truth.q_nb
+        imu["values"][:3], imu["fresh"] = truth.specific_force_b_mps2, 1
 
     def plant(self, name: str, value: float | None) -> None:
         self.changes.append((name, value))
@@ -90,7 +101,9 @@ def served(
     assert isinstance(link, TcpServer)
     said, codes = io.StringIO(), list[int]()
     progress = Progress(0.0, said)
-    loop = LockstepLoop(vehicle, HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
+    loop = LockstepLoop(
+        vehicle, HilPacker(vehicle.board), Inbox(link), motor_mix(4), math.inf, progress
+    )
     loop.lockstep = Lockstep(timeout_s, silence_s=20.0 * timeout_s)
 
     def serve() -> None:

@@ -51,8 +51,9 @@ def flown(folder: Path, autopilot: Any, schedule: str) -> list[Frame]:
     link = open_link("tcpin:127.0.0.1:0")
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
+    simulation = Simulation(read_scenario(path))
     loop = LockstepLoop(
-        Simulation(read_scenario(path)), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress
+        simulation, HilPacker(simulation.board), Inbox(link), motor_mix(4), math.inf, progress
     )
     loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # no timeout on a busy machine
     sim = threading.Thread(target=lambda: serve_autopilot(loop, progress, None))

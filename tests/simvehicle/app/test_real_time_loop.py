@@ -127,7 +127,9 @@ def test_only_a_board_that_never_answers_is_reported(tmp_path, monkeypatch, answ
     (tmp_path / "bench.yaml").write_text(SCENARIO)
     simulation, said = Simulation(read_scenario(tmp_path / "bench.yaml")), StringIO()
     with closing(TcpServer("127.0.0.1", 0)) as link:
-        loop = RealTimeLoop(simulation, HilPacker(), Inbox(link), motor_mix(4), Progress(0.0, said))
+        loop = RealTimeLoop(
+            simulation, HilPacker(simulation.board), Inbox(link), motor_mix(4), Progress(0.0, said)
+        )
         with socket.create_connection(("127.0.0.1", link.port), timeout=5) as board:
             first = (
                 next(full_throttle()) if answers else build_frame(message_layout("HEARTBEAT"), {})

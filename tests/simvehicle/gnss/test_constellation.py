@@ -15,24 +15,31 @@ from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris, encode_ephe
 from simvehicle.gnss.constellation import Constellation, build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig, ReceiverConfig
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
-from simvehicle.gnss.satellite_orbits import tabulate_orbits
+from simvehicle.gnss.pseudorange import SAT_ELEVATION, Atmosphere, signal_geometry
+from simvehicle.gnss.satellite_orbits import Orbits, tabulate_orbits
 
 PLACES = [(47.4, 8.5), (-35.4, 149.2), (40.2, -111.7), (0.0, 0.0), (-33.0, -70.0), (60.0, 179.9)]
+
+
+def signals_at(
+    orbits: Orbits, tow_s: float, r_m: np.ndarray, v_mps: np.ndarray, air: Atmosphere
+) -> np.ndarray:
+    """The signals at a place, as rows."""
+    return signal_geometry(orbits.table, tow_s, r_m, v_mps, air.coefficients, air.troposphere)
 
 
 def elevations(constellation: Constellation, lat_deg: float, lon_deg: float, at_s: float) -> dict:
     chosen = constellation.choose_ephemerides(constellation.start_s + at_s, [None] * 24)
     sets = [e[k] for e, k in zip(constellation.ephemerides, chosen, strict=True) if k is not None]
     place = ecef_from_geodetic(math.radians(lat_deg), math.radians(lon_deg), 100.0)
-    seen = signal_geometry(
+    seen = signals_at(
         tabulate_orbits(sets, constellation.week),
         constellation.start_s + at_s,
         place,
         np.zeros(3),
         Atmosphere(None, False),
     )
-    return dict(zip([e.satellite for e in sets], np.degrees(seen.elevation_rad), strict=True))
+    return dict(zip([e.satellite for e in sets], np.degrees(seen[SAT_ELEVATION]), strict=True))
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)

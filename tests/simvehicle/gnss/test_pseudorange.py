@@ -9,7 +9,17 @@ import pytest
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_from_ecef
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
+from simvehicle.gnss.pseudorange import (
+    DELAY,
+    LINE_OF_SIGHT,
+    RANGE,
+    RANGE_RATE,
+    SAT_AZIMUTH,
+    SAT_CLOCK,
+    SAT_ELEVATION,
+    Atmosphere,
+    signal_geometry,
+)
 from simvehicle.gnss.satellite_orbits import (
     Orbits,
     satellite_states,
@@ -20,6 +30,13 @@ VACUUM = Atmosphere(None, False)
 TOW_S = 475200.0
 SITE_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # the real receiver's antenna
 REST = np.zeros(3)
+
+
+def signals_at(
+    orbits: Orbits, tow_s: float, r_m: np.ndarray, v_mps: np.ndarray, air: Atmosphere
+) -> np.ndarray:
+    """The signals at a place, as rows."""
+    return signal_geometry(orbits.table, tow_s, r_m, v_mps, air.coefficients, air.troposphere)
 
 
 def orbits() -> Orbits:
@@ -36,44 +53,44 @@ def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
 
 
 def test_ranges_solve_the_light_time_equation_in_an_inertial_frame() -> None:
-    seen = signal_geometry(orbits(), TOW_S, SITE_M, REST, VACUUM)
-    sent_s = TOW_S - seen.range_m / SPEED_OF_LIGHT_MPS
+    seen = signals_at(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    sent_s = TOW_S - seen[RANGE] / SPEED_OF_LIGHT_MPS
     positions, _, clocks, _ = satellite_states(orbits(), sent_s)
     for k, position in enumerate(positions):
         flown = np.linalg.norm(inertial(position, float(sent_s[k])) - SITE_M)
-        assert flown == pytest.approx(seen.range_m[k], abs=2e-6)
-    assert seen.clock_s == pytest.approx(clocks, abs=1e-16)
+        assert flown == pytest.approx(seen[RANGE, k], abs=2e-6)
+    assert seen[SAT_CLOCK] == pytest.approx(clocks, abs=1e-16)
 
 
 def test_rates_are_the_derivatives_of_ranges_for_a_moving_receiver() -> None:
     v = np.array([50.0, -120.0, 30.0])
-    ahead = signal_geometry(orbits(), TOW_S + 0.1, SITE_M + 0.1 * v, v, VACUUM)
-    behind = signal_geometry(orbits(), TOW_S - 0.1, SITE_M - 0.1 * v, v, VACUUM)
-    seen = signal_geometry(orbits(), TOW_S, SITE_M, v, VACUUM)
-    assert seen.rate_mps == pytest.approx((ahead.range_m - behind.range_m) / 0.2, abs=3e-5)
+    ahead = signals_at(orbits(), TOW_S + 0.1, SITE_M + 0.1 * v, v, VACUUM)
+    behind = signals_at(orbits(), TOW_S - 0.1, SITE_M - 0.1 * v, v, VACUUM)
+    seen = signals_at(orbits(), TOW_S, SITE_M, v, VACUUM)
+    assert seen[RANGE_RATE] == pytest.approx((ahead[RANGE] - behind[RANGE]) / 0.2, abs=3e-5)
 
 
 def test_directions_are_those_of_the_local_horizon() -> None:
-    seen = signal_geometry(orbits(), TOW_S, SITE_M, REST, VACUUM)
+    seen = signals_at(orbits(), TOW_S, SITE_M, REST, VACUUM)
     lat, lon, height = geodetic_from_ecef(SITE_M)
     for k, (elevation, azimuth) in enumerate(
-        zip(seen.elevation_rad, seen.azimuth_rad, strict=True)
+        zip(seen[SAT_ELEVATION], seen[SAT_AZIMUTH], strict=True)
     ):
         step = 1e-5  # rad north and east; the range must shrink accordingly
         north = ecef_from_geodetic(lat + step, lon, height) - SITE_M
         east = ecef_from_geodetic(lat, lon + step, height) - SITE_M
-        assert seen.line_of_sight[k] @ north / np.linalg.norm(north) == pytest.approx(
+        assert seen[LINE_OF_SIGHT:, k] @ north / np.linalg.norm(north) == pytest.approx(
             math.cos(elevation) * math.cos(azimuth), abs=1e-5
         )
-        assert seen.line_of_sight[k] @ east / np.linalg.norm(east) == pytest.approx(
+        assert seen[LINE_OF_SIGHT:, k] @ east / np.linalg.norm(east) == pytest.approx(
             math.cos(elevation) * math.sin(azimuth), abs=1e-5
         )
 
 
 def test_satellites_below_the_horizon_have_negative_elevation() -> None:
-    other_side = signal_geometry(orbits(), TOW_S, -SITE_M, REST, VACUUM)
-    assert other_side.elevation_rad.max() < 0.0
-    assert np.isfinite(other_side.range_m).all()
+    other_side = signals_at(orbits(), TOW_S, -SITE_M, REST, VACUUM)
+    assert other_side[SAT_ELEVATION].max() < 0.0
+    assert np.isfinite(other_side[RANGE]).all()
 
 
 def real_epochs(path: Path) -> list[tuple[float, dict[str, float]]]:
@@ -100,11 +117,11 @@ def test_a_real_receiver_at_a_known_position_agrees_with_the_models(shared_data:
         offset_m = 0.0
         for _ in range(3):  # the receiver's clock follows from the ranges
             true_s = tow_s - offset_m / SPEED_OF_LIGHT_MPS
-            seen = signal_geometry(table, true_s, SITE_M, REST, air)
-            residual = measured - seen.range_m + SPEED_OF_LIGHT_MPS * seen.clock_s - seen.delay_m
+            seen = signals_at(table, true_s, SITE_M, REST, air)
+            residual = measured - seen[RANGE] + SPEED_OF_LIGHT_MPS * seen[SAT_CLOCK] - seen[DELAY]
             offset_m = float(np.median(residual[~galileo]))
         residual -= np.where(galileo, np.median(residual[galileo]), offset_m)
-        squares += list(residual[seen.elevation_rad > math.radians(15.0)] ** 2)
+        squares += list(residual[seen[SAT_ELEVATION] > math.radians(15.0)] ** 2)
     assert len(squares) > 200
     assert math.sqrt(np.mean(squares)) < 1.0
     assert math.sqrt(max(squares)) < 3.0

@@ -8,7 +8,16 @@ import pytest
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import Atmosphere, signal_geometry
+from simvehicle.gnss.pseudorange import (
+    DELAY,
+    RANGE,
+    RANGE_RATE,
+    SAT_CLOCK,
+    SAT_CLOCK_RATE,
+    SAT_ELEVATION,
+    Atmosphere,
+    signal_geometry,
+)
 from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
 from simvehicle.gnss.satellite_orbits import Orbits, select_orbits, tabulate_orbits
 
@@ -21,20 +30,27 @@ OFFSET_S, DRIFT = 2.5e-4, 3e-7
 GALILEO_M = 4.0
 
 
+def signals_at(
+    orbits: Orbits, tow_s: float, r_m: np.ndarray, v_mps: np.ndarray, air: Atmosphere
+) -> np.ndarray:
+    """The signals at a place, as rows."""
+    return signal_geometry(orbits.table, tow_s, r_m, v_mps, air.coefficients, air.troposphere)
+
+
 def in_view(letters: str = "GE") -> Orbits:
     every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
-    seen = signal_geometry(every, TOW_S, PLACE_M, MOTION, AIR)
+    seen = signals_at(every, TOW_S, PLACE_M, MOTION, AIR)
     pick = [k for k in range(24)
-            if seen.elevation_rad[k] > 0.2 and every.satellites[k][0] in letters]  # fmt: skip
+            if seen[SAT_ELEVATION, k] > 0.2 and every.satellites[k][0] in letters]  # fmt: skip
     return select_orbits(every, np.array(pick))
 
 
 def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
     """Pseudoranges and range rates when the receiver's clock shows TOW_S."""
-    seen = signal_geometry(orbits, TOW_S - OFFSET_S, PLACE_M, MOTION, AIR)
-    code = seen.range_m + SPEED_OF_LIGHT_MPS * (OFFSET_S - seen.clock_s) + seen.delay_m
+    seen = signals_at(orbits, TOW_S - OFFSET_S, PLACE_M, MOTION, AIR)
+    code = seen[RANGE] + SPEED_OF_LIGHT_MPS * (OFFSET_S - seen[SAT_CLOCK]) + seen[DELAY]
     code += np.array([GALILEO_M * (name[0] == "E") for name in orbits.satellites])
-    return code, seen.rate_mps + SPEED_OF_LIGHT_MPS * (DRIFT - seen.clock_rate)
+    return code, seen[RANGE_RATE] + SPEED_OF_LIGHT_MPS * (DRIFT - seen[SAT_CLOCK_RATE])
 
 
 @pytest.mark.parametrize("letters", ["G", "E", "GE"])
@@ -128,8 +144,8 @@ def test_without_a_fix_the_last_position_is_kept() -> None:
 def test_the_error_divided_by_its_own_sigma_has_unit_variance_for_its_noise_model() -> None:
     orbits = in_view()
     code, rate = observed(orbits)
-    seen = signal_geometry(orbits, TOW_S, PLACE_M, MOTION, AIR)
-    sigma = 0.5 / np.sin(seen.elevation_rad)  # the sigma that the receiver assumes
+    seen = signals_at(orbits, TOW_S, PLACE_M, MOTION, AIR)
+    sigma = 0.5 / np.sin(seen[SAT_ELEVATION])  # the sigma that the receiver assumes
     rng = np.random.default_rng(5)
     fix: ReceiverFix | None = None
     ratios = []

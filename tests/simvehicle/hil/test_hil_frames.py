@@ -8,52 +8,53 @@ from mavproxy_fault.rtcm.msm7 import decode_msm7
 from mavproxy_fault.rtcm.transport import Reassembler, message_number, tunnel_payload, wrap_message
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.hil import hil_frames as hil
+from simvehicle.hil import frame_kernel
 from simvehicle.hil.hil_frames import HilPacker
-from simvehicle.hil.state_kernel import TruthPayload
+from simvehicle.sensors.compiled_sensor import BARO, IMU, MAG, PITOT
+from simvehicle.sensors.flight_record import FLIGHT, SENSOR, Board
 from simvehicle.sensors.readings import (
-    AirspeedReading,
     BatteryReading,
     EphemerisReading,
     FlowReading,
     GpsReading,
-    ImuReading,
-    MagReading,
-    PressureReading,
     PseudorangeReading,
     RangeReading,
     VisionReading,
 )
-from simvehicle.vehicles.body import Truth
+
+SENSORS = (
+    (IMU, 0, [1.0, 2.0, -9.8, 0.1, 0.2, 0.3]),
+    (IMU, 1, [1.0, 2.0, -9.8, 0.1, 0.2, 0.3]),
+    (IMU, 2, [1.0, 2.0, -9.8, 0.1, 0.2, 0.3]),
+    (MAG, 0, [0.2, 0.01, 0.43]),
+    (BARO, 0, [95600.0, 488.0, 25.0]),
+    (PITOT, 0, [60.0]),
+)
+ALL = (0, 3, 4, 5)  # the first of each kind
+HERE = {"latitude": 0, "density": 5, "velocity": 6, "attitude": 9, "air": 13}
 
 
-def make_truth(t_us: int = 0, **changes: object) -> Truth:
-    values: dict[str, object] = {
-        "t_us": t_us,
-        "lat_rad": math.radians(47.397742),
-        "lon_rad": math.radians(8.545594),
-        "height_m": 535.0,
-        "alt_msl_m": 488.0,
-        "height_agl_m": 0.0,
-        "r_ned_m": np.zeros(3),
-        "v_ned_mps": np.zeros(3),
-        "q_nb": np.array([1.0, 0, 0, 0]),
-        "omega_b_rps": np.zeros(3),
-        "specific_force_b_mps2": np.array([0.0, 0.0, -9.80665]),
-        "v_air_b_mps": np.zeros(3),
-        "wind_ned_mps": np.zeros(3),
-        "pressure_pa": 95600.0,
-        "temperature_k": 285.0,
-        "density_kgpm3": 1.225,
-        "battery_v": 16.0,
-        "battery_a": 1.0,
-        "battery_remaining": 1.0,
-    }
-    return Truth(**(values | changes))  # type: ignore[arg-type]
+class Link:
+    """A packer on a board of its own, over Zurich, at rest."""
 
+    def __init__(self, **here: list[float]) -> None:
+        self.board = Board(np.zeros(1, dtype=FLIGHT), np.zeros(len(SENSORS), dtype=SENSOR))
+        for record, (kind, number, values) in zip(self.board.sensors, SENSORS, strict=True):
+            record["kind"], record["id"] = kind, number
+            record["values"][: len(values)] = values
+        flight = self.board.flight[0]
+        flight["load"][:3] = 0.0, 0.0, -9.80665
+        place = [math.radians(47.397742), math.radians(8.545594), 535.0]
+        at_rest = {"latitude": place, "density": [1.225], "attitude": [1.0]}
+        flight["home"][12] = 47.0  # the geoid
+        for name, values in (at_rest | here).items():
+            flight["here"][HERE[name] : HERE[name] + len(values)] = values
+        self.packer = HilPacker(self.board)
 
-def imu(t_us: int = 0, number: int = 0) -> ImuReading:
-    return ImuReading(t_us, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, -9.8]), number)
+    def frames(self, t_us: int, readings: list, fresh: tuple[int, ...] = ()) -> list[bytes]:
+        self.board.flight["t_us"] = t_us
+        self.board.sensors["fresh"] = [number in fresh for number in range(len(SENSORS))]
+        return self.packer.frames(readings)
 
 
 def decode(frames: list[bytes]) -> list[dialect.MAVLink_message]:
@@ -66,13 +67,7 @@ def one(frames: list[bytes], name: str) -> dialect.MAVLink_message:
 
 
 def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
-    readings = [
-        imu(),
-        MagReading(0, np.array([0.2, 0.01, 0.43])),
-        PressureReading(0, 95600.0, 488.0, 25.0),
-        AirspeedReading(0, 60.0),
-    ]
-    sensor = one(HilPacker().frames(0, make_truth(), readings), "HIL_SENSOR")
+    sensor = one(Link().frames(0, [], ALL), "HIL_SENSOR")
     assert sensor.fields_updated == 0x1FFF
     assert sensor.time_usec == 1_000_000
     assert (sensor.get_srcSystem(), sensor.get_srcComponent()) == (1, 51)
@@ -85,30 +80,21 @@ def test_a_full_step_sets_every_bit_of_each_group_in_one_message() -> None:
     assert sensor.diff_pressure == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize(
-    ("reading", "bits"),
-    [
-        (imu(), 0x3F),
-        (MagReading(0, np.ones(3)), 0x1C0),
-        (PressureReading(0, 1e5, 0.0, 15.0), 0x1A00),
-        (AirspeedReading(0, 1.0), 0x400),
-    ],
-)
-def test_each_reading_marks_its_own_group_only(reading: object, bits: int) -> None:
-    frames = HilPacker().frames(0, make_truth(), [reading])  # type: ignore[list-item]
-    assert one(frames, "HIL_SENSOR").fields_updated == bits
+@pytest.mark.parametrize(("number", "bits"), [(0, 0x3F), (3, 0x1C0), (4, 0x1A00), (5, 0x400)])
+def test_each_reading_marks_its_own_group_only(number: int, bits: int) -> None:
+    assert one(Link().frames(0, [], (number,)), "HIL_SENSOR").fields_updated == bits
 
 
 def test_values_without_a_new_reading_keep_the_last_one() -> None:
-    link = HilPacker()
-    link.frames(0, make_truth(), [imu(), PressureReading(0, 95600.0, 488.0, 25.0)])
-    sensor = one(link.frames(4000, make_truth(), [imu(4000)]), "HIL_SENSOR")
+    link = Link()
+    link.frames(0, [], (0, 4))
+    sensor = one(link.frames(4000, [], (0,)), "HIL_SENSOR")
     assert sensor.fields_updated == 0x3F
     assert sensor.abs_pressure == pytest.approx(956.0)
 
 
 def test_several_imus_have_separate_messages_after_that_of_id_0() -> None:
-    frames = HilPacker().frames(0, make_truth(), [imu(number=2), imu(number=0), imu(number=1)])
+    frames = Link().frames(0, [], (2, 0, 1))
     assert [m.id for m in decode(frames) if m.get_type() == "HIL_SENSOR"] == [0, 1, 2]
 
 
@@ -116,7 +102,7 @@ def test_gps_scales_to_wire_units_and_centimetres_of_error() -> None:
     reading = GpsReading(
         0, -33.8688197, 151.2092955, 58.25, np.array([3.0, -4.0, 0.5]), 3, 11, 0.9, 1.5
     )
-    gps = one(HilPacker().frames(0, make_truth(), [reading]), "HIL_GPS")
+    gps = one(Link().frames(0, [reading]), "HIL_GPS")
     assert (gps.lat, gps.lon, gps.alt) == (-338688197, 1512092955, 58250)
     assert (gps.vel, gps.vn, gps.ve, gps.vd) == (500, 300, -400, 50)
     assert gps.cog == round((math.degrees(math.atan2(-4, 3)) % 360) * 100)
@@ -125,29 +111,23 @@ def test_gps_scales_to_wire_units_and_centimetres_of_error() -> None:
 
 def test_course_is_unknown_at_rest() -> None:
     reading = GpsReading(0, 1.0, 2.0, 3.0, np.array([0.1, 0.1, 0.0]), 3, 11, 0.9, 1.5)
-    assert one(HilPacker().frames(0, make_truth(), [reading]), "HIL_GPS").cog == 65535
+    assert one(Link().frames(0, [reading]), "HIL_GPS").cog == 65535
 
 
 def test_a_delayed_reading_keeps_the_timestamp_of_its_measurement() -> None:
     reading = GpsReading(100_000, 1.0, 2.0, 3.0, np.zeros(3), 3, 11, 0.9, 1.5)
-    frames = HilPacker().frames(220_000, make_truth(), [imu(220_000), reading])
+    frames = Link().frames(220_000, [reading], (0,))
     assert one(frames, "HIL_GPS").time_usec == 1_100_000
     assert one(frames, "HIL_SENSOR").time_usec == 1_220_000
 
 
 def test_truth_is_sent_with_attitude_velocity_and_airspeed() -> None:
-    q = np.array([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
-    truth = make_truth(
-        8000,
-        q_nb=q,
-        v_ned_mps=np.array([1.5, -2.5, 0.25]),
-        omega_b_rps=np.array([0.01, 0.02, 0.03]),
-        v_air_b_mps=np.array([3.0, 4.0, 0.0]),
-        density_kgpm3=1.225 / 4,
-    )
-    state = one(HilPacker().frames(8000, truth, []), "HIL_STATE_QUATERNION")
+    q = [math.cos(0.1), 0.0, math.sin(0.1), 0.0]
+    link = Link(attitude=q, velocity=[1.5, -2.5, 0.25], air=[3.0, 4.0, 0.0], density=[1.225 / 4])
+    link.board.flight["x"][0, 10:13] = 0.01, 0.02, 0.03
+    state = one(link.frames(8000, []), "HIL_STATE_QUATERNION")
     assert state.time_usec == 1_008_000
-    assert state.attitude_quaternion == pytest.approx(q.tolist(), abs=1e-7)
+    assert state.attitude_quaternion == pytest.approx(q, abs=1e-7)
     assert (state.vx, state.vy, state.vz) == (150, -250, 25)
     assert (state.lat, state.lon, state.alt) == (473977420, 85455940, 488000)
     assert (state.true_airspeed, state.ind_airspeed, state.zacc) == (500, 250, -1000)
@@ -161,7 +141,7 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
         VisionReading(0, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), turned, 0.1, 0.2),
         BatteryReading(0, 15.8, 12.34, 0.876),
     ]
-    frames = HilPacker().frames(0, make_truth(), readings)
+    frames = Link().frames(0, readings)
     distance = one(frames, "DISTANCE_SENSOR")
     assert (distance.min_distance, distance.current_distance, distance.max_distance) == (
         20,
@@ -189,7 +169,7 @@ def test_vision_may_be_sent_as_a_pose_only() -> None:
     reading = VisionReading(
         40_000, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), leaning, 0.1, 0.2, odometry=False
     )
-    frames = HilPacker().frames(40_000, make_truth(), [reading])
+    frames = Link().frames(40_000, [reading])
     pose = one(frames, "VISION_POSITION_ESTIMATE")
     assert (pose.usec, pose.x, pose.y, pose.z) == (1_040_000, 1.0, 2.0, -3.0)
     assert [pose.roll, pose.pitch, pose.yaw] == pytest.approx([math.radians(30.0), 0.0, 0.0])
@@ -203,7 +183,7 @@ def test_raw_observations_are_sent_as_rtcm_in_tunnel_with_shared_sequence_number
         np.array([100.0, -200.0, 50.0]), np.array([45.0, 40.0, 42.0]),
     )  # fmt: skip
     ephemeris = EphemerisReading(0, "G05", wrap_message(bytes.fromhex("3fb0") + bytes(59)))
-    frames = HilPacker().frames(0, make_truth(), [imu(), epoch, ephemeris])
+    frames = Link().frames(0, [epoch, ephemeris], (0,))
     assert [f[4] for f in frames] == list(range(len(frames)))
     reassembler = Reassembler()
     tunnel = message_layout("TUNNEL")
@@ -221,39 +201,44 @@ def test_raw_observations_are_sent_as_rtcm_in_tunnel_with_shared_sequence_number
 
 
 def test_charge_drawn_adds_up() -> None:
-    link = HilPacker()
-    link.frames(0, make_truth(), [BatteryReading(0, 16.0, 36.0, 1.0)])
-    second = link.frames(1_000_000, make_truth(), [BatteryReading(1_000_000, 16.0, 36.0, 1.0)])
+    link = Link()
+    link.frames(0, [BatteryReading(0, 16.0, 36.0, 1.0)])
+    second = link.frames(1_000_000, [BatteryReading(1_000_000, 16.0, 36.0, 1.0)])
     assert one(second, "BATTERY_STATUS").current_consumed == 10
 
 
 def test_a_heartbeat_is_sent_once_a_second() -> None:
-    link = HilPacker()
+    link = Link()
     beats = [
         t
         for t in range(0, 3_000_000, 4000)
-        if any(m.get_type() == "HEARTBEAT" for m in decode(link.frames(t, make_truth(t), [])))
+        if any(m.get_type() == "HEARTBEAT" for m in decode(link.frames(t, [])))
     ]
     assert beats == [0, 1_000_000, 2_000_000]
 
 
 def test_sequence_numbers_run_through_all_messages() -> None:
-    link = HilPacker()
-    frames = [f for t in range(0, 1_200_000, 4000) for f in link.frames(t, make_truth(t), [imu(t)])]
+    link = Link()
+    frames = [f for t in range(0, 1_200_000, 4000) for f in link.frames(t, [], (0,))]
     assert [f[4] for f in frames] == [i % 256 for i in range(len(frames))]
 
 
 def test_the_packed_layouts_are_those_of_the_dialect() -> None:
-    assert hil._SENSOR.size == hil.HIL_SENSOR.length
-    assert len(TruthPayload().bytes) == hil.HIL_STATE_QUATERNION.length
+    assert frame_kernel.HIL_SENSOR.length == frame_kernel._SENSOR_SIZE
+    assert frame_kernel.TRUTH.length == frame_kernel._TRUTH_SIZE
 
 
 def test_velocities_beyond_the_wire_saturate() -> None:
-    truth = make_truth(
-        v_ned_mps=np.array([400.0, -400.0, 0.0]), v_air_b_mps=np.array([500.0, 0.0, 0.0])
-    )
-    state = one(HilPacker().frames(0, truth, []), "HIL_STATE_QUATERNION")
+    link = Link(velocity=[400.0, -400.0, 0.0], air=[500.0, 0.0, 0.0])
+    state = one(link.frames(0, []), "HIL_STATE_QUATERNION")
     assert (state.vx, state.vy) == (32767, -32768)
     assert (state.true_airspeed, state.ind_airspeed) == (50_000, 50_000)
-    truth = make_truth(v_air_b_mps=np.array([900.0, 0.0, 0.0]))
-    assert one(HilPacker().frames(0, truth, []), "HIL_STATE_QUATERNION").true_airspeed == 65_535
+    fast = Link(air=[900.0, 0.0, 0.0])
+    assert one(fast.frames(0, []), "HIL_STATE_QUATERNION").true_airspeed == 65_535
+
+
+def test_more_ids_than_the_message_has_room_for_are_refused() -> None:
+    link = Link()
+    link.board.sensors["id"][1] = 3
+    with pytest.raises(AssertionError):
+        HilPacker(link.board)

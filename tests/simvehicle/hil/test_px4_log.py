@@ -93,13 +93,14 @@ def vehicle(folder: Path) -> Simulation:
 
 def play(answers: dict[int, bytes], folder: Path) -> list[bytes]:
     """The simulator's frames for a PX4 that answers as recorded, to the end of the log."""
-    simulation, hil, mix = vehicle(folder), HilPacker(), motor_mix(4)
+    simulation, mix = vehicle(folder), motor_mix(4)
+    hil = HilPacker(simulation.board)
     controls = Controls(mix([0.0] * 16), armed=False)
     got: list[bytes] = []
     last_us = max(answers)
     while simulation.truth.t_us + hil.start_us < last_us:
-        t_us, truth, readings = simulation.step(controls)
-        got += hil.frames(t_us, truth, readings)
+        t_us, _, readings = simulation.step(controls)
+        got += hil.frames(readings)
         answer = answers.get(t_us + hil.start_us)
         if answer:  # the recorded PX4 left one step unanswered
             _, controls = read_controls(Frame(answer, ACTUATORS), mix)
@@ -111,7 +112,9 @@ def play_over_tcp(answers: dict[int, bytes], folder: Path) -> list[bytes]:
     link = open_link("tcpin:127.0.0.1:0")
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
-    loop = LockstepLoop(vehicle(folder), HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
+    simulation = vehicle(folder)
+    hil = HilPacker(simulation.board)
+    loop = LockstepLoop(simulation, hil, Inbox(link), motor_mix(4), math.inf, progress)
     loop.lockstep = Lockstep(timeout_s=60.0, silence_s=60.0)  # no timeout on a busy machine
     thread = threading.Thread(target=lambda: serve_autopilot(loop, progress, LINK_US - 1_000_000))
     thread.start()

@@ -11,24 +11,24 @@ from simvehicle.environment.air import pressure_altitude
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
 from simvehicle.sensors.battery import BatteryMonitor
+from simvehicle.sensors.compiled_sensor import CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.flight_record import FLIGHT, SENSOR
 from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps, GpsError
 from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
+from simvehicle.sensors.measure_kernel import measure
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.readings import (
-    AirspeedReading,
     BatteryReading,
     FlowReading,
     GpsReading,
-    ImuReading,
-    MagReading,
-    PressureReading,
     RangeReading,
     VisionReading,
 )
 from simvehicle.sensors.vision import Vision
+from simvehicle.simulation.onboard_sensors import CompiledOnboardSensor
 from simvehicle.vehicles.body import Truth
 
 FIELD = (0.21, 0.01, 0.43)
@@ -72,31 +72,54 @@ def many(sensor: Any, count: int, seed: int = 1) -> list[Any]:
     return out
 
 
+def flight_at(truth: Truth) -> np.ndarray:
+    """The flight's record at a truth."""
+    flight = np.zeros(1, dtype=FLIGHT)
+    flight["t_us"], flight["x"][0, 10:13] = truth.t_us, truth.omega_b_rps
+    flight["load"][0, :3] = truth.specific_force_b_mps2
+    air = truth.pressure_pa, truth.temperature_k, truth.density_kgpm3
+    flight["here"][0, 3:16] = *air, *truth.v_ned_mps, *truth.q_nb, *truth.v_air_b_mps
+    return flight
+
+
+def measured(sensor: CompiledSensor, truth: Truth = TRUTH, count: int = 1) -> np.ndarray:
+    """Values (count, 6) of a compiled sensor at a truth at rest."""
+    flight, records, found = flight_at(truth), np.zeros(1, dtype=SENSOR), []
+    fitted = CompiledOnboardSensor("imu0", sensor, 1, records[0])
+    for _ in range(count):
+        fitted.refill()
+        records["due_us"] = 0.0
+        measure(flight, records)
+        found.append(records["values"][0].copy())
+    return np.array(found)
+
+
 def test_a_perfect_imu_reads_the_truth() -> None:
-    reading = read(ImuSensor())
-    assert isinstance(reading, ImuReading)
-    assert np.array_equal(reading.gyro_b_rps, TRUTH.omega_b_rps)
-    assert np.array_equal(reading.accel_b_mps2, TRUTH.specific_force_b_mps2)
+    (values,) = measured(ImuSensor())
+    assert np.array_equal(values[3:], TRUTH.omega_b_rps)
+    assert np.array_equal(values[:3], TRUTH.specific_force_b_mps2)
 
 
 def test_a_perfect_magnetometer_reads_the_field_in_body_axes() -> None:
-    reading = read(Magnetometer(field_ned_gauss=FIELD))
-    assert isinstance(reading, MagReading)
-    assert np.allclose(matrix_from_quat(TRUTH.q_nb) @ reading.field_b_gauss, FIELD)
+    (values,) = measured(Magnetometer(field_ned_gauss=FIELD))
+    assert np.allclose(matrix_from_quat(TRUTH.q_nb) @ values[:3], FIELD)
 
 
 def test_a_perfect_barometer_reads_the_pressure() -> None:
-    reading = read(Barometer())
-    assert isinstance(reading, PressureReading)
-    assert reading.pressure_pa == TRUTH.pressure_pa
-    assert reading.pressure_alt_m == pytest.approx(pressure_altitude(95000.0))
-    assert reading.temperature_c == pytest.approx(11.85)
+    (values,) = measured(Barometer())
+    assert values[0] == TRUTH.pressure_pa
+    assert values[1] == pytest.approx(pressure_altitude(95000.0))
+    assert values[2] == pytest.approx(11.85)
+
+
+def test_a_barometer_drifts_with_the_temperature() -> None:
+    (values,) = measured(Barometer(drift_pa_per_k=2.0))
+    assert values[0] == pytest.approx(95000.0 + 2.0 * (285.0 - 288.15))
 
 
 def test_a_perfect_pitot_tube_reads_the_dynamic_pressure() -> None:
-    reading = read(Airspeed())
-    assert isinstance(reading, AirspeedReading)
-    assert reading.diff_pressure_pa == pytest.approx(0.5 * 1.16 * (24.0**2 + 1.0 + 4.0))
+    (values,) = measured(Airspeed())
+    assert values[0] == pytest.approx(0.5 * 1.16 * (24.0**2 + 1.0 + 4.0))
 
 
 def test_a_perfect_gps_reads_position_and_velocity() -> None:
@@ -158,17 +181,18 @@ def test_a_perfect_battery_monitor_reads_the_pack() -> None:
 
 def test_an_imu_saturates_at_its_range() -> None:
     fast = replace(TRUTH, omega_b_rps=np.array([50.0, -50.0, 0.0]))
-    assert np.array_equal(read(ImuSensor(gyro_range_rps=5.0), fast).gyro_b_rps, [5.0, -5.0, 0.0])
+    (values,) = measured(ImuSensor(gyro_range_rps=5.0), fast)
+    assert np.array_equal(values[3:], [5.0, -5.0, 0.0])
 
 
 def test_scale_and_bias_act_on_their_axis() -> None:
-    reading = read(ImuSensor(gyro=NoiseModel(scale=0.1, bias=[0.0, 0.5, 0.0])))
-    assert np.allclose(reading.gyro_b_rps, 1.1 * TRUTH.omega_b_rps + [0.0, 0.5, 0.0])
+    (values,) = measured(ImuSensor(gyro=NoiseModel(scale=0.1, bias=[0.0, 0.5, 0.0])))
+    assert np.allclose(values[3:], 1.1 * TRUTH.omega_b_rps + [0.0, 0.5, 0.0])
 
 
 def test_white_noise_has_the_configured_deviation() -> None:
-    readings = many(ImuSensor(gyro=NoiseModel(sigma=0.2)), 4000)
-    errors = np.array([r.gyro_b_rps - TRUTH.omega_b_rps for r in readings])
+    sensor = ImuSensor(gyro=NoiseModel(sigma=0.2))
+    errors = measured(sensor, count=4000)[:, 3:] - TRUTH.omega_b_rps
     # 12,000 samples: the relative deviation of a standard deviation is 1/sqrt(2 n) = 0.65 %.
     assert errors.std() == pytest.approx(0.2, rel=0.03)
     assert np.abs(errors.mean(axis=0)).max() < 4.0 * 0.2 / np.sqrt(4000)

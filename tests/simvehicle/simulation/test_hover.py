@@ -35,7 +35,9 @@ def test_the_multirotor_hovers_in_wind_with_controls_from_the_link(
     assert isinstance(link, TcpServer)
     progress = Progress(0.0, io.StringIO())
     simulation = Simulation(read_scenario(path))
-    loop = LockstepLoop(simulation, HilPacker(), Inbox(link), motor_mix(4), math.inf, progress)
+    loop = LockstepLoop(
+        simulation, HilPacker(simulation.board), Inbox(link), motor_mix(4), math.inf, progress
+    )
     codes: list[int] = []
     thread = threading.Thread(
         target=lambda: codes.append(serve_autopilot(loop, progress, UNTIL_US))

@@ -1,6 +1,5 @@
 """A complete flight: reproducible readings, separate streams, plant faults, the built-in demo."""
 
-from itertools import islice
 from typing import Any
 
 import msgspec
@@ -17,11 +16,12 @@ from simvehicle.scenario.scenario_file import (
     read_scenario,
 )
 from simvehicle.sensors.barometer import Barometer
+from simvehicle.sensors.compiled_sensor import BARO, IMU
 from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.gps import Gps
 from simvehicle.sensors.imu import ImuSensor
-from simvehicle.sensors.readings import GpsReading, ImuReading, PressureReading
-from simvehicle.simulation.simulation import Simulation, simulate_flight
+from simvehicle.sensors.readings import GpsReading
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.body import Controls
 
 IN_THE_AIR = StartConfig(height_m=100.0)
@@ -43,8 +43,11 @@ def scenario(**changes: Any) -> Scenario:
 
 def imu_of(flight: Scenario, count: int = 300, seed: int | None = None) -> np.ndarray:
     """Gyro samples of the first steps."""
-    steps = islice(simulate_flight(flight, seed), count)
-    return np.array([r[0].gyro_b_rps for _, _, r in steps if isinstance(r[0], ImuReading)])
+    simulation, found = Simulation(flight, seed), []
+    for _ in range(count):
+        simulation.step()
+        found.append(simulation.board.sensors["values"][0, 3:].copy())
+    return np.array(found)
 
 
 def test_the_same_seed_gives_the_same_readings() -> None:
@@ -56,7 +59,9 @@ def test_a_prepared_step_is_the_same() -> None:
     for _ in range(50):
         ahead.prepare()
         ahead.prepare()  # may be called repeatedly
-        assert ahead.step()[2] == plain.step()[2]
+        ahead.step()
+        plain.step()
+        assert np.array_equal(ahead.board.sensors["values"], plain.board.sensors["values"])
     assert np.array_equal(ahead.truth.wind_ned_mps, plain.truth.wind_ned_mps)
 
 
@@ -70,22 +75,26 @@ def test_adding_a_sensor_does_not_change_the_noise_of_the_others() -> None:
 
 
 def test_timestamps_start_above_zero_and_follow_the_imu_rate() -> None:
-    stamps = [t_us for t_us, _, _ in islice(simulate_flight(scenario()), 3)]
+    simulation = Simulation(scenario())
+    stamps = [simulation.step()[0] for _ in range(3)]
     assert stamps == [10_000, 20_000, 30_000]
 
 
 def test_each_sensor_samples_at_its_own_rate() -> None:
-    kinds = [
-        type(r) for _, _, readings in islice(simulate_flight(scenario()), 100) for r in readings
-    ]
-    assert kinds.count(ImuReading) == 100
-    assert kinds.count(PressureReading) == 20
+    simulation, kinds = Simulation(scenario()), []
+    for _ in range(100):
+        simulation.step()
+        sensors = simulation.board.sensors
+        kinds += sensors["kind"][sensors["fresh"] == 1].tolist()
+    assert kinds.count(IMU) == 100
+    assert kinds.count(BARO) == 20
 
 
 def test_a_sensor_with_latency_delivers_old_samples() -> None:
     late = scenario(sensors=SensorSuite(imu=NOISY, gps=Gps(rate_hz=10.0, latency_s=0.1)))
-    truths, fixes = {}, []
-    for t_us, truth, readings in islice(simulate_flight(late), 50):
+    simulation, truths, fixes = Simulation(late), {}, []
+    for _ in range(50):
+        t_us, truth, readings = simulation.step()
         truths[t_us] = truth
         fixes += [r for r in readings if isinstance(r, GpsReading)]
     assert len(fixes) >= 3
@@ -113,6 +122,14 @@ def test_external_controls_fly_the_vehicle() -> None:
     for _ in range(100):
         _, truth, _ = simulation.step(Controls(np.array([0.0, 1.0, 0.0, 0.5])))
     assert truth.omega_b_rps[0] > 1.0
+
+
+def test_the_controls_of_a_step_stay_as_they_were() -> None:
+    simulation = Simulation(scenario())
+    simulation.step(Controls(np.array([0.0, 1.0, 0.0, 0.5])))
+    flown = simulation.controls
+    simulation.step(Controls(np.zeros(4)))
+    assert flown.tolist() == [0.0, 1.0, 0.0, 0.5]
 
 
 def test_an_unarmed_vehicle_gets_no_thrust() -> None:

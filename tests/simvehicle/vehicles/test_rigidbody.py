@@ -6,12 +6,17 @@ import pytest
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, step
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
 from simvehicle.vehicles.fixedwing.trim import find_trim
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_inertia
-from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, inertia_coefficients
+from simvehicle.vehicles.rigidbody_kernel import (
+    Inertia,
+    State13,
+    finish_step,
+    inertia_coefficients,
+)
 from simvehicle.vehicles.vehicle import pack_surroundings
 
 PARAMETERS = read_fixedwing("aerosonde-2025")
@@ -35,17 +40,11 @@ def fly(
     n: int,
     wind: float,
 ) -> State13:
+    air, down = (wind, -2.0 * wind, 0.0), (0.0, 0.0, gravity)
+    given = WingInputs(controls, air, down, density, body, aero)
     for _ in range(n):
-        state = step(
-            state,
-            controls,
-            (wind, -2.0 * wind, 0.0),
-            (0.0, 0.0, gravity),
-            density,
-            body,
-            aero,
-            dt,
-        )
+        k1 = state_derivative(state, given)
+        state = finish_step(state, k1, state_derivative, given, given, dt)
     return state
 
 
@@ -95,7 +94,7 @@ def test_a_body_without_air_falls_by_half_g_t_squared() -> None:
 def test_a_multirotor_without_air_and_motors_falls_with_conserved_momentum() -> None:
     iris = Multirotor.read("iris")
     start = iris.start(np.array([0.0, 0.0, -100.0]), np.array([3.0, 1.0, 0.0]), UPRIGHT)
-    around = pack_surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0)
+    around = pack_surroundings(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.0, 0.0, np.empty(9))
     end, load = iris.advance(start, np.zeros(4), around, 600, 0.005)
     assert end[:3] == pytest.approx([9.0, 3.0, -100.0 + 0.5 * 9.81 * 9.0], abs=1e-9)
     assert end[3:6] == pytest.approx([3.0, 1.0, 9.81 * 3.0], abs=1e-9)
@@ -129,7 +128,9 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
 def test_a_single_vehicle_uses_the_same_equations_as_a_batch() -> None:
     vehicle = FixedWing.read("aerosonde-2025")
     throw = np.array([*vehicle.throw_rad, 1.0])
-    around = pack_surroundings(np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0)
+    around = pack_surroundings(
+        np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 9.81]), 1.2, 0.0, np.empty(9)
+    )
     end, _ = vehicle.advance(np.append(START, 0.0), np.array(CONTROLS) / throw, around, 200, 0.005)
     assert end[:13] == pytest.approx(flown(START, 1.0, 0.005, density=1.2), rel=1e-11, abs=1e-11)
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from analysis.orbits.broadcast import pack_ephemeris
-from analysis.orbits.snapshot import solve_position
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.gps_clock import gps_time
+from tests.analysis.orbits.snapshot_solution import solve_position
 
 STATIC_TRUTH_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 

@@ -37,23 +37,6 @@ def test_euler_angles_there_and_back() -> None:
     assert np.allclose(back, angles, atol=1e-12)
 
 
-def test_products_compose_as_matrices_do() -> None:
-    product = rotation.quat_multiply(QUATS[:100], QUATS[100:])
-    expected = rotation.matrix_from_quat(QUATS[:100]) @ rotation.matrix_from_quat(QUATS[100:])
-    assert np.allclose(rotation.matrix_from_quat(product), expected, atol=1e-14)
-
-
-def test_rotation_vectors_agree_with_scipy_down_to_zero() -> None:
-    assert np.allclose(rotation.rotvec_from_quat(QUATS), SCIPY.as_rotvec(), atol=1e-12)
-    assert np.allclose(rotation.quat_from_rotvec(np.zeros(3)), [1, 0, 0, 0])
-    assert np.allclose(rotation.rotvec_from_quat([1.0, 0, 0, 0]), 0.0)
-
-
-def test_the_angle_between_attitudes_ignores_the_sign_of_the_quaternion() -> None:
-    q = rotation.quat_from_rotvec([0.3, 0.0, 0.0])
-    assert np.isclose(rotation.angle_between([1.0, 0, 0, 0], -q), 0.3)
-
-
 def test_angles_wrap_into_one_turn() -> None:
     assert np.allclose(
         rotation.wrap_angles([np.pi, 3.5 * np.pi, -0.1]), [-np.pi, -0.5 * np.pi, -0.1]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mavproxy_fault.numerics.rotations import (
     one_rotation,
@@ -47,11 +48,13 @@ def test_angles_and_small_rotations_are_the_same_in_every_implementation(
     assert rotation_lanes.wrap_angle(angles[0] + 4.0 * math.pi) == pytest.approx(
         angles[0], abs=1e-12
     )
-    expected = rotation.quat_multiply(q, rotation.quat_from_rotvec(turn))
-    assert rotation_kernel.rotate_attitude(q, *turn) == pytest.approx(expected, abs=1e-12)
-    assert one_rotation.rotate_quaternion(q.tolist(), turn) == pytest.approx(expected, abs=1e-12)
-    outside = rotation.quat_multiply(rotation.quat_from_rotvec(turn), q)
-    assert rotation_kernel.rotate_in_reference(q, *turn) == pytest.approx(outside, abs=1e-12)
-    angle = rotation_kernel.attitude_errors(q, expected)[3]
-    assert angle == pytest.approx(float(rotation.angle_between(q, expected)), abs=1e-7)
+    before, turned = Rotation.from_quat(np.roll(q, -1)), Rotation.from_rotvec(turn)
+    after = rotation_kernel.rotate_attitude(q, *turn)
+    assert rotation.matrix_from_quat(after) == pytest.approx(
+        (before * turned).as_matrix(), abs=1e-12
+    )
+    assert one_rotation.rotate_quaternion(q.tolist(), turn) == pytest.approx(after, abs=1e-12)
+    outside = rotation.matrix_from_quat(rotation_kernel.rotate_in_reference(q, *turn))
+    assert outside == pytest.approx((turned * before).as_matrix(), abs=1e-12)
+    angle = rotation_kernel.attitude_errors(q, after)[3]
     assert angle == pytest.approx(math.sqrt(sum(x * x for x in turn)), abs=1e-7)

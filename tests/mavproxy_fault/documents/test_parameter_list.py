@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.autopilots.user_parameters import format_parameters, read_parameters
 from analysis.campaign.campaign_file import read_campaign
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.parameter_list import format_parameters, read_parameters
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Plain steps through sockets and the proxy: bytes and labels of the interpreted path."""
+"""Stretches through sockets and the proxy: bytes and labels of the loop in Python."""
 
 import math
 import socket
@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.autopilots import stretch_kernel
 from analysis.autopilots.hil_exchange import AutopilotReceiver, AutopilotSender, ConnectionDeadline
-from analysis.autopilots.plain_flight import plain_flight
+from analysis.autopilots.stretches import open_stretches
 from analysis.run.proxied_flight import ProxiedFlight
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.links.tcp import TcpServer
@@ -43,7 +42,7 @@ RECEIVERS = {
     "gps": "  gps: {preset: consumer, rate_hz: 5}\n",
     "gnss": "gnss: {rate_hz: 2}\n",
 }
-# Some act on the frames of plain steps, some on others; one on the answers.
+# Some act on the frames of stretches, some on others; one on the answers.
 FAULTS = [
     {"preset": "gyro-bias", "at_s": 0.3, "for_s": 0.5},
     {"preset": "accel-stuck", "at_s": 0.9, "for_s": 0.3},
@@ -87,28 +86,27 @@ def autopilot(port: int, kind: str) -> Iterator[None]:
 
 
 def flown(
-    scenario: Path, kind: str, faults: list, *, plainly: bool
+    scenario: Path, kind: str, faults: list, *, stretched: bool
 ) -> tuple[ProxiedFlight, list[int]]:
     """Fly with the stand-in; return the flight and the steps of each stretch."""
     entries = [{"id": str(n), **fault} for n, fault in enumerate(faults)]
     flight = ProxiedFlight(read_scenario(scenario), parse_schedule({"faults": entries}))
     passage = new_passage(flight.core, flight.capture)
-    hil, lockstep = HilPacker(), Lockstep(timeout_s=20.0)
+    hil, lockstep = HilPacker(flight.simulation.board), Lockstep(timeout_s=60.0, silence_s=300.0)
     lockstep.locked = True  # from the first step on, independent of the clock
     outward = AutopilotSender(flight, hil, lambda _: None, passage=passage)
     stretches: list[int] = []
     with closing(TcpServer("127.0.0.1", 0)) as server, autopilot(server.port, kind):
         inward = AutopilotReceiver(
-            outward, [server], ConnectionDeadline(server, None, 20.0), lockstep
+            outward, [server], ConnectionDeadline(server, None, 300.0), lockstep
         )
-        steps = plain_flight(flight.simulation, hil, passage) if plainly else None
+        steps = open_stretches(flight.simulation, hil, passage) if stretched else None
         if steps is not None:
             assert steps.join(outward, inward, lockstep)
             account = steps._account
-            words = steps._stretch.words
 
             def counted() -> None:
-                stretches.append(int(words[stretch_kernel.STEPS]))
+                stretches.append(int(steps._now["steps"]))
                 account()
 
             steps._account = counted  # type: ignore[method-assign]
@@ -136,16 +134,16 @@ def flown(
         ("plane", "gnss", []),
     ],
 )
-def test_plain_steps_send_the_same_bytes_as_interpreted_ones(
+def test_stretches_send_the_same_bytes_as_the_loop(
     kind: str, receiver: str, faults: list, tmp_path: Path
 ) -> None:
     path = tmp_path / "scenario.yaml"
-    path.write_text(f"name: plain\n{VEHICLES[kind]}\nsensors:{SENSORS}{RECEIVERS[receiver]}")
-    ordinary, _ = flown(path, kind, faults, plainly=False)
-    plain, stretches = flown(path, kind, faults, plainly=True)
+    path.write_text(f"name: stretches\n{VEHICLES[kind]}\nsensors:{SENSORS}{RECEIVERS[receiver]}")
+    ordinary, _ = flown(path, kind, faults, stretched=False)
+    fast, stretches = flown(path, kind, faults, stretched=True)
     assert sum(stretches) > (0.4 if faults else 0.9) * STEPS
     for log in ("received", "sent", "index", "received_other", "sent_other"):
-        assert getattr(plain.capture, log) == getattr(ordinary.capture, log), log
-    assert plain.drain_labels() == ordinary.drain_labels()
-    assert plain.stats() == ordinary.stats()
-    assert plain.simulation.truth.t_us == ordinary.simulation.truth.t_us
+        assert getattr(fast.capture, log) == getattr(ordinary.capture, log), log
+    assert fast.drain_labels() == ordinary.drain_labels()
+    assert fast.stats() == ordinary.stats()
+    assert fast.simulation.truth.t_us == ordinary.simulation.truth.t_us

@@ -1,0 +1,277 @@
+"""The compiled form's faults: the chain of entries that act on a message.
+
+`is_ready` looks whether all of them can act here on a frame; `apply_chain` lets them act, in turn,
+on the frames that it becomes, which lie in `work`. The rules are those of `fault_parts.rules`.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mavproxy_fault.compiled import layout as k
+from mavproxy_fault.compiled.element_bytes import (
+    LARGEST_WHOLE,
+    little_endian,
+    read_element,
+    write_element,
+)
+from mavproxy_fault.compiled.kernel import choose, i64, kernel
+from mavproxy_fault.compiled.layout import Shared
+from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
+from mavproxy_fault.fault_parts.rules import LOST
+from mavproxy_fault.wire.framing import range_crc
+
+SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
+
+_value_rule = choose(value_rules(), "x, i, t_s, p, at, m, place, u")
+_link_rule = choose(link_rules(), "t_us, p, at, m, place, u, v")
+
+
+@kernel
+def _is_for(entry: Any, sender: int, from_vehicle: int, instance: int) -> bool:
+    """Whether an entry's `where` matches a frame; as `ActiveEntry.matches`."""
+    return bool(
+        (entry[k.SYSTEM] < 0 or entry[k.SYSTEM] == sender >> 8)
+        and (entry[k.COMPONENT] < 0 or entry[k.COMPONENT] == sender & 0xFF)
+        and (entry[k.DIRECTION] < 0 or entry[k.DIRECTION] == from_vehicle)
+        and (entry[k.INSTANCE] < 0 or entry[k.INSTANCE] == instance)
+    )
+
+
+@kernel
+def _find_memory(
+    number: int, message: int, sender: int, from_vehicle: int, instance: int, shared: Shared
+) -> int:
+    """Where an entry's memory of a sender begins, -1 if it has none yet."""
+    keys, by_sender = shared.keys, shared.entries[number, k.BY_SENDER]
+    for n in range(shared.loop[k.KEY_COUNT]):
+        key = keys[n]
+        if key[k.KEY_ENTRY] != number or key[k.KEY_WAY] != from_vehicle:
+            continue
+        if not by_sender or (
+            key[k.KEY_SENDER] == sender
+            and key[k.KEY_MESSAGE] == message
+            and key[k.KEY_INSTANCE] == instance
+        ):
+            return int(key[k.MEMORY_AT])
+    return -1
+
+
+@kernel
+def _has_exact_numbers(payload: int, size: int, step: Any, shared: Shared) -> bool:
+    """Whether 64-bit integers of a chain's elements are exact as numbers."""
+    for row in range(step[k.FROM], step[k.TO]):
+        code, at = shared.elements[row, k.CODE], shared.elements[row, k.OFFSET]
+        if (code == 81 or code == 113) and at + 8 <= size:
+            word = little_endian(shared.data, payload + at, 8)
+            if not 0 <= word < LARGEST_WHOLE:
+                return False
+    return True
+
+
+@kernel
+def read_instance(payload: int, size: int, number: int, shared: Shared) -> int:
+    """The instance of a message that distinguishes sensors of one kind, else 0."""
+    table = shared.table[number]
+    if table[k.INSTANCE_AT] < 0:
+        return i64(0)
+    length = min(table[k.INSTANCE_SIZE], size - table[k.INSTANCE_AT])
+    return i64(little_endian(shared.data, payload + table[k.INSTANCE_AT], length))
+
+
+@kernel
+def is_ready(
+    payload: int, size: int, number: int, sender: int, link: int, t_us: int, signed: bool,
+    shared: Shared,
+) -> bool:  # fmt: skip
+    """Whether all entries of a message can act on a frame here; `places` then says where."""
+    loop, table = shared.loop, shared.table[number]
+    from_vehicle = shared.ports[link, k.FROM_VEHICLE]
+    instance = read_instance(payload, size, number, shared)
+    first, place = table[k.CHAIN], 0
+    while first >= 0:
+        step = shared.steps[first]
+        entry = shared.entries[step[k.ENTRY]]
+        shared.places[place] = SKIPPED
+        if _is_for(entry, sender, from_vehicle, instance):
+            shared.places[place] = 0
+            if signed and not entry[k.SEALED_TOO]:
+                shared.places[place] = SIGNED
+            elif entry[k.EFFECT] == k.IDLE:
+                if t_us >= entry[k.START]:
+                    return False
+                shared.places[place] = SKIPPED
+            elif entry[k.REMEMBERS]:
+                found = _find_memory(step[k.ENTRY], number, sender, from_vehicle, instance, shared)
+                if found < 0:
+                    return False
+                shared.places[place] = found
+            drawn = entry[k.USED] if entry[k.DRAWS_FROM] >= 0 else 0
+            chances = entry[k.CHANCES_USED] if entry[k.CHANCES_FROM] >= 0 else 0
+            if max(drawn, chances) + step[k.NEED] > k.BLOCK:
+                loop[k.DRY] = 1
+                return False
+            if not _has_exact_numbers(payload, size, step, shared):
+                return False
+        first = step[k.NEXT]
+        place += 1
+    return True
+
+
+@kernel
+def _draw(entry: Any, shared: Shared) -> float:
+    """An entry's next drawn number, 0 if it draws none."""
+    if entry[k.DRAWS_FROM] < 0:
+        return 0.0
+    entry[k.USED] += 1
+    return float(shared.draws[entry[k.DRAWS_FROM] + entry[k.USED] - 1])
+
+
+@kernel
+def _note_hit(
+    number: int, t_us: int, from_vehicle: int, saturated: int, largest: float, shared: Shared
+) -> None:
+    """Count a changed frame for an entry."""
+    entry = shared.entries[number]
+    entry[k.FRAMES_HIT] += 1
+    entry[k.SATURATED] += saturated
+    entry[k.WAYS] |= 1 << from_vehicle
+    if entry[k.FIRST_US] == 0:
+        entry[k.FIRST_US] = t_us
+    if math.isfinite(largest) and largest > shared.changes[number, 1]:
+        shared.changes[number, 1] = largest
+
+
+@kernel
+def _act_on_values(
+    item: int, head: int, step: Any, place: int, t_us: int, link: int, shared: Shared
+) -> bool:
+    """Apply an entry to the values of a frame in `work`; whether a byte changed."""
+    work, elements, outcome = shared.work, shared.elements, shared.outcome
+    entry = shared.entries[step[k.ENTRY]]
+    base = item * k.SLOT
+    payload, size = base + head, i64(work[base + 1])
+    if step[k.END] > size:  # truncated zeros, in place of the checksum
+        for n in range(size, step[k.END]):
+            work[payload + n] = 0
+        shared.items[item, k.ALTERED] = max(shared.items[item, k.ALTERED], k.RESEALED)
+    first = step[k.FROM]
+    t_s = (t_us - entry[k.START]) / 1e6
+    for row in range(first, step[k.TO]):
+        healthy = read_element(work, payload + elements[row, k.OFFSET], elements[row, k.CODE])
+        shared.values[row - first] = healthy / shared.factors[row, k.FACTOR]
+    changed, saturated, largest = False, 0, -1.0
+    for row in range(first, step[k.TO]):
+        i = row - first
+        new = _value_rule(
+            entry[k.RULE], shared.values, i, t_s, shared.numbers, elements[row, k.NUMBERS_AT],
+            shared.memory, place + i * (entry[k.REMEMBERS] - 1), _draw(entry, shared),
+        )  # fmt: skip
+        # Kept until all are known, as a rule may look at its neighbours.
+        shared.values[k.SLOT // 2 + i] = new * shared.factors[row, k.FACTOR]
+    for row in range(first, step[k.TO]):
+        at, code = payload + elements[row, k.OFFSET], elements[row, k.CODE]
+        healthy, new = read_element(work, at, code), shared.values[k.SLOT // 2 + row - first]
+        changed |= write_element(work, at, code, healthy, new, outcome)
+        saturated += int(outcome[k.CUT])
+        change = outcome[k.STEP] * shared.factors[row, k.STEP_SCALE]
+        if math.isfinite(change):
+            largest = max(largest, change)
+    end = step[k.END]
+    while end > size and work[payload + end - 1] == 0:
+        end -= 1
+    if end > size:
+        work[base + 1] = end
+        shared.items[item, k.LENGTH_OF] += end - size
+    if changed:
+        shared.items[item, k.ALTERED] = k.CHANGED
+        from_vehicle = shared.ports[link, k.FROM_VEHICLE]
+        _note_hit(step[k.ENTRY], t_us, from_vehicle, saturated, largest, shared)
+    return changed
+
+
+@kernel
+def _act_on_frame(
+    item: int, count: int, head: int, step: Any, place: int, t_us: int, link: int, shared: Shared
+) -> int:
+    """Apply a fault of the link to a frame in `work`; the frames that there are then, -1 if it did
+    nothing."""
+    work, items, entry = shared.work, shared.items, shared.entries[step[k.ENTRY]]
+    u = _draw(entry, shared)
+    v = _draw(entry, shared) if entry[k.DRAW_COUNT] > 1 else 0.0
+    at = step[k.NUMBERS_FROM]
+    number = i64(
+        _link_rule(entry[k.RULE], np.float64(t_us), shared.numbers, at, shared.memory, place, u, v)
+    )
+    if number == 0:
+        return -1
+    late_us = i64(0)
+    if entry[k.EFFECT] == k.DELAY:
+        if number == LOST:
+            items[item, k.LENGTH_OF] = 0
+        else:
+            late_us = number
+            items[item, k.LATE_US] += number
+    elif entry[k.EFFECT] == k.RENUMBER:
+        place_of_seq = item * k.SLOT + (4 if head == 10 else 2)
+        work[place_of_seq] = (i64(work[place_of_seq]) + number) & 0xFF
+        items[item, k.ALTERED] = k.CHANGED
+    else:
+        late_us = i64(shared.numbers[at + 2])
+        for n in range(number):
+            for byte in range(items[item, k.LENGTH_OF]):
+                work[count * k.SLOT + byte] = work[item * k.SLOT + byte]
+            for column in range(3):
+                items[count, column] = items[item, column]
+            items[count, k.LATE_US] += late_us * (n + 1) // number
+            count += 1
+    largest = late_us * 1e-6 if late_us else -1.0
+    _note_hit(step[k.ENTRY], t_us, shared.ports[link, k.FROM_VEHICLE], 0, largest, shared)
+    return count
+
+
+@kernel
+def apply_chain(
+    at: int, head: int, length: int, number: int, link: int, t_us: int, shared: Shared
+) -> Any:
+    """Apply the entries of a message to a frame; how many frames it becomes, and whether anything
+    changed."""
+    work, items = shared.work, shared.items
+    for n in range(length):
+        work[n] = shared.data[at + n]
+    items[0, k.LENGTH_OF], items[0, k.LATE_US], items[0, k.ALTERED] = length, 0, 0
+    count, changed = 1, False
+    first, position = shared.table[number, k.CHAIN], 0
+    while first >= 0:
+        step, place = shared.steps[first], shared.places[position]
+        entry = shared.entries[step[k.ENTRY]]
+        if place == SIGNED:
+            entry[k.SEALED] += 1
+        for item in range(count if place >= 0 else 0):
+            if items[item, k.LENGTH_OF] == 0:
+                continue
+            if entry[k.CHANCES_FROM] >= 0:
+                entry[k.CHANCES_USED] += 1
+                u = shared.draws[entry[k.CHANCES_FROM] + entry[k.CHANCES_USED] - 1]
+                if u >= shared.changes[step[k.ENTRY], 0]:
+                    continue
+            if entry[k.EFFECT] == k.VALUES:
+                changed |= _act_on_values(item, head, step, place, t_us, link, shared)
+            else:
+                become = _act_on_frame(item, count, head, step, place, t_us, link, shared)
+                if become >= 0:
+                    changed, count = True, become
+        first = step[k.NEXT]
+        position += 1
+    return count, changed
+
+
+@kernel
+def seal(item: int, head: int, extra: int, shared: Shared) -> None:
+    """Write the checksum of a changed frame in `work`."""
+    base, address = item * k.SLOT, shared.work.ctypes.data
+    tail = base + head + i64(shared.work[base + 1])
+    checksum = range_crc(address + base + 1, address + tail, np.uint64(extra), shared.crc)
+    shared.work[tail] = checksum & np.uint64(0xFF)
+    shared.work[tail + 1] = checksum >> np.uint64(8)

@@ -1,0 +1,44 @@
+"""Memory of faults: regions of one array of numbers that Python and compiled code share.
+
+What a rule remembers of a sender (a frozen value, the state of a channel) lies here, so it may be
+called from either side at any frame.
+"""
+
+import mmap
+from typing import Any
+
+NUMBERS = 1 << 22  # 32 MB of address space; pages are used only when touched
+
+ARENA: Any = memoryview(mmap.mmap(-1, 8 * NUMBERS)).cast("d")
+_free: dict[int, list[int]] = {}  # offsets of released regions, by size
+_used = 0
+
+
+class Memory:
+    """A region of zeros, released with its last reference."""
+
+    __slots__ = ("at", "size")
+
+    def __init__(self, size: int) -> None:
+        global _used
+        self.size, released = size, _free.get(size)
+        if released:
+            self.at = released.pop()
+            self.write([0.0] * size)
+            return
+        if _used + size > NUMBERS:
+            raise MemoryError("the faults' memory is full")
+        self.at = _used
+        _used += size
+
+    def write(self, numbers: list[float]) -> None:
+        """Set the first numbers of the region."""
+        for place, number in enumerate(numbers, self.at):
+            ARENA[place] = number
+
+    def __del__(self, released: dict[int, list[int]] = _free) -> None:  # at exit names are gone
+        if hasattr(self, "at"):
+            released.setdefault(self.size, []).append(self.at)
+
+
+NO_MEMORY = Memory(0)  # of rules that remember nothing

@@ -1,0 +1,40 @@
+"""Sensors whose samples are computed by compiled code, since every step of a flight has some.
+
+A kind has its parameters and its `measure_*` function in one file, and a branch in `measure`. It
+writes at most six numbers to `values` of its record. All other sensors fulfil `Sensor`.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from simvehicle.sensors.error_model import NoiseState
+from simvehicle.sensors.sensor import SensorParameters
+
+IMU, MAG, BARO, PITOT = range(4)  # kinds
+
+
+class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
+    """Parameters of a compiled sensor."""
+
+    kind: ClassVar[int]
+
+    def new_state(self, rng: np.random.Generator) -> list[NoiseState]:
+        """Draw the constant errors and the first block of each noise model."""
+        return [
+            getattr(self, name).new_state(rng, count, self.rate_hz)
+            for name, count in self.channels.items()
+        ]
+
+    def next_errors(self, state: list[NoiseState], rng: np.random.Generator) -> list[NoiseState]:
+        """Draw the next block of each noise model."""
+        return [
+            getattr(self, name).refill(noise, rng, self.rate_hz)
+            for name, noise in zip(self.channels, state, strict=True)
+        ]
+
+    def describe(self, record: Any) -> None:
+        """Write the parameters to a record of `SENSOR`."""
+        record["kind"], record["id"], record["rate_hz"] = self.kind, self.id, self.rate_hz
+        for at, name in enumerate(self.channels):
+            record["scale"][at] = getattr(self, name).scale
